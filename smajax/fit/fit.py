@@ -1,0 +1,273 @@
+"""From recordings to a ``Fit``: parameters with intervals, what cannot be told apart, and the residual."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters, simulate
+from smajax.errors import InputError, NumericsError
+from smajax.fit import least_squares, uncertainty
+from smajax.fit.least_squares import Stop
+from smajax.fit.problem import Problem, Settings, build, difference_noise
+from smajax.plant.plant import Plant
+from smajax.recording import Recording
+
+_SCREENED = 48
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """One parameter after a fit, in its internal unit; the interval is ``None`` where the data give none."""
+
+    name: str
+    estimate: float
+    lower95: float | None
+    upper95: float | None
+    unit: str
+    at_bound: bool
+    bounds: tuple[float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Response:
+    """Measured and modelled channels of one recording (SI, shape ``(n,)``), the other modelled channels, and the result code."""
+
+    recording: Recording
+    role: str
+    model: dict[str, np.ndarray]
+    code: simulate.Code
+
+    def residual(self, channel: str) -> np.ndarray:
+        """Measured minus model."""
+        return self.recording.channels[channel] - self.model[channel]
+
+    def rmse(self, channel: str) -> float:
+        """Root mean square of the residual, SI."""
+        return float(np.sqrt(np.mean(self.residual(channel) ** 2)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """The result of a fit. ``plants`` holds the fitted plant of each training recording, ``plant`` the one for any other recording."""
+
+    problem: Problem
+    plant: Plant
+    plants: tuple[Plant, ...]
+    estimates: tuple[Estimate, ...]
+    covariance: np.ndarray
+    indistinct: tuple[uncertainty.Indistinct, ...]
+    responses: tuple[Response, ...]
+    noise_floor: dict[str, float]
+    cost: float
+    starts_at_best: int
+    starts: int
+    stop: Stop
+    steps: int
+    simulations: int
+    wall: float
+    compile: float
+    history: tuple[tuple[int, float, float], ...]
+    seed: int
+    vector: np.ndarray
+    interpolation: str
+    step: float | None
+    discretisation: dict[str, float]
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlations of the estimates, shape ``(p, p)``; NaN where a variance is not finite."""
+        deviation = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.covariance / np.outer(deviation, deviation)
+
+    def rmse(self, channel: str, role: str = "train") -> float | None:
+        """Pooled RMSE of a channel over the recordings of a role, SI; ``None`` without any."""
+        squares = [r.residual(channel) ** 2 for r in self.responses if r.role == role]
+        return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+
+
+def _residual(vector: jax.Array, problem: Problem) -> jax.Array:
+    return problem.residual(vector)
+
+
+@eqx.filter_jit
+def _costs(vectors: jax.Array, problem: Problem) -> jax.Array:
+    return jax.vmap(lambda v: jnp.sum(problem.residual(v) ** 2))(vectors)
+
+
+def draw_starts(problem: Problem, starts: int, seed: int) -> tuple[np.ndarray, int]:
+    """The nominal point and ``starts - 1`` drawn ones, shape ``(starts, p)``, and the number of simulations spent.
+
+    Points drawn over the search box mostly never transform at all, where gradients say little. So many are drawn and simulated as one
+    batch, and the best are kept.
+    """
+    if starts <= 1:
+        return problem.nominal[None], 0
+    lower, upper = problem.search_box()
+    drawn = np.random.default_rng(seed).uniform(lower, upper, (max(_SCREENED, 4 * starts), len(lower)))
+    costs = np.asarray(_costs(jnp.asarray(drawn), problem))
+    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
+    return np.vstack([problem.nominal, drawn[order[: starts - 1]]]), len(drawn) * problem.data.measured.shape[0]
+
+
+def fit(
+    plant: Plant,
+    recordings: Sequence[Recording],
+    settings: Settings,
+    *,
+    holdout: Sequence[Recording] = (),
+    interpolation: str = "hold",
+    step: float | None = None,
+    max_steps: int = 100,
+    progress: Callable[[int, float], None] = lambda step, cost: None,
+) -> Fit:
+    """Fits a plant's free parameters to recordings by bounded least squares from several starts.
+
+    Raises ``InputError`` for recordings and settings that do not fit together, and ``NumericsError`` if the simulation fails at every
+    start.
+    """
+    began = time.perf_counter()
+    problem = build(plant, recordings, settings, interpolation=interpolation, step=step)
+    starts, screened = draw_starts(problem, settings.starts, settings.seed)
+    compiled = time.perf_counter()
+    solved = least_squares.solve(_residual, problem, starts, *problem.box, max_steps=max_steps, progress=progress)
+    first = solved.history[0][1] if solved.history else 0.0
+    later = (solved.wall - first) / max(len(solved.history) - 1, 1)
+    if all(s is Stop.failed for s in solved.stops):
+        _, codes = eqx.filter_jit(lambda p, v: p.predict(v))(problem, jnp.asarray(starts[0]))
+        code = simulate.Code(int(jnp.max(codes)))
+        raise NumericsError(f"{code.name} at the start values: {code.cure}; parameters: {simulate.describe(plant)}")
+    best = int(np.nanargmin(np.where(np.isfinite(solved.costs), solved.costs, np.inf)))
+    at_best = int(np.sum(solved.costs <= solved.costs[best] * 1.001))
+    vector = solved.points[best]
+    shared, own = problem.values(jnp.asarray(vector))
+    fitted = parameters.replace(problem.plant, shared)
+    plants = tuple(parameters.replace(fitted, {n: v[k] for n, v in own.items()}) for k in range(len(recordings)))
+    general = parameters.replace(fitted, {n: jnp.mean(v) for n, v in own.items() if not n.startswith("initial.")})
+    for name in own:  # a new recording starts as the rig says
+        if name.startswith("initial."):
+            general = eqx.tree_at(
+                lambda p, n=name: getattr(p.initial, n[8:]), general, getattr(plant.initial, name[8:]), is_leaf=lambda x: x is None
+            )
+    responses = [respond(p, r, "train", interpolation, step) for p, r in zip(plants, recordings, strict=True)]
+    responses += [respond(general, r, "holdout", interpolation, step) for r in holdout]
+    estimates, covariance, groups = _uncertainty(problem, vector, solved.residuals[best], solved.jacobians[best])
+    floor = {c: max(difference_noise(r.residual(c)) for r in responses[: len(recordings)]) for c in settings.observe}
+    finer = simulate.simulate(
+        plants[0], recordings[0], interpolation=interpolation, step=_halved(plants[0], recordings[0], step), throw=False
+    )
+    coarse = responses[0].model
+    return Fit(
+        problem=problem,
+        plant=general,
+        plants=plants,
+        estimates=tuple(estimates),
+        covariance=covariance,
+        indistinct=tuple(groups),
+        responses=tuple(responses),
+        noise_floor=floor,
+        cost=float(solved.costs[best]),
+        starts_at_best=at_best,
+        starts=len(starts),
+        stop=solved.stops[best],
+        steps=solved.steps,
+        simulations=solved.simulations + screened,
+        wall=time.perf_counter() - began,
+        compile=(compiled - began if screened else 0.0) + max(first - later, 0.0),
+        history=tuple(solved.history),
+        seed=settings.seed,
+        vector=vector,
+        interpolation=interpolation,
+        step=step,
+        discretisation={c: float(np.sqrt(np.mean((np.asarray(finer.channels[c]) - coarse[c]) ** 2))) for c in settings.observe},
+    )
+
+
+def respond(plant: Plant, recording: Recording, role: str, interpolation: str, step: float | None) -> Response:
+    """Simulates a recording. Raises nothing: a failed simulation says so in its code."""
+    result = simulate.simulate(plant, recording, interpolation=interpolation, step=step, throw=False)
+    return Response(recording, role, {c: np.asarray(v) for c, v in result.channels.items()}, simulate.Code(int(result.code)))
+
+
+def _halved(plant: Plant, recording: Recording, step: float | None) -> float:
+    return min(step or simulate.default_step(plant), float(np.max(np.diff(recording.time)))) / 2
+
+
+def _uncertainty(problem: Problem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> tuple[list, np.ndarray, list]:
+    lower, upper = problem.box
+    gradient = jacobian.T @ residual
+    margin = 1e-9 * (1.0 + np.abs(vector))
+    held = ((vector <= lower + margin) & (gradient >= 0)) | ((vector >= upper - margin) & (gradient <= 0))
+    count, free = int(np.sum(~held)), np.flatnonzero(~held)
+    keep = np.asarray(problem.data.weight).reshape(-1, problem.data.weight.shape[-1]) > 0
+    series = residual.reshape(keep.shape)
+    columns = jacobian.reshape(*keep.shape, -1)[..., free]
+    samples = int(np.sum(keep))
+    scaled = uncertainty.covariance([columns[k][m] for k, m in enumerate(keep)], [series[k][m] for k, m in enumerate(keep)], count)
+    covariance = np.full((len(vector), len(vector)), np.nan)
+    scales = np.array([u.scale for u in problem.unknowns])
+    covariance[np.ix_(free, free)] = scaled * np.outer(scales[free], scales[free])
+    quantile = uncertainty.critical(samples, count)
+    estimates = []
+    for i, unknown in enumerate(problem.unknowns):
+        value = float(vector[i] * unknown.scale)
+        deviation = math.sqrt(covariance[i, i]) if np.isfinite(covariance[i, i]) else math.inf
+        known = math.isfinite(deviation)
+        interval = (value - quantile * deviation, value + quantile * deviation) if known else (None, None)
+        estimates.append(Estimate(unknown.label, value, *interval, unknown.unit, bool(held[i]), (unknown.lower, unknown.upper)))
+    names = [problem.unknowns[i].label for i in free]
+    sizes = np.array([max(abs(vector[i]), 1e-3) for i in free])
+    return estimates, covariance, uncertainty.indistinct(jacobian[:, free], names, sizes)
+
+
+def profile(result: Fit, name: str, *, points: int = 9, width: float = 3.0) -> dict[str, Any]:
+    """Profile likelihood of one parameter: the best cost with it held at ``points`` values over ``width`` standard errors either way.
+
+    Returns ``values`` (internal unit), ``rise`` (of the cost, in units in which 3.84 bounds a 95 % interval, the noise's autocorrelation
+    counted in), ``lower95`` and ``upper95`` (``None`` where the profile does not reach 3.84 within the range). Raises ``InputError``
+    for a parameter that is not free or sits on its bound.
+    """
+    labels = [u.label for u in result.problem.unknowns]
+    if name not in labels:
+        raise InputError(f"'{name}' is not a free parameter of this fit; free are {', '.join(labels)}")
+    i = labels.index(name)
+    estimate, scale = result.estimates[i], result.problem.unknowns[i].scale
+    deviation = math.sqrt(result.covariance[i, i]) if np.isfinite(result.covariance[i, i]) else math.nan
+    if not math.isfinite(deviation):
+        raise InputError(
+            f"'{name}' has no finite standard error here (it sits on its bound, or the data do not show it): no profile can be drawn"
+        )
+    lower, upper = (np.tile(b, (points, 1)) for b in result.problem.box)
+    values = np.clip(estimate.estimate + deviation * np.linspace(-width, width, points), lower[0, i] * scale, upper[0, i] * scale)
+    lower[:, i] = upper[:, i] = values / scale
+    starts = np.tile(result.vector, (points, 1))
+    slope = result.covariance[:, i] / result.covariance[i, i]
+    scales = np.array([u.scale for u in result.problem.unknowns])
+    starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
+    solved = least_squares.solve(_residual, result.problem, starts, lower, upper, rtol=1e-9)
+    rise = solved.costs - result.cost
+    # Near the estimate the profile is a parabola; the noise's autocorrelation widens it as it widens the interval.
+    curvature = np.sum(rise * (values - estimate.estimate) ** 2) / np.sum((values - estimate.estimate) ** 4)
+    rise = rise / (curvature * deviation**2)
+    return {
+        "values": values,
+        "rise": rise,
+        "lower95": _crossing(values[: points // 2 + 1][::-1], rise[: points // 2 + 1][::-1]),
+        "upper95": _crossing(values[points // 2 :], rise[points // 2 :]),
+    }
+
+
+def _crossing(values: np.ndarray, rise: np.ndarray, level: float = 3.841) -> float | None:
+    above = np.flatnonzero(rise > level)
+    if not len(above) or above[0] == 0:
+        return None
+    k = above[0]
+    share = (level - rise[k - 1]) / (rise[k] - rise[k - 1])
+    return float(values[k - 1] + share * (values[k] - values[k - 1]))

@@ -1,0 +1,228 @@
+"""Bounded Levenberg-Marquardt, as an optimistix least-squares solver.
+
+Each step solves the normal equations, damped in proportion to their diagonal (Marquardt), for the parameters that are not held by a bound:
+one that sits on its bound with the gradient pushing it outwards stays there, the rest of the step is cut to the box. Residual and Jacobian
+are evaluated together at the trial point, because with forward tangents the pair costs less than two residuals; a trial that does not lower
+the cost raises the damping. A parameter whose two bounds are equal is fixed, so profiles and nested models need no other program.
+
+The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``solve`` drives it step by step on a batch of starts, so
+that progress can be shown, an interruption keeps the best point so far, and one start's failure leaves the others alone.
+"""
+
+import enum
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+
+class Stop(enum.IntEnum):
+    """Why a start ended; ``text`` says it in words."""
+
+    running = 0
+    converged = 1
+    stalled = 2
+    failed = 3
+    steps = 4
+    interrupted = 5
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        return {
+            Stop.running: "still running",
+            Stop.converged: "the cost falls by less than its tolerance",
+            Stop.stalled: "no step lowers the cost any more",
+            Stop.failed: "the simulation fails at the start point: see its result code",
+            Stop.steps: "the number of steps ran out before the cost settled: allow more, or start nearer",
+            Stop.interrupted: "interrupted; the best point so far is kept",
+        }[self]
+
+
+class LMState(NamedTuple):
+    """State of one start: best point's residual, Jacobian and cost; the trial point; damping; counters."""
+
+    trial: jax.Array
+    residual: jax.Array
+    jacobian: jax.Array
+    cost: jax.Array
+    damping: jax.Array
+    predicted: jax.Array
+    small: jax.Array
+    steps: jax.Array
+    stop: jax.Array
+
+
+class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt in a box. ``args`` of the residual is ``(lower, upper, rest)``; the residual is called with ``rest``.
+
+    Both the unknown ``y``, shape ``(p,)``, and the residual, shape ``(m,)``, are flat arrays. ``rtol`` is the relative fall of the cost
+    below which two steps running end the search.
+    """
+
+    rtol: float
+    atol: float = 0.0
+    norm: Callable = eqx.field(static=True, default=optx.max_norm)
+
+    def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
+        """Nothing is evaluated yet: the first step accepts the start point."""
+        size = f_struct.shape[0]
+        return LMState(
+            y,
+            jnp.zeros(size),
+            jnp.zeros((size, y.shape[0])),
+            jnp.asarray(jnp.inf),
+            jnp.asarray(1e-3),
+            jnp.asarray(0.0),
+            jnp.asarray(0),
+            jnp.asarray(0),
+            jnp.asarray(Stop.running.value),
+        )
+
+    def step(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple[Any, LMState, Any]:
+        """Evaluates the trial point, accepts or refuses it, and proposes the next one."""
+        lower, upper, rest = args
+
+        def value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+            r = fn(v, rest)[0]
+            return r, r
+
+        jacobian, residual = jax.jacfwd(value, has_aux=True)(state.trial)
+        cost = jnp.sum(residual**2)
+        sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
+        accept = sound & (cost < state.cost)
+        first = state.steps == 0
+        fall = state.cost - cost
+        gain = fall / jnp.where(state.predicted > 0, state.predicted, 1.0)
+        eased = state.damping * jnp.clip(1.0 - (2.0 * gain - 1.0) ** 3, 0.1, 1.0)
+        damping = jnp.where(first, state.damping, jnp.where(accept, eased, 5.0 * state.damping))
+        small = jnp.where(accept & (fall <= self.rtol * state.cost) & ~first, state.small + 1, jnp.where(accept, 0, state.small))
+        y = jnp.where(accept, state.trial, y)
+        residual = jnp.where(accept, residual, state.residual)
+        jacobian = jnp.where(accept, jacobian, state.jacobian)
+        cost = jnp.where(accept, cost, state.cost)
+        trial, predicted = _propose(y, residual, jacobian, damping, lower, upper)
+        still = predicted <= self.rtol * 1e-2 * cost
+        stop = jnp.select(
+            [first & ~sound, (small >= 2) | (still & ~first) | (first & (predicted <= 0)), damping > 1e12],
+            [Stop.failed.value, Stop.converged.value, Stop.stalled.value],
+            Stop.running.value,
+        )
+        state = LMState(trial, residual, jacobian, cost, jnp.maximum(damping, 1e-12), predicted, small, state.steps + 1, stop)
+        return y, state, residual
+
+    def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
+        """Optimistix's question whether to go on."""
+        done = (state.stop == Stop.converged) | (state.stop == Stop.stalled)
+        result = optx.RESULTS.where(state.stop == Stop.failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)
+        return done | (state.stop == Stop.failed), result
+
+    def postprocess(self, fn: Callable, y: Any, aux: Any, args: Any, options: Any, state: LMState, tags: Any, result: Any) -> tuple:
+        """Nothing more to do."""
+        return y, aux, {}
+
+
+def _propose(y: jax.Array, residual: jax.Array, jacobian: jax.Array, damping: jax.Array, lower: jax.Array, upper: jax.Array) -> tuple:
+    """Next trial point in the box, and the fall of the cost that the linear model predicts for it."""
+    gradient = jacobian.T @ residual
+    normal = jacobian.T @ jacobian
+    held = ((y <= lower) & (gradient > 0)) | ((y >= upper) & (gradient < 0)) | (lower >= upper)
+
+    diagonal = jnp.diag(normal)
+    damped = normal + damping * jnp.diag(jnp.maximum(diagonal, 1e-12 * jnp.max(diagonal) + 1e-300))
+
+    def solve(right: jax.Array, held: jax.Array) -> jax.Array:
+        matrix = jnp.where(held[:, None] | held[None, :], jnp.eye(y.shape[0]), damped)
+        return jnp.where(held, 0.0, jnp.linalg.solve(matrix, jnp.where(held, 0.0, right)))
+
+    # Parameters whose step leaves the box go to their bound, and the others are solved for again, knowing that.
+    change = solve(-gradient, held)
+    leaving = ~held & ((y + change < lower) | (y + change > upper))
+    cut = jnp.where(leaving, jnp.clip(y + change, lower, upper) - y, 0.0)
+    change = jnp.clip(y + cut + solve(-gradient - normal @ cut, held | leaving), lower, upper) - y
+    predicted = -(2.0 * gradient @ change + change @ normal @ change)
+    return y + change, predicted
+
+
+class Solved(NamedTuple):
+    """A batch of ``s`` starts at their ends: points ``(s, p)``, residuals ``(s, m)``, Jacobians ``(s, m, p)``, costs ``(s,)``."""
+
+    points: np.ndarray
+    residuals: np.ndarray
+    jacobians: np.ndarray
+    costs: np.ndarray
+    stops: list[Stop]
+    steps: int
+    simulations: int
+    wall: float
+    history: list[tuple[int, float, float]]
+
+
+@eqx.filter_jit
+def _advance(
+    solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, states: LMState, lower: jax.Array, upper: jax.Array, rest: Any
+) -> tuple:
+    def single(y: jax.Array, state: LMState, lower: jax.Array, upper: jax.Array) -> tuple:
+        new_y, new_state, _ = solver.step(lambda v, a: (fn(v, a), None), y, (lower, upper, rest), {}, state, frozenset())
+        going = state.stop == Stop.running
+        return jax.tree.map(lambda a, b: jnp.where(going, a, b), (new_y, new_state), (y, state))
+
+    if points.shape[0] == 1:  # one start needs no batch
+        one = single(points[0], jax.tree.map(lambda leaf: leaf[0], states), lower[0], upper[0])
+        return jax.tree.map(lambda leaf: leaf[None], one)
+    return jax.vmap(single)(points, states, lower, upper)
+
+
+def solve(
+    fn: Callable[[jax.Array, Any], jax.Array],
+    rest: Any,
+    starts: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    rtol: float = 1e-7,
+    max_steps: int = 100,
+    progress: Callable[[int, float], None] = lambda step, cost: None,
+) -> Solved:
+    """Minimises ``sum(fn(v, rest)**2)`` from each row of ``starts``, shape ``(s, p)``; bounds of shape ``(p,)`` or ``(s, p)``.
+
+    ``progress`` is called after each step with its number and the best cost so far. Ctrl-C ends the search and keeps the best points.
+    """
+    solver = BoundedLevenbergMarquardt(rtol)
+    size = starts.shape[1]
+    low, high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
+    points = jnp.clip(jnp.asarray(starts), low, high)
+    struct = jax.eval_shape(fn, points[0], rest)
+    states = jax.vmap(lambda y: solver.init(fn, y, None, {}, struct, None, frozenset()))(points)
+    began = time.perf_counter()
+    history = []
+    step = simulations = 0
+    interrupted = False
+    try:
+        while step < max_steps and bool(jnp.any(states.stop == Stop.running)):
+            simulations += int(jnp.sum(states.stop == Stop.running)) * (1 + size)
+            points, states = jax.block_until_ready(_advance(solver, fn, points, states, low, high, rest))
+            step += 1
+            best = float(jnp.min(states.cost))
+            history.append((simulations, time.perf_counter() - began, best))
+            progress(step, best)
+    except KeyboardInterrupt:
+        interrupted = True
+    stops = [Stop(int(s)) for s in states.stop]
+    stops = [s if s is not Stop.running else (Stop.interrupted if interrupted else Stop.steps) for s in stops]
+    return Solved(
+        points=np.asarray(points),
+        residuals=np.asarray(states.residual),
+        jacobians=np.asarray(states.jacobian),
+        costs=np.asarray(states.cost),
+        stops=stops,
+        steps=step,
+        simulations=simulations,
+        wall=time.perf_counter() - began,
+        history=history,
+    )

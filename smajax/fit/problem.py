@@ -1,0 +1,212 @@
+"""What is fitted to what: free parameters, recordings, weights, and the weighted residual as a function of one vector.
+
+The vector holds the shared parameters first and then, recording by recording, those that each recording has for itself. Its entries are the
+parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different length are laid out on grids of one
+length: the shorter ones run on under their last input, unobserved, and all are simulated as one batch.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters, simulate
+from smajax.errors import InputError
+from smajax.plant.plant import Plant
+from smajax.recording import Recording
+
+
+class Settings(Protocol):
+    """What a fit needs to know; ``smajax.rig.FitSettings`` has it."""
+
+    free: Sequence[str]
+    per_recording: Sequence[str]
+    initial: Sequence[str]
+    bounds: Any
+    observe: Sequence[str]
+    noise: Any
+    starts: int
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """One entry of the vector: a parameter, of one recording or (``recording`` = ``None``) of all."""
+
+    name: str
+    recording: str | None
+    nominal: float
+    lower: float
+    upper: float
+    scale: float
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """``section.key``, with ``@recording`` behind it where each recording has its own."""
+        return self.name if self.recording is None else f"{self.name}@{self.recording}"
+
+
+class Data(eqx.Module):
+    """Arrays of all recordings, each with a leading axis of ``r`` recordings; channels ``c``, samples ``n`` of the longest."""
+
+    inputs: simulate.Inputs
+    measured: jax.Array
+    weight: jax.Array
+
+
+class Problem(eqx.Module):
+    """A plant, the data, and the free parameters; ``residual`` and ``plants`` are pure functions of the vector."""
+
+    plant: Plant
+    data: Data
+    unknowns: tuple[Unknown, ...] = eqx.field(static=True)
+    channels: tuple[str, ...] = eqx.field(static=True)
+    shared: tuple[str, ...] = eqx.field(static=True)
+    own: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """The vector of the rig's own values, shape ``(p,)``."""
+        return np.array([u.nominal / u.scale for u in self.unknowns])
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the vector, each of shape ``(p,)``."""
+        return np.array([u.lower / u.scale for u in self.unknowns]), np.array([u.upper / u.scale for u in self.unknowns])
+
+    def search_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """A finite box inside the bounds from which starts are drawn and populations bred, each of shape ``(p,)``.
+
+        Where a bound lies further than a factor 2.5 from the nominal value, or further than two scales where that is zero, the box ends
+        there.
+        """
+        lower, upper = self.box
+        middle = self.nominal
+        near = np.where(np.abs(middle) > 0.5, 0.6 * np.abs(middle), 2.0)
+        far = np.where(np.abs(middle) > 0.5, 1.5 * np.abs(middle), 2.0)
+        below = np.where(middle > 0, near, far)
+        above = np.where(middle > 0, far, near)
+        return np.maximum(lower, middle - below), np.minimum(upper, middle + above)
+
+    def values(self, vector: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+        """Parameter values of the vector: shared ones (scalars), and each recording's own, shape ``(r,)``."""
+        natural = vector * jnp.asarray([u.scale for u in self.unknowns])
+        shared = {name: natural[i] for i, name in enumerate(self.shared)}
+        own = natural[len(self.shared) :].reshape(-1, len(self.own)).T if self.own else []
+        return shared, {name: own[i] for i, name in enumerate(self.own)}
+
+    def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Model of the observed channels, shape ``(r, c, n)``, and the result code of each recording, shape ``(r,)``."""
+        shared, own = self.values(vector)
+        plant = parameters.replace(self.plant, shared)
+
+        def single(own: dict[str, jax.Array], inputs: simulate.Inputs) -> tuple[jax.Array, jax.Array]:
+            member = parameters.replace(plant, own)
+            states, code = simulate.run(member, inputs)
+            values = simulate.observe(member, states, inputs, self.channels)
+            return jnp.stack([values[c] for c in self.channels]), code
+
+        if self.data.measured.shape[0] == 1:  # one recording needs no batch: its program compiles and runs faster
+            model, code = single(*jax.tree.map(lambda leaf: leaf[0], (own, self.data.inputs)))
+            return model[None], code[None]
+        return jax.vmap(single)(own, self.data.inputs)
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample."""
+        model, _ = self.predict(vector)
+        return jnp.where(self.data.weight > 0, (model - self.data.measured) * self.data.weight, 0.0).ravel()
+
+
+def build(
+    plant: Plant, recordings: Sequence[Recording], settings: Settings, *, interpolation: str = "hold", step: float | None = None
+) -> Problem:
+    """Puts a fit together. Raises ``InputError`` if a channel is missing or a parameter is free twice."""
+    for recording in recordings:
+        missing = [c for c in (*plant.signals, *settings.observe) if c not in recording.channels]
+        if missing:
+            raise InputError(f"{recording.name} has no channel '{missing[0]}'; it has {', '.join(recording.channels)}")
+    own = tuple(dict.fromkeys((*settings.per_recording, *(f"initial.{name}" for name in settings.initial))))
+    shared = tuple(name for name in settings.free if name not in own)
+    if not shared and not own:
+        raise InputError("nothing is free: name the parameters to fit under [fit] free")
+    unknowns = [_unknown(plant, name, None, settings, recordings[0]) for name in shared]
+    unknowns += [_unknown(plant, name, r.name, settings, r) for r in recordings for name in own]
+    noise = {c: settings.noise.get(c) or max(difference_noise(r.channels[c]) for r in recordings) for c in settings.observe}
+    for name in own:  # a start value left to the plant becomes a leaf
+        if name.startswith("initial."):
+            plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
+    data = _data(plant, recordings, tuple(settings.observe), noise, interpolation, step)
+    return Problem(plant, data, tuple(unknowns), tuple(settings.observe), shared, own)
+
+
+def difference_noise(values: np.ndarray) -> float:
+    """Standard deviation of the fastest part of a column, from second differences, robustly; at least its rounding and 1e-5 of its range.
+
+    A recording needs no rest for it. Where the noise is slower than the sampling it comes out too small.
+    """
+    second = np.diff(values, 2)
+    spread = 1.4826 * float(np.median(np.abs(second))) / math.sqrt(6.0) if len(second) else 0.0
+    steps = np.diff(np.unique(values))
+    quantum = float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
+    return max(spread, quantum, 1e-5 * float(np.ptp(values)))
+
+
+def _unknown(plant: Plant, name: str, recording: str | None, settings: Settings, sample: Recording) -> Unknown:
+    declared = parameters.declaration(plant, name)
+    nominal = float(parameters.get(plant, name))
+    if math.isnan(nominal):
+        nominal = _resting(plant, name, sample)
+    lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))
+    if name.startswith("sensor.") and name.endswith("_offset"):
+        channel = sample.channels.get(name.removeprefix("sensor.").removesuffix("_offset"))
+        scale = float(np.ptp(channel)) if channel is not None else 1.0
+    else:
+        scale = abs(nominal) or _TYPICAL.get(declared.unit) or min(abs(upper), abs(lower), 1.0) or 1.0
+        if declared.unit in ("degC", "K"):
+            scale = _TYPICAL["K"]
+    return Unknown(name, recording, nominal, lower, upper, scale, declared.unit)
+
+
+# Steps of order one where a nominal value of zero gives no scale.
+_TYPICAL = {"K": 10.0, "W/m^2/K": 100.0, "W/m^2/K^2": 0.5, "W/m^2/K^3": 0.005, "1/K": 1e-5, "ohm": 0.1}
+
+
+def _resting(plant: Plant, name: str, sample: Recording) -> float:
+    first = jnp.asarray([sample.channels[c][0] for c in plant.signals])
+    state = plant.start(first)
+    key = name.removeprefix("initial.")
+    return float({"temperature": state.temperature, "detwinned": state.fractions.detwinned, "twinned": state.fractions.twinned}[key][0])
+
+
+def _data(plant: Plant, recordings: Sequence[Recording], channels: tuple, noise: dict, interpolation: str, step: float | None) -> Data:
+    laid = [simulate.lay_out(plant, r, interpolation=interpolation, step=step) for r in recordings]
+    grid = max(i.time.shape[0] for i in laid)
+    samples = max(i.rows.shape[0] for i in laid)
+    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[_pad(i, grid, samples) for i in laid])
+    measured = np.zeros((len(recordings), len(channels), samples))
+    weight = np.zeros_like(measured)
+    for k, recording in enumerate(recordings):
+        for j, channel in enumerate(channels):
+            values = recording.channels[channel]
+            measured[k, j, : len(values)] = values
+            weight[k, j, : len(values)] = 1.0 / noise[channel]
+    return Data(inputs, jnp.asarray(measured), jnp.asarray(weight))
+
+
+def _pad(inputs: simulate.Inputs, grid: int, samples: int) -> simulate.Inputs:
+    more, later = grid - inputs.time.shape[0], samples - inputs.rows.shape[0]
+    last = inputs.after[-1:]
+    step = inputs.time[-1] - inputs.time[-2]
+    return simulate.Inputs(
+        jnp.append(inputs.time, inputs.time[-1] + step * jnp.arange(1, more + 1)),
+        jnp.concatenate([inputs.before, jnp.repeat(last, more, axis=0)]),
+        jnp.concatenate([inputs.after, jnp.repeat(last, more, axis=0)]),
+        jnp.append(inputs.rows, jnp.full(later, inputs.rows[-1])),
+        jnp.concatenate([inputs.sampled, jnp.repeat(inputs.sampled[-1:], later, axis=0)]),
+    )

@@ -1,0 +1,1 @@
+"""The plant: drive -> heat -> material -> mechanism -> sensor."""

@@ -1,0 +1,85 @@
+"""Heat: the temperature of a wire that is thin enough to be at one temperature across (Biot number of a few thousandths).
+
+    C dT/dt = joule - (4 / d) h(T) (T - T_ambient)
+
+C is a capacity per volume (J/m^3/K). The convection coefficient h takes the wire's temperature in degC. Over a step the balance is held by
+the trapezoidal rule, as an equation in the temperature at its end; ``balance`` is that equation in kelvin.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
+from smajax.plant.wire import Environment, Wire
+
+
+class AbstractHeat(eqx.Module):
+    """Base class of the heat stages. All methods work elementwise on arrays of any shape."""
+
+    def convection(self, temperature: jax.Array) -> jax.Array:
+        """Convection coefficient h in W/m^2/K."""
+        raise NotImplementedError
+
+    def capacity(self, martensite: jax.Array) -> jax.Array:
+        """Heat capacity per volume in J/m^3/K."""
+        raise NotImplementedError
+
+    def rate(self, joule: jax.Array, temperature: jax.Array, wire: Wire, environment: Environment) -> jax.Array:
+        """Net heat into the wire per volume, W/m^3."""
+        return joule - 4.0 / wire.diameter * self.convection(temperature) * (temperature - environment.ambient)
+
+    def balance(self, temperature: tuple, martensite: tuple, rate: tuple, step: jax.Array) -> jax.Array:
+        """Residual in K of the trapezoidal balance over ``step`` seconds; each pair holds the values at its start and end."""
+        capacity = 0.5 * (self.capacity(martensite[0]) + self.capacity(martensite[1]))
+        return temperature[1] - temperature[0] - 0.5 * step * (rate[0] + rate[1]) / capacity
+
+
+class PolynomialHeat(AbstractHeat):
+    """h(T) = h0 + h1 T + h2 T^2 with T in degC (rotary paper, eq. 8)."""
+
+    h0: jax.Array = parameter("W/m^2/K", "convection coefficient at 0 degC", 0.0, 1e5)
+    h1: jax.Array = parameter("W/m^2/K^2", "linear coefficient of h(T)", -100.0, 1e3, 0.0)
+    h2: jax.Array = parameter("W/m^2/K^3", "quadratic coefficient of h(T)", -1.0, 10.0, 0.0)
+    capacity_austenite: jax.Array = parameter("J/m^3/K", "heat capacity per volume of austenite", 1e5, 1e8, 5.4e6)
+    capacity_martensite: jax.Array = parameter("J/m^3/K", "heat capacity per volume of martensite", 1e5, 1e8, 5.4e6)
+
+    def convection(self, temperature: jax.Array) -> jax.Array:
+        """See ``AbstractHeat``."""
+        return self.h0 + (self.h1 + self.h2 * temperature) * temperature
+
+    def capacity(self, martensite: jax.Array) -> jax.Array:
+        """See ``AbstractHeat``."""
+        return self.capacity_austenite + martensite * (self.capacity_martensite - self.capacity_austenite)
+
+
+class PowerHeat(AbstractHeat):
+    """h(T) = h0 + h2 T^n with T in degC, T^n taken as 0 below 0 degC (hip paper, eq. 2)."""
+
+    h0: jax.Array = parameter("W/m^2/K", "convection coefficient at 0 degC", 0.0, 1e5)
+    exponent: jax.Array = parameter("1", "exponent n of h0 + h2 T^n", 0.05, 6.0)
+    h2: jax.Array = parameter("W/m^2/K", "coefficient of T^n, for T as a number of degrees Celsius", -1.0, 1e3, 0.0)
+    capacity_austenite: jax.Array = parameter("J/m^3/K", "heat capacity per volume of austenite", 1e5, 1e8, 5.4e6)
+    capacity_martensite: jax.Array = parameter("J/m^3/K", "heat capacity per volume of martensite", 1e5, 1e8, 5.4e6)
+
+    def convection(self, temperature: jax.Array) -> jax.Array:
+        """See ``AbstractHeat``."""
+        warm = temperature > 0
+        power = jnp.where(warm, jnp.where(warm, temperature, 1.0) ** self.exponent, 0.0)
+        return self.h0 + self.h2 * power
+
+    def capacity(self, martensite: jax.Array) -> jax.Array:
+        """See ``AbstractHeat``."""
+        return self.capacity_austenite + martensite * (self.capacity_martensite - self.capacity_austenite)
+
+
+class PrescribedTemperature(AbstractHeat):
+    """The temperature is an input; there is no balance to hold."""
+
+    def convection(self, temperature: jax.Array) -> jax.Array:
+        """None."""
+        return jnp.zeros_like(temperature)
+
+    def capacity(self, martensite: jax.Array) -> jax.Array:
+        """One, so that nothing divides by zero."""
+        return jnp.ones_like(martensite)

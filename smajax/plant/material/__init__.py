@@ -1,0 +1,1 @@
+"""Constitutive laws: phase fractions, strain and resistivity of a material point."""

@@ -1,0 +1,116 @@
+"""Brinson's one-dimensional law with corrected kinetics, written so that it needs no memory of where a transformation began.
+
+The published kinetics (Brinson 1993; Chung, Heo, Lee 2007) give the fractions as cosines of a driving variable and restart from the values
+at the last reversal. Multiplied out, each branch says that a *remaining share* falls from 1 at the start of its band to 0 at the finish:
+
+    reverse     xi               by  f(T - A_s - sigma / C_A)                       over  A_f - A_s
+    detwinning  1 - xi_s         by  f(sigma - C_M max(T - M_s, 0) - sigma_s)       over  sigma_f - sigma_s
+    twinned     austenite        by  f(M_s - T)                                     over  M_s - M_f
+
+with f(a) = cos^2(pi/2 a/width). What remains after a step is what remained before it times f(a_1) / f(a_0) if the driving variable rose,
+and unchanged if it did not. The start of the leg cancels, so partial loops need no history, and a step may cross any number of band edges
+without error. Detwinning takes austenite and twinned martensite alike; this is Chung's correction, under which the fractions cannot pass 1
+(Brinson's own expression reaches 1.8).
+
+f is kept from reaching 0 by ``smoothing``: a share of that size never transforms, and the ratio and its derivatives stay finite at the
+finish.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
+from smajax.plant.material.base import AbstractMaterial, Fractions
+
+# sin(pi/2 m) = m * P(m^2) on [0, 1], Taylor about 0, error below 1e-15. The library's cosine does not vectorise on a CPU: batches would
+# take six times as long.
+_SINE = [(-1) ** k * (math.pi / 2) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(11)]
+
+# A driving variable that moved by less, as a share of its band, did not move. Where nothing changes over a step, rounding would else pick
+# the branch, and might pick another one for the derivative than for the value.
+_STILL = 1e-12
+
+
+def remaining(progress: jax.Array, smoothing: float) -> jax.Array:
+    """Share left to transform, cos^2(pi/2 progress), for progress clipped to 0..1, and never below ``smoothing``."""
+    left = 1.0 - jnp.clip(progress, 0.0, 1.0)
+    square = left * left
+    series = jnp.full_like(square, _SINE[-1])
+    for coefficient in _SINE[-2::-1]:
+        series = series * square + coefficient
+    sine = left * series
+    return smoothing + (1.0 - smoothing) * sine * sine
+
+
+class Brinson(AbstractMaterial):
+    """Brinson's law: linear mixture of the phases, cosine kinetics in the relative form (see the module's text).
+
+    Source: Brinson 1993 eq. 1, 14-16; Chung, Heo, Lee 2007 for the twinned branch below M_s.
+    """
+
+    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
+    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
+    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
+    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
+    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
+    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
+    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
+    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
+    detwinning_start_stress: jax.Array = parameter("Pa", "stress at which detwinning starts at or below M_s", 0.0, 1e9)
+    detwinning_finish_stress: jax.Array = parameter("Pa", "stress at which detwinning is complete at or below M_s", 0.0, 2e9)
+    max_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
+    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
+    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
+    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
+    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
+    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
+    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
+    smoothing: float = eqx.field(static=True, default=1e-9)
+
+    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+        """See ``AbstractMaterial.evolve``; reverse transformation first, then the two forward branches, which commute."""
+        before, after = (self._progress(t, s) for t, s in zip(temperature, stress, strict=True))
+        ratio = remaining(after, self.smoothing) / remaining(before, self.smoothing)
+        reverse, detwinning, twinning = jnp.where(after > before + _STILL, ratio, 1.0)
+        detwinned, twinned = fractions.detwinned * reverse, fractions.twinned * reverse
+        austenite = (1.0 - detwinned - twinned) * detwinning * twinning
+        undetwinned = (1.0 - detwinned) * detwinning
+        return Fractions(1.0 - undetwinned, undetwinned - austenite)
+
+    def _progress(self, temperature: jax.Array, stress: jax.Array) -> jax.Array:
+        """How far into their bands the driving variables of the three branches are: 0 at the start, 1 at the finish; stacked in front."""
+        above = temperature - self.martensite_start - self.martensite_shift
+        reverse = temperature - self.austenite_start - self.austenite_shift - stress / self.clausius_clapeyron_austenite
+        detwinning = stress - self.clausius_clapeyron_martensite * jnp.maximum(above, 0.0) - self.detwinning_start_stress
+        return jnp.stack(
+            [
+                reverse / (self.austenite_finish - self.austenite_start),
+                detwinning / (self.detwinning_finish_stress - self.detwinning_start_stress),
+                -above / (self.martensite_start - self.martensite_finish),
+            ]
+        )
+
+    def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
+        """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi_s + alpha(xi) (T - reference)."""
+        expansion = _mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
+        return stress / self.modulus(fractions) + self.max_strain * fractions.detwinned + expansion * (temperature - reference)
+
+    def modulus(self, fractions: Fractions) -> jax.Array:
+        """Young's modulus, linear in the martensite fraction (Brinson 1993 eq. 8), Pa."""
+        return _mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
+
+    def resistivity(self, fractions: Fractions) -> jax.Array:
+        """Resistivity, linear in the martensite fraction, Ohm m."""
+        return _mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
+
+    def installed(self, strain: jax.Array) -> Fractions:
+        """See ``AbstractMaterial.installed``: xi_s = strain / eps_L, clipped to 0..1."""
+        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
+        return Fractions(detwinned, 1.0 - detwinned)
+
+
+def _mix(martensite: jax.Array, austenite_value: jax.Array, martensite_value: jax.Array) -> jax.Array:
+    return austenite_value + martensite * (martensite_value - austenite_value)

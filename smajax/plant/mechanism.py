@@ -1,0 +1,241 @@
+"""Mechanisms: what the wires pull on, and the balance that their stresses must keep.
+
+A mechanism states its balance as equations in a few unknowns at the end of a step, all in Pa, each rising with its unknown; ``stress``
+turns the unknowns into the wires' stresses. A wire cannot push. An unknown stress may go below zero all the same: the wire's own stress
+is then zero, and the negative part measures how slack it hangs, as the stress that would be needed to take the slack up elastically. So
+slack and taut are one equation. Contraction is positive displacement; strains and stresses are positive in tension.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
+from smajax.plant.material.base import AbstractMaterial, Fractions
+from smajax.plant.wire import Environment, Wire
+
+
+class Load(eqx.Module):
+    """A mass that hangs on the wire."""
+
+    mass: jax.Array = parameter("kg", "hanging mass", 0.0, 1e4)
+
+
+class Spring(eqx.Module):
+    """A linear spring that the wire stretches further as it contracts."""
+
+    stiffness: jax.Array = parameter("N/m", "stiffness of the bias spring", 0.0, 1e7)
+    preload: jax.Array = parameter("N", "force of the spring at the start", 0.0, 1e5)
+
+
+class Pulley(eqx.Module):
+    """A pulley on which two wires pull against each other."""
+
+    radius: jax.Array = parameter("m", "radius at which the wires act", 1e-5, 1.0)
+    inertia: jax.Array = parameter("kg m^2", "moment of inertia of all that turns", 0.0, 100.0, 0.0)
+    damping: jax.Array = parameter("N m s/rad", "viscous damping of the rotation", 0.0, 1e4, 0.0)
+
+
+class Surroundings(NamedTuple):
+    """What a mechanism needs of the other parts of the plant: wire, surroundings, and the modulus that scales its equations (Pa)."""
+
+    wire: Wire
+    environment: Environment
+    modulus: jax.Array
+
+
+class AbstractMechanism(eqx.Module):
+    """Base class of the mechanisms: ``wires`` wires, ``unknowns`` unknowns, and the recorded channels ``prescribed`` that it follows."""
+
+    wires: eqx.AbstractClassVar[int]
+    unknowns: eqx.AbstractClassVar[int]
+    prescribed: eqx.AbstractClassVar[tuple[str, ...]]
+    coordinate: eqx.AbstractClassVar[str]
+
+    def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
+        """Fractions of the wires (each of shape ``(wires,)``) as installed, at their start temperature."""
+        raise NotImplementedError
+
+    def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
+        """Stress of each wire, shape ``(wires,)``."""
+        raise NotImplementedError
+
+    def balance(
+        self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
+    ) -> jax.Array:
+        """Residual of the equilibrium in Pa, shape ``(unknowns,)``, zero where the step ends."""
+        raise NotImplementedError
+
+    def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
+        """The unknowns at the start, shape ``(unknowns,)``."""
+        raise NotImplementedError
+
+    def start(self, strain: jax.Array) -> Any:
+        """What the mechanism remembers from step to step (a pytree), from the wires' strain at the start."""
+        raise NotImplementedError
+
+    def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> Any:
+        """What the mechanism remembers at the end of a step."""
+        raise NotImplementedError
+
+    def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
+        """What can be measured at the mechanism, by channel name, scalars; its ``coordinate`` is among them."""
+        raise NotImplementedError
+
+
+def _detwinned(material: AbstractMaterial, temperature: jax.Array, strain: jax.Array) -> Fractions:
+    """Cold, stress-free and drawn out to ``strain``, then brought to ``temperature``."""
+    cold, slack = jnp.full_like(temperature, -1e4), jnp.zeros_like(temperature)
+    return material.evolve(material.installed(strain), (cold, temperature), (slack, slack))
+
+
+class DeadWeight(AbstractMechanism):
+    """One vertical wire lifting a hanging mass; it starts as detwinned martensite, and displacement is counted from there."""
+
+    load: Load
+    wires, unknowns, prescribed, coordinate = 1, 0, (), "displacement"
+
+    def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
+        """See ``AbstractMechanism``: all detwinned, as under its load."""
+        return _detwinned(material, temperature, jnp.ones_like(temperature))
+
+    def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return jnp.zeros((0,))
+
+    def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``: m g / A."""
+        return (self.load.mass * around.environment.gravity / around.wire.area)[None]
+
+    def balance(
+        self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
+    ) -> jax.Array:
+        """See ``AbstractMechanism``: nothing to solve."""
+        return jnp.zeros((0,))
+
+    def start(self, strain: jax.Array) -> jax.Array:
+        """See ``AbstractMechanism``: the strain from which displacement is counted."""
+        return strain[0]
+
+    def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return motion
+
+    def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
+        """See ``AbstractMechanism``: the contraction in m."""
+        return {"displacement": around.wire.length * (motion - strain[0])}
+
+
+class BiasSpring(AbstractMechanism):
+    """One wire pulling on a linear spring, F = preload + stiffness x; it starts as detwinned martensite under the preload."""
+
+    spring: Spring
+    wires, unknowns, prescribed, coordinate = 1, 1, (), "displacement"
+
+    def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
+        """See ``AbstractMechanism``: all detwinned, as under the preload."""
+        return _detwinned(material, temperature, jnp.ones_like(temperature))
+
+    def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``: the preload over the cross-section."""
+        return (self.spring.preload / around.wire.area)[None]
+
+    def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return jnp.maximum(unknown, 0.0)
+
+    def balance(
+        self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
+    ) -> jax.Array:
+        """See ``AbstractMechanism``: the wire's stress against the spring's."""
+        contraction = around.wire.length * (motion - strain)
+        return unknown - (self.spring.preload + self.spring.stiffness * contraction) / around.wire.area
+
+    def start(self, strain: jax.Array) -> jax.Array:
+        """See ``AbstractMechanism``: the strain from which displacement is counted."""
+        return strain[0]
+
+    def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return motion
+
+    def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
+        """See ``AbstractMechanism``: the contraction in m."""
+        return {"displacement": around.wire.length * (motion - strain[0])}
+
+
+class TestingMachine(AbstractMechanism):
+    """One wire whose strain is prescribed (counted from ``wire.prestrain``); it starts stress-free, drawn out to its first strain."""
+
+    __test__ = False
+    wires, unknowns, prescribed, coordinate = 1, 1, ("strain",), "strain"
+
+    def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
+        """See ``AbstractMechanism``."""
+        return _detwinned(material, temperature, around.wire.prestrain + prescribed["strain"][None])
+
+    def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return jnp.zeros((1,))
+
+    def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return jnp.maximum(unknown, 0.0)
+
+    def balance(
+        self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
+    ) -> jax.Array:
+        """See ``AbstractMechanism``: the wire's strain against the prescribed one."""
+        return around.modulus * (strain - around.wire.prestrain - prescribed["strain"]) + jnp.minimum(unknown, 0.0)
+
+    def start(self, strain: jax.Array) -> tuple:
+        """See ``AbstractMechanism``: nothing."""
+        return ()
+
+    def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> tuple:
+        """See ``AbstractMechanism``."""
+        return ()
+
+    def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
+        """See ``AbstractMechanism``: the prescribed strain (a slack wire's own may be larger)."""
+        return {"strain": strain[0] - around.wire.prestrain}
+
+
+class StressPath(AbstractMechanism):
+    """A material point led along a prescribed stress; it starts as if cooled from austenite under its first stress."""
+
+    wires, unknowns, prescribed, coordinate = 1, 0, ("stress",), "strain"
+
+    def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
+        """See ``AbstractMechanism``."""
+        hot, nothing = jnp.full_like(temperature, 1e4), jnp.zeros_like(temperature)
+        stress = jnp.broadcast_to(prescribed["stress"], temperature.shape)
+        return material.evolve(Fractions(nothing, nothing), (hot, temperature), (stress, stress))
+
+    def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return jnp.zeros((0,))
+
+    def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``."""
+        return prescribed["stress"][None]
+
+    def balance(
+        self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
+    ) -> jax.Array:
+        """See ``AbstractMechanism``: nothing to solve."""
+        return jnp.zeros((0,))
+
+    def start(self, strain: jax.Array) -> tuple:
+        """See ``AbstractMechanism``: nothing."""
+        return ()
+
+    def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> tuple:
+        """See ``AbstractMechanism``."""
+        return ()
+
+    def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
+        """See ``AbstractMechanism``: the strain."""
+        return {"strain": strain[0] - around.wire.prestrain}

@@ -1,0 +1,43 @@
+"""Sensors: from what a channel is to what its column says, gain times value plus offset."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import Declaration
+from smajax.units import CHANNELS, channel_of
+
+
+class Sensor(eqx.Module):
+    """Gain and offset of each observed channel. Their parameters are ``sensor.CHANNEL_gain`` and ``sensor.CHANNEL_offset``."""
+
+    gain: dict[str, jax.Array]
+    offset: dict[str, jax.Array]
+
+    @classmethod
+    def identity(cls, channels: tuple[str, ...]) -> "Sensor":
+        """Sensors that tell the truth."""
+        return cls({c: jnp.asarray(1.0) for c in channels}, {c: jnp.asarray(0.0) for c in channels})
+
+    def declarations(self) -> dict[str, Declaration]:
+        """The declared parameters by key."""
+        table = {}
+        for channel in self.gain:
+            unit = CHANNELS[channel_of(channel) or channel].unit
+            table[f"{channel}_gain"] = Declaration("1", f"gain of the {channel} sensor", 0.1, 10.0, 1.0)
+            offset_unit = "K" if unit == "degC" else unit
+            table[f"{channel}_offset"] = Declaration(offset_unit, f"offset of the {channel} sensor", -jnp.inf, jnp.inf, 0.0)
+        return table
+
+    def leaf(self, key: str) -> Any:
+        """The leaf behind a parameter key."""
+        channel, kind = key.rsplit("_", 1)
+        return getattr(self, kind)[channel]
+
+    def read(self, channel: str, value: jax.Array) -> jax.Array:
+        """What the column of ``channel`` says."""
+        if channel not in self.gain:
+            return value
+        return self.gain[channel] * value + self.offset[channel]

@@ -1,0 +1,266 @@
+"""The one door to diffrax: a plant's response to recorded inputs, in time or along a path without a clock.
+
+The steps are those of ``Plant.advance``, given to diffrax as a solver of our own. They end at every sample, so that each jump of a held
+input falls between two steps, and samples further apart than ``step`` are subdivided evenly. Fixed steps keep a fit's objective free of
+the noise of step-size control, cost the same for every design in a batch, and let the material's relative update cross its bands without
+error; what remains is the second-order error of the heat balance, which ``discretisation_error`` measures by halving.
+"""
+
+import enum
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from smajax import parameters
+from smajax.errors import NumericsError
+from smajax.plant.plant import Plant, State
+from smajax.recording import Recording
+
+_HOTTEST = 1300.0
+
+
+class Code(enum.IntEnum):
+    """What became of a simulation; ``cure`` says what to do about it."""
+
+    done = 0
+    unsolved = 1
+    diverged = 2
+    overheated = 3
+
+    @property
+    def cure(self) -> str:
+        """One sentence: the meaning and the cure."""
+        return {
+            Code.done: "done",
+            Code.unsolved: "a step's balance of heat and forces was not met: make the step smaller, or check stiffness and stress",
+            Code.diverged: "the state is no longer a number: h(T) is negative somewhere, or an input or a parameter is out of scale",
+            Code.overheated: f"the wire passed {_HOTTEST:.0f} degC, where it melts: check the input's unit, the wire's diameter and h(T)",
+        }[self]
+
+
+class Inputs(eqx.Module):
+    """Recorded inputs laid on a grid of steps: ``g`` grid points, ``n`` samples, ``k`` signals.
+
+    ``before`` and ``after``, shape ``(g - 1, k)``, are the signals at the two ends of each step, which differ from one step's end to the
+    next one's start where a held input jumps; ``rows``, shape ``(n,)``, says at which grid points the samples lie; ``sampled``, shape
+    ``(n, k)``, are the signals there.
+    """
+
+    time: jax.Array
+    before: jax.Array
+    after: jax.Array
+    rows: jax.Array
+    sampled: jax.Array
+
+
+class Simulation(eqx.Module):
+    """A plant's response: ``channels`` by name, shape ``(n,)``, in SI and degC; the states behind them; and a result code."""
+
+    time: jax.Array
+    channels: dict[str, jax.Array]
+    state: State
+    code: jax.Array
+
+
+def default_step(plant: Plant) -> float:
+    """A step in s that resolves the wire's warming and cooling: a thirtieth of its time constant at 80 degC, at most 50 ms."""
+    capacity = float(plant.heat.capacity(jnp.asarray(0.5)))
+    cooling = float(4.0 * jnp.maximum(plant.heat.convection(jnp.asarray(80.0)), 1.0) / plant.wire.diameter)
+    return min(0.05, capacity / cooling / 30.0)
+
+
+def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> Inputs:
+    """Lays a recording's inputs on a grid of steps no longer than ``step`` s (default: ``default_step``).
+
+    Electrical inputs are held or linear between samples as ``interpolation`` says; prescribed strain, stress and temperature are linear.
+    A recording without a clock takes one step a row, since only the order of its rows matters.
+    """
+    step = step or default_step(plant)
+    time = recording.time
+    gaps = np.diff(time)
+    pieces = np.maximum(1, np.ceil(gaps / step - 1e-9).astype(int)) if recording.has_clock else np.ones(len(gaps), int)
+    rows = np.concatenate([[0], np.cumsum(pieces)])
+    part = np.arange(rows[-1]) - np.repeat(rows[:-1], pieces)
+    start = np.repeat(time[:-1], pieces) + part * np.repeat(gaps / pieces, pieces)
+    grid = np.append(start, time[-1])
+    sampled = np.column_stack([recording.channels[name] for name in plant.signals]) if plant.signals else np.zeros((len(time), 0))
+    before, after = np.empty((2, rows[-1], len(plant.signals)))
+    for i, name in enumerate(plant.signals):
+        if name.startswith(plant.drive.control or "\0") and interpolation == "hold":
+            before[:, i] = after[:, i] = np.repeat(sampled[:-1, i], pieces)
+        else:
+            at_grid = np.interp(grid, time, sampled[:, i])
+            before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
+    return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
+
+
+class _PlantTerm(dfx.AbstractTerm):
+    """Carries nothing: the plant comes as ``args``, and its increments are the solver's own."""
+
+    def vf(self, t: Any, y: Any, args: Any) -> Any:
+        return y
+
+    def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
+        return t1 - t0
+
+    def prod(self, vf: Any, control: Any) -> Any:
+        return vf
+
+
+class _PlantStep(dfx.AbstractSolver):
+    """``Plant.advance`` on flat states as a diffrax solver; its own state counts the steps taken, and those that could not be solved."""
+
+    unflatten: Callable[[jax.Array], State] = eqx.field(static=True)
+    term_structure = _PlantTerm
+    interpolation_cls = dfx.LocalLinearInterpolation
+
+    def order(self, terms: Any) -> int:
+        return 2
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
+        return jnp.asarray(0), jnp.asarray(0)
+
+    def step(self, terms: Any, t0: Any, t1: Any, y0: jax.Array, args: Any, solver_state: Any, made_jump: Any) -> tuple:
+        plant, inputs = args
+        k, unsolved = solver_state
+        state, failed = plant.advance(self.unflatten(y0), inputs.before[k], inputs.after[k], t1 - t0)
+        y1 = ravel_pytree(state)[0]
+        return y1, None, dict(y0=y0, y1=y1), (k + 1, unsolved + failed), dfx.RESULTS.successful
+
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
+        return y0
+
+
+def _start(plant: Plant, inputs: Inputs) -> tuple[jax.Array, Callable[[jax.Array], State]]:
+    return ravel_pytree(plant.start(inputs.sampled[0]))
+
+
+@eqx.filter_custom_jvp
+def _trajectory(plant: Plant, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+    """Flat states at all grid points, shape ``(g, s)``, and the number of unsolved steps."""
+    start, unflatten = _start(plant, inputs)
+    solution = dfx.diffeqsolve(
+        _PlantTerm(),
+        _PlantStep(unflatten),
+        inputs.time[0],
+        inputs.time[-1],
+        None,
+        start,
+        args=(plant, inputs),
+        stepsize_controller=dfx.StepTo(inputs.time),
+        saveat=dfx.SaveAt(t0=True, steps=True, solver_state=True),
+        max_steps=inputs.time.shape[0] - 1,
+        adjoint=dfx.ForwardMode(),
+        throw=False,
+    )
+    states, (_, unsolved) = cast(tuple, (solution.ys, solution.solver_state))
+    return states, unsolved
+
+
+@_trajectory.def_jvp
+def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
+    """All steps are linearised at once, since their states are known by now; what is left in sequence is y_k+1 = A_k y_k + b_k.
+
+    Being linear, the recurrence has a transpose, so reverse mode comes with it; the states are its only tape.
+    """
+    plant, inputs = primals
+    states, unsolved = _trajectory(plant, inputs)
+    _, unflatten = _start(plant, inputs)
+
+    def arrive(y: jax.Array, plant: Plant, end: jax.Array, before: jax.Array, after: jax.Array, duration: jax.Array) -> jax.Array:
+        known = unflatten(end)
+        return ravel_pytree(plant.arrive(unflatten(y), before, after, duration, jnp.concatenate([known.temperature, known.unknown])))[0]
+
+    def linearise(y: jax.Array, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        by_state = jax.jacfwd(arrive)(y, plant, *step)
+        by_plant = eqx.filter_jvp(lambda p: arrive(y, p, *step), (plant,), (tangents[0],))[1]
+        return by_state, by_plant
+
+    def recur(tangent: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
+        slope, push = step
+        new = jnp.sum(slope * tangent[None, :], axis=-1) + push
+        return new, new
+
+    steps = jax.vmap(linearise)(states[:-1], states[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
+    first = eqx.filter_jvp(lambda p: _start(p, inputs)[0], (plant,), (tangents[0],))[1]
+    _, rest = jax.lax.scan(recur, first, steps)
+    return (states, unsolved), (jnp.concatenate([first[None], rest]), None)
+
+
+def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
+    """The states at the samples, each leaf with a leading axis of ``n``, and the result code; to be compiled and batched by the caller.
+
+    Differentiable in the plant's parameters, in forward and in reverse mode, once; not in the inputs.
+    """
+    _, unflatten = _start(plant, inputs)
+    trajectory, unsolved = _trajectory(plant, inputs)
+    states = jax.vmap(unflatten)(trajectory[inputs.rows])
+    finite = jnp.all(jnp.isfinite(trajectory))
+    hot = jnp.any(states.temperature > _HOTTEST)
+    code = jnp.where(hot, Code.overheated, jnp.where(~finite, Code.diverged, jnp.where(unsolved > 0, Code.unsolved, Code.done)))
+    return states, code
+
+
+def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]) -> dict[str, jax.Array]:
+    """The named channels of states at the samples, each of shape ``(n,)``."""
+    values = jax.vmap(plant.outputs)(states, inputs.sampled)
+    return {c: values[c] for c in channels}
+
+
+@eqx.filter_jit
+def _simulate(plant: Plant, inputs: Inputs) -> Simulation:
+    states, code = run(plant, inputs)
+    return Simulation(inputs.time[inputs.rows], observe(plant, states, inputs, plant.observable), states, code)
+
+
+def simulate(
+    plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None, throw: bool = True
+) -> Simulation:
+    """Simulates a plant under a recording's inputs. Raises ``NumericsError`` with the code's cure, unless ``throw`` is false.
+
+    A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
+    """
+    result = _simulate(plant, lay_out(plant, recording, interpolation=interpolation, step=step))
+    code = Code(int(result.code))
+    if throw and code is not Code.done:
+        raise NumericsError(f"{recording.name}: {code.name}: {code.cure}; parameters: {describe(plant)}")
+    return result
+
+
+@eqx.filter_jit
+def simulate_batch(plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]) -> tuple[dict, jax.Array]:
+    """Simulates ``m`` plants that differ in the named parameters (each of shape ``(m,)``) under the same inputs.
+
+    Returns the channels, each of shape ``(m, n)``, and the result codes, shape ``(m,)``: one member's failure leaves the others alone.
+    """
+
+    def single(values: dict) -> tuple[dict, jax.Array]:
+        member = parameters.replace(plant, values)
+        states, code = run(member, inputs)
+        return observe(member, states, inputs, channels), code
+
+    return jax.vmap(single)(values)
+
+
+def discretisation_error(
+    plant: Plant, recording: Recording, channel: str, *, interpolation: str = "hold", step: float | None = None
+) -> float:
+    """RMS change of a channel, in SI, when every step is halved: a third more than the error of the halved steps, as the order is 2."""
+    step = step or default_step(plant)
+    gap = float(np.max(np.diff(recording.time)))
+    coarse = simulate(plant, recording, interpolation=interpolation, step=step, throw=False)
+    fine = simulate(plant, recording, interpolation=interpolation, step=min(step, gap) / 2, throw=False)
+    return float(jnp.sqrt(jnp.mean((coarse.channels[channel] - fine.channels[channel]) ** 2)))
+
+
+def describe(plant: Plant) -> str:
+    """All parameters of a plant as one line of text, in internal units."""
+    values = {n: float(parameters.get(plant, n)) for n in parameters.declared(plant) if not n.startswith(("sensor.", "initial."))}
+    ties = {m for t, ms in parameters.TIES.items() if t in values for m in ms}
+    return ", ".join(f"{n} = {v:.6g} {parameters.declaration(plant, n).unit}" for n, v in values.items() if n not in ties)

@@ -1,0 +1,230 @@
+"""Makes the shipped recordings: ``python -m tests.reference.make_data [NAME ...]`` writes into data/recordings/.
+
+Each rig.toml there is written by hand and holds nominal values. The wire behind the recordings differs from them by the factors and shifts
+in ``TRUTHS``, which truth.toml records; the exact simulators of this folder run it, and a sensor adds noise. Seeds are fixed: the same
+versions of NumPy and numba give the same files.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.reference.rig_file import TEMPERATURES, RigFile, read_channel, read_rig, simulate
+
+FOLDER = Path(__file__).parents[2] / "data" / "recordings"
+SPLITS = ("train", "select", "holdout")
+
+Floats = NDArray[np.float64]
+Columns = dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """An observed column: its header, one of its units in SI, the standard deviation of its noise and the digits, both in that unit.
+
+    ``grid`` is the step of a counting sensor, 0 for none.
+    """
+
+    name: str
+    unit: str
+    si: float
+    noise: float
+    digits: int
+    grid: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a folder is made: its inputs from a random generator (in the file's units), and what is observed."""
+
+    inputs: Callable[[np.random.Generator], Columns]
+    observed: Channel
+    options: dict[str, int]
+
+
+# Factors on nominal values; temperatures and shifts of both of a phase are moved by so many K. Only parameters that the rig file leaves free.
+TRUTHS: dict[str, dict[str, float]] = {
+    "dead-weight": {"h0": 1.06, "h2": 0.9, "capacity": 0.96, "max_strain": 1.02, "austenite_shift": 1.7, "martensite_shift": -1.2},
+    "rotary": {"h0": 0.95, "h2": 1.15, "capacity": 1.04, "max_strain": 0.985, "austenite_shift": -1.4, "martensite_shift": 0.8},
+    "bias-spring": {"h0": 1.03, "h2": 1.1, "capacity": 1.05, "max_strain": 0.975, "austenite_shift": 2.1, "martensite_shift": 1.3},
+    "testing-machine": {
+        "h0": 0.96, "capacity": 1.03, "modulus_austenite": 1.04, "modulus_martensite": 0.95, "max_strain": 1.015,
+        "austenite_shift": 1.1, "martensite_shift": -1.8,
+    },
+    "isobaric": {
+        "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "martensite_finish": -2.3, "max_strain": 1.03,
+        "clausius_clapeyron_austenite": 1.04, "clausius_clapeyron_martensite": 0.97,
+    },
+}  # fmt: skip
+# The parameter that each truth says, and its unit with its size in SI; a capacity is one for both phases.
+WRITTEN = {
+    "h0": ("heat.h0", "W/m^2/K", 1.0),
+    "h2": ("heat.h2", "W/m^2/K^3", 1.0),
+    "capacity": ("heat.capacity", "MJ/m^3/K", 1e6),
+    "max_strain": ("material.max_strain", "%", 1e-2),
+    "modulus_austenite": ("material.modulus_austenite", "GPa", 1e9),
+    "modulus_martensite": ("material.modulus_martensite", "GPa", 1e9),
+    "clausius_clapeyron_austenite": ("material.clausius_clapeyron_austenite", "MPa/K", 1e6),
+    "clausius_clapeyron_martensite": ("material.clausius_clapeyron_martensite", "MPa/K", 1e6),
+}
+
+
+def clock(seconds: float, rate: float = 50.0) -> Floats:
+    """Sample times in s."""
+    return np.arange(round(seconds * rate) + 1) / rate
+
+
+def steps_and_ramps(rng: np.random.Generator, time: Floats, low: float, high: float, rests: float = 0.15) -> Floats:
+    """Levels held for 1.5 to 6 s, reached at once or by a ramp; a share of ``rests`` is zero."""
+    signal, now, level = np.zeros(len(time)), 0.0, 0.0
+    while now <= time[-1]:
+        span, ramp = rng.uniform(1.5, 6.0), rng.uniform(0.5, 4.0) if rng.random() < 0.5 else 1e-9
+        target = 0.0 if rng.random() < rests else rng.uniform(low, high)
+        inside = (time >= now) & (time < now + ramp + span)
+        signal[inside] = level + (target - level) * np.minimum((time[inside] - now) / ramp, 1.0)
+        now, level = now + ramp + span, target
+    return signal
+
+
+def dead_weight(rng: np.random.Generator) -> Columns:
+    """120 s of current between cold and fully contracted, mostly half-way: many partial loops."""
+    time = clock(120.0)
+    return {"time [s]": time, "current [A]": steps_and_ramps(rng, time, 0.10, 0.31).round(4)}
+
+
+def bias_spring(rng: np.random.Generator) -> Columns:
+    """100 s of voltage."""
+    time = clock(100.0)
+    return {"time [s]": time, "voltage [V]": steps_and_ramps(rng, time, 1.2, 3.6).round(3)}
+
+
+def rotary(rng: np.random.Generator) -> Columns:
+    """80 s in which the wires take turns of 1.5 to 6 s, with pauses, each turn's current steady, rising or falling."""
+    time = clock(80.0)
+    signal, now, turn = np.zeros((len(time), 2)), 0.0, 0
+    while now <= time[-1]:
+        span, pause = rng.uniform(1.5, 6.0), rng.uniform(0.3, 3.0) if rng.random() < 0.4 else 0.0
+        inside = (time >= now) & (time < now + span)
+        signal[inside, turn % 2] = np.interp(time[inside] - now, [0.0, span], rng.uniform(0.30, 0.47, 2))
+        now, turn = now + span + pause, turn + 1
+    return {"time [s]": time, "current_1 [A]": signal[:, 0].round(4), "current_2 [A]": signal[:, 1].round(4)}
+
+
+def testing_machine(rng: np.random.Generator) -> Columns:
+    """60 s of strain cycles; the power changes at the turns of every second cycle, so that each is at nearly one temperature."""
+    time = clock(60.0)
+    turns, strains, powers = [0.0], [0.0], []
+    while turns[-1] <= time[-1]:
+        if len(turns) % 4 == 1:
+            # Warm up at a standstill, then two cycles.
+            turns.append(turns[-1] + rng.uniform(2.0, 3.0))
+            strains.append(strains[-1])
+            powers += [rng.choice([0.0, 0.35, 0.5, 0.6, 0.68])] * 4
+        else:
+            turns.append(turns[-1] + rng.uniform(1.5, 3.0))
+            strains.append(rng.uniform(2.0, 4.0) if strains[-1] < 1.5 else rng.uniform(0.0, 1.2))
+    level = np.array(powers)[np.searchsorted(turns, time, side="right") - 1]
+    return {"time [s]": time, "power [W]": level.round(3), "strain [%]": np.interp(time, turns, strains).round(4)}
+
+
+def isobaric(rng: np.random.Generator) -> Columns:
+    """Three stress levels, each loaded hot: a full cooling and heating, then two partial loops, half a kelvin a row."""
+    temperature, stress, hot, before = [], [], 140.0, 0.0
+    for level in np.sort(rng.uniform(60.0, 260.0, 3) + np.array([-20.0, 0.0, 20.0])).round():
+        loading = np.arange(before, level, 2.0)
+        temperature += [hot] * len(loading)
+        stress += list(loading)
+        low = rng.uniform(55.0, 70.0, 2) + level / 6.3 * 0.8
+        high = rng.uniform(72.0, 84.0, 2) + level / 6.7
+        legs = [hot, 20.0, high[0], low[0], hot, low[1], high[1], 20.0, hot]
+        for start, end in zip(legs, legs[1:], strict=False):
+            rows = np.arange(start, end, np.copysign(0.5, end - start))
+            temperature += list(rows)
+            stress += [level] * len(rows)
+        before = level
+    return {"temperature [degC]": np.array(temperature).round(2), "stress [MPa]": np.array(stress).round(2)}
+
+
+MILLIMETRE, DEGREE, MEGAPASCAL, PERCENT = 1e-3, np.pi / 180, 1e6, 1e-2
+RECIPES: dict[str, Recipe] = {
+    "dead-weight": Recipe(dead_weight, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
+    "rotary": Recipe(rotary, Channel("angle", "deg", DEGREE, 0.06, 3, 0.025), {"substeps": 100}),
+    "bias-spring": Recipe(bias_spring, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
+    "testing-machine": Recipe(testing_machine, Channel("stress", "MPa", MEGAPASCAL, 1.0, 2), {"substeps": 40}),
+    "isobaric": Recipe(isobaric, Channel("strain", "%", PERCENT, 0.01, 4), {}),
+}
+
+
+def read_sensor(rng: np.random.Generator, exact: Floats, channel: Channel) -> Floats:
+    """What the file says of an exact SI series: in its unit, noisy, on its grid."""
+    values = exact / channel.si + channel.noise * rng.standard_normal(len(exact))
+    if channel.grid:
+        values = channel.grid * np.round(values / channel.grid)
+    # Adding zero turns -0 into 0.
+    return values.round(channel.digits) + 0.0
+
+
+def in_si(columns: Columns) -> dict[str, Floats]:
+    """The inputs by channel name, in SI and degC."""
+    sizes = {"mm": MILLIMETRE, "deg": DEGREE, "MPa": MEGAPASCAL, "%": PERCENT}
+    split = {header: header.rstrip("]").split(" [") for header in columns}
+    return {split[header][0]: values * sizes.get(split[header][1], 1.0) for header, values in columns.items()}
+
+
+def make(name: str, split: str) -> tuple[Columns, Floats]:
+    """One recording in the file's units, and the exact observed series in SI behind it."""
+    recipe = RECIPES[name]
+    rng = np.random.default_rng([list(RECIPES).index(name), SPLITS.index(split)])
+    columns = recipe.inputs(rng)
+    rig = read_rig(FOLDER / name / "rig.toml").changed(**TRUTHS[name])
+    exact = read_channel(simulate(rig, in_si(columns), **recipe.options), recipe.observed.name)
+    columns[f"{recipe.observed.name} [{recipe.observed.unit}]"] = read_sensor(rng, exact, recipe.observed)
+    return columns, exact
+
+
+def write_csv(path: Path, columns: Columns) -> None:
+    """A header and plain numbers, without digits that say nothing."""
+    rows = zip(*([f"{value:.10g}" for value in column] for column in columns.values()), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
+
+
+def truth_text(name: str, nominal: RigFile) -> str:
+    """truth.toml: a parameter file with the values behind the recordings, and their noise in the heading."""
+    true, channel, tables = nominal.changed(**TRUTHS[name]), RECIPES[name].observed, []
+    for key, by in TRUTHS[name].items():
+        if key.endswith("_shift"):
+            parameter, value, source = f"material.{key}", f"{by:g} K", "added to the nominal temperatures"
+        elif key in TEMPERATURES:
+            parameter, value, source = f"material.{key}", f"{getattr(true.material, key):.10g} degC", f"nominal and {by:+g} K"
+        else:
+            parameter, unit, size = WRITTEN[key]
+            held = true.heat._asdict() | true.material._asdict()
+            number = held["capacity_austenite" if key == "capacity" else key] / size
+            value, source = f"{number:.10g} {unit}", f"nominal times {by:g}"
+        tables.append(f'[{parameter}]\nvalue = "{value}"\nsource = "{source}"\n')
+    grid = f", then rounding to {channel.grid:g} {channel.unit}" if channel.grid else ""
+    head = (
+        f'schema = "smajax.parameters/1"\ntitle = "{name}: the values behind the recordings"\n'
+        f'source = "chosen for tests.reference.make_data, which ran them through the exact simulator; all else is as in rig.toml"\n'
+        f"# Noise: white, {channel.noise:g} {channel.unit} in {channel.name}{grid}.\n"
+    )
+    return "\n".join([head, *tables])
+
+
+def main(names: list[str]) -> None:
+    """Write the named folders, or all."""
+    for name in names or RECIPES:
+        folder = FOLDER / name
+        (folder / "truth.toml").write_text(truth_text(name, read_rig(folder / "rig.toml")), encoding="utf-8")
+        for split in SPLITS:
+            columns, _ = make(name, split)
+            write_csv(folder / f"{split}.csv", columns)
+            print(f"{name}/{split}.csv: {len(next(iter(columns.values())))} rows")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

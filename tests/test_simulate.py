@@ -1,0 +1,276 @@
+"""The simulator: convergence to the exact reference, derivatives, invariances, and failures that say what to do."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax import parameters, simulate
+from smajax.errors import NumericsError
+from smajax.plant.material.brinson import Brinson
+from tests import plants
+from tests.reference import rigs
+from tests.reference.brinson import Material
+from tests.reference.wire import Heat, Wire
+
+HEAT = Heat(100.6, 0.0, 0.001, 2.0, 2.046e6, 2.046e6, 0.0)
+
+
+def material(plant) -> Material:
+    return Material(**{k: float(getattr(plant.material, k)) for k in Material._fields})
+
+
+def errors(plant, recording, exact, channel, steps, interpolation):
+    found = []
+    for step in steps:
+        result = simulate.simulate(plant, recording, interpolation=interpolation, step=step)
+        found.append(float(np.sqrt(np.mean((np.asarray(result.channels[channel]) - exact) ** 2))))
+    return np.array(found)
+
+
+def orders(found, steps):
+    return np.diff(np.log(found)) / np.diff(np.log(steps))
+
+
+def test_dead_weight_converges_to_the_exact_reference_with_second_order():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.08)
+    exact = rigs.dead_weight(
+        material(plant), HEAT, Wire(0.15e-3, 0.23, 0.0, 20.0), 0.2, recording.time, recording.channels["current"], interpolation="linear"
+    )
+    steps = np.array([0.08, 0.04, 0.02])
+    found = errors(plant, recording, exact.position, "displacement", steps, "linear")
+    assert np.all(orders(found, steps) > 1.8), (found, orders(found, steps))
+    assert found[-1] < 1e-6
+
+
+def test_rotary_converges_to_the_exact_reference():
+    plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 300, 0.08)
+    signal = np.column_stack([recording.channels["current_1"], recording.channels["current_2"]])
+    exact = rigs.rotary(material(plant), HEAT, Wire(0.2e-3, 0.5, 0.02, 20.0), 0.02, recording.time, signal)
+    steps = np.array([0.08, 0.02, 0.005])
+    found = errors(plant, recording, exact.position, "angle", steps, "hold")
+    # Where one wire's driving variable turns because the other's does, inside a step, the local order falls to one.
+    assert np.all(orders(found, steps) > 1.4), (found, orders(found, steps))
+    assert np.degrees(found[-1]) < 2e-3
+
+
+def test_smoothing_vanishes_on_the_wire_with_first_order():
+    recording = plants.inputs("dead_weight", 400, 0.08)
+    sharp = simulate.simulate(plants.dead_weight(), recording).channels["displacement"]
+    amounts = np.array([1e-2, 1e-3, 1e-4])
+    found = []
+    for smoothing in amounts:
+        plant = eqx.tree_at(lambda p: p.material, plants.dead_weight(), Brinson(**plants.MATERIAL, smoothing=float(smoothing)))
+        found.append(float(jnp.sqrt(jnp.mean((simulate.simulate(plant, recording).channels["displacement"] - sharp) ** 2))))
+    assert np.all(np.abs(orders(found, amounts) - 1.0) < 0.15), found
+
+
+def test_bias_spring_testing_machine_and_paths_agree_with_the_reference():
+    plant, recording = plants.bias_spring(), plants.inputs("bias_spring", 300, 0.05)
+    exact = rigs.bias_spring(
+        material(plant), HEAT, Wire(0.15e-3, 0.23, 0.0, 20.0), 300.0, 2.0, recording.time, recording.channels["voltage"],
+        control="voltage", interpolation="hold",
+    )  # fmt: skip
+    result = simulate.simulate(plant, recording, step=0.01)
+    assert np.max(np.abs(np.asarray(result.channels["displacement"]) - exact.position)) < 2e-7
+    plant, recording = plants.testing_machine(), plants.inputs("testing_machine", 300, 0.05)
+    exact = rigs.testing_machine(
+        material(plant), Heat(60.0, 0.0, 0.05, 1.5, 2.2e6, 1.9e6, 0.0), Wire(0.4e-3, 0.1, 0.002, 20.0), recording.time,
+        recording.channels["strain"], recording.channels["power"],
+    )  # fmt: skip
+    result = simulate.simulate(plant, recording, step=0.01)
+    difference = np.asarray(result.channels["stress"]) - exact.stress[:, 0]
+    assert np.sqrt(np.mean(difference**2)) < 2e-4 * np.ptp(exact.stress)
+
+
+@pytest.mark.parametrize("kind", [k for k in plants.KINDS if k != "bias_spring"])
+def test_every_parameter_has_its_derivative(kind):
+    # Where a wire is just slack, at no prestrain or no thermal expansion, the response itself has a kink.
+    plant = parameters.replace(plants.KINDS[kind](), {"material.thermal_expansion": 5e-6})
+    if kind == "strain_path":
+        plant = parameters.replace(plant, {"wire.prestrain": 0.002})
+    recording = plants.inputs(kind, 160, 0.15)
+    inputs = simulate.lay_out(plant, recording, step=0.08)
+    channel = (
+        plant.mechanism.coordinate
+        if plant.mechanism.coordinate in recording.channels and kind not in ("testing_machine", "strain_path")
+        else "stress"
+    )
+    names = [n for n in parameters.declared(plant) if not n.startswith("initial.") and n not in parameters.TIES]
+    if plant.mechanism.unknowns == 0 or not plant.drive.control:
+        names = [n for n in names if n != "drive.gain" or plant.drive.control]
+    values = np.array([float(parameters.get(plant, n)) for n in names])
+    typical = {"K": 1.0, "degC": 1.0}
+    scales = np.array(
+        [typical.get(parameters.declaration(plant, n).unit, 0.0) or abs(v) or 1e-6 for n, v in zip(names, values, strict=True)]
+    )
+
+    @eqx.filter_jit
+    def response(scaled):
+        member = parameters.replace(plant, {n: scaled[i] * scales[i] for i, n in enumerate(names)})
+        states, _ = simulate.run(member, inputs)
+        return simulate.observe(member, states, inputs, [channel])[channel]
+
+    point = jnp.asarray(values / scales)
+    jacobian = np.asarray(jax.jit(jax.jacfwd(response))(point))
+    assert np.all(np.isfinite(jacobian))
+    if kind in ("dead_weight", "light_rotary"):
+        weights = jnp.asarray(np.random.default_rng(0).standard_normal(len(recording)))
+        gradient = np.asarray(jax.jit(jax.grad(lambda v: jnp.sum(weights * response(v))))(point))
+        size = float(np.max(np.abs(jacobian)))
+        assert gradient == pytest.approx(np.asarray(weights) @ jacobian, abs=1e-9 * size * len(recording))
+    for i, name in enumerate(names):
+        best = np.inf
+        # The response has kinks in its parameters (a band's edge that a sample just misses): the median over samples and the best of
+        # several steps is what can be asked of a difference quotient.
+        for h in (1e-4, 1e-5, 1e-6, 1e-7):
+            e = jnp.zeros(len(names)).at[i].set(h)
+            numeric = np.asarray(response(point + e) - response(point - e)) / (2 * h)
+            error = np.sqrt(np.mean((numeric - jacobian[:, i]) ** 2))
+            best = min(best, error / max(np.sqrt(np.mean(jacobian[:, i] ** 2)), 1e-6 * float(np.max(np.abs(np.asarray(response(point)))))))
+        assert best < 2e-3, (name, best)
+
+
+@pytest.mark.parametrize("kind", ["dead_weight", "testing_machine", "light_rotary"])
+def test_random_parameters_give_numbers_or_a_code(kind):
+    plant = plants.KINDS[kind]()
+    recording = plants.inputs(kind, 60, 0.2)
+    count = 700
+    draw = np.random.default_rng(5)
+    values = {}
+    for name, declared in parameters.declared(plant).items():
+        if name.startswith(("initial.", "sensor.")) or name in parameters.TIES:
+            continue
+        nominal = float(parameters.get(plant, name))
+        width = 0.5 * abs(nominal) if nominal else {"K": 20.0, "ohm": 1.0}.get(declared.unit, 0.0)
+        values[name] = np.clip(draw.uniform(nominal - width, nominal + width, count), declared.lower, declared.upper)
+    inputs = simulate.lay_out(plant, recording, step=0.1)
+    channels, codes = simulate.simulate_batch(plant, {k: jnp.asarray(v) for k, v in values.items()}, inputs, plant.observable)
+    finite = np.all([np.all(np.isfinite(np.asarray(v)), axis=1) for v in channels.values()], axis=0)
+    assert np.all(finite | (np.asarray(codes) != simulate.Code.done))
+    assert np.mean(np.asarray(codes) == simulate.Code.done) > 0.5
+
+
+def test_compiled_equals_eager_and_a_batch_equals_a_loop():
+    plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 40, 0.1)
+    inputs = simulate.lay_out(plant, recording, step=0.1)
+    state = plant.start(inputs.sampled[0])
+    for k in range(12):
+        state, failed = plant.advance(state, inputs.before[k], inputs.after[k], jnp.asarray(0.1))
+        assert not failed
+    compiled = simulate.simulate(plant, recording, step=0.1)
+    assert np.asarray(compiled.state.temperature[12]) == pytest.approx(np.asarray(state.temperature), rel=1e-12)
+    assert float(compiled.channels["angle"][12]) == pytest.approx(float(plant.outputs(state, inputs.sampled[12])["angle"]), abs=1e-12)
+    h0 = jnp.asarray([80.0, 100.0, 130.0])
+    batch, codes = simulate.simulate_batch(plant, {"heat.h0": h0}, inputs, ("angle",))
+    for k, value in enumerate(h0):
+        single = simulate.simulate(parameters.replace(plant, {"heat.h0": value}), recording, step=0.1)
+        assert np.asarray(batch["angle"][k]) == pytest.approx(np.asarray(single.channels["angle"]), abs=1e-9)
+    assert not np.any(np.asarray(codes))
+
+
+def test_one_failing_member_leaves_the_others_alone():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 60, 0.1)
+    inputs = simulate.lay_out(plant, recording)
+    channels, codes = simulate.simulate_batch(plant, {"drive.gain": jnp.asarray([1.0, 40.0, 0.9])}, inputs, ("displacement",))
+    assert codes[0] == codes[2] == simulate.Code.done
+    assert codes[1] == simulate.Code.overheated
+    assert np.all(np.isfinite(np.asarray(channels["displacement"])[[0, 2]]))
+
+
+def test_swapping_the_wires_turns_the_angle_round():
+    plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 200, 0.1)
+    swapped = plants.recording(
+        {"current_1": recording.channels["current_2"], "current_2": recording.channels["current_1"], "angle": recording.channels["angle"]},
+        recording.time,
+    )
+    one, two = simulate.simulate(plant, recording), simulate.simulate(plant, swapped)
+    assert np.asarray(one.channels["angle"]) == pytest.approx(-np.asarray(two.channels["angle"]), abs=1e-9)
+    assert np.asarray(one.channels["temperature_1"]) == pytest.approx(np.asarray(two.channels["temperature_2"]), rel=1e-12)
+
+
+def test_light_pulley_is_the_limit_of_small_inertia():
+    recording = plants.inputs("rotary", 120, 0.05)
+    found = []
+    for inertia in (1e-5, 1e-7):
+        heavy = simulate.simulate(plants.rotary(inertia, 100 * inertia), recording, step=0.01).channels["angle"]
+        light = plants.light_rotary(**{k: v for k, v in plants.ROTARY_PAPER.items() if not k.startswith("thermal")})
+        found.append(float(jnp.sqrt(jnp.mean((heavy - simulate.simulate(light, recording, step=0.01).channels["angle"]) ** 2))))
+    assert found[1] < 0.3 * found[0] or found[1] < 1e-5, found
+    assert found[1] < 1e-3
+
+
+def test_inertia_rings_as_the_reference_does():
+    plant = plants.rotary(2e-4, 2e-4)
+    recording = plants.inputs("rotary", 60, 0.05)
+    signal = np.column_stack([recording.channels["current_1"], recording.channels["current_2"]])
+    exact = rigs.rotary_inertia(
+        material(plant), HEAT, Wire(0.2e-3, 0.5, 0.02, 20.0), 0.02, 2e-4, 2e-4, recording.time, signal, substeps=400
+    )
+    found = errors(plant, recording, exact.position, "angle", (0.001, 0.0005), "hold")
+    assert found[1] < found[0] / 2.5
+    assert found[1] < 2e-3 * np.ptp(exact.position)
+
+
+def test_a_wire_cannot_push():
+    plant = plants.strain_path()
+    strain = np.concatenate([np.linspace(0, 0.01, 50), np.linspace(0.01, -0.01, 80)])
+    result = simulate.simulate(plant, plants.recording({"temperature": np.full(130, 20.0), "strain": strain, "stress": 0 * strain}))
+    stress = np.asarray(result.channels["stress"])
+    assert np.min(stress) == 0.0
+    assert np.max(stress) > 1e7
+    assert np.all(stress[-40:] == 0.0)
+
+
+def test_work_over_a_closed_cycle_is_dissipated():
+    """Pulled and released at constant temperature above A_f, the wire returns to its start and the loop's area is positive."""
+    strain = np.concatenate([np.linspace(0, 0.05, 400), np.linspace(0.05, 0, 400)])
+    result = simulate.simulate(
+        plants.strain_path(), plants.recording({"temperature": np.full(800, 95.0), "strain": strain, "stress": 0 * strain})
+    )
+    stress = np.asarray(result.channels["stress"])
+    work = float(np.sum(0.5 * (stress[1:] + stress[:-1]) * np.diff(strain)))
+    assert stress[-1] == pytest.approx(0.0, abs=1e3)
+    assert float(result.state.fractions.martensite[-1, 0]) < 1e-6
+    assert work > 1e5
+
+
+def test_heat_in_is_heat_stored_and_lost():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 300, 0.05)
+    fine = plants.recording(
+        {"current": np.repeat(recording.channels["current"], 20), "displacement": np.zeros(6000)}, np.arange(6000) * 0.0025
+    )
+    result = simulate.simulate(plant, fine)
+    t, temperature = np.asarray(result.time), np.asarray(result.channels["temperature"])
+    volume = float(plant.wire.area * plant.wire.length)
+    lost = np.asarray(plant.heat.convection(jnp.asarray(temperature))) * (temperature - 20.0) * 4 / 0.15e-3 * volume
+    power = np.asarray(result.channels["power"])[:-1]
+    stored = 2.046e6 * volume * (temperature[-1] - temperature[0])
+    supplied = np.sum(power * np.diff(t))
+    assert stored + np.sum(0.5 * (lost[1:] + lost[:-1]) * np.diff(t)) == pytest.approx(supplied, rel=2e-3)
+
+
+def test_steady_temperature_and_time_constant_of_the_paper():
+    plant = parameters.replace(plants.dead_weight(), {"heat.h0": 600.0, "heat.h2": 0.0, "wire.diameter": 0.2e-3})
+    plant = parameters.replace(plant, {"material.resistivity_austenite": 9e-7, "material.resistivity_martensite": 9e-7, "load.mass": 0.0})
+    time = np.linspace(0, 3, 3001)
+    result = simulate.simulate(plant, plants.recording({"current": np.ones(3001), "displacement": 0 * time}, time))
+    temperature = np.asarray(result.channels["temperature"])
+    assert temperature[100] == pytest.approx(53.7198, abs=2e-3)
+    assert temperature[-1] == pytest.approx(95.9909, abs=1e-3)
+
+
+def test_failure_says_what_to_do():
+    plant = parameters.replace(plants.dead_weight(), {"drive.gain": 40.0})
+    with pytest.raises(NumericsError, match=r"overheated: the wire passed .* check the input's unit.*drive.gain = 40"):
+        simulate.simulate(plant, plants.inputs("dead_weight", 100, 0.1))
+
+
+def test_no_recompilation_for_other_values():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 50, 0.1)
+    simulate.simulate(plant, recording, step=0.1)
+    before = simulate._simulate._cached._cache_size()
+    for h0 in (80.0, 90.0, 110.0):
+        simulate.simulate(parameters.replace(plant, {"heat.h0": h0}), recording, step=0.1)
+    assert simulate._simulate._cached._cache_size() == before
