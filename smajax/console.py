@@ -133,7 +133,7 @@ def prepare_jax() -> None:
     os.environ.setdefault("EQX_ON_ERROR", "off")
     import jax
 
-    if jax.config.jax_compilation_cache_dir is None:
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         folder = cache_folder("jax")
         if folder is None:
             return

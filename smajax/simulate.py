@@ -52,11 +52,23 @@ class Inputs(eqx.Module):
     ``(n, k)``, are the signals there.
     """
 
-    time: jax.Array
-    before: jax.Array
-    after: jax.Array
-    rows: jax.Array
-    sampled: jax.Array
+    time: Any
+    before: Any
+    after: Any
+    rows: Any
+    sampled: Any
+
+    def padded(self, grid: int, samples: int) -> "Inputs":
+        """The same inputs on a longer grid: the plant runs on under its last input, and the last sample is repeated."""
+        more, later = grid - self.time.shape[0], samples - self.rows.shape[0]
+        last, step = self.after[-1:], self.time[-1] - self.time[-2]
+        return Inputs(
+            np.append(self.time, self.time[-1] + step * np.arange(1, more + 1)),
+            np.concatenate([self.before, np.repeat(last, more, axis=0)]),
+            np.concatenate([self.after, np.repeat(last, more, axis=0)]),
+            np.append(self.rows, np.full(later, self.rows[-1])),
+            np.concatenate([self.sampled, np.repeat(self.sampled[-1:], later, axis=0)]),
+        )
 
 
 class Simulation(eqx.Module):
@@ -97,7 +109,7 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
         else:
             at_grid = np.interp(grid, time, sampled[:, i])
             before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
-    return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
+    return Inputs(grid, before, after, rows, sampled)
 
 
 class _PlantTerm(dfx.AbstractTerm):
@@ -177,18 +189,20 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
         known = unflatten(end)
         return ravel_pytree(plant.arrive(unflatten(y), before, after, duration, jnp.concatenate([known.temperature, known.unknown])))[0]
 
+    def push(of_plant: Callable[[Plant], jax.Array]) -> jax.Array:
+        value, tangent = eqx.filter_jvp(of_plant, (plant,), (tangents[0],))
+        return jnp.zeros_like(value) if tangent is None else tangent
+
     def linearise(y: jax.Array, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        by_state = jax.jacfwd(arrive)(y, plant, *step)
-        by_plant = eqx.filter_jvp(lambda p: arrive(y, p, *step), (plant,), (tangents[0],))[1]
-        return by_state, by_plant
+        return jax.jacfwd(arrive)(y, plant, *step), push(lambda p: arrive(y, p, *step))
 
     def recur(tangent: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
-        slope, push = step
-        new = jnp.sum(slope * tangent[None, :], axis=-1) + push
+        slope, added = step
+        new = jnp.sum(slope * tangent[None, :], axis=-1) + added
         return new, new
 
     steps = jax.vmap(linearise)(states[:-1], states[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
-    first = eqx.filter_jvp(lambda p: _start(p, inputs)[0], (plant,), (tangents[0],))[1]
+    first = push(lambda p: _start(p, inputs)[0])
     _, rest = jax.lax.scan(recur, first, steps)
     return (states, unsolved), (jnp.concatenate([first[None], rest]), None)
 
@@ -214,7 +228,8 @@ def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]
 
 
 @eqx.filter_jit
-def _simulate(plant: Plant, inputs: Inputs) -> Simulation:
+def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
+    """Simulates a plant under inputs that are laid out already; compiled once per length of grid and recording."""
     states, code = run(plant, inputs)
     return Simulation(inputs.time[inputs.rows], observe(plant, states, inputs, plant.observable), states, code)
 
@@ -226,7 +241,7 @@ def simulate(
 
     A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
     """
-    result = _simulate(plant, lay_out(plant, recording, interpolation=interpolation, step=step))
+    result = simulate_inputs(plant, lay_out(plant, recording, interpolation=interpolation, step=step))
     code = Code(int(result.code))
     if throw and code is not Code.done:
         raise NumericsError(f"{recording.name}: {code.name}: {code.cure}; parameters: {describe(plant)}")
@@ -253,9 +268,10 @@ def discretisation_error(
 ) -> float:
     """RMS change of a channel, in SI, when every step is halved: a third more than the error of the halved steps, as the order is 2."""
     step = step or default_step(plant)
-    gap = float(np.max(np.diff(recording.time)))
+    pieces = np.maximum(1, np.ceil(np.diff(recording.time) / step - 1e-9))
+    gap = float(np.max(np.diff(recording.time) / pieces))
     coarse = simulate(plant, recording, interpolation=interpolation, step=step, throw=False)
-    fine = simulate(plant, recording, interpolation=interpolation, step=min(step, gap) / 2, throw=False)
+    fine = simulate(plant, recording, interpolation=interpolation, step=gap / 2, throw=False)
     return float(jnp.sqrt(jnp.mean((coarse.channels[channel] - fine.channels[channel]) ** 2)))
 
 

@@ -156,14 +156,11 @@ def fit(
             general = eqx.tree_at(
                 lambda p, n=name: getattr(p.initial, n[8:]), general, getattr(plant.initial, name[8:]), is_leaf=lambda x: x is None
             )
-    responses = [respond(p, r, "train", interpolation, step) for p, r in zip(plants, recordings, strict=True)]
-    responses += [respond(general, r, "holdout", interpolation, step) for r in holdout]
+    members = [*plants, *(general for _ in holdout)]
+    roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
+    responses, discretisation = respond(members, [*recordings, *holdout], roles, settings.observe, interpolation, step)
     estimates, covariance, groups = _uncertainty(problem, vector, solved.residuals[best], solved.jacobians[best])
     floor = {c: max(difference_noise(r.residual(c)) for r in responses[: len(recordings)]) for c in settings.observe}
-    finer = simulate.simulate(
-        plants[0], recordings[0], interpolation=interpolation, step=_halved(plants[0], recordings[0], step), throw=False
-    )
-    coarse = responses[0].model
     return Fit(
         problem=problem,
         plant=general,
@@ -186,18 +183,42 @@ def fit(
         vector=vector,
         interpolation=interpolation,
         step=step,
-        discretisation={c: float(np.sqrt(np.mean((np.asarray(finer.channels[c]) - coarse[c]) ** 2))) for c in settings.observe},
+        discretisation=discretisation,
     )
 
 
-def respond(plant: Plant, recording: Recording, role: str, interpolation: str, step: float | None) -> Response:
-    """Simulates a recording. Raises nothing: a failed simulation says so in its code."""
-    result = simulate.simulate(plant, recording, interpolation=interpolation, step=step, throw=False)
-    return Response(recording, role, {c: np.asarray(v) for c, v in result.channels.items()}, simulate.Code(int(result.code)))
+def respond(
+    plants: Sequence[Plant],
+    recordings: Sequence[Recording],
+    roles: Sequence[str],
+    channels: Sequence[str],
+    interpolation: str,
+    step: float | None,
+) -> tuple[list[Response], dict[str, float]]:
+    """Simulates each recording with its plant, and measures the discretisation error of the observed channels (RMS, SI).
 
-
-def _halved(plant: Plant, recording: Recording, step: float | None) -> float:
-    return min(step or simulate.default_step(plant), float(np.max(np.diff(recording.time)))) / 2
+    That error is the change when the first recording's first half is simulated with half the step. All are laid out on grids of one
+    length, so that one compiled program does. Raises nothing: a failed simulation says so in its code.
+    """
+    laid = [simulate.lay_out(p, r, interpolation=interpolation, step=step) for p, r in zip(plants, recordings, strict=True)]
+    grid, samples = max(len(i.time) for i in laid), max(len(i.rows) for i in laid)
+    results = [simulate.simulate_inputs(p, i.padded(grid, samples)) for p, i in zip(plants, laid, strict=True)]
+    responses = []
+    for result, recording, role in zip(results, recordings, roles, strict=True):
+        model = {c: np.asarray(v)[: len(recording)] for c, v in result.channels.items()}
+        responses.append(Response(recording, role, model, simulate.Code(int(result.code))))
+    first = recordings[0]
+    count = len(first) // 2
+    if not first.has_clock or count < 2:
+        return responses, dict.fromkeys(channels, 0.0)
+    half = dataclasses.replace(first, time=first.time[:count], channels={c: v[:count] for c, v in first.channels.items()})
+    pieces = np.maximum(1, np.ceil(np.diff(half.time) / (step or simulate.default_step(plants[0])) - 1e-9))
+    inputs = simulate.lay_out(plants[0], half, interpolation=interpolation, step=float(np.max(np.diff(half.time) / pieces)) / 2)
+    if len(inputs.time) <= grid:
+        inputs = inputs.padded(grid, samples)
+    finer = simulate.simulate_inputs(plants[0], inputs).channels
+    change = {c: np.asarray(finer[c])[:count] - responses[0].model[c][:count] for c in channels}
+    return responses, {c: float(np.sqrt(np.mean(v**2))) for c, v in change.items()}
 
 
 def _uncertainty(problem: Problem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> tuple[list, np.ndarray, list]:

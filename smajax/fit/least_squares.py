@@ -71,17 +71,18 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
         """Nothing is evaluated yet: the first step accepts the start point."""
-        size = f_struct.shape[0]
+        # Types are spelt out: a weakly typed start would compile the step twice.
+        size, real, whole = f_struct.shape[0], jnp.float64, jnp.int64
         return LMState(
-            y,
-            jnp.zeros(size),
-            jnp.zeros((size, y.shape[0])),
-            jnp.asarray(jnp.inf),
-            jnp.asarray(1e-3),
-            jnp.asarray(0.0),
-            jnp.asarray(0),
-            jnp.asarray(0),
-            jnp.asarray(Stop.running.value),
+            trial=y,
+            residual=jnp.zeros(size, real),
+            jacobian=jnp.zeros((size, y.shape[0]), real),
+            cost=jnp.asarray(jnp.inf, real),
+            damping=jnp.asarray(1e-3, real),
+            predicted=jnp.zeros((), real),
+            small=jnp.zeros((), whole),
+            steps=jnp.zeros((), whole),
+            stop=jnp.asarray(Stop.running.value, whole),
         )
 
     def step(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple[Any, LMState, Any]:
@@ -112,7 +113,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             [first & ~sound, (small >= 2) | (still & ~first) | (first & (predicted <= 0)), damping > 1e12],
             [Stop.failed.value, Stop.converged.value, Stop.stalled.value],
             Stop.running.value,
-        )
+        ).astype(jnp.int64)
         state = LMState(trial, residual, jacobian, cost, jnp.maximum(damping, 1e-12), predicted, small, state.steps + 1, stop)
         return y, state, residual
 

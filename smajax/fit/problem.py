@@ -8,7 +8,7 @@ length: the shorter ones run on under their last input, unobserved, and all are 
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 
+@runtime_checkable
 class Settings(Protocol):
     """What a fit needs to know; ``smajax.rig.FitSettings`` has it."""
 
@@ -188,7 +189,7 @@ def _data(plant: Plant, recordings: Sequence[Recording], channels: tuple, noise:
     laid = [simulate.lay_out(plant, r, interpolation=interpolation, step=step) for r in recordings]
     grid = max(i.time.shape[0] for i in laid)
     samples = max(i.rows.shape[0] for i in laid)
-    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[_pad(i, grid, samples) for i in laid])
+    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[i.padded(grid, samples) for i in laid])
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)
     for k, recording in enumerate(recordings):
@@ -197,16 +198,3 @@ def _data(plant: Plant, recordings: Sequence[Recording], channels: tuple, noise:
             measured[k, j, : len(values)] = values
             weight[k, j, : len(values)] = 1.0 / noise[channel]
     return Data(inputs, jnp.asarray(measured), jnp.asarray(weight))
-
-
-def _pad(inputs: simulate.Inputs, grid: int, samples: int) -> simulate.Inputs:
-    more, later = grid - inputs.time.shape[0], samples - inputs.rows.shape[0]
-    last = inputs.after[-1:]
-    step = inputs.time[-1] - inputs.time[-2]
-    return simulate.Inputs(
-        jnp.append(inputs.time, inputs.time[-1] + step * jnp.arange(1, more + 1)),
-        jnp.concatenate([inputs.before, jnp.repeat(last, more, axis=0)]),
-        jnp.concatenate([inputs.after, jnp.repeat(last, more, axis=0)]),
-        jnp.append(inputs.rows, jnp.full(later, inputs.rows[-1])),
-        jnp.concatenate([inputs.sampled, jnp.repeat(inputs.sampled[-1:], later, axis=0)]),
-    )

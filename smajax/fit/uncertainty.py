@@ -104,7 +104,7 @@ def indistinct(jacobian: np.ndarray, names: list[str], sizes: np.ndarray, thresh
     for value, vector in zip(values, vectors.T, strict=True):
         if math.sqrt(max(value, 0.0)) > threshold:
             break
-        members = np.abs(vector) > 0.3 * np.max(np.abs(vector))
+        members = np.abs(vector) > 0.1 * np.max(np.abs(vector))
         moved = vector[members] / (length[seen] * sizes[seen])[members]
         moved /= np.linalg.norm(moved) * (np.sign(moved[np.argmax(np.abs(moved))]) or 1.0)
         group = tuple(names[i] for i in seen[members])

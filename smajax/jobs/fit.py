@@ -60,19 +60,28 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     progress.phase("compiling the model and trying the starts (a later run on recordings of this size finds it compiled)")
     with clock.time("fit"), stopping(progress.phase) as stop:
         try:
-            result = fit(rig.plant, trained, settings, holdout=held, interpolation=rig.interpolation, progress=report)
+            given: Any = settings
+            result = fit(rig.plant, trained, given, holdout=held, interpolation=rig.interpolation, progress=report)
         except NumericsError as error:
             reason = str(error)
         if result is not None and not math.isfinite(result.cost):
             raise KeyboardInterrupt
-    with clock.time("profile"):
-        for name in job.profiles if result is not None and not stop.requested else ():
-            progress.phase(f"profile likelihood of {name}")
-            profiles[name] = profile(result, name)
+    if result is not None and not stop.requested:
+        with clock.time("profile"):
+            for name in job.profiles:
+                progress.phase(f"profile likelihood of {name}")
+                profiles[name] = profile(result, name)
     progress.phase("writing the report")
     if result is None:
         document = failed_document(rig, settings, recordings, reason, warnings=warnings)
-        responses = [respond(rig.plant, r, role, rig.interpolation, None) for r, role in recordings]
+        responses, _ = respond(
+            [rig.plant] * len(recordings),
+            [r for r, _ in recordings],
+            [role for _, role in recordings],
+            rig.fit.observe,
+            rig.interpolation,
+            None,
+        )
     else:
         document = fit_document(result, rig, settings, profiles=profiles, warnings=warnings)
         responses = list(result.responses)
@@ -91,7 +100,9 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             with contextlib.suppress(InputError):  # values that make no rig, such as a band that has closed, are in fit.toml all the same
                 names = result.problem.shared + result.problem.own
                 rig.write(folder / "rig-fitted.toml", {n: float(parameters.get(result.plant, n)) for n in names if _known(result.plant, n)})
-        (folder / "report.html").write_text(html.fit_page(document, series, run, text), "utf-8")
+        # From the table as it was written, so that `smajax report` makes the same page of it.
+        page = html.fit_page(document, prediction.read(folder / "prediction.csv"), run, text)
+        (folder / "report.html").write_text(page, "utf-8")
 
     write_folder(out, run, fill)
     return Outcome(out, document, code, "" if not code else reason or "; ".join(failed) or "interrupted; the best point so far is kept")

@@ -59,7 +59,8 @@ def run_simulation(rig_path: Path, path: Path, out: Path, *, drop_bad_rows: bool
             time = recording.time[:good] if recording.has_clock else None
             made = Recording.from_arrays("simulation.csv", time, {c: v[:good] for c, v in given.items()}, units)
             made.write(folder / "simulation.csv")
-        (folder / "report.html").write_text(html.simulation_page(series, run, text), "utf-8")
+        page = html.simulation_page(prediction.read(folder / "prediction.csv")[0], run, text)
+        (folder / "report.html").write_text(page, "utf-8")
 
     write_folder(out, run, fill)
     return Outcome(out, run, exit_code, told)

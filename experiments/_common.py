@@ -1,0 +1,118 @@
+"""What the experiments share: their arguments, the shipped recordings, timing side by side, and the table with its JSON file.
+
+An experiment is run as ``python experiments/NAME.py [--quick] [--json FILE] [--out DIR]``. It makes ``Row``s and hands them to ``finish``.
+"""
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # the checkout's own smajax, and its tests/reference
+
+from smajax.console import prepare_jax  # noqa: E402
+from smajax.recording import Recording  # noqa: E402
+from smajax.rig import Rig, read_rig  # noqa: E402
+
+prepare_jax()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: what was measured, what it should be, what it is, and whether that is met (``None``: there is no target).
+
+    ``numbers`` go to the JSON file beside the texts.
+    """
+
+    what: str
+    target: str
+    measured: str
+    met: bool | None
+    numbers: dict[str, Any] = field(default_factory=dict)
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """``quick`` (bool), ``json`` and ``out`` (paths or ``None``) from the command line; makes the folder ``out``."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--quick", action="store_true", help="end within two minutes on two cores, with the same columns")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write the pictures to DIR")
+    given = parser.parse_args()
+    if given.out:
+        given.out.mkdir(parents=True, exist_ok=True)
+    return given
+
+
+def shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
+    """Rig and recording of a folder in data/recordings/."""
+    folder = ROOT / "data" / "recordings" / name
+    rig = read_rig(folder / "rig.toml")
+    return rig, rig.read(folder / f"{part}.csv")
+
+
+def say(text: str) -> None:
+    """What is being done, on stderr."""
+    print(f"... {text}", file=sys.stderr, flush=True)
+
+
+def medians(repeats: int, functions: dict[str, Callable[[], Any]]) -> dict[str, float]:
+    """Median wall seconds of each function, called in turn ``repeats`` times after one call to warm up.
+
+    In turn, so that whatever else the machine does falls on all of them alike.
+    """
+    for function in functions.values():
+        function()
+    seconds: dict[str, list[float]] = {name: [] for name in functions}
+    for _ in range(repeats):
+        for name, function in functions.items():
+            began = time.perf_counter()
+            function()
+            seconds[name].append(time.perf_counter() - began)
+    return {name: float(np.median(taken)) for name, taken in seconds.items()}
+
+
+def exponent(sizes: Sequence[float], seconds: Sequence[float]) -> float:
+    """Slope of log(seconds) over log(sizes) by least squares."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def finish(name: str, rows: Sequence[Row], args: argparse.Namespace, **facts: Any) -> None:
+    """Prints the table, and writes it with the ``facts`` to the JSON file if there is to be one."""
+    print(table(["what", "target", "measured", "met"], [(r.what, r.target, r.measured, _word(r.met)) for r in rows]))
+    if args.json:
+        document = {"experiment": name, "quick": args.quick, "rows": [asdict(row) for row in rows], "machine": machine(), **facts}
+        part = args.json.with_name(f".{args.json.name}.part")
+        part.write_text(json.dumps(document, indent=1, default=_plain) + "\n", encoding="utf-8")
+        os.replace(part, args.json)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, its columns padded so that it reads well in a terminal, too."""
+    lines = [list(head), *[[str(cell).replace("|", "/") for cell in row] for row in rows]]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    lines.insert(1, ["-" * width for width in widths])
+    return "\n".join("| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |" for line in lines)
+
+
+def machine() -> dict[str, Any]:
+    """The machine and the versions that the numbers come from."""
+    versions = {package: version(package) for package in ("jax", "diffrax", "equinox", "numpy", "scipy")}
+    return {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()} | versions
+
+
+def _word(met: bool | None) -> str:
+    return "-" if met is None else "yes" if met else "no"
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,263 @@
+"""The ``smajax`` command: parses, calls, prints. What is heavy to load is loaded inside the commands that need it."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from smajax import __version__
+from smajax.errors import InputError
+
+if TYPE_CHECKING:
+    from smajax.console import Progress
+    from smajax.jobs.record import Outcome
+
+
+class Commands(TyperGroup):
+    """The commands, with every error turned into its sentence and exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Runs the chosen command."""
+        try:
+            return super().invoke(ctx)
+        except (Exception, KeyboardInterrupt) as error:
+            if type(error).__module__.partition(".")[0] in ("typer", "click"):  # usage errors and exits, which typer handles
+                raise
+            from smajax.console import exit_code
+
+            raise typer.Exit(exit_code(error)) from None
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Fit, question and steer shape-memory-alloy actuators: differentiable models, identified from recordings by their gradients.",
+)
+
+
+class FitCommand(TyperCommand):
+    """Takes all files after ``--holdout`` as holdouts, up to the next option: none of them is fitted by oversight."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Writes the option before each of its files."""
+        spread: list[str] = []
+        holding = False
+        for word in args:
+            if word == "--holdout":
+                holding = True
+                continue
+            if word.startswith("-") and word != "-":
+                holding = False
+            spread += ["--holdout", word] if holding else [word]
+        if args[-1:] == ["--holdout"]:
+            spread.append("--holdout")
+        return super().parse_args(ctx, spread)
+
+
+class Kind(StrEnum):
+    """The kinds of rig that there are templates for."""
+
+    dead_weight = "dead-weight"
+    bias_spring = "bias-spring"
+    antagonistic_rotary = "antagonistic-rotary"
+    testing_machine = "testing-machine"
+    path = "path"
+
+
+class Datasets(StrEnum):
+    """What can be done with data sets."""
+
+    list = "list"
+    get = "get"
+
+
+RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml).")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder; an earlier result there is replaced as a whole.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no summary.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
+DropBadRows = Annotated[bool, typer.Option("--drop-bad-rows", help="Leave out rows that cannot be read; they are counted in the result.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"smajax {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def simulate(
+    rig: RigFile,
+    recording: Annotated[Path, typer.Argument(metavar="INPUT.csv", help="A recording with the rig's inputs.")],
+    out: Out,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+) -> None:
+    """Simulate a rig under the inputs of a recording."""
+    from smajax.report.summary import simulation_text
+
+    with _progress(quiet) as progress:
+        from smajax.jobs.simulate import run_simulation
+
+        outcome = run_simulation(rig, recording, out, drop_bad_rows=drop_bad_rows, progress=progress, argv=_argv())
+    _finish(outcome, "run.json", simulation_text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+@app.command(cls=FitCommand)
+def fit(
+    rig: RigFile,
+    train: Annotated[list[Path], typer.Argument(metavar="TRAIN.csv [MORE.csv ...]", help="The recordings to fit.")],
+    out: Out,
+    holdout: Annotated[list[Path] | None, typer.Option("--holdout", metavar="H.csv ...", help="Recordings to predict, not fitted.")] = None,
+    start: Annotated[Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of the drawn starts (default: the rig's).")] = None,
+    starts: Annotated[int | None, typer.Option("--starts", min=1, max=10_000, help="Points to start from (default: the rig's).")] = None,
+    profile: Annotated[list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")] = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+) -> None:
+    """Fit a rig's free parameters to recordings, with intervals, and predict others."""
+    from smajax.report.summary import text
+
+    with _progress(quiet) as progress:
+        from smajax.jobs.fit import FitJob, run_fit
+
+        job = FitJob(rig, train, out, holdout or (), start, seed, starts, drop_bad_rows, profile or ())
+        outcome = run_fit(job, progress, _argv())
+    _finish(outcome, "fit.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = True,
+    quiet: Quiet = False,
+) -> None:
+    """Fit a shipped recording of a wire that lifts a weight, predict another one, and open the report."""
+    from smajax.datasets import shipped
+    from smajax.report.summary import text
+
+    folder = shipped("recordings", "dead-weight")
+    with _progress(quiet) as progress:
+        from smajax.jobs.fit import FitJob, run_fit
+
+        outcome = run_fit(FitJob(folder / "rig.toml", [folder / "train.csv"], out, [folder / "holdout.csv"]), progress, _argv())
+    after = f"Report:  {out / 'report.html'}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
+    _finish(outcome, "fit.json", f"{text(outcome.document, str(out))}\n{after}", quiet=quiet, open_report=open_report)
+
+
+@app.command()
+def init(
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"The kind of rig: {', '.join(Kind)}.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder for the files; made if it is not there.")] = Path(),
+) -> None:
+    """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
+    from smajax.example import write_example
+
+    rig, example, recording = write_example(kind.value, out)
+    typer.echo(
+        f"Wrote {rig}, to be filled in with your own wire, and {recording} with its rig {example}, to try things on.\n"
+        f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
+    )
+
+
+@app.command()
+def check(
+    rig: RigFile,
+    recordings: Annotated[list[Path] | None, typer.Argument(metavar="[RECORDING ...]", help="Recordings of this rig.")] = None,
+    drop_bad_rows: DropBadRows = False,
+) -> None:
+    """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
+    from smajax.check import describe
+
+    typer.echo(describe(rig, recordings or [], drop_bad_rows))
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:
+    """Make a result folder's report.html anew from its other files."""
+    from smajax.report.rebuild import rebuild_report
+
+    typer.echo(f"Wrote {rebuild_report(folder)}.")
+
+
+@app.command()
+def datasets(
+    action: Annotated[Datasets, typer.Argument(metavar="[list | get]", help="List all, or get one.")] = Datasets.list,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="The data set to get.")] = None,
+) -> None:
+    """List the shipped and public recordings, or get one: public ones are fetched from their repository and checked."""
+    from smajax import datasets as shelf
+
+    if action is Datasets.list:
+        if name is not None:
+            raise InputError(f"'datasets list' takes no name: write 'smajax datasets get {name}' to get it")
+        from smajax.report.summary import table
+
+        rows = [(d.name, d.source, f"licence: {d.licence}", d.what) for d in shelf.datasets().values()]
+        typer.echo("\n".join(line.rstrip() for line in table(rows)))
+        return
+    if name is None:
+        raise InputError("'datasets get' needs a name: 'smajax datasets list' shows all")
+    folder, missing = shelf.get(name)
+    typer.echo(folder)
+    if missing:
+        note = shelf.find(name).note
+        typer.echo(f"smajax: not there: {', '.join(missing)}" + (f" ({note})" if note else ""), err=True)
+
+
+def _progress(quiet: bool) -> "Progress":
+    """Progress of a long command; whatever compiles comes after it."""
+    from smajax.console import Progress, prepare_jax
+
+    progress = Progress(quiet)
+    progress.phase("loading")
+    prepare_jax()
+    return progress
+
+
+def _argv() -> list[str]:
+    return ["smajax", *sys.argv[1:]]
+
+
+def _finish(outcome: "Outcome", result: str, text: str, *, quiet: bool, as_json: bool = False, open_report: bool = False) -> None:
+    """Prints what a run is to print, opens its report, and leaves with its exit code."""
+    if as_json:
+        typer.echo((outcome.folder / result).read_text("utf-8"), nl=False)
+    elif not quiet:
+        typer.echo(text)
+    if outcome.reason:
+        typer.echo(f"smajax: {outcome.reason}; what there is was saved in {outcome.folder}", err=True)
+    if open_report:
+        from smajax.console import open_in_browser
+
+        open_in_browser(outcome.folder / "report.html")
+    if outcome.code:
+        raise typer.Exit(outcome.code)
+
+
+def main() -> None:
+    """The entry point of the ``smajax`` command."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""The report of a finished run, made anew from the files in its folder; nothing is simulated."""
+
+from pathlib import Path
+
+from smajax.errors import InputError
+from smajax.report import html, prediction
+from smajax.results import read_json, replace_file
+
+
+def rebuild_report(folder: Path) -> Path:
+    """Makes report.html anew and returns its path. InputError if the folder's files are not there or not whole."""
+    run = read_json(folder, "run.json")
+    series = prediction.read(folder / "prediction.csv")
+    try:
+        rig = (folder / "rig.toml").read_text("utf-8")
+        if run["command"] == "simulate":
+            page = html.simulation_page(series[0], run, rig)
+        else:
+            page = html.fit_page(read_json(folder, "fit.json"), series, run, rig)
+    except OSError as error:
+        raise InputError(f"{folder / 'rig.toml'}: the file cannot be read ({error.strerror or error}): run the command again") from None
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{folder}: its files are not as this version of smajax writes them ({error}): run the command again") from None
+    replace_file(folder / "report.html", page)
+    return folder / "report.html"

@@ -1,0 +1,235 @@
+"""Fits: planted truths come back, bounds hold, intervals cover, and what cannot be told apart is named.
+
+Truths are made by tests/reference, which shares no code with what is fitted.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax import parameters
+from smajax.errors import InputError, NumericsError
+from smajax.fit import least_squares, uncertainty
+from smajax.fit.fit import draw_starts, fit, profile
+from smajax.fit.problem import build, difference_noise
+from tests import plants
+from tests.reference import rigs
+from tests.reference.brinson import Material
+from tests.reference.wire import Heat, Wire
+
+NAMES = ("heat.h0", "heat.capacity", "material.max_strain", "material.austenite_shift", "material.martensite_shift")
+TRUTH = {
+    "heat.h0": 108.0,
+    "heat.capacity": 1.95e6,
+    "material.max_strain": 0.0418,
+    "material.austenite_shift": -1.7,
+    "material.martensite_shift": 1.2,
+}
+NOISE = 2e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    free: tuple = NAMES
+    per_recording: tuple = ()
+    initial: tuple = ()
+    bounds: dict = dataclasses.field(default_factory=dict)
+    observe: tuple = ("displacement",)
+    noise: dict = dataclasses.field(default_factory=dict)
+    starts: int = 1
+    seed: int = 0
+
+
+def exact(values: dict, recording, mass: float = 0.2) -> np.ndarray:
+    """The exact displacement of the dead-weight rig with some of its values replaced."""
+    material = {k: plants.MATERIAL[k] for k in Material._fields}
+    for key in ("austenite", "martensite"):
+        for end in ("start", "finish"):
+            material[f"{key}_{end}"] += values.get(f"material.{key}_shift", 0.0)
+    material["max_strain"] = values.get("material.max_strain", material["max_strain"])
+    capacity = values.get("heat.capacity", 2.046e6)
+    heat = Heat(values.get("heat.h0", 100.6), 0.0, 0.001, 2.0, capacity, capacity, 0.0)
+    wire = Wire(0.15e-3, 0.23, 0.0, 20.0)
+    return rigs.dead_weight(
+        Material(**material), heat, wire, mass, recording.time, recording.channels["current"], interpolation="hold"
+    ).position
+
+
+def recorded(values: dict, *, rows: int = 500, step: float = 0.08, seed: int = 0, noise=NOISE, name: str = "made.csv", offset: float = 0.0):
+    """A noisy recording of the exact rig, its current drawn by ``seed``."""
+    time = np.arange(rows) * step
+    current = plants.pulses(rows, 0.0, 0.33, seed=seed)
+    blank = plants.recording({"current": current, "displacement": 0 * time}, time, name)
+    white = np.random.default_rng(100 + seed).standard_normal(rows) * noise
+    return plants.recording({"current": current, "displacement": exact(values, blank) + white + offset}, time, name)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return fit(plants.dead_weight(), [recorded(TRUTH)], Settings(starts=3), holdout=[recorded(TRUTH, seed=7, name="held.csv")], step=0.04)
+
+
+def test_planted_truth_comes_back_within_its_intervals(result):
+    for estimate in result.estimates:
+        deviation = (estimate.upper95 - estimate.lower95) / 3.92
+        assert abs(estimate.estimate - TRUTH[estimate.name]) < 4 * deviation, estimate
+        assert deviation < 0.1 * max(abs(TRUTH[estimate.name]), 1.0)
+    assert result.stop is least_squares.Stop.converged
+    assert result.starts_at_best >= 2
+
+
+def test_residual_is_the_noise_in_sample_and_out(result):
+    assert result.rmse("displacement") == pytest.approx(NOISE, rel=0.08)
+    assert result.rmse("displacement", "holdout") == pytest.approx(NOISE, rel=0.08)
+    assert result.noise_floor["displacement"] == pytest.approx(NOISE, rel=0.15)
+    assert result.discretisation["displacement"] < 0.2 * NOISE
+    assert result.rmse("displacement", "select") is None
+
+
+def test_profile_agrees_with_the_interval(result):
+    drawn = profile(result, "material.max_strain")
+    estimate = next(e for e in result.estimates if e.name == "material.max_strain")
+    width = estimate.upper95 - estimate.lower95
+    assert drawn["lower95"] == pytest.approx(estimate.lower95, abs=0.1 * width)
+    assert drawn["upper95"] == pytest.approx(estimate.upper95, abs=0.1 * width)
+    assert np.argmin(drawn["rise"]) == len(drawn["rise"]) // 2
+    with pytest.raises(InputError, match=r"'heat.h2' is not a free parameter of this fit"):
+        profile(result, "heat.h2")
+
+
+def test_a_parameter_at_its_bound_is_held_there_and_said_so():
+    bounded = Settings(bounds={"heat.capacity": (2.0e6, 3.0e6)})
+    found = {e.name: e for e in fit(plants.dead_weight(), [recorded(TRUTH)], bounded, step=0.04).estimates}
+    assert found["heat.capacity"].at_bound
+    assert found["heat.capacity"].estimate == pytest.approx(2.0e6, rel=1e-9)
+    assert found["heat.capacity"].lower95 is None
+    assert not found["material.max_strain"].at_bound
+
+
+def test_recordings_share_some_parameters_and_own_others():
+    made = [recorded(TRUTH, seed=s, rows=r, name=f"{s}.csv", offset=o) for s, r, o in ((1, 500, 0.0), (2, 420, 3e-4), (3, 460, -2e-4))]
+    settings = Settings(free=("heat.h0", "material.max_strain"), per_recording=("sensor.displacement_offset",))
+    plant = parameters.replace(plants.dead_weight(), {k: v for k, v in TRUTH.items() if k not in settings.free})
+    found = fit(plant, made, settings, step=0.08)
+    values = {e.name: e.estimate for e in found.estimates}
+    assert values["heat.h0"] == pytest.approx(108.0, rel=2e-3)
+    assert [values[f"sensor.displacement_offset@{s}.csv"] for s in (1, 2, 3)] == pytest.approx([0.0, 3e-4, -2e-4], abs=1e-5)
+    assert [len(r.model["displacement"]) for r in found.responses] == [500, 420, 460]
+    assert float(found.plants[1].sensor.offset["displacement"]) == pytest.approx(3e-4, abs=1e-5)
+
+
+def test_what_cannot_be_told_apart_is_named_with_its_direction():
+    """At a constant load the shift of the start temperatures and of the ambient are nearly one."""
+    settings = Settings(free=("drive.gain", "material.resistivity_austenite", "material.resistivity_martensite", "material.max_strain"))
+    found = fit(plants.dead_weight(), [recorded({})], settings, step=0.08)
+    groups = [g for g in found.indistinct if "drive.gain" in g.parameters]
+    assert groups, found.indistinct
+    assert groups[0].shrink < 1e-6
+    named = dict(zip(groups[0].parameters, groups[0].direction, strict=True))
+    # Heat goes as gain^2 times resistivity: doubling the resistivities undoes a gain smaller by half as much, relatively.
+    assert named["material.resistivity_austenite"] / named["drive.gain"] == pytest.approx(-2.0, rel=0.02)
+
+
+def test_a_parameter_without_any_effect_is_named_alone():
+    found = fit(plants.dead_weight(), [recorded({})], Settings(free=("material.max_strain", "wire.prestrain")), step=0.08)
+    assert any(g.parameters == ("wire.prestrain",) and g.shrink == 0.0 for g in found.indistinct)
+    estimate = next(e for e in found.estimates if e.name == "wire.prestrain")
+    assert estimate.lower95 is None
+
+
+def test_free_initial_temperature_is_found():
+    made = recorded(TRUTH, rows=200)
+    warm = parameters.replace(plants.dead_weight(), {"initial.temperature": 45.0})
+    problem_plant = plants.dead_weight()
+    from smajax.simulate import simulate
+
+    series = np.asarray(simulate(warm, made, step=0.04).channels["displacement"]) + NOISE * np.random.default_rng(3).standard_normal(200)
+    made = plants.recording({"current": made.channels["current"], "displacement": series}, made.time)
+    found = fit(problem_plant, [made], Settings(free=("material.max_strain",), initial=("temperature",)), step=0.04)
+    value = next(e for e in found.estimates if e.name.startswith("initial.temperature"))
+    assert value.estimate == pytest.approx(45.0, abs=1.0)
+    assert found.plant.initial.temperature is None
+
+
+def test_fits_repeat_and_scaling_of_noise_changes_nothing():
+    made = recorded(TRUTH, rows=200)
+    one = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-5}), step=0.08)
+    two = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-4}), step=0.08)
+    for a, b in zip(one.estimates, two.estimates, strict=True):
+        assert a.estimate == pytest.approx(b.estimate, rel=1e-5, abs=1e-6)
+        assert a.upper95 - a.lower95 == pytest.approx(b.upper95 - b.lower95, rel=1e-3)
+
+
+def test_starts_that_all_fail_end_with_a_reason():
+    with pytest.raises(NumericsError, match=r"at the start values: .*wire.diameter"):
+        fit(parameters.replace(plants.dead_weight(), {"drive.gain": 1e6}), [recorded({}, rows=100)], Settings(), step=0.08)
+
+
+def test_bad_settings_are_refused():
+    made = recorded({}, rows=50)
+    with pytest.raises(InputError, match="made.csv has no channel 'angle'"):
+        build(plants.dead_weight(), [made], Settings(observe=("angle",)))
+    with pytest.raises(InputError, match="nothing is free"):
+        build(plants.dead_weight(), [made], Settings(free=()))
+    with pytest.raises(InputError, match=r"there is no parameter 'heat.h9' in this plant \(did you mean 'heat.h"):
+        build(plants.dead_weight(), [made], Settings(free=("heat.h9",)))
+
+
+def test_drawn_starts_lie_in_the_box_and_repeat():
+    problem = build(plants.dead_weight(), [recorded({}, rows=100)], Settings(), step=0.08)
+    starts, count = draw_starts(problem, 4, 3)
+    again, _ = draw_starts(problem, 4, 3)
+    lower, upper = problem.search_box()
+    assert np.array_equal(starts, again)
+    assert np.all((starts >= lower) & (starts <= upper))
+    assert count == 48
+
+
+def test_levenberg_marquardt_on_known_problems():
+    def rosenbrock(v, rest):
+        return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
+
+    free = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0], [3.0, -2.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
+    assert free.points == pytest.approx(np.ones((2, 2)), abs=1e-6)
+    held = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.array([0.5, 10.0]), rtol=1e-14)
+    assert held.points[0] == pytest.approx([0.5, 0.25], abs=1e-6)
+    fixed = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.array([-1.2, -10.0]), np.array([-1.2, 10.0]), rtol=1e-14)
+    assert fixed.points[0] == pytest.approx([-1.2, 1.44], abs=1e-6)
+    few = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14, max_steps=3)
+    assert few.stops == [least_squares.Stop.steps]
+    assert few.simulations == 9
+
+
+def test_autoregression_is_found():
+    draw = np.random.default_rng(0)
+    series = np.zeros(20000)
+    for k in range(2, len(series)):
+        series[k] = 1.2 * series[k - 1] - 0.5 * series[k - 2] + draw.standard_normal()
+    coefficients, variance = uncertainty.autoregression(series)
+    assert coefficients[:2] == pytest.approx([1.2, -0.5], abs=0.05)
+    assert variance == pytest.approx(1.0, abs=0.03)
+
+
+def test_noise_estimate_from_differences():
+    time = np.linspace(0, 10, 5000)
+    noisy = 0.01 * np.sin(time) + 2e-5 * np.random.default_rng(0).standard_normal(5000)
+    assert difference_noise(noisy) == pytest.approx(2e-5, rel=0.05)
+    assert difference_noise(np.round(time, 1)) >= 0.1 / np.sqrt(12) * 0.999
+
+
+def test_intervals_cover_the_truth_under_autocorrelated_noise():
+    """Linear in the unknowns, so that 400 repetitions are cheap; the experiment interval_coverage.py does it on the wire itself."""
+    draw = np.random.default_rng(1)
+    time = np.linspace(0, 1, 600)
+    columns = np.column_stack([np.ones(600), time, np.sin(9 * time)])
+    inside = []
+    for _ in range(400):
+        noise = np.zeros(700)
+        for k in range(1, 700):
+            noise[k] = 0.8 * noise[k - 1] + draw.standard_normal()
+        estimate, *_ = np.linalg.lstsq(columns, noise[100:], rcond=None)
+        spread = np.sqrt(np.diag(uncertainty.covariance([columns], [noise[100:] - columns @ estimate], 3)))
+        inside.append(np.abs(estimate) < uncertainty.critical(600, 3) * spread)
+    assert np.all(np.abs(np.mean(inside, axis=0) - 0.94) < 0.04), np.mean(inside, axis=0)
