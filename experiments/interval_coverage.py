@@ -59,7 +59,7 @@ def main() -> None:
     repeats = 60 if args.quick else 200
     rig = parse_rig(RIG, "coverage.toml")
     time = np.arange(1500) / 25.0
-    levels = np.random.default_rng(3).uniform(0.0, 0.33, 15)
+    levels = np.random.default_rng(3).uniform(0.2, 0.4, 15)
     levels[1::3] = 0.0
     current = np.repeat(levels, 100)
     material = Material(**{k: float(getattr(rig.plant.material, k)) for k in Material._fields})

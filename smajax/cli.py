@@ -207,10 +207,9 @@ def datasets(
     if action is Datasets.list:
         if name is not None:
             raise InputError(f"'datasets list' takes no name: write 'smajax datasets get {name}' to get it")
-        from smajax.report.summary import table
-
-        rows = [(d.name, d.source, f"licence: {d.licence}", d.what) for d in shelf.datasets().values()]
-        typer.echo("\n".join(line.rstrip() for line in table(rows)))
+        for dataset in shelf.datasets().values():
+            files = f"; {len(dataset.files)} files" if len(dataset.files) > 1 else ""
+            typer.echo(f"{dataset.name}: {dataset.what}\n    {dataset.source}; licence: {dataset.licence}{files}")
         return
     if name is None:
         raise InputError("'datasets get' needs a name: 'smajax datasets list' shows all")

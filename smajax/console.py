@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -45,6 +45,10 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Takes the bar off the terminal."""
         if self._bar:
             self._bar.stop()
 
@@ -71,8 +75,11 @@ class Stopping:
 
 
 @contextlib.contextmanager
-def stopping(say: Callable[[str], None]) -> Iterator[Stopping]:
-    """Within this, a first Ctrl-C only asks to stop, so that what was reached can be kept; a second one interrupts at once."""
+def stopping(progress: Progress) -> Iterator[Stopping]:
+    """Within this, a first Ctrl-C only asks to stop, so that what was reached can be kept; a second one ends the process at once.
+
+    It does not raise, since an exception in the middle of a compilation may be lost there.
+    """
     asked = Stopping()
     if threading.current_thread() is not threading.main_thread():
         yield asked
@@ -80,9 +87,11 @@ def stopping(say: Callable[[str], None]) -> Iterator[Stopping]:
 
     def on_interrupt(number: int, frame: FrameType | None) -> None:
         if asked.requested:
-            raise KeyboardInterrupt
+            progress.close()
+            _say("interrupted; nothing was written")
+            os._exit(INTERRUPTED)
         asked.requested = True
-        say("stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once")
+        progress.phase("stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once")
 
     before = signal.signal(signal.SIGINT, on_interrupt)
     try:

@@ -141,7 +141,7 @@ class TestFiles:
 
     def test_shipped_sets_read(self):
         paths = sorted(shipped("parameters").glob("*.toml"))
-        assert "flexinol-rotary" in [path.stem for path in paths]
+        assert "rotary-table1" in [path.stem for path in paths]
         for path in paths:
             assert read_parameters(path), path.name
             assert {"title", "source"} <= read_header(path).keys(), path.name

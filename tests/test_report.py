@@ -381,6 +381,7 @@ def test_the_summary_says_the_numbers():
         (DOCUMENT, "at its noise floor"),
         (changed(rmse__displacement__train=0.03), "1.51 times its noise floor: a little is left"),
         (changed(rmse__displacement__train=0.39), "19.6 times its noise floor: the model lacks something"),
+        (changed(rmse__displacement__train=0.39, solver__code="interrupted"), "the fit had not settled yet"),
         (changed(rmse__displacement__holdout=0.06), "the holdout is predicted 3 times worse"),
     ],
 )

@@ -58,7 +58,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
 
     result, profiles, reason = None, {}, ""
     progress.phase("compiling the model and trying the starts (a later run on recordings of this size finds it compiled)")
-    with clock.time("fit"), stopping(progress.phase) as stop:
+    with clock.time("fit"), stopping(progress) as stop:
         try:
             given: Any = settings
             result = fit(rig.plant, trained, given, holdout=held, interpolation=rig.interpolation, progress=report)

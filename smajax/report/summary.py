@@ -17,6 +17,7 @@ _AT_NOISE = 1.15
 _NEAR_NOISE = 2.0
 _WORSE = 1.2
 _COARSE = 0.1
+_UNSETTLED = ("interrupted", "steps")
 
 
 def headline(doc: Document) -> str:
@@ -28,7 +29,7 @@ def headline(doc: Document) -> str:
     data = f"{_names([r['name'] for r in trained])} ({sum(r['rows'] for r in trained):,} rows)"
     if solver["code"] == "failed":
         return f"Could not fit {what} to {data}: {solver['text']}."
-    took = f"{solver['steps']} steps, {solver['wall_s']:.1f} s"
+    took = f"{solver['steps']} step{'s' * (solver['steps'] != 1)}, {solver['wall_s']:.1f} s"
     ended = "converged" if solver["code"] == "converged" else solver["text"]
     return f"Fitted {what} to {data}: {ended} ({took})."
 
@@ -41,10 +42,13 @@ def verdicts(doc: Document) -> list[str]:
         if train is None or not floor:
             continue
         ratio = train / floor
+        settled = doc["solver"]["code"] not in _UNSETTLED
         if ratio <= _AT_NOISE:
             text = f"The residual of {channel} is at its noise floor: the model leaves nothing of it unexplained"
         elif ratio <= _NEAR_NOISE:
             text = f"The residual of {channel} is {ratio:.2f} times its noise floor: a little is left unexplained"
+        elif not settled:
+            text = f"The residual of {channel} is {ratio:.3g} times its noise floor, and the fit had not settled yet"
         else:
             text = (
                 f"The residual of {channel} is {ratio:.3g} times its noise floor: the model lacks something, or the minimum is a wrong one"
@@ -206,7 +210,7 @@ def _bounds(doc: Document) -> list[str]:
 def _starts(doc: Document) -> list[str]:
     solver = doc["solver"]
     starts, best = solver["starts"], solver["starts_at_best"]
-    if solver["code"] == "failed":
+    if solver["code"] == "failed" or solver["code"] in _UNSETTLED:
         return []
     if starts == 1:
         return ["A single start was tried: --starts 4 would show whether there are other minima."]

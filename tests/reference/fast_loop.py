@@ -117,7 +117,7 @@ def _leg(p, t0, s0, t1, s1, detwinned, twinned):
     if a1 > a0 and a1 > 0.0:
         before = _cosine(a0 / width)
         ratio = _cosine(a1 / width) / before if before > 0.0 else 0.0
-        if 0.0 < ratio and a1 < width:
+        if ratio > 0.0 and a1 < width:
             fall = 0.5 * math.pi / width * math.sin(math.pi * a1 / width) / (before * p.clausius_clapeyron_austenite)
             slope, slope_all = detwinned * fall, (detwinned + twinned) * fall
         detwinned, twinned = detwinned * ratio, twinned * ratio
@@ -129,7 +129,7 @@ def _leg(p, t0, s0, t1, s1, detwinned, twinned):
         if d1 > d0 and d1 > 0.0:
             before = _cosine(d0 / width)
             ratio = _cosine(d1 / width) / before if before > 0.0 else 0.0
-            if 0.0 < ratio and d1 < width:
+            if ratio > 0.0 and d1 < width:
                 rise = 0.5 * math.pi / width * math.sin(math.pi * d1 / width) / before
                 slope, slope_all = (1.0 - detwinned) * rise, (1.0 - detwinned - twinned) * rise
             detwinned, twinned = 1.0 - (1.0 - detwinned) * ratio, twinned * ratio

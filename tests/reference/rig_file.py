@@ -71,7 +71,9 @@ def read_rig(path: str | Path) -> RigFile:
     """Read a rig.toml; what it does not need to say is 0, air at 20 degC."""
     with Path(path).open("rb") as file:
         raw = tomllib.load(file)
-    section = {name: {k: quantity(v) for k, v in raw.get(name, {}).items() if k != "set"} for name in ("material", "heat", "wire", "environment")}
+    section = {
+        name: {k: quantity(v) for k, v in raw.get(name, {}).items() if k != "set"} for name in ("material", "heat", "wire", "environment")
+    }
     material = dict(section["material"])
     both = material.pop("thermal_expansion", 0.0)
     for phase in ("austenite", "martensite"):

@@ -17,7 +17,22 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tests.reference.brinson import Material, advance, strain_of, stress_of
-from tests.reference.wire import CONTROLS, CURRENT, POWER, Heat, Rig, State, Wire, area, at_stress, balance, floats, heating, resistance, strain
+from tests.reference.wire import (
+    CONTROLS,
+    CURRENT,
+    POWER,
+    Heat,
+    Rig,
+    State,
+    Wire,
+    area,
+    at_stress,
+    balance,
+    floats,
+    heating,
+    resistance,
+    strain,
+)
 
 Floats = NDArray[np.float64]
 GRAVITY = 9.81

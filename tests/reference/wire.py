@@ -230,4 +230,3 @@ def balance(rig, first, second, added1, added2, right):
 def resistance(material, wire, fraction):
     """Resistance in ohm at a martensite fraction; the wire's own shape is taken as constant."""
     return resistivity(material, fraction) * wire.length / area(wire)
-
