@@ -52,23 +52,25 @@ class Inputs(eqx.Module):
     ``(n, k)``, are the signals there.
     """
 
-    time: Any
-    before: Any
-    after: Any
-    rows: Any
-    sampled: Any
+    time: jax.Array
+    before: jax.Array
+    after: jax.Array
+    rows: jax.Array
+    sampled: jax.Array
 
     def padded(self, grid: int, samples: int) -> "Inputs":
         """The same inputs on a longer grid: the plant runs on under its last input, and the last sample is repeated."""
         more, later = grid - self.time.shape[0], samples - self.rows.shape[0]
         last, step = self.after[-1:], self.time[-1] - self.time[-2]
-        return Inputs(
+        # In NumPy: each of these would be a program to compile.
+        longer = (
             np.append(self.time, self.time[-1] + step * np.arange(1, more + 1)),
             np.concatenate([self.before, np.repeat(last, more, axis=0)]),
             np.concatenate([self.after, np.repeat(last, more, axis=0)]),
             np.append(self.rows, np.full(later, self.rows[-1])),
             np.concatenate([self.sampled, np.repeat(self.sampled[-1:], later, axis=0)]),
         )
+        return Inputs(*(jnp.asarray(a) for a in longer))
 
 
 class Simulation(eqx.Module):
@@ -109,7 +111,7 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
         else:
             at_grid = np.interp(grid, time, sampled[:, i])
             before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
-    return Inputs(grid, before, after, rows, sampled)
+    return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
 
 
 class _PlantTerm(dfx.AbstractTerm):

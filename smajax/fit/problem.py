@@ -189,7 +189,7 @@ def _data(plant: Plant, recordings: Sequence[Recording], channels: tuple, noise:
     laid = [simulate.lay_out(plant, r, interpolation=interpolation, step=step) for r in recordings]
     grid = max(i.time.shape[0] for i in laid)
     samples = max(i.rows.shape[0] for i in laid)
-    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[i.padded(grid, samples) for i in laid])
+    inputs = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *[i.padded(grid, samples) for i in laid])
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)
     for k, recording in enumerate(recordings):

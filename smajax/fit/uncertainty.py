@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
+import scipy.special
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +86,7 @@ def covariance(jacobians: list[np.ndarray], residuals: list[np.ndarray], paramet
 
 def critical(samples: int, parameters: int) -> float:
     """Two-sided 95 % quantile of Student's distribution."""
-    return float(scipy.stats.t.ppf(0.975, max(samples - parameters, 1)))
+    return float(scipy.special.stdtrit(max(samples - parameters, 1), 0.975))
 
 
 def indistinct(jacobian: np.ndarray, names: list[str], sizes: np.ndarray, threshold: float = 0.1) -> list[Indistinct]:

@@ -45,7 +45,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     out, clock = check_out(job.out), Clock()
     progress.phase("reading")
     with clock.time("read"):
-        rig, text, settings, recordings, warnings = _read_for_fit(job)
+        rig, text, settings, recordings, labels, warnings = _read_for_fit(job)
     trained = [r for r, role in recordings if role == "train"]
     held = [r for r, role in recordings if role == "holdout"]
     samples = sum(len(r) for r in trained) * len(settings.observe)
@@ -66,11 +66,12 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             reason = str(error)
         if result is not None and not math.isfinite(result.cost):
             raise KeyboardInterrupt
-    if result is not None and not stop.requested:
-        with clock.time("profile"):
-            for name in job.profiles:
-                progress.phase(f"profile likelihood of {name}")
-                profiles[name] = profile(result, name)
+    with clock.time("profile"), stopping(progress) as stop_profiles:
+        for label in labels:
+            if result is not None and not stop.requested and not stop_profiles.requested:
+                progress.phase(f"profile likelihood of {label}")
+                _profile(result, label, profiles, warnings)
+    stopped = stop.requested or stop_profiles.requested
     progress.phase("writing the report")
     if result is None:
         document = failed_document(rig, settings, recordings, reason, warnings=warnings)
@@ -87,7 +88,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         responses = list(result.responses)
     failed = [f"{r.recording.name}: {r.code.name}: {r.code.cure}" for r in responses if r.code is not Code.done]
     series = [_series(rig, r.recording, r.role, r.model) for r in responses]
-    code = INTERRUPTED if stop.requested else NumericsError.exit_code if failed or result is None else 0
+    code = INTERRUPTED if stopped else NumericsError.exit_code if failed or result is None else 0
     ended = {key: document["solver"][key] for key in ("code", "text")}
     run = run_record("fit", rig, argv, clock, settings.seed, code) | ended
 
@@ -108,22 +109,50 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     return Outcome(out, document, code, "" if not code else reason or "; ".join(failed) or "interrupted; the best point so far is kept")
 
 
-def _read_for_fit(job: FitJob) -> tuple[Rig, str, FitSettings, list[tuple[Recording, str]], list[str]]:
+class _Read(NamedTuple):
+    """What a fit works on: the rig with its text, the settings, recordings with roles, labels to profile, and what to warn of."""
+
+    rig: Rig
+    text: str
+    settings: FitSettings
+    recordings: list[tuple[Recording, str]]
+    labels: list[str]
+    warnings: list[str]
+
+
+def _read_for_fit(job: FitJob) -> _Read:
     rig = read_rig(job.rig)
     warnings = list(rig.notes)
     if job.start is not None:
         rig = dataclasses.replace(rig, plant=_started(rig, job.start))
     replaced = {key: value for key, value in (("seed", job.seed), ("starts", job.starts)) if value is not None}
     settings = dataclasses.replace(rig.fit, **replaced)
-    for name in job.profiles:
-        if name not in settings.names and not any(name.startswith(f"{own}@") for own in settings.names):
-            free = ", ".join(settings.names)
-            raise InputError(f"--profile {name}: this parameter is not free{nearest(name, settings.names)}: free are {free}")
     recordings = read_recordings(rig, job.train, job.holdout, job.drop_bad_rows)
+    labels = _labels(job.profiles, settings, [r.name for r, role in recordings if role == "train"])
     fitted = {r.sha256: r.name for r, role in recordings if role == "train"}
     tested = [r for r, role in recordings if role == "holdout"]
     warnings += [f"{r.name} has the same content as {fitted[r.sha256]}: it tests nothing." for r in tested if r.sha256 in fitted]
-    return rig, rig_text(job.rig), settings, recordings, warnings
+    return _Read(rig, rig_text(job.rig), settings, recordings, labels, warnings)
+
+
+def _labels(names: Sequence[str], settings: FitSettings, trained: Sequence[str]) -> list[str]:
+    """The labels of the parameters to profile; the bare name of one that each recording has for itself stands for all of these."""
+    own = {*settings.per_recording, *(f"initial.{state}" for state in settings.initial)}
+    found = {name: [f"{name}@{r}" for r in trained] if name in own else [name] for name in settings.names}
+    found |= {label: [label] for labels in list(found.values()) for label in labels}
+    for name in names:
+        if name not in found:
+            free = ", ".join(settings.names)
+            raise InputError(f"--profile {name}: this parameter is not free{nearest(name, settings.names)}: free are {free}")
+    return [label for name in names for label in found[name]]
+
+
+def _profile(result: Fit, label: str, profiles: dict[str, Any], warnings: list[str]) -> None:
+    """Adds a profile; one that cannot be drawn is no reason to lose the fit."""
+    try:
+        profiles[label] = profile(result, label)
+    except InputError as error:
+        warnings.append(f"{error}.")
 
 
 def read_recordings(rig: Rig, train: Sequence[Path], holdout: Sequence[Path], drop_bad_rows: bool) -> list[tuple[Recording, str]]:

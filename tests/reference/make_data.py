@@ -78,28 +78,33 @@ def clock(seconds: float, rate: float = 50.0) -> Floats:
     return np.arange(round(seconds * rate) + 1) / rate
 
 
-def steps_and_ramps(rng: np.random.Generator, time: Floats, low: float, high: float, rests: float = 0.15) -> Floats:
-    """Levels held for 1.5 to 6 s, reached at once or by a ramp; a share of ``rests`` is zero."""
-    signal, now, level = np.zeros(len(time)), 0.0, 0.0
+def up_and_down(rng: np.random.Generator, time: Floats, down: tuple[float, float], up: tuple[float, float]) -> Floats:
+    """Turns between a level in ``up`` and one in ``down``, reached by a step or a ramp and left again after 0.3 to 3 s.
+
+    That is about as long as the wire takes to cross its bands, so most turns end within one; every sixth is long and goes all the way.
+    """
+    signal, now, level, turn = np.zeros(len(time)), 0.0, 0.0, 0
     while now <= time[-1]:
-        span, ramp = rng.uniform(1.5, 6.0), rng.uniform(0.5, 4.0) if rng.random() < 0.5 else 1e-9
-        target = 0.0 if rng.random() < rests else rng.uniform(low, high)
-        inside = (time >= now) & (time < now + ramp + span)
+        target, hold = rng.uniform(*(up if turn % 2 == 0 else down)), rng.uniform(0.3, 3.0)
+        ramp = rng.uniform(0.3, 2.5) if rng.random() < 0.5 else 1e-9
+        if turn % 6 in (2, 5):
+            target, hold = (up[1], 3.0) if turn % 2 == 0 else (0.0, 4.0)
+        inside = (time >= now) & (time < now + ramp + hold)
         signal[inside] = level + (target - level) * np.minimum((time[inside] - now) / ramp, 1.0)
-        now, level = now + ramp + span, target
+        now, level, turn = now + ramp + hold, target, turn + 1
     return signal
 
 
 def dead_weight(rng: np.random.Generator) -> Columns:
     """120 s of current between cold and fully contracted, mostly half-way: many partial loops."""
     time = clock(120.0)
-    return {"time [s]": time, "current [A]": steps_and_ramps(rng, time, 0.10, 0.31).round(4)}
+    return {"time [s]": time, "current [A]": up_and_down(rng, time, (0.10, 0.22), (0.26, 0.33)).round(4)}
 
 
 def bias_spring(rng: np.random.Generator) -> Columns:
     """100 s of voltage."""
     time = clock(100.0)
-    return {"time [s]": time, "voltage [V]": steps_and_ramps(rng, time, 1.2, 3.6).round(3)}
+    return {"time [s]": time, "voltage [V]": up_and_down(rng, time, (1.0, 2.5), (2.7, 3.8)).round(3)}
 
 
 def rotary(rng: np.random.Generator) -> Columns:
@@ -132,14 +137,15 @@ def testing_machine(rng: np.random.Generator) -> Columns:
 
 
 def isobaric(rng: np.random.Generator) -> Columns:
-    """Three stress levels, each loaded hot: a full cooling and heating, then two partial loops, half a kelvin a row."""
+    """Three stress levels, each loaded hot: from cold a partial loop, from hot another, and all the way; half a kelvin a row."""
     temperature, stress, hot, before = [], [], 140.0, 0.0
     for level in np.sort(rng.uniform(60.0, 260.0, 3) + np.array([-20.0, 0.0, 20.0])).round():
         loading = np.arange(before, level, 2.0)
         temperature += [hot] * len(loading)
         stress += list(loading)
-        low = rng.uniform(55.0, 70.0, 2) + level / 6.3 * 0.8
-        high = rng.uniform(72.0, 84.0, 2) + level / 6.7
+        # Within the bands of the forward and of the reverse transformation.
+        low = rng.uniform(35.0, 44.0, 2) + level / 6.3
+        high = rng.uniform(69.0, 77.0, 2) + level / 6.7
         legs = [hot, 20.0, high[0], low[0], hot, low[1], high[1], 20.0, hot]
         for start, end in zip(legs, legs[1:], strict=False):
             rows = np.arange(start, end, np.copysign(0.5, end - start))
