@@ -108,9 +108,9 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         jacobian = jnp.where(accept, jacobian, state.jacobian)
         cost = jnp.where(accept, cost, state.cost)
         trial, predicted = _propose(y, residual, jacobian, damping, lower, upper)
-        still = predicted <= self.rtol * 1e-2 * cost
+        still = (predicted >= 0) & (predicted <= self.rtol * 1e-2 * cost)
         stop = jnp.select(
-            [first & ~sound, (small >= 2) | (still & ~first) | (first & (predicted <= 0)), damping > 1e12],
+            [first & ~sound, (small >= 2) | (still & ~first) | (first & (predicted == 0)), damping > 1e12],
             [Stop.failed.value, Stop.converged.value, Stop.stalled.value],
             Stop.running.value,
         ).astype(jnp.int64)
