@@ -93,7 +93,7 @@ class Plant(eqx.Module):
 
         Also says whether the step could not be solved: a boolean scalar.
         """
-        rate = self._rate(state.temperature, state.fractions, before, after)
+        rate = self._rate(state.temperature, state.fractions, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
         given = jax.lax.stop_gradient((self, state, rate, before, after, step))
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
@@ -109,7 +109,7 @@ class Plant(eqx.Module):
         that of the implicit function.
         """
         end = jax.lax.stop_gradient(end)
-        rate = self._rate(state.temperature, state.fractions, before, after)
+        rate = self._rate(state.temperature, state.fractions, before)
         given = (self, state, rate, before, after, step)
         frozen = jax.lax.stop_gradient(given)
         _, push = jax.linearize(lambda z: Plant._residual(*frozen, z), end)
@@ -150,12 +150,9 @@ class Plant(eqx.Module):
         skip = self.mechanism.wires if self.drive.control else 0
         return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
 
-    def _rate(self, temperature: jax.Array, fractions: Fractions, near: jax.Array, far: jax.Array) -> jax.Array:
-        """Heat rate at one end of a step, weighted so that the mean of both ends' is Simpson's rule for heat quadratic in the signal."""
-        resistivity = self.material.resistivity(fractions)
-        here = self.drive.joule(self._control(near), resistivity, self.wire)
-        midway = self.drive.joule(self._control(0.5 * (near + far)), resistivity, self.wire)
-        return self.heat.rate((here + 2.0 * midway) / 3.0, temperature, self.wire, self.environment)
+    def _rate(self, temperature: jax.Array, fractions: Fractions, signal: jax.Array) -> jax.Array:
+        joule = self.drive.joule(self._control(signal), self.material.resistivity(fractions), self.wire)
+        return self.heat.rate(joule, temperature, self.wire, self.environment)
 
     def _predict(self, state: State, rate: jax.Array, after: jax.Array, step: jax.Array) -> jax.Array:
         if isinstance(self.heat, PrescribedTemperature):
@@ -177,9 +174,13 @@ class Plant(eqx.Module):
         if isinstance(self.heat, PrescribedTemperature):
             heat = end[: self.mechanism.wires] - temperature
         else:
-            rates = (rate, self._rate(temperature, fractions, after, before))
-            martensite = (state.fractions.martensite, fractions.martensite)
-            heat = self.heat.balance((state.temperature, temperature), martensite, rates, step)
+            last = self._rate(temperature, fractions, after)
+            ends = (state.temperature, temperature)
+            half = self.heat.halfway(ends, (state.fractions.martensite, fractions.martensite), (rate, last), step)
+            between = self.material.evolve(state.fractions, (ends[0], half), (state.stress, 0.5 * (state.stress + stress)))
+            rates = (rate, self._rate(half, between, 0.5 * (before + after)), last)
+            martensite = (state.fractions.martensite, between.martensite, fractions.martensite)
+            heat = self.heat.balance(ends, martensite, rates, step)
         balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, around, step)
         motion = self.mechanism.move(unknown, strain, state.motion, around, step)
         return jnp.concatenate([heat, balance]), State(temperature, fractions, stress, unknown, motion)

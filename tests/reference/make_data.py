@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.reference.rig_file import TEMPERATURES, RigFile, read_channel, read_rig, simulate
+from tests.reference.wire import CONTROLS, Rig, State, heating
 
 FOLDER = Path(__file__).parents[2] / "data" / "recordings"
 SPLITS = ("train", "select", "holdout")
@@ -78,33 +79,41 @@ def clock(seconds: float, rate: float = 50.0) -> Floats:
     return np.arange(round(seconds * rate) + 1) / rate
 
 
-def up_and_down(rng: np.random.Generator, time: Floats, down: tuple[float, float], up: tuple[float, float]) -> Floats:
-    """Turns between a level in ``up`` and one in ``down``, reached by a step or a ramp and left again after 0.3 to 3 s.
+def turns(rng: np.random.Generator, time: Floats, name: str, down: tuple[float, float], up: tuple[float, float], bands: Floats) -> Floats:
+    """A signal that goes up and down between levels in ``down`` and ``up``, by steps and ramps, and turns within the wire's bands.
 
-    That is about as long as the wire takes to cross its bands, so most turns end within one; every sixth is long and goes all the way.
+    As someone at the bench would, it turns when the wire, by the nominal heat balance at half martensite, has reached a temperature drawn
+    from ``bands``: (lowest, highest) of the turns after cooling, and of those after heating. Every sixth leg goes all the way.
     """
-    signal, now, level, turn = np.zeros(len(time)), 0.0, 0.0, 0
-    while now <= time[-1]:
-        target, hold = rng.uniform(*(up if turn % 2 == 0 else down)), rng.uniform(0.3, 3.0)
-        ramp = rng.uniform(0.3, 2.5) if rng.random() < 0.5 else 1e-9
-        if turn % 6 in (2, 5):
-            target, hold = (up[1], 3.0) if turn % 2 == 0 else (0.0, 4.0)
-        inside = (time >= now) & (time < now + ramp + hold)
-        signal[inside] = level + (target - level) * np.minimum((time[inside] - now) / ramp, 1.0)
-        now, level, turn = now + ramp + hold, target, turn + 1
+    rig = read_rig(FOLDER / name / "rig.toml")
+    bench = Rig(rig.material, rig.heat, rig.wire, CONTROLS[rig.control], 1.0, 0.0, 0.0)
+    signal, temperature, leg, step = np.zeros(len(time)), rig.wire.ambient, 0, time[1]
+    begin = level = start = ramp = turn = 0.0
+    for k, now in enumerate(time):
+        rising = leg % 2 == 1
+        if k == 0 or (temperature >= turn if rising else temperature <= turn):
+            leg, begin, start = leg + 1, now, signal[k - 1] if k else 0.0
+            rising = leg % 2 == 1
+            whole = leg % 6 in (1, 4)
+            level = (up[1] if rising else 0.0) if whole else rng.uniform(*(up if rising else down))
+            turn = (125.0 if rising else 25.0) if whole else rng.uniform(*bands[int(rising)])
+            ramp = rng.uniform(0.3, 2.0) if rng.random() < 0.5 else step / 2
+        signal[k] = start + (level - start) * min((now - begin) / ramp, 1.0)
+        state = State(temperature, 0.0, 0.5, 0.0)
+        temperature += step * heating(bench, signal[k], state) / rig.heat.capacity_austenite
     return signal
 
 
 def dead_weight(rng: np.random.Generator) -> Columns:
-    """120 s of current between cold and fully contracted, mostly half-way: many partial loops."""
-    time = clock(120.0)
-    return {"time [s]": time, "current [A]": up_and_down(rng, time, (0.10, 0.22), (0.26, 0.33)).round(4)}
+    """120 s of current: many partial loops between whole ones."""
+    time, bands = clock(120.0), np.array([[48.0, 62.0], [85.0, 99.0]])
+    return {"time [s]": time, "current [A]": turns(rng, time, "dead-weight", (0.0, 0.14), (0.29, 0.34), bands).round(4)}
 
 
 def bias_spring(rng: np.random.Generator) -> Columns:
-    """100 s of voltage."""
-    time = clock(100.0)
-    return {"time [s]": time, "voltage [V]": up_and_down(rng, time, (1.0, 2.5), (2.7, 3.8)).round(3)}
+    """100 s of voltage: many partial loops between whole ones."""
+    time, bands = clock(100.0), np.array([[45.0, 80.0], [82.0, 112.0]])
+    return {"time [s]": time, "voltage [V]": turns(rng, time, "bias-spring", (0.0, 1.5), (3.75, 4.2), bands).round(3)}
 
 
 def rotary(rng: np.random.Generator) -> Columns:

@@ -4,9 +4,9 @@ Conventions (those of the shipped recordings): row 0 is the start state, the inp
 linear towards it; results are given at the rows. Temperatures in degC, else SI; contraction and the pull of wire 1 are positive.
 
 How it is made exact: the heat content of each wire runs by the classical Runge-Kutta rule with ``substeps`` steps a sample, every stage
-with the balance of forces solved to rounding. The material's update is exact between two turning points of its driving variables. Inputs jump only at rows; where a
-wire's net heat changes sign within a step, the step is cut there. What remains (a driving variable that turns because the other
-wire's does) is of second order in the step and shown to be small by halving it.
+with the balance of forces solved to rounding. The material's update is exact between two turning points of its driving variables. Inputs
+jump only at rows, and a step is cut where a wire's net heat changes sign, where a wire crosses M_s, and where wires come taut or go slack.
+What remains (a driving variable that turns because the other wire's does) is of second order in the step, and shown to be small by halving it.
 """
 
 import math
