@@ -57,7 +57,7 @@ TRUTHS: dict[str, dict[str, float]] = {
         "austenite_shift": 1.1, "martensite_shift": -1.8,
     },
     "isobaric": {
-        "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "martensite_finish": -2.3, "max_strain": 1.03,
+        "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "detwinning_finish_stress": 1.06, "max_strain": 1.03,
         "clausius_clapeyron_austenite": 1.04, "clausius_clapeyron_martensite": 0.97,
     },
 }  # fmt: skip
@@ -67,6 +67,7 @@ WRITTEN = {
     "h2": ("heat.h2", "W/m^2/K^3", 1.0),
     "capacity": ("heat.capacity", "MJ/m^3/K", 1e6),
     "max_strain": ("material.max_strain", "%", 1e-2),
+    "detwinning_finish_stress": ("material.detwinning_finish_stress", "MPa", 1e6),
     "modulus_austenite": ("material.modulus_austenite", "GPa", 1e9),
     "modulus_martensite": ("material.modulus_martensite", "GPa", 1e9),
     "clausius_clapeyron_austenite": ("material.clausius_clapeyron_austenite", "MPa/K", 1e6),
