@@ -23,6 +23,7 @@ from smajax.plant.plant import Plant, State
 from smajax.recording import Recording
 
 _HOTTEST = 1300.0
+_SWING = 40
 
 
 class Code(enum.IntEnum):
@@ -99,6 +100,12 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
     time = recording.time
     gaps = np.diff(time)
     pieces = np.maximum(1, np.ceil(gaps / step - 1e-9).astype(int)) if recording.has_clock else np.ones(len(gaps), int)
+    if interpolation == "linear" and recording.has_clock:
+        # Where the input swings within one sample, heating turns to cooling somewhere inside: small steps place that reversal.
+        for name in plant.signals[: plant.mechanism.wires if plant.drive.control else 0]:
+            signal = recording.channels[name]
+            swing = np.abs(np.diff(signal)) / max(float(np.ptp(signal)), 1e-300)
+            pieces = np.maximum(pieces, np.ceil(_SWING * swing).astype(int))
     rows = np.concatenate([[0], np.cumsum(pieces)])
     part = np.arange(rows[-1]) - np.repeat(rows[:-1], pieces)
     start = np.repeat(time[:-1], pieces) + part * np.repeat(gaps / pieces, pieces)

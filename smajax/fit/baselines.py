@@ -159,8 +159,7 @@ def gradient(problem: Problem, *, seed: int, starts: int = 1, max_steps: int = 1
     the best cost so far.
     """
     created = time.perf_counter()
-    # Two steps, since the second may be another program: states that come out of a step are typed more strictly than those put in.
-    least_squares.solve(_residual, problem, draw_starts(problem, starts, seed)[0], *problem.box, max_steps=2)
+    least_squares.solve(_residual, problem, draw_starts(problem, starts, seed)[0], *problem.box, max_steps=1)
     began = time.perf_counter()
     points, screened = draw_starts(problem, starts, seed)
     spent = time.perf_counter() - began
@@ -314,13 +313,14 @@ def evosax_search(
     settings = evolution.default_params
 
     def evolve(cost: Callable[[np.ndarray], np.ndarray], generations: int) -> None:
-        first, *keys = jax.random.split(jax.random.key(seed), 1 + 2 * generations)
+        key, first = jax.random.split(jax.random.key(seed))
         if strategy == "CMA_ES":
             state = evolution.init(first, jnp.full(size, 0.5), settings.replace(std_init=jnp.asarray(0.3)))
         else:
             members = jax.random.uniform(first, (population, size))
             state = evolution.init(first, members, jnp.asarray(cost(np.asarray(members))), settings)
-        for ask, tell in zip(keys[::2], keys[1::2], strict=True):
+        for _ in range(generations):
+            key, ask, tell = jax.random.split(key, 3)
             members, state = evolution.ask(ask, state, settings)
             members = jnp.clip(members, 0.0, 1.0)
             state, _ = evolution.tell(tell, members, jnp.asarray(cost(np.asarray(members))), state, settings)
