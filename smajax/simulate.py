@@ -24,6 +24,7 @@ from smajax.recording import Recording
 
 _HOTTEST = 1300.0
 _SWING = 40
+_BLOCK = 64
 
 
 class Code(enum.IntEnum):
@@ -121,8 +122,8 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
     return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
 
 
-class _PlantTerm(dfx.AbstractTerm):
-    """Carries nothing: the plant comes as ``args``, and its increments are the solver's own."""
+class _Nothing(dfx.AbstractTerm):
+    """A term without content: the plant comes as ``args``, and its increments are the solver's own."""
 
     def vf(self, t: Any, y: Any, args: Any) -> Any:
         return y
@@ -134,54 +135,89 @@ class _PlantTerm(dfx.AbstractTerm):
         return vf
 
 
-class _PlantStep(dfx.AbstractSolver):
-    """``Plant.advance`` on flat states as a diffrax solver; its own state counts the steps taken, and those that could not be solved."""
+class _PlantSteps(dfx.AbstractSolver):
+    """``Plant.advance`` as a diffrax solver, ``_BLOCK`` steps of the grid at a time: diffrax's own work on a step costs more than ours.
 
-    unflatten: Callable[[jax.Array], State] = eqx.field(static=True)
-    term_structure = _PlantTerm
+    Its ``y`` is what ``keep`` makes of the states of the last block; its own state counts the blocks, and carries the plant's state, the
+    steps that could not be solved and the hottest temperature so far (not a number as soon as any temperature is none).
+    """
+
+    keep: Callable[[Plant, State, jax.Array], Any] = eqx.field(static=True)
+    term_structure = _Nothing
     interpolation_cls = dfx.LocalLinearInterpolation
 
     def order(self, terms: Any) -> int:
         return 2
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        return jnp.asarray(0), jnp.asarray(0)
+        _, _, start = args
+        return jnp.asarray(0), (start, jnp.asarray(0), jnp.max(start.temperature))
 
-    def step(self, terms: Any, t0: Any, t1: Any, y0: jax.Array, args: Any, solver_state: Any, made_jump: Any) -> tuple:
-        plant, inputs = args
-        k, unsolved = solver_state
-        state, failed = plant.advance(self.unflatten(y0), inputs.before[k], inputs.after[k], t1 - t0)
-        y1 = ravel_pytree(state)[0]
-        return y1, None, dict(y0=y0, y1=y1), (k + 1, unsolved + failed), dfx.RESULTS.successful
+    def step(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any) -> tuple:
+        plant, rows, _ = args
+        block, carry = solver_state
+
+        def single(carry: tuple, row: tuple) -> tuple:
+            state, unsolved, hottest = carry
+            before, after, signal, duration = row
+            state, failed = plant.advance(state, before, after, duration)
+            return (state, unsolved + failed, jnp.maximum(hottest, jnp.max(state.temperature))), self.keep(plant, state, signal)
+
+        carry, y1 = jax.lax.scan(single, carry, jax.tree.map(lambda leaf: leaf[block], rows))
+        return y1, None, dict(y0=y0, y1=y1), (block + 1, carry), dfx.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
         return y0
 
 
-def _start(plant: Plant, inputs: Inputs) -> tuple[jax.Array, Callable[[jax.Array], State]]:
-    return ravel_pytree(plant.start(inputs.sampled[0]))
+def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array], Any]) -> tuple[Any, jax.Array]:
+    """What ``keep`` makes of the state and the signals at every grid point, leaves of shape ``(g, ...)``, and the result code.
 
+    The last block is filled up with steps of no duration.
+    """
+    start = plant.start(inputs.sampled[0])
+    count = inputs.time.shape[0] - 1
+    blocks = -(-count // _BLOCK)
+    signal = jnp.concatenate([inputs.before[1:], inputs.sampled[-1:]])
 
-@eqx.filter_custom_jvp
-def _trajectory(plant: Plant, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
-    """Flat states at all grid points, shape ``(g, s)``, and the number of unsolved steps."""
-    start, unflatten = _start(plant, inputs)
+    def blocked(rows: jax.Array, filling: jax.Array) -> jax.Array:
+        filled = jnp.concatenate([rows, jnp.broadcast_to(filling, (blocks * _BLOCK - count, *rows.shape[1:]))])
+        return filled.reshape(blocks, _BLOCK, *rows.shape[1:])
+
+    last = inputs.after[-1]
+    rows = (
+        blocked(inputs.before, last),
+        blocked(inputs.after, last),
+        blocked(signal, last),
+        blocked(jnp.diff(inputs.time), jnp.zeros(())),
+    )
+    first, structure = jax.tree.flatten(keep(plant, start, inputs.sampled[0]))
+    ends = np.minimum(np.arange(blocks + 1) * _BLOCK, count)
     solution = dfx.diffeqsolve(
-        _PlantTerm(),
-        _PlantStep(unflatten),
+        _Nothing(),
+        _PlantSteps(lambda *kept: jax.tree.leaves(keep(*kept))),  # diffrax takes no empty nodes
         inputs.time[0],
         inputs.time[-1],
         None,
-        start,
-        args=(plant, inputs),
-        stepsize_controller=dfx.StepTo(inputs.time),
-        saveat=dfx.SaveAt(t0=True, steps=True, solver_state=True),
-        max_steps=inputs.time.shape[0] - 1,
+        [jnp.broadcast_to(leaf, (_BLOCK, *leaf.shape)) for leaf in first],
+        args=(plant, rows, start),
+        stepsize_controller=dfx.StepTo(inputs.time[ends]),
+        saveat=dfx.SaveAt(steps=True, solver_state=True),
+        max_steps=blocks,
         adjoint=dfx.ForwardMode(),
         throw=False,
     )
-    states, (_, unsolved) = cast(tuple, (solution.ys, solution.solver_state))
-    return states, unsolved
+    later, (_, (_, unsolved, hottest)) = cast(tuple, (solution.ys, solution.solver_state))
+    joined = [jnp.concatenate([a[None], b.reshape(blocks * _BLOCK, *a.shape)[:count]]) for a, b in zip(first, later, strict=True)]
+    code = jnp.where(unsolved > 0, Code.unsolved, Code.done)
+    code = jnp.where(jnp.isfinite(hottest), jnp.where(hottest > _HOTTEST, Code.overheated, code), Code.diverged)
+    return jax.tree.unflatten(structure, joined), code
+
+
+@eqx.filter_custom_jvp
+def _trajectory(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
+    """The states at all grid points, each leaf with a leading axis of ``g``, and the result code."""
+    return _march(plant, inputs, lambda plant, state, signal: state)
 
 
 @_trajectory.def_jvp
@@ -191,8 +227,9 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     Being linear, the recurrence has a transpose, so reverse mode comes with it; the states are its only tape.
     """
     plant, inputs = primals
-    states, unsolved = _trajectory(plant, inputs)
-    _, unflatten = _start(plant, inputs)
+    states, code = _trajectory(plant, inputs)
+    _, unflatten = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], states))
+    flat = jax.vmap(lambda state: ravel_pytree(state)[0])(states)
 
     def arrive(y: jax.Array, plant: Plant, end: jax.Array, before: jax.Array, after: jax.Array, duration: jax.Array) -> jax.Array:
         known = unflatten(end)
@@ -210,10 +247,10 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
         new = jnp.sum(slope * tangent[None, :], axis=-1) + added
         return new, new
 
-    steps = jax.vmap(linearise)(states[:-1], states[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
-    first = push(lambda p: _start(p, inputs)[0])
+    steps = jax.vmap(linearise)(flat[:-1], flat[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
+    first = push(lambda p: ravel_pytree(p.start(inputs.sampled[0]))[0])
     _, rest = jax.lax.scan(recur, first, steps)
-    return (states, unsolved), (jnp.concatenate([first[None], rest]), None)
+    return (states, code), (jax.vmap(unflatten)(jnp.concatenate([first[None], rest])), None)
 
 
 def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
@@ -221,19 +258,25 @@ def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
 
     Differentiable in the plant's parameters, in forward and in reverse mode, once; not in the inputs.
     """
-    _, unflatten = _start(plant, inputs)
-    trajectory, unsolved = _trajectory(plant, inputs)
-    states = jax.vmap(unflatten)(trajectory[inputs.rows])
-    finite = jnp.all(jnp.isfinite(trajectory))
-    hot = jnp.any(states.temperature > _HOTTEST)
-    code = jnp.where(hot, Code.overheated, jnp.where(~finite, Code.diverged, jnp.where(unsolved > 0, Code.unsolved, Code.done)))
-    return states, code
+    states, code = _trajectory(plant, inputs)
+    return jax.tree.map(lambda leaf: leaf[inputs.rows], states), code
 
 
 def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]) -> dict[str, jax.Array]:
     """The named channels of states at the samples, each of shape ``(n,)``."""
     values = jax.vmap(plant.outputs)(states, inputs.sampled)
     return {c: values[c] for c in channels}
+
+
+def watch(plant: Plant, inputs: Inputs, channels: Sequence[str]) -> tuple[dict[str, jax.Array], jax.Array]:
+    """The named channels at the samples, each of shape ``(n,)``, and the result code, storing no states: for batches; not differentiable."""
+
+    def keep(plant: Plant, state: State, signal: jax.Array) -> dict[str, jax.Array]:
+        values = plant.outputs(state, signal)
+        return {c: values[c] for c in channels}
+
+    values, code = _march(plant, inputs, keep)
+    return {c: v[inputs.rows] for c, v in values.items()}, code
 
 
 @eqx.filter_jit
@@ -265,9 +308,7 @@ def simulate_batch(plant: Plant, values: dict[str, jax.Array], inputs: Inputs, c
     """
 
     def single(values: dict) -> tuple[dict, jax.Array]:
-        member = parameters.replace(plant, values)
-        states, code = run(member, inputs)
-        return observe(member, states, inputs, channels), code
+        return watch(parameters.replace(plant, values), inputs, channels)
 
     return jax.vmap(single)(values)
 

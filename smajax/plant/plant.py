@@ -99,7 +99,7 @@ class Plant(eqx.Module):
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
-            end, failed = _search(lambda z: Plant._residual(*given, z)[0], jax.lax.stop_gradient(guess), self.mechanism.wires)
+            end, failed = _search(lambda z: Plant._residual(*given, z, coarse=True)[0], jax.lax.stop_gradient(guess), self.mechanism.wires)
         return self.arrive(state, before, after, step, end), failed
 
     def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> State:
@@ -160,9 +160,19 @@ class Plant(eqx.Module):
         return state.temperature + step * rate / self.heat.capacity(state.fractions.martensite)
 
     def _residual(
-        self, state: State, rate: jax.Array, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array
+        self,
+        state: State,
+        rate: jax.Array,
+        before: jax.Array,
+        after: jax.Array,
+        step: jax.Array,
+        end: jax.Array,
+        coarse: bool = False,
     ) -> tuple[jax.Array, State]:
-        """What is left of the balances (K and Pa) if the step ends at ``end``, and the state there."""
+        """What is left of the balances (K and Pa) if the step ends at ``end``, and the state there.
+
+        ``coarse`` holds the heat by the trapezoidal rule: near enough to search by, since the last Newton step closes what is between them.
+        """
         around, prescribed = self._around(), self._prescribed(after)
         unknown = end[self.mechanism.wires :]
         temperature = end[: self.mechanism.wires]
@@ -176,6 +186,11 @@ class Plant(eqx.Module):
         else:
             last = self._rate(temperature, fractions, after)
             ends = (state.temperature, temperature)
+            if coarse:
+                capacity = self.heat.capacity(0.5 * (state.fractions.martensite + fractions.martensite))
+                heat = ends[1] - ends[0] - 0.5 * step * (rate + last) / capacity
+                balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, around, step)
+                return jnp.concatenate([heat, balance]), State(temperature, fractions, stress, unknown, state.motion)
             half = self.heat.halfway(ends, (state.fractions.martensite, fractions.martensite), (rate, last), step)
             between = self.material.evolve(state.fractions, (ends[0], half), (state.stress, 0.5 * (state.stress + stress)))
             rates = (rate, self._rate(half, between, 0.5 * (before + after)), last)

@@ -17,6 +17,7 @@ finish.
 """
 
 import math
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -25,24 +26,48 @@ import jax.numpy as jnp
 from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions
 
-# sin(pi/2 m) = m * P(m^2) on [0, 1], Taylor about 0, error below 1e-15. The library's cosine does not vectorise on a CPU: batches would
-# take six times as long.
-_SINE = [(-1) ** k * (math.pi / 2) ** (2 * k + 1) / math.factorial(2 * k + 1) for k in range(11)]
+# sin(pi/2 m) = m * P(m^2) on [0, 1], interpolated at the Chebyshev points of m^2, relative error below 5e-16. The library's cosine does not
+# vectorise on a CPU: batches would take six times as long.
+_SINE = (
+    1.5707963267948963,
+    -0.6459640975062273,
+    0.0796926262457332,
+    -0.004681754131665194,
+    0.00016044117004586423,
+    -3.598811286059924e-06,
+    5.688354048912463e-08,
+    -6.450375339764774e-10,
+)
 
 # A driving variable that moved by less, as a share of its band, did not move. Where nothing changes over a step, rounding would else pick
 # the branch, and might pick another one for the derivative than for the value.
 _STILL = 1e-12
 
 
-def remaining(progress: jax.Array, smoothing: float) -> jax.Array:
-    """Share left to transform, cos^2(pi/2 progress), for progress clipped to 0..1, and never below ``smoothing``."""
-    left = 1.0 - jnp.clip(progress, 0.0, 1.0)
-    square = left * left
+def _sine(share: jax.Array) -> jax.Array:
+    """sin(pi/2 share) for a share of 0..1."""
+    square = share * share
     series = jnp.full_like(square, _SINE[-1])
     for coefficient in _SINE[-2::-1]:
         series = series * square + coefficient
-    sine = left * series
+    return share * series
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def remaining(progress: jax.Array, smoothing: float) -> jax.Array:
+    """Share left to transform, cos^2(pi/2 progress), for progress clipped to 0..1, and never below ``smoothing``."""
+    sine = _sine(1.0 - jnp.clip(progress, 0.0, 1.0))
     return smoothing + (1.0 - smoothing) * sine * sine
+
+
+@remaining.defjvp
+def _remaining_jvp(smoothing: float, primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    """By hand, since the derivative of a cosine is a sine, and that of its series costs twice as much."""
+    (progress,), (tangent,) = primals, tangents
+    done = jnp.clip(progress, 0.0, 1.0)
+    sine, cosine = _sine(1.0 - done), _sine(done)
+    slope = jnp.where((progress > 0.0) & (progress < 1.0), -(1.0 - smoothing) * math.pi * sine * cosine, 0.0)
+    return smoothing + (1.0 - smoothing) * sine * sine, slope * tangent
 
 
 class Brinson(AbstractMaterial):
@@ -73,24 +98,25 @@ class Brinson(AbstractMaterial):
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """See ``AbstractMaterial.evolve``; reverse transformation first, then the two forward branches, which commute."""
         before, after = (self._progress(t, s) for t, s in zip(temperature, stress, strict=True))
-        ratio = remaining(after, self.smoothing) / remaining(before, self.smoothing)
-        reverse, detwinning, twinning = jnp.where(after > before + _STILL, ratio, 1.0)
+        reverse, detwinning, twinning = (
+            jnp.where(a > b + _STILL, remaining(a, self.smoothing) / remaining(b, self.smoothing), 1.0)
+            for b, a in zip(before, after, strict=True)
+        )
         detwinned, twinned = fractions.detwinned * reverse, fractions.twinned * reverse
         austenite = (1.0 - detwinned - twinned) * detwinning * twinning
         undetwinned = (1.0 - detwinned) * detwinning
         return Fractions(1.0 - undetwinned, undetwinned - austenite)
 
-    def _progress(self, temperature: jax.Array, stress: jax.Array) -> jax.Array:
-        """How far into their bands the driving variables of the three branches are: 0 at the start, 1 at the finish; stacked in front."""
+    def _progress(self, temperature: jax.Array, stress: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """How far into their bands the driving variables of the three branches are: 0 at the start, 1 at the finish."""
         above = temperature - self.martensite_start - self.martensite_shift
-        reverse = temperature - self.austenite_start - self.austenite_shift - stress / self.clausius_clapeyron_austenite
+        reverse = temperature - self.austenite_start - self.austenite_shift - stress * (1.0 / self.clausius_clapeyron_austenite)
         detwinning = stress - self.clausius_clapeyron_martensite * jnp.maximum(above, 0.0) - self.detwinning_start_stress
-        return jnp.stack(
-            [
-                reverse / (self.austenite_finish - self.austenite_start),
-                detwinning / (self.detwinning_finish_stress - self.detwinning_start_stress),
-                -above / (self.martensite_start - self.martensite_finish),
-            ]
+        # Reciprocals of parameters leave the time loop; quotients by them would not.
+        return (
+            reverse * (1.0 / (self.austenite_finish - self.austenite_start)),
+            detwinning * (1.0 / (self.detwinning_finish_stress - self.detwinning_start_stress)),
+            -above * (1.0 / (self.martensite_start - self.martensite_finish)),
         )
 
     def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
