@@ -10,7 +10,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the checkout's own smajax, and its tests/reference
 
+from smajax import parameters  # noqa: E402
 from smajax.console import prepare_jax  # noqa: E402
+from smajax.fit.fit import Fit, fit  # noqa: E402
+from smajax.fit.problem import build  # noqa: E402
 from smajax.recording import Recording  # noqa: E402
 from smajax.rig import Rig, read_rig  # noqa: E402
 
@@ -58,6 +61,33 @@ def shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
     folder = ROOT / "data" / "recordings" / name
     rig = read_rig(folder / "rig.toml")
     return rig, rig.read(folder / f"{part}.csv")
+
+
+def from_elsewhere(rig: Rig, recordings: Sequence[Recording], settings: Any, times: int, **options: Any) -> list[Fit]:
+    """Fits from ``times`` points drawn over the search box, each with as many starts as ``settings`` has; the best fit first.
+
+    The shared parameters are drawn, so that no fit but the first knows the rig file's values.
+    """
+    problem = build(rig.plant, recordings, settings, interpolation=rig.interpolation, step=options.get("step"))
+    lower, upper = problem.search_box()
+    scales = np.array([u.scale for u in problem.unknowns])
+    fits = []
+    for k in range(times):
+        plant, rng = rig.plant, np.random.default_rng(1000 + k)
+        if k:
+            drawn = rng.uniform(lower, upper) * scales
+            plant = parameters.replace(plant, {name: drawn[i] for i, name in enumerate(problem.shared)})
+        fits.append(fit(plant, recordings, replace(settings, seed=k), interpolation=rig.interpolation, **options))
+        say(f"from start point {k + 1} of {times}: cost {fits[-1].cost:.6g}")
+    return sorted(fits, key=lambda f: f.cost)
+
+
+def agreement(fits: Sequence[Fit]) -> Row:
+    """How many of the fits from different start points end at the best one's cost, within 0.1 %."""
+    same = sum(f.cost <= fits[0].cost * 1.001 for f in fits)
+    costs = [f.cost for f in fits]
+    text = f"{same} of {len(fits)} start points, each with {fits[0].starts} starts; {fits[0].stop.text}"
+    return Row("is it the best that this model can do?", "one optimum from all start points", text, same == len(fits), {"costs": costs})
 
 
 def say(text: str) -> None:

@@ -70,7 +70,7 @@ def sections(plant: Any) -> dict[str, Any]:
             part = getattr(owner, field.name)
             if isinstance(part, eqx.Module) and declarations(part):
                 parts.setdefault(field.name, part)
-    return parts
+    return parts | {f"effects.{e.key}": e for e in plant.effects}
 
 
 def declared(plant: Any) -> dict[str, Declaration]:
@@ -92,7 +92,9 @@ def declaration(plant: Any, name: str) -> Declaration:
 
 
 def _leaf(plant: Any, name: str) -> Any:
-    section, key = name.split(".", 1)
+    section, key = name.rsplit(".", 1)
+    if section.startswith("effects."):
+        return getattr(next(e for e in plant.effects if e.key == section[8:]), key)
     if section == "sensor":
         return plant.sensor.leaf(key)
     if any(f.name == section for f in dataclasses.fields(plant)):

@@ -264,19 +264,20 @@ def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
 
 def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]) -> dict[str, jax.Array]:
     """The named channels of states at the samples, each of shape ``(n,)``."""
-    values = jax.vmap(plant.outputs)(states, inputs.sampled)
+    values = plant.read(jax.vmap(plant.outputs)(states, inputs.sampled), inputs.time[inputs.rows])
     return {c: values[c] for c in channels}
 
 
 def watch(plant: Plant, inputs: Inputs, channels: Sequence[str]) -> tuple[dict[str, jax.Array], jax.Array]:
-    """The named channels at the samples, each of shape ``(n,)``, and the result code, storing no states: for batches; not differentiable."""
+    """The named channels at the samples, each of shape ``(n,)``, and the result code; stores no states, for batches. Not differentiable."""
 
     def keep(plant: Plant, state: State, signal: jax.Array) -> dict[str, jax.Array]:
         values = plant.outputs(state, signal)
-        return {c: values[c] for c in channels}
+        return values if plant.effects else {c: values[c] for c in channels}
 
     values, code = _march(plant, inputs, keep)
-    return {c: v[inputs.rows] for c, v in values.items()}, code
+    values = plant.read({c: v[inputs.rows] for c, v in values.items()}, inputs.time[inputs.rows])
+    return {c: values[c] for c in channels}, code
 
 
 @eqx.filter_jit

@@ -34,19 +34,24 @@ class AbstractHeat(eqx.Module):
         """Net heat into the wire per volume, W/m^3."""
         return joule - 4.0 / wire.diameter * self.convection(temperature) * (temperature - environment.ambient)
 
-    def halfway(self, temperature: tuple, martensite: tuple, rate: tuple, step: jax.Array) -> jax.Array:
+    def halfway(self, temperature: tuple, capacity: tuple, rate: tuple, step: jax.Array) -> jax.Array:
         """Temperature in the middle of a step; each pair holds the values at its start and end."""
-        capacity = 0.5 * (self.capacity(martensite[0]) + self.capacity(martensite[1]))
-        return 0.5 * (temperature[0] + temperature[1]) + 0.125 * step * (rate[0] - rate[1]) / capacity
+        mean = 0.5 * (capacity[0] + capacity[1])
+        return 0.5 * (temperature[0] + temperature[1]) + 0.125 * step * (rate[0] - rate[1]) / mean
 
-    def balance(self, temperature: tuple, martensite: tuple, rate: tuple, step: jax.Array) -> jax.Array:
+    def balance(self, temperature: tuple, capacity: tuple, rate: tuple, stored: jax.Array | float, step: jax.Array) -> jax.Array:
         """Residual in K of the heat balance over ``step`` seconds.
 
-        ``temperature`` holds the values at start and end, ``martensite`` and ``rate`` those at start, middle and end.
+        ``temperature`` holds the values at start and end, ``capacity`` and ``rate`` those at start, middle and end; ``stored`` is heat in
+        J/m^3 that went elsewhere than into warming, such as into a transformation.
         """
-        start, middle, end = (self.capacity(m) for m in martensite)
-        capacity = (start + 4.0 * middle + end) / 6.0
-        return temperature[1] - temperature[0] - step / 6.0 * (rate[0] + 4.0 * rate[1] + rate[2]) / capacity
+        mean = (capacity[0] + 4.0 * capacity[1] + capacity[2]) / 6.0
+        return temperature[1] - temperature[0] - (step / 6.0 * (rate[0] + 4.0 * rate[1] + rate[2]) - stored) / mean
+
+    def trapezoid(self, temperature: tuple, capacity: tuple, rate: tuple, stored: jax.Array | float, step: jax.Array) -> jax.Array:
+        """As ``balance``, from start and end alone: near enough to search by."""
+        mean = 0.5 * (capacity[0] + capacity[1])
+        return temperature[1] - temperature[0] - (0.5 * step * (rate[0] + rate[1]) - stored) / mean
 
 
 class PolynomialHeat(AbstractHeat):

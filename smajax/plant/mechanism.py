@@ -54,6 +54,20 @@ class AbstractMechanism(eqx.Module):
     prescribed: eqx.AbstractClassVar[tuple[str, ...]]
     coordinate: eqx.AbstractClassVar[str]
 
+    @property
+    def metres(self) -> jax.Array | float:
+        """Motion of the wire's end in m per unit of the coordinate."""
+        return 1.0
+
+    def contraction(self, strain: jax.Array) -> jax.Array:
+        """The motion that a drag works against, as a strain: of wire 1, or of wire 1 against wire 2; scalar."""
+        return -strain[0] if self.wires == 1 else 0.5 * (strain[1] - strain[0])
+
+    def dragged(self, stress: jax.Array, drag: jax.Array) -> jax.Array:
+        """The wires' stresses if a drag of ``drag`` Pa works against the contraction; a wire cannot push."""
+        share = jnp.ones(1) if self.wires == 1 else jnp.array([0.5, -0.5])
+        return jnp.maximum(stress + share * drag, 0.0)
+
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """Fractions of the wires (each of shape ``(wires,)``) as installed, at their start temperature."""
         raise NotImplementedError

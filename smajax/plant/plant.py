@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.plant.drive import AbstractDrive, resistance
+from smajax.plant.effect import AbstractEffect, DriveEffect, HeatEffect, Instant, MaterialEffect, MechanismEffect, SensorEffect, Where
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.mechanism import AbstractMechanism, Surroundings
@@ -28,13 +29,18 @@ _STRESS_TOLERANCE = 1e3
 
 
 class State(NamedTuple):
-    """The plant's state at one instant: arrays of shape ``(wires,)``, the mechanism's ``unknown``, and ``motion``, what it remembers."""
+    """The plant's state at one instant: arrays of shape ``(wires,)``, the balance's ``unknown``, and what is remembered.
+
+    ``motion`` is what the mechanism remembers, ``memory`` what effects do: time, contraction and travel (see ``Instant``), and of each
+    effect its own; empty without effects.
+    """
 
     temperature: jax.Array
     fractions: Fractions
     stress: jax.Array
     unknown: jax.Array
     motion: Any
+    memory: dict[str, Any]
 
 
 class Plant(eqx.Module):
@@ -48,6 +54,7 @@ class Plant(eqx.Module):
     material: AbstractMaterial
     mechanism: AbstractMechanism
     sensor: Sensor
+    effects: tuple[AbstractEffect, ...] = ()
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -84,7 +91,14 @@ class Plant(eqx.Module):
         unknown = self.mechanism.unloaded(prescribed, around)
         stress = self.mechanism.stress(unknown, prescribed, around)
         strain = self.material.strain(fractions, temperature, stress, self.environment.ambient)
-        state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain))
+        if self._drags:
+            unknown = jnp.append(unknown, 0.0)
+        memory: dict[str, Any] = {}
+        if self.effects:
+            at = Instant(jnp.zeros(()), temperature, fractions, stress, self.mechanism.contraction(strain), jnp.zeros_like(temperature))
+            memory = {e.key: e.start(at, self._where()) for e in self.effects}
+            memory |= {"time": at.time, "contraction": at.contraction, "travel": at.travel}
+        state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain), memory)
         # Under a known load the state is in equilibrium as it stands; a prescribed strain first has to be met, in a step of no duration.
         return self.advance(state, signal, signal, jnp.zeros(()))[0] if "strain" in prescribed else state
 
@@ -93,13 +107,16 @@ class Plant(eqx.Module):
 
         Also says whether the step could not be solved: a boolean scalar.
         """
-        rate = self._rate(state.temperature, state.fractions, before)
+        rate = self._rate(self._instant(state), state.memory, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
         given = jax.lax.stop_gradient((self, state, rate, before, after, step))
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
-            end, failed = _search(lambda z: Plant._residual(*given, z, coarse=True)[0], jax.lax.stop_gradient(guess), self.mechanism.wires)
+            straight = not self.mechanism.unknowns and not self.effects
+            end, failed = _search(
+                lambda z: Plant._residual(*given, z, coarse=True)[0], jax.lax.stop_gradient(guess), self.mechanism.wires, straight
+            )
         return self.arrive(state, before, after, step, end), failed
 
     def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> State:
@@ -109,7 +126,7 @@ class Plant(eqx.Module):
         that of the implicit function.
         """
         end = jax.lax.stop_gradient(end)
-        rate = self._rate(state.temperature, state.fractions, before)
+        rate = self._rate(self._instant(state), state.memory, before)
         given = (self, state, rate, before, after, step)
         frozen = jax.lax.stop_gradient(given)
         _, push = jax.linearize(lambda z: Plant._residual(*frozen, z), end)
@@ -122,8 +139,9 @@ class Plant(eqx.Module):
         """The observable channels at one instant as the sensors give them, in SI and degC, scalars."""
         wires = self.mechanism.wires
         around = self._around()
-        strain = self.material.strain(state.fractions, state.temperature, state.stress, self.environment.ambient)
-        resistivity = self.material.resistivity(state.fractions)
+        at = self._instant(state)
+        strain = self._strain(at, state.memory)
+        resistivity = self._resistivity(at)
         current = self.drive.current(self._control(signal), resistivity, self.wire)
         ohms = resistance(resistivity, self.wire)
         each = {
@@ -133,7 +151,7 @@ class Plant(eqx.Module):
             "force": state.stress * self.wire.area,
             "resistance": ohms,
             "current": current,
-            "voltage": current * ohms,
+            "voltage": current * ohms + sum(e.voltage(current) for e in self._of(DriveEffect)),
             "power": self.drive.joule(self._control(signal), resistivity, self.wire) * self.wire.area * self.wire.length,
         }
         values = {c if wires == 1 else f"{c}_{i + 1}": jnp.broadcast_to(v, (wires,))[i] for c, v in each.items() for i in range(wires)}
@@ -150,14 +168,59 @@ class Plant(eqx.Module):
         skip = self.mechanism.wires if self.drive.control else 0
         return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
 
-    def _rate(self, temperature: jax.Array, fractions: Fractions, signal: jax.Array) -> jax.Array:
-        joule = self.drive.joule(self._control(signal), self.material.resistivity(fractions), self.wire)
-        return self.heat.rate(joule, temperature, self.wire, self.environment)
+    def _of(self, kind: type) -> tuple:
+        return tuple(e for e in self.effects if isinstance(e, kind))
+
+    @property
+    def _drags(self) -> bool:
+        return any(e.drags for e in self._of(MechanismEffect))
+
+    def _where(self) -> Where:
+        return Where(self.wire, self.environment, self.material, self.heat.convection)
+
+    def _instant(self, state: State) -> Instant:
+        nothing = jnp.zeros(())
+        memory = {"time": nothing, "contraction": nothing, "travel": jnp.zeros_like(state.temperature)} | state.memory
+        return Instant(memory["time"], state.temperature, state.fractions, state.stress, memory["contraction"], memory["travel"])
+
+    def _resistivity(self, at: Instant) -> jax.Array:
+        base = self.material.resistivity(at.fractions)
+        return base + sum(base * e.resistivity(at, self._where()) for e in self._of(MaterialEffect))
+
+    def _strain(self, at: Instant, memory: dict) -> jax.Array:
+        base = self.material.strain(at.fractions, at.temperature, at.stress, self.environment.ambient)
+        return base + sum(e.strain(at, memory[e.key], self._where()) for e in self._of(MaterialEffect))
+
+    def _evolve(self, first: Instant, temperature: jax.Array, stress: jax.Array) -> Fractions:
+        material, shift = self.material, 0.0
+        for e in self._of(MaterialEffect):
+            material, shift = e.alter(material), shift + e.shift(first, self._where())
+        fractions = material.evolve(first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress))
+        for e in self._of(MaterialEffect):
+            fractions = e.transform(first.fractions, fractions)
+        return fractions
+
+    def _capacity(self, martensite: jax.Array) -> jax.Array:
+        base = self.heat.capacity(martensite)
+        return base + sum(base * e.capacity(martensite) for e in self._of(HeatEffect))
+
+    def _rate(self, at: Instant, memory: dict, signal: jax.Array) -> jax.Array:
+        control = self._control(signal)
+        control = control + sum(e.signal(control) for e in self._of(DriveEffect))
+        joule = self.drive.joule(control, self._resistivity(at), self.wire)
+        rate = self.heat.rate(joule, at.temperature, self.wire, self.environment)
+        return rate + sum(e.power(at, memory[e.key], self._where()) for e in self._of(HeatEffect))
+
+    def _stored(self, first: Instant, last: Instant) -> jax.Array | float:
+        return sum(e.enthalpy(last, self._where()) - e.enthalpy(first, self._where()) for e in self._of(HeatEffect))
+
+    def _remember(self, kinds: tuple, memory: dict, first: Instant, last: Instant, step: jax.Array) -> dict:
+        return {e.key: e.remember(memory[e.key], first, last, step, self._where()) for e in self._of(kinds)}
 
     def _predict(self, state: State, rate: jax.Array, after: jax.Array, step: jax.Array) -> jax.Array:
         if isinstance(self.heat, PrescribedTemperature):
             return jnp.broadcast_to(self._prescribed(after)["temperature"], state.temperature.shape)
-        return state.temperature + step * rate / self.heat.capacity(state.fractions.martensite)
+        return state.temperature + step * rate / self._capacity(state.fractions.martensite)
 
     def _residual(
         self,
@@ -174,38 +237,85 @@ class Plant(eqx.Module):
         ``coarse`` holds the heat by the trapezoidal rule: near enough to search by, since the last Newton step closes what is between them.
         """
         around, prescribed = self._around(), self._prescribed(after)
-        unknown = end[self.mechanism.wires :]
-        temperature = end[: self.mechanism.wires]
+        first, wires = self._instant(state), self.mechanism.wires
+        unknown = end[wires : wires + self.mechanism.unknowns]
+        temperature = end[:wires]
         if "temperature" in prescribed:
             temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
         stress = self.mechanism.stress(unknown, prescribed, around)
-        fractions = self.material.evolve(state.fractions, (state.temperature, temperature), (state.stress, stress))
-        strain = self.material.strain(fractions, temperature, stress, self.environment.ambient)
+        if self._drags:
+            stress = self.mechanism.dragged(stress, end[-1])
+        fractions = self._evolve(first, temperature, stress)
+        last = Instant(first.time + step, temperature, fractions, stress, first.contraction, first.travel)
+        memory = dict(state.memory)
+        if self.effects:
+            moved = jnp.abs(fractions.martensite - first.fractions.martensite)
+            last = last._replace(travel=first.travel + moved)
+            memory |= self._remember((HeatEffect, MaterialEffect), memory, first, last, step)
+        strain = self._strain(last, memory)
+        if self.effects:
+            last = last._replace(contraction=self.mechanism.contraction(strain))
+            memory |= self._remember((MechanismEffect,), memory, first, last, step)
+            memory |= {"time": last.time, "contraction": last.contraction, "travel": last.travel}
         if isinstance(self.heat, PrescribedTemperature):
-            heat = end[: self.mechanism.wires] - temperature
+            heat = end[:wires] - temperature
         else:
-            last = self._rate(temperature, fractions, after)
-            ends = (state.temperature, temperature)
-            if coarse:
-                capacity = self.heat.capacity(0.5 * (state.fractions.martensite + fractions.martensite))
-                heat = ends[1] - ends[0] - 0.5 * step * (rate + last) / capacity
-                balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, around, step)
-                return jnp.concatenate([heat, balance]), State(temperature, fractions, stress, unknown, state.motion)
-            half = self.heat.halfway(ends, (state.fractions.martensite, fractions.martensite), (rate, last), step)
-            between = self.material.evolve(state.fractions, (ends[0], half), (state.stress, 0.5 * (state.stress + stress)))
-            rates = (rate, self._rate(half, between, 0.5 * (before + after)), last)
-            martensite = (state.fractions.martensite, between.martensite, fractions.martensite)
-            heat = self.heat.balance(ends, martensite, rates, step)
+            heat = self._heat(first, last, state.memory, memory, (rate, before, after), step, coarse)
         balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, around, step)
         motion = self.mechanism.move(unknown, strain, state.motion, around, step)
-        return jnp.concatenate([heat, balance]), State(temperature, fractions, stress, unknown, motion)
+        rest = [heat, balance]
+        if self._drags:
+            drags = [e.drag(first, last, memory[e.key], step, self._where()) for e in self._of(MechanismEffect) if e.drags]
+            rest.append((end[-1] - sum(drags))[None])
+        return jnp.concatenate(rest), State(temperature, fractions, stress, end[wires:], motion, memory)
+
+    def _heat(self, first: Instant, last: Instant, memory: dict, later: dict, inputs: tuple, step: jax.Array, coarse: bool) -> jax.Array:
+        """Residual of the heat balance in K, shape ``(wires,)``; ``inputs`` are the rate at the start and the signals at both ends."""
+        rate, before, after = inputs
+        ends = (first.temperature, last.temperature)
+        rates = (rate, self._rate(last, later, after))
+        capacity = (self._capacity(first.fractions.martensite), self._capacity(last.fractions.martensite))
+        stored = self._stored(first, last)
+        if coarse:
+            return self.heat.trapezoid(ends, capacity, rates, stored, step)
+        half = self.heat.halfway(ends, capacity, rates, step)
+        stress = 0.5 * (first.stress + last.stress)
+        between = self._evolve(first, half, stress)
+        middle = Instant(
+            first.time + 0.5 * step, half, between, stress,
+            0.5 * (first.contraction + last.contraction), 0.5 * (first.travel + last.travel),
+        )  # fmt: skip
+        remembered = jax.tree.map(lambda a, b: 0.5 * (a + b), memory, later)
+        rates = (rates[0], self._rate(middle, remembered, 0.5 * (before + after)), rates[1])
+        return self.heat.balance(ends, (capacity[0], self._capacity(between.martensite), capacity[1]), rates, stored, step)
+
+    def read(self, series: dict[str, jax.Array], time: jax.Array) -> dict[str, jax.Array]:
+        """Series of channels as carried to their sensors and read there; each of shape ``(n,)``, as ``time`` in s is."""
+        read, coordinate, metres = dict(series), self.mechanism.coordinate, self.mechanism.metres
+        for e in self._of(MechanismEffect):
+            if coordinate in read:
+                read[coordinate] = read[coordinate] + e.carry(series[coordinate] * metres, series, time) / metres
+        seen = dict(read)
+        for e in self._of(SensorEffect):
+            name, scale = (e.channel, 1.0) if e.channel else (coordinate, metres)
+            if name in read:
+                read[name] = read[name] + e.read(seen[name] * scale, seen, time) / scale
+        return read
+
+    def traits(self, observed: tuple[str, ...]) -> frozenset[str]:
+        """Words for what effects may need of a rig: see ``AbstractEffect.needs``."""
+        words = {self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
+        words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
+        words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
+        quiet = self.mechanism.prescribed or (self.mechanism.wires == 2 and self.mechanism.unknowns > 1)
+        return frozenset(words if quiet else words | {"drag"})
 
 
-def _search(residual: Callable, guess: jax.Array, wires: int) -> tuple[jax.Array, jax.Array]:
+def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool) -> tuple[jax.Array, jax.Array]:
     """Solves ``residual(z) = 0`` by Newton's method with halving; says whether it failed. Not differentiable.
 
-    The first ``wires`` unknowns are temperatures in K, the rest stresses in Pa. Temperatures alone are so nearly linear over a step that
-    one iteration, and the one in ``arrive``, do.
+    The first ``wires`` unknowns are temperatures in K, the rest stresses in Pa. Temperatures alone, without latent heat, are so nearly
+    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do.
     """
     size = guess.shape[0]
     scale = jnp.where(jnp.arange(size) < wires, _TEMPERATURE_TOLERANCE, _STRESS_TOLERANCE)
@@ -234,7 +344,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int) -> tuple[jax.Array
             jnp.where(better, 1.0, 0.5 * fraction),
         )
 
-    if size == wires:
+    if straight:
         change = newton(guess)[1]
         return guess + change, ~jnp.all(jnp.isfinite(change))
     start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), 0, jnp.asarray(1.0))

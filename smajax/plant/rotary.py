@@ -22,6 +22,11 @@ class LightRotary(AbstractMechanism):
     pulley: Pulley
     wires, unknowns, prescribed, coordinate = 2, 1, (), "angle"
 
+    @property
+    def metres(self) -> jax.Array:
+        """See ``AbstractMechanism``: the pulley's radius."""
+        return self.pulley.radius
+
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``: detwinned by the prestrain, else twinned."""
         return _detwinned(material, temperature, jnp.broadcast_to(around.wire.prestrain, temperature.shape))
@@ -65,6 +70,11 @@ class Rotary(AbstractMechanism):
 
     pulley: Pulley
     wires, unknowns, prescribed, coordinate = 2, 3, (), "angle"
+
+    @property
+    def metres(self) -> jax.Array:
+        """See ``AbstractMechanism``: the pulley's radius."""
+        return self.pulley.radius
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``: detwinned by the prestrain, else twinned."""

@@ -31,6 +31,15 @@ class AbstractMaterial(eqx.Module):
         """The fractions after a step in which temperature and stress go from the first to the second of each pair, monotonically."""
         raise NotImplementedError
 
+    @property
+    def forward_start(self) -> jax.Array:
+        """Temperature at which the forward transformation starts at zero stress, degC."""
+        raise NotImplementedError
+
+    def strain_of(self, fractions: Fractions) -> jax.Array:
+        """Transformation strain of the fractions alone."""
+        raise NotImplementedError
+
     def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
         """Total strain at a stress; thermal strain is counted from the temperature ``reference``."""
         raise NotImplementedError

@@ -119,10 +119,19 @@ class Brinson(AbstractMaterial):
             -above * (1.0 / (self.martensite_start - self.martensite_finish)),
         )
 
+    @property
+    def forward_start(self) -> jax.Array:
+        """See ``AbstractMaterial.forward_start``."""
+        return self.martensite_start + self.martensite_shift
+
+    def strain_of(self, fractions: Fractions) -> jax.Array:
+        """See ``AbstractMaterial.strain_of``: eps_L xi_s."""
+        return self.max_strain * fractions.detwinned
+
     def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
         """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi_s + alpha(xi) (T - reference)."""
         expansion = _mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
-        return stress / self.modulus(fractions) + self.max_strain * fractions.detwinned + expansion * (temperature - reference)
+        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
 
     def modulus(self, fractions: Fractions) -> jax.Array:
         """Young's modulus, linear in the martensite fraction (Brinson 1993 eq. 8), Pa."""

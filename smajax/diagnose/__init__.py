@@ -1,0 +1,1 @@
+"""What the residual of a fit says the plant lacks."""

@@ -1,0 +1,22 @@
+"""Stress slopes that differ between forward and reverse transformation."""
+
+import equinox as eqx
+import jax
+
+from smajax.parameters import parameter
+from smajax.plant.effect import MaterialEffect
+from smajax.plant.material.base import AbstractMaterial
+
+
+class ClausiusAsymmetry(MaterialEffect):
+    """C_M (1 + s)."""
+
+    strength: jax.Array = parameter("1", "relative excess of the forward slope C_M", -0.6, 1.0, 0.0)
+    key = "clausius-asymmetry"
+    typical = 0.2
+    source = "catalogue row 31; 0 to 30 %"
+    confused_with = ()
+
+    def alter(self, material: AbstractMaterial) -> AbstractMaterial:
+        """See ``MaterialEffect``."""
+        return eqx.tree_at(lambda m: m.clausius_clapeyron_martensite, material, replace_fn=lambda c: c * (1.0 + self.strength))

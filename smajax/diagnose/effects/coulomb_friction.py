@@ -1,0 +1,33 @@
+"""Dry friction in guide, pulley or sheath."""
+
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
+from smajax.plant.effect import Instant, MechanismEffect, Where
+
+_YIELD = 5e-5  # contraction, as a strain, over which friction turns around
+
+
+class CoulombFriction(MechanismEffect):
+    """A stress s against the motion, s z with z in -1..1, that turns around elastically over a small motion."""
+
+    strength: jax.Array = parameter("Pa", "friction as stress in the wire", 0.0, 1.5e8, 0.0)
+    key = "coulomb-friction"
+    typical = 2e7
+    source = "capstan equation: 8 to 21 % of the load over a quarter turn at a coefficient of 0.05 to 0.15"
+    confused_with = ("backlash",)
+    needs = ("drag",)
+    drags = True
+
+    def start(self, instant: Instant, where: Where) -> jax.Array:
+        """How far friction is engaged: 0 at rest."""
+        return jnp.zeros_like(instant.contraction)
+
+    def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
+        """See ``AbstractEffect``."""
+        return jnp.clip(memory + (after.contraction - before.contraction) / _YIELD, -1.0, 1.0)
+
+    def drag(self, before: Instant, after: Instant, memory: jax.Array, step: jax.Array, where: Where) -> jax.Array:
+        """See ``MechanismEffect``."""
+        return self.strength * memory

@@ -1,0 +1,21 @@
+"""Leads and contacts in the measured voltage."""
+
+import jax
+
+from smajax.parameters import parameter
+from smajax.plant.effect import DriveEffect
+
+
+class LeadResistance(DriveEffect):
+    """v = i (R + R_lead): the voltmeter sits behind the leads, only R heats the wire."""
+
+    strength: jax.Array = parameter("ohm", "resistance of leads and contacts inside the measured voltage", -1.0, 5.0, 0.0)
+    key = "lead-resistance"
+    typical = 0.2
+    source = "catalogue row 19; 0.05 to 0.5 ohm"
+    confused_with = ("resistivity-temperature",)
+    needs = ("voltage observed",)
+
+    def voltage(self, current: jax.Array) -> jax.Array:
+        """See ``DriveEffect``."""
+        return self.strength * current

@@ -1,0 +1,162 @@
+"""What an effect may do to its stage. An effect is a nested extension of the plant: with its strength at 0 it is not there.
+
+Each stage has a base class with that stage's hooks; an effect derives from one of them, overrides the hooks it needs and leaves the rest.
+Hooks are pure functions and add to what the stage does without them, so effects can be combined. What an effect has to remember is an
+array of its own in the plant's state (``start``, ``remember``). The derivative with respect to the strength has to exist at 0, to be
+finite and not to be 0: a dead zone or a saturation has to be written with the sign of the motion, not with a threshold.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import declarations
+from smajax.plant.material.base import AbstractMaterial, Fractions
+from smajax.plant.wire import Environment, Wire
+
+
+class Instant(NamedTuple):
+    """What effects see of a plant at one instant: arrays of shape ``(wires,)``, but for ``time`` and ``contraction`` (a strain).
+
+    ``travel`` is the martensite fraction transformed so far in either direction, a full cycle counting 2.
+    """
+
+    time: jax.Array
+    temperature: jax.Array
+    fractions: Fractions
+    stress: jax.Array
+    contraction: jax.Array
+    travel: jax.Array
+
+
+class Where(NamedTuple):
+    """The parts of the plant that an effect may look at."""
+
+    wire: Wire
+    environment: Environment
+    material: AbstractMaterial
+    convection: Any
+
+
+class AbstractEffect(eqx.Module):
+    """Base class of all effects.
+
+    ``strength`` is declared by the effect (``parameter``), its bounds being the plausible range; other declared fields are shapes, such as
+    a time constant, and ``shapes`` holds the values at which a search for the effect tries them (an ``instant`` as a share of the
+    recording's length). ``needs`` names what a rig must have for the effect to exist: words of ``Plant.traits``.
+    """
+
+    key: ClassVar[str]
+    stage: ClassVar[str]
+    typical: ClassVar[float]
+    source: ClassVar[str]
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()
+    shapes: ClassVar[tuple[tuple[str, tuple[float, ...]], ...]] = ()
+    no_mean_effect: ClassVar[str] = ""
+    strength: eqx.AbstractVar[jax.Array]
+
+    @classmethod
+    def unit(cls) -> str:
+        """Internal unit of the strength."""
+        return declarations(cls)["strength"].unit
+
+    @classmethod
+    def plausible(cls) -> tuple[float, float]:
+        """Least and largest plausible strength."""
+        strength = declarations(cls)["strength"]
+        return strength.lower, strength.upper
+
+    def start(self, instant: Instant, where: Where) -> Any:
+        """What is remembered at the first row; by default nothing."""
+        return ()
+
+    def remember(self, memory: Any, before: Instant, after: Instant, step: jax.Array, where: Where) -> Any:
+        """What is remembered after a step from one instant to another."""
+        return memory
+
+
+class DriveEffect(AbstractEffect):
+    """An effect between the recorded input and the current in the wire."""
+
+    stage = "drive"
+
+    def signal(self, signal: jax.Array) -> jax.Array:
+        """What is added to the recorded inputs, shape ``(wires,)``."""
+        return jnp.zeros_like(signal)
+
+    def voltage(self, current: jax.Array) -> jax.Array:
+        """What is added to the measured voltage in V."""
+        return jnp.zeros_like(current)
+
+
+class HeatEffect(AbstractEffect):
+    """An effect on the heat balance of a wire."""
+
+    stage = "heat"
+
+    def power(self, now: Instant, memory: Any, where: Where) -> jax.Array:
+        """Heat added to the wires, W/m^3, shape ``(wires,)``."""
+        return jnp.zeros_like(now.temperature)
+
+    def capacity(self, martensite: jax.Array) -> jax.Array:
+        """What is added to the heat capacity as a share of it, shape ``(wires,)``."""
+        return jnp.zeros_like(martensite)
+
+    def enthalpy(self, now: Instant, where: Where) -> jax.Array:
+        """Heat stored beside capacity times temperature, J/m^3, shape ``(wires,)``: a function of the instant alone."""
+        return jnp.zeros_like(now.temperature)
+
+
+class MaterialEffect(AbstractEffect):
+    """An effect on the material law."""
+
+    stage = "material"
+
+    def shift(self, now: Instant, where: Where) -> jax.Array:
+        """What is added to all four transformation temperatures, K, shape ``(wires,)``."""
+        return jnp.zeros_like(now.temperature)
+
+    def alter(self, material: AbstractMaterial) -> AbstractMaterial:
+        """The law with other parameters."""
+        return material
+
+    def transform(self, before: Fractions, after: Fractions) -> Fractions:
+        """The fractions after a step in place of those that the law gives."""
+        return after
+
+    def strain(self, now: Instant, memory: Any, where: Where) -> jax.Array:
+        """What is added to the strain, shape ``(wires,)``."""
+        return jnp.zeros_like(now.temperature)
+
+    def resistivity(self, now: Instant, where: Where) -> jax.Array:
+        """What is added to the resistivity as a share of it, shape ``(wires,)``."""
+        return jnp.zeros_like(now.temperature)
+
+
+class MechanismEffect(AbstractEffect):
+    """An effect on forces and on how the motion reaches the place where it is measured."""
+
+    stage = "mechanism"
+    drags: ClassVar[bool] = False
+
+    def drag(self, before: Instant, after: Instant, memory: Any, step: jax.Array, where: Where) -> jax.Array:
+        """Stress in Pa, scalar, that works against contraction (with ``drags`` set only): of wire 1 against wire 2 where there are two."""
+        return jnp.zeros(())
+
+    def carry(self, motion: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
+        """What is added to the series of the mechanism's coordinate, in m at the wire, shape ``(n,)``."""
+        return jnp.zeros_like(motion)
+
+
+class SensorEffect(AbstractEffect):
+    """An effect on the recorded series of one channel, ``channel`` or, where that is empty, the mechanism's coordinate."""
+
+    stage = "sensor"
+    channel: ClassVar[str] = ""
+
+    def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
+        """What is added to a channel's series, shape ``(n,)``, the coordinate's in m at the wire; ``seen`` holds all channels."""
+        return jnp.zeros_like(series)
