@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 
 from smajax import parameters
 from smajax.errors import NumericsError
-from smajax.plant.plant import Plant, State
+from smajax.plant.plant import Plant, State, linear
 from smajax.recording import Recording
 
 _HOTTEST = 1300.0
@@ -231,16 +231,27 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     _, unflatten = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], states))
     flat = jax.vmap(lambda state: ravel_pytree(state)[0])(states)
 
-    def arrive(y: jax.Array, plant: Plant, end: jax.Array, before: jax.Array, after: jax.Array, duration: jax.Array) -> jax.Array:
-        known = unflatten(end)
-        return ravel_pytree(plant.arrive(unflatten(y), before, after, duration, jnp.concatenate([known.temperature, known.unknown])))[0]
+    def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        left, state = plant.arrive(unflatten(y), *step, end)
+        return left, ravel_pytree(state)[0]
 
-    def push(of_plant: Callable[[Plant], jax.Array]) -> jax.Array:
+    def push(of_plant: Callable[[Plant], Any]) -> Any:
         value, tangent = eqx.filter_jvp(of_plant, (plant,), (tangents[0],))
-        return jnp.zeros_like(value) if tangent is None else tangent
+        return jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, value, tangent, is_leaf=lambda x: x is None)
 
-    def linearise(y: jax.Array, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return jax.jacfwd(arrive)(y, plant, *step), push(lambda p: arrive(y, p, *step))
+    def linearise(y: jax.Array, end: jax.Array, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The implicit function theorem: left(end, y, plant) = 0 gives what the end moves by."""
+        known = unflatten(end)
+        z = jnp.concatenate([known.temperature, known.unknown])
+        left, state = jax.jacfwd(lambda zy: arrive(zy[: len(z)], zy[len(z) :], plant, *step))(jnp.concatenate([z, y]))
+        left_added, state_added = push(lambda p: arrive(z, y, p, *step))
+        slope, per_end = left[:, : len(z)], state[:, : len(z)]
+
+        def through(left: jax.Array, state: jax.Array) -> jax.Array:
+            moved = linear(slope, left)
+            return state - sum(per_end[:, i] * moved[i] for i in range(len(z)))
+
+        return jax.vmap(through, in_axes=-1, out_axes=-1)(left[:, len(z) :], state[:, len(z) :]), through(left_added, state_added)
 
     def recur(tangent: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
         slope, added = step

@@ -3,8 +3,8 @@
 A step is implicit. Its unknowns are the wires' temperatures and the mechanism's unknowns at its end; its equations are the heat balance
 of each wire and the balance of the mechanism, both evaluated with the fractions that the material law gives at that end. So heat, phase
 fractions, stress and motion agree with each other within the instant. ``Plant.advance`` solves them by Newton's method with a Jacobian of
-at most five columns. The derivative of the solution is that of one last Newton step with the Jacobian held fixed, which is the implicit
-function theorem and costs one evaluation: exact to first order in forward and in reverse mode, however many iterations were needed.
+at most five columns. Derivatives do not go through the search: ``arrive`` gives the equations at a known end, to which the implicit
+function theorem applies (``smajax.simulate``).
 """
 
 from collections.abc import Callable
@@ -100,12 +100,19 @@ class Plant(eqx.Module):
             memory |= {"time": at.time, "contraction": at.contraction, "travel": at.travel}
         state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain), memory)
         # Under a known load the state is in equilibrium as it stands; a prescribed strain first has to be met, in a step of no duration.
-        return self.advance(state, signal, signal, jnp.zeros(()))[0] if "strain" in prescribed else state
+        if "strain" not in prescribed:
+            return state
+        step = jnp.zeros(())
+        met, _ = self.advance(state, signal, signal, step)
+        end = jax.lax.stop_gradient(jnp.concatenate([met.temperature, met.unknown]))
+        _, push = jax.linearize(lambda z: jax.lax.stop_gradient(self).arrive(jax.lax.stop_gradient(state), signal, signal, step, z), end)
+        value, landed = self.arrive(state, signal, signal, step, end)
+        return _stepped(landed, value, push)
 
     def advance(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[State, jax.Array]:
         """The state ``step`` seconds on, the signals going from ``before`` to ``after``, each of shape ``(signals,)``.
 
-        Also says whether the step could not be solved: a boolean scalar.
+        Also says whether the step could not be solved: a boolean scalar. Not differentiable: ``arrive`` is, at a known end.
         """
         rate = self._rate(self._instant(state), state.memory, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
@@ -117,23 +124,12 @@ class Plant(eqx.Module):
             end, failed = _search(
                 lambda z: Plant._residual(*given, z, coarse=True)[0], jax.lax.stop_gradient(guess), self.mechanism.wires, straight
             )
-        return self.arrive(state, before, after, step, end), failed
+        (value, landed), push = jax.linearize(lambda z: Plant._residual(*given, z), end)
+        return _stepped(landed, value, push), failed
 
-    def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> State:
-        """The state at the end of a step whose solution ``end`` (temperatures, then unknowns) is known, as a function of all else.
-
-        One Newton step from ``end`` with the Jacobian held fixed: what is left of the search's error goes with it, and its derivative is
-        that of the implicit function.
-        """
-        end = jax.lax.stop_gradient(end)
-        rate = self._rate(self._instant(state), state.memory, before)
-        given = (self, state, rate, before, after, step)
-        frozen = jax.lax.stop_gradient(given)
-        _, push = jax.linearize(lambda z: Plant._residual(*frozen, z), end)
-        slope, per_end = jax.vmap(push, out_axes=-1)(jnp.eye(end.shape[0]))
-        value, state = Plant._residual(*given, end)
-        last = -_linear(slope, value)
-        return jax.tree.map(lambda s, d: s + sum(d[..., i] * last[i] for i in range(len(last))), state, per_end)
+    def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> tuple[jax.Array, State]:
+        """What is left of a step's balances if it ends at ``end`` (temperatures, then unknowns), and the state there: differentiable."""
+        return self._residual(state, self._rate(self._instant(state), state.memory, before), before, after, step, end)
 
     def outputs(self, state: State, signal: jax.Array) -> dict[str, jax.Array]:
         """The observable channels at one instant as the sensors give them, in SI and degC, scalars."""
@@ -322,7 +318,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool) ->
 
     def newton(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         value, push = jax.linearize(residual, z)
-        return value, -_linear(jax.vmap(push, out_axes=-1)(jnp.eye(size)), value)
+        return value, -linear(jax.vmap(push, out_axes=-1)(jnp.eye(size)), value)
 
     def norm(value: jax.Array) -> jax.Array:
         return jnp.max(jnp.abs(value) / scale)
@@ -352,7 +348,18 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool) ->
     return z + change, (count >= _ITERATIONS) | ~jnp.all(jnp.isfinite(change))
 
 
-def _linear(matrix: jax.Array, right: jax.Array) -> jax.Array:
+def _stepped(state: State, value: jax.Array, push: Callable) -> State:
+    """The state after one more Newton step, ``push`` being the linearised residual and state there.
+
+    With the Jacobian held fixed its derivative is that of the implicit function.
+    """
+    size = value.shape[0]
+    slope, per_end = jax.vmap(push, out_axes=-1)(jnp.eye(size))
+    last = -linear(slope, value)
+    return jax.tree.map(lambda s, d: s + sum(d[..., i] * last[i] for i in range(size)), state, per_end)
+
+
+def linear(matrix: jax.Array, right: jax.Array) -> jax.Array:
     """Solves a system of up to five equations by elimination without pivoting, which its positive diagonal allows."""
     size = right.shape[0]
     rows = [[matrix[i, j] for j in range(size)] + [right[i]] for i in range(size)]
