@@ -62,10 +62,14 @@ class Data(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """A plant, the data, and the free parameters; ``residual`` and ``plants`` are pure functions of the vector."""
+    """A plant, the data, and the free parameters; ``residual`` and ``predict`` are pure functions of the vector.
+
+    ``scales``, shape ``(p,)``, are data, so that rigs of other values need no compilation of their own.
+    """
 
     plant: Plant
     data: Data
+    scales: jax.Array
     unknowns: tuple[Unknown, ...] = eqx.field(static=True)
     channels: tuple[str, ...] = eqx.field(static=True)
     shared: tuple[str, ...] = eqx.field(static=True)
@@ -97,7 +101,7 @@ class Problem(eqx.Module):
 
     def values(self, vector: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
         """Parameter values of the vector: shared ones (scalars), and each recording's own, shape ``(r,)``."""
-        natural = vector * jnp.asarray([u.scale for u in self.unknowns])
+        natural = vector * self.scales
         shared = {name: natural[i] for i, name in enumerate(self.shared)}
         own = natural[len(self.shared) :].reshape(-1, len(self.own)).T if self.own else []
         return shared, {name: own[i] for i, name in enumerate(self.own)}
@@ -143,7 +147,7 @@ def build(
         if name.startswith("initial."):
             plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
     data = _data(plant, recordings, tuple(settings.observe), noise, interpolation, step)
-    return Problem(plant, data, tuple(unknowns), tuple(settings.observe), shared, own)
+    return Problem(plant, data, jnp.asarray([u.scale for u in unknowns]), tuple(unknowns), tuple(settings.observe), shared, own)
 
 
 def difference_noise(values: np.ndarray) -> float:

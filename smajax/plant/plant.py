@@ -208,7 +208,7 @@ class Plant(eqx.Module):
         return rate + sum(e.power(at, memory[e.key], self._where()) for e in self._of(HeatEffect))
 
     def _stored(self, first: Instant, last: Instant) -> jax.Array | float:
-        return sum(e.enthalpy(last, self._where()) - e.enthalpy(first, self._where()) for e in self._of(HeatEffect))
+        return sum((e.enthalpy(last, self._where()) - e.enthalpy(first, self._where()) for e in self._of(HeatEffect)), 0.0)
 
     def _remember(self, kinds: tuple, memory: dict, first: Instant, last: Instant, step: jax.Array) -> dict:
         return {e.key: e.remember(memory[e.key], first, last, step, self._where()) for e in self._of(kinds)}

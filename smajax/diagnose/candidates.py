@@ -1,0 +1,262 @@
+"""The plant with every effect that its rig could have, all at strength 0, as one compiled program.
+
+Fits, scores, refits and predictions all run on that program: a vector holds the rig's free parameters, then ``SLOTS`` slots; which
+effect's strength or shape a slot moves is data (a matrix), so that no hypothesis needs a compilation of its own.
+"""
+
+import dataclasses
+import math
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters
+from smajax.diagnose.effects import catalogue
+from smajax.errors import InputError
+from smajax.fit import least_squares
+from smajax.fit.least_squares import Stop
+from smajax.fit.problem import Problem, Settings, build
+from smajax.parameters import declarations
+from smajax.plant.effect import AbstractEffect
+from smajax.plant.plant import Plant
+from smajax.recording import Recording
+
+SLOTS = 6
+
+
+class Model(eqx.Module):
+    """What the compiled program takes beside the vector: a recording's problem, the effects' parameters, and what the slots move."""
+
+    problem: Problem
+    fixed: jax.Array
+    moved: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Model minus measurement over the noise, shape ``(c * n,)``."""
+        base = len(self.problem.unknowns)
+        values = self.fixed + self.moved @ vector[base:]
+        plant = parameters.replace(self.problem.plant, {name: values[i] for i, name in enumerate(self.names)})
+        return dataclasses.replace(self.problem, plant=plant).residual(vector[:base])
+
+
+def _residual(vector: jax.Array, model: Model) -> jax.Array:
+    return model.residual(vector)
+
+
+def _plain(vector: jax.Array, problem: Problem) -> jax.Array:
+    return problem.residual(vector)
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """Effects that are there: their keys, and starting values of their strengths and shapes by parameter name."""
+
+    keys: tuple[str, ...] = ()
+    values: tuple[tuple[str, float], ...] = ()
+
+    def extended(self, key: str, values: dict[str, float]) -> "Hypothesis":
+        """With one more effect."""
+        return Hypothesis((*self.keys, key), (*self.values, *values.items()))
+
+    def without(self, key: str) -> "Hypothesis":
+        """With one effect less."""
+        prefix = f"effects.{key}."
+        return Hypothesis(tuple(k for k in self.keys if k != key), tuple((n, v) for n, v in self.values if not n.startswith(prefix)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Refit:
+    """A hypothesis fitted: base vector ``(p,)``, effect parameters by name, residual and Jacobian (base, then moved parameters)."""
+
+    hypothesis: Hypothesis
+    base: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    stop: Stop
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Strengths and shapes by parameter name."""
+        return dict(self.hypothesis.values)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squared residuals over the noise."""
+        return float(self.residual @ self.residual)
+
+
+class Bench:
+    """A rig's augmented plant with its recordings laid out alike: all that is simulated runs on one compiled program."""
+
+    def __init__(self, plant: Plant, recordings: Sequence[Recording], settings: Settings, *, interpolation: str, step: float | None = None):
+        if settings.per_recording or settings.initial:
+            raise InputError("a diagnosis takes one set of parameters for all recordings: leave out fit.per_recording and fit.initial")
+        self.traits = plant.traits(tuple(settings.observe))
+        train = recordings[0]
+        self.duration = float(train.time[-1] - train.time[0])
+        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if self.possible(kind)}
+        augmented = dataclasses.replace(plant, effects=tuple(self.effects.values()))
+        self.names = tuple(f"effects.{key}.{name}" for key, kind in self.effects.items() for name in declarations(kind))
+        self.nominal = np.array([float(parameters.get(augmented, name)) for name in self.names])
+        self.plain = build(plant, recordings[:1], settings, interpolation=interpolation, step=step)
+        problems = [build(augmented, [r], settings, interpolation=interpolation, step=step) for r in recordings]
+        grid = max(p.data.inputs.time.shape[1] for p in problems)
+        samples = max(p.data.inputs.rows.shape[1] for p in problems)
+        unknowns = problems[0].unknowns
+        self.problems = [dataclasses.replace(_padded(p, grid, samples), unknowns=unknowns) for p in problems]
+        self.recordings, self.channels = list(recordings), tuple(settings.observe)
+        self.simulations = 0
+        self._ready = threading.Thread(target=self.evaluate, args=(Hypothesis(), self.problems[0].nominal, 0), daemon=True)
+        self._ready.start()  # the large program compiles while the small one fits
+
+    def possible(self, kind: type[AbstractEffect]) -> bool:
+        """Whether a rig like this one can have the effect at all, and a mean effect it is."""
+        return set(kind.needs) <= self.traits and not kind.no_mean_effect
+
+    @property
+    def size(self) -> int:
+        """Number of the rig's free parameters."""
+        return len(self.problems[0].unknowns)
+
+    def set_noise(self, noise: dict[str, float]) -> None:
+        """Weights all recordings by these standard deviations (SI)."""
+        weight = np.array([1.0 / noise[c] for c in self.channels])[None, :, None]
+        for k, problem in enumerate(self.problems):
+            seen = np.asarray(problem.data.weight) > 0
+            data = eqx.tree_at(lambda d: d.weight, problem.data, jnp.asarray(np.where(seen, weight, 0.0)))
+            self.problems[k] = dataclasses.replace(problem, data=data)
+
+    def series(self, residual: np.ndarray, k: int = 0) -> dict[str, np.ndarray]:
+        """A residual over the noise as one series per channel."""
+        count = len(self.recordings[k])
+        return {c: residual.reshape(len(self.channels), -1)[i, :count] for i, c in enumerate(self.channels)}
+
+    def scale(self, name: str) -> float:
+        """A typical change of an effect's parameter."""
+        _, key, field = name.split(".")
+        if field == "strength":
+            return self.effects[key].typical
+        return 0.3 * abs(self.nominal[self.names.index(name)])
+
+    def compiled(self) -> None:
+        """Waits until the large program is compiled."""
+        self._ready.join()
+
+    def model(self, hypothesis: Hypothesis, moved: Sequence[str], k: int = 0) -> Model:
+        """The program's data for a hypothesis on recording ``k``; the parameters ``moved`` are the slots', in units of ``scale``."""
+        fixed, matrix = self.nominal.copy(), np.zeros((len(self.names), SLOTS))
+        for name, value in hypothesis.values:
+            fixed[self.names.index(name)] = value
+        for j, name in enumerate(moved):
+            i = self.names.index(name)
+            matrix[i, j] = self.scale(name)
+            fixed[i] = 0.0
+        return Model(self.problems[k], jnp.asarray(fixed), jnp.asarray(matrix), self.names)
+
+    def moved(self, hypothesis: Hypothesis) -> list[str]:
+        """The parameters that a fit of a hypothesis frees: strengths first, then shapes as far as there are slots."""
+        strengths = [f"effects.{key}.strength" for key in hypothesis.keys]
+        shapes = [f"effects.{key}.{shape}" for key in hypothesis.keys for shape, _ in self.effects[key].shapes]
+        return [*strengths, *shapes][:SLOTS]
+
+    def fit_plain(self, start: np.ndarray, *, max_steps: int = 100, rtol: float = 1e-7) -> least_squares.Solved:
+        """Fits the rig as it is written down, without effects, by a smaller program than ``fit``'s."""
+        solved = least_squares.solve(_plain, self.plain, start[None], *self.plain.box, rtol=rtol, max_steps=max_steps)
+        self.simulations += solved.simulations
+        return solved
+
+    def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5) -> Refit:
+        """Fits a hypothesis to the training recording, from ``base`` and the hypothesis' own values."""
+        moved = self.moved(hypothesis)
+        values = dict(hypothesis.values)
+        lower, upper = (np.concatenate([b, np.zeros(SLOTS)]) for b in self.problems[0].box)
+        start = np.concatenate([base, np.zeros(SLOTS)])
+        for j, name in enumerate(moved):
+            declared = declarations(self.effects[name.split(".")[1]])[name.split(".")[2]]
+            lower[self.size + j], upper[self.size + j] = declared.lower / self.scale(name), declared.upper / self.scale(name)
+            start[self.size + j] = values.get(name, self.nominal[self.names.index(name)]) / self.scale(name)
+        model = self.model(hypothesis, moved)
+        solved = least_squares.solve(_residual, model, start[None], lower, upper, rtol=rtol, max_steps=max_steps)
+        self.simulations += solved.simulations
+        point = solved.points[0]
+        found = {**values, **{name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)}}
+        columns = self.size + len(moved)
+        return Refit(
+            Hypothesis(hypothesis.keys, tuple(found.items())), point[: self.size], solved.residuals[0],
+            solved.jacobians[0][:, :columns], solved.stops[0],
+        )  # fmt: skip
+
+    def evaluate(self, hypothesis: Hypothesis, base: np.ndarray, k: int, moved: Sequence[str] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """Residual on recording ``k`` and its derivatives by the free parameters and by ``moved``, at a hypothesis' values."""
+        values = dict(hypothesis.values)
+        start = np.concatenate([base, np.zeros(SLOTS)])
+        for j, name in enumerate(moved):
+            start[self.size + j] = values.get(name, self.nominal[self.names.index(name)]) / self.scale(name)
+        model = self.model(hypothesis, moved, k)
+        free = np.full(len(start), math.inf)
+        solved = least_squares.solve(_residual, model, start[None], -free, free, max_steps=1)
+        self.simulations += solved.simulations
+        return solved.residuals[0], solved.jacobians[0][:, : self.size + len(moved)]
+
+    def columns(self, hypothesis: Hypothesis, base: np.ndarray) -> dict[tuple[str, tuple[tuple[str, float], ...]], np.ndarray]:
+        """The residual's derivative by the strength of every effect that is not there yet, at each value of its shape's grid.
+
+        Keyed by effect and shape; in units of the typical strength; on the training recording.
+        """
+        wanted = [(key, shape) for key in self.effects if key not in hypothesis.keys for shape in self.grid(key)]
+        batches: list[list[tuple[str, tuple[tuple[str, float], ...]]]] = []
+        for item in wanted:
+            home = next((b for b in batches if len(b) < SLOTS and all(other[0] != item[0] for other in b)), None)
+            if home is None:
+                batches.append(home := [])
+            home.append(item)
+
+        def one(batch: list) -> list[np.ndarray]:
+            at = hypothesis
+            for key, shape in batch:
+                at = Hypothesis(at.keys, (*at.values, *((f"effects.{key}.{n}", v) for n, v in shape)))
+            _, jacobian = self.evaluate(at, base, 0, [f"effects.{key}.strength" for key, _ in batch])
+            return [jacobian[:, self.size + j] for j in range(len(batch))]
+
+        found = together(one, batches)
+        return {item: column for batch, columns in zip(batches, found, strict=True) for item, column in zip(batch, columns, strict=True)}
+
+    def grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
+        """The shapes at which an effect is tried."""
+        shapes = self.effects[key].shapes
+        if not shapes:
+            return [()]
+        (name, values), *_ = shapes
+        return [((name, v * self.duration if name == "instant" else v),) for v in values]
+
+
+def together(function: Callable[[Any], Any], tasks: Sequence) -> list:
+    """Results of a function over tasks, two at a time: a simulation keeps one core busy."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(function, tasks))
+
+
+def _made(kind: type[AbstractEffect], recording: Recording) -> AbstractEffect:
+    values = {"strength": jnp.asarray(0.0)}
+    if "reference" in declarations(kind):
+        largest = max((float(np.max(np.abs(v))) for c, v in recording.channels.items() if c.startswith("current")), default=1.0)
+        values["reference"] = jnp.asarray(largest or 1.0)
+    return kind(**values)  # pyright: ignore[reportCallIssue]
+
+
+def _padded(problem: Problem, grid: int, samples: int) -> Problem:
+    inputs = jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
+    inputs = jax.tree.map(lambda leaf: leaf[None], inputs.padded(grid, samples))
+    more = samples - problem.data.measured.shape[-1]
+    measured, weight = (
+        jnp.asarray(np.pad(np.asarray(a), ((0, 0), (0, 0), (0, more)))) for a in (problem.data.measured, problem.data.weight)
+    )
+    data = dataclasses.replace(problem.data, inputs=inputs, measured=measured, weight=weight)
+    return dataclasses.replace(problem, data=data)
