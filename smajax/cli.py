@@ -143,6 +143,29 @@ def fit(
 
 
 @app.command()
+def diagnose(
+    rig: RigFile,
+    train: Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")],
+    select: Annotated[Path, typer.Option("--select", metavar="S.csv", help="Another input: what is named must cut its error.")],
+    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, looked at once, at the end.")],
+    out: Out,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed (default: the rig's).")] = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+) -> None:
+    """Say what a rig has that its file does not: trace the residual to an effect, add it, and compare before and after."""
+    from smajax.report.diagnosis import text
+
+    with _progress(quiet) as progress:
+        from smajax.jobs.diagnose import DiagnoseJob, run_diagnose
+
+        outcome = run_diagnose(DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows), progress, _argv())
+    _finish(outcome, "diagnosis.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+@app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = True,

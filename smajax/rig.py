@@ -14,10 +14,12 @@ from typing import Any, Literal, NamedTuple, cast
 from smajax import parameters, recording
 from smajax.channel_settings import ChannelSettings, channel_settings
 from smajax.datasets import shipped
+from smajax.diagnose.effects import catalogue
 from smajax.errors import InputError, nearest
 from smajax.fit_settings import FitSettings, check_observed, fit_settings, observed_channels, sensed
 from smajax.parameter_file import Entry, read_parameters
 from smajax.parameters import TIES, Declaration, as_float, declarations
+from smajax.plant.effect import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.plant.rotary import LightRotary, Rotary
 from smajax.plant.sensor import Sensor
@@ -88,7 +90,9 @@ class Rig:
         drive = {"control": plant.drive.control or None}
         data: dict[str, Any] = {"schema": 1, "rig": {"kind": self.kind, **drive, "interpolation": self.interpolation}}
         for section, part in parameters.sections(plant).items():
-            data[section] = _written(plant, section, list(declarations(part)))
+            home, _, key = section.partition(".")
+            written = _written(plant, section, list(declarations(part)))
+            data |= {home: data.get(home, {}) | {key: written}} if key else {section: written}
         data["sensor"] = _written(plant, "sensor", list(plant.sensor.declarations()))
         data["channels"] = self.channels.table()
         data["fit"] = _written_fit(self.fit, plant)
@@ -159,6 +163,8 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
     read_here = _quantities("sensor", data.get("sensor", {}), sensors)
     read_from_set = {n: entry for n, entry in taken.entries.items() if n in sensors and n not in read_here}
     readings = _numbers(read_from_set) | read_here
+    plant = replace(plant, effects=_effects(data.get("effects", {}), plant.traits(tuple(observe))))
+    added = {n: "rig file" for n in parameters.declared(plant) if n.startswith("effects.")}
     plant = replace(plant, sensor=_sensor([*observe, *sensed([*readings, *freed])], plant, readings))
     sources |= _sources([f"sensor.{key}" for key in plant.sensor.declarations()], read_from_set, read_here, taken.name, place)
 
@@ -173,7 +179,7 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
         interpolation=cast(Literal["hold", "linear"], head.interpolation),
         fit=settings,
         channels=channel_settings(data.get("channels", {})),
-        sources=sources | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
+        sources=sources | added | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
         notes=tuple(_notes(taken, {*table, *sensors}, settings)),
     )
 
@@ -221,7 +227,7 @@ def _given(data: Mapping[str, Any], stages: Stages) -> dict[str, float]:
 
 def _quantities(section: str, content: Any, table: Mapping[str, Declaration]) -> dict[str, float]:
     """The parameters of one section, by name, as the rig file sets them."""
-    keys = {name.split(".", 1)[1]: declaration for name, declaration in table.items()}
+    keys = {name.rsplit(".", 1)[1]: declaration for name, declaration in table.items()}
     checked = validate(section_model(section, keys), content, section)
     return {f"{section}.{key}": value for key, value in checked.model_dump(exclude_unset=True).items()}
 
@@ -274,6 +280,24 @@ def _plant(stages: Stages, values: Mapping[str, float], freed: list[str]) -> Pla
     return Plant(mechanism=mechanism(**carried), sensor=Sensor.identity(()), **built)
 
 
+def _effects(content: Any, traits: frozenset[str]) -> tuple[AbstractEffect, ...]:
+    """The effects of ``[effects.KEY]`` sections. Refuses one that is not in the catalogue, or that a rig like this one cannot have."""
+    if not isinstance(content, dict):
+        raise InputError('effects is not a section: write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it')
+    found = []
+    for key, values in content.items():
+        kind = catalogue().get(key)
+        if kind is None:
+            raise InputError(f"effects.{key} is not in the catalogue{nearest(key, catalogue())}")
+        if kind.no_mean_effect or not set(kind.needs) <= traits:
+            why = kind.no_mean_effect or f"it needs {', '.join(sorted(set(kind.needs) - traits))}"
+            raise InputError(f"effects.{key} has no place on this rig: {why}")
+        section = f"effects.{key}"
+        numbers = _quantities(section, values, {f"{section}.{n}": d for n, d in declarations(kind).items()})
+        found.append(kind(**{n.rsplit(".", 1)[1]: as_float(v) for n, v in numbers.items()}))
+    return tuple(found)
+
+
 def _sensor(channels: list[str], plant: Plant, values: Mapping[str, float]) -> Sensor:
     known = [channel for channel in dict.fromkeys(channels) if channel in plant.observable]
     gain = {channel: as_float(float(values.get(f"sensor.{channel}_gain", 1.0))) for channel in known}
@@ -314,7 +338,7 @@ def _written(plant: Plant, section: str, keys: list[str]) -> dict[str, Any]:
         if tie.startswith(f"{section}.") and len({values.get(member) for member in members}) == 1:
             values = {tie if n == members[0] else n: value for n, value in values.items() if n not in members[1:]}
     units = {n: d.unit for n, d in parameters.declared(plant).items()}
-    return {n.split(".", 1)[1]: as_text(value, units[n]) for n, value in values.items() if value is not None}
+    return {n.rsplit(".", 1)[1]: as_text(value, units[n]) for n, value in values.items() if value is not None}
 
 
 def _written_fit(fit: FitSettings, plant: Plant) -> dict[str, Any]:

@@ -39,7 +39,7 @@ HEATS: Mapping[str, type[AbstractHeat]] = {"h(T) as a polynomial": PolynomialHea
 INTERPOLATIONS = ("hold", "linear")
 # A path is followed by a material point: the wire's size then scales nothing but force and resistance.
 DEFAULTS: Mapping[str, Mapping[str, float]] = {"path": {"wire.diameter": 1e-3, "wire.length": 1.0}}
-OTHER_SECTIONS = ("rig", "sensor", "channels", "fit")
+OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
 # Within each pair the first has to stay below the second, or a transformation has no band to run through.
 ORDERED = (
     ("material.austenite_start", "material.austenite_finish"),

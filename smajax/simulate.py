@@ -231,8 +231,9 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     _, unflatten = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], states))
     flat = jax.vmap(lambda state: ravel_pytree(state)[0])(states)
 
-    def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        left, state = plant.arrive(unflatten(y), *step, end)
+    def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: Any) -> tuple[jax.Array, jax.Array]:
+        before, after, duration = step
+        left, state = plant.arrive(unflatten(y), before, after, duration, end)
         return left, ravel_pytree(state)[0]
 
     def push(of_plant: Callable[[Plant], Any]) -> Any:

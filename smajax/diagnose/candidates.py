@@ -50,7 +50,8 @@ def _residual(vector: jax.Array, model: Model) -> jax.Array:
     return model.residual(vector)
 
 
-def _plain(vector: jax.Array, problem: Problem) -> jax.Array:
+def plain_residual(vector: jax.Array, problem: Problem) -> jax.Array:
+    """The residual of a rig without effects."""
     return problem.residual(vector)
 
 
@@ -95,13 +96,22 @@ class Refit:
 class Bench:
     """A rig's augmented plant with its recordings laid out alike: all that is simulated runs on one compiled program."""
 
-    def __init__(self, plant: Plant, recordings: Sequence[Recording], settings: Settings, *, interpolation: str, step: float | None = None):
+    def __init__(
+        self,
+        plant: Plant,
+        recordings: Sequence[Recording],
+        settings: Settings,
+        *,
+        interpolation: str,
+        step: float | None = None,
+        only: Callable[[type[AbstractEffect]], bool] = lambda kind: True,
+    ):
         if settings.per_recording or settings.initial:
             raise InputError("a diagnosis takes one set of parameters for all recordings: leave out fit.per_recording and fit.initial")
         self.traits = plant.traits(tuple(settings.observe))
         train = recordings[0]
         self.duration = float(train.time[-1] - train.time[0])
-        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if self.possible(kind)}
+        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if self.possible(kind) and only(kind)}
         augmented = dataclasses.replace(plant, effects=tuple(self.effects.values()))
         self.names = tuple(f"effects.{key}.{name}" for key, kind in self.effects.items() for name in declarations(kind))
         self.nominal = np.array([float(parameters.get(augmented, name)) for name in self.names])
@@ -166,12 +176,6 @@ class Bench:
         shapes = [f"effects.{key}.{shape}" for key in hypothesis.keys for shape, _ in self.effects[key].shapes]
         return [*strengths, *shapes][:SLOTS]
 
-    def fit_plain(self, start: np.ndarray, *, max_steps: int = 100, rtol: float = 1e-7) -> least_squares.Solved:
-        """Fits the rig as it is written down, without effects, by a smaller program than ``fit``'s."""
-        solved = least_squares.solve(_plain, self.plain, start[None], *self.plain.box, rtol=rtol, max_steps=max_steps)
-        self.simulations += solved.simulations
-        return solved
-
     def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5) -> Refit:
         """Fits a hypothesis to the training recording, from ``base`` and the hypothesis' own values."""
         moved = self.moved(hypothesis)
@@ -181,7 +185,7 @@ class Bench:
         for j, name in enumerate(moved):
             declared = declarations(self.effects[name.split(".")[1]])[name.split(".")[2]]
             lower[self.size + j], upper[self.size + j] = declared.lower / self.scale(name), declared.upper / self.scale(name)
-            start[self.size + j] = values.get(name, self.nominal[self.names.index(name)]) / self.scale(name)
+            start[self.size + j] = values.get(name, float(self.nominal[self.names.index(name)])) / self.scale(name)
         model = self.model(hypothesis, moved)
         solved = least_squares.solve(_residual, model, start[None], lower, upper, rtol=rtol, max_steps=max_steps)
         self.simulations += solved.simulations
@@ -198,7 +202,7 @@ class Bench:
         values = dict(hypothesis.values)
         start = np.concatenate([base, np.zeros(SLOTS)])
         for j, name in enumerate(moved):
-            start[self.size + j] = values.get(name, self.nominal[self.names.index(name)]) / self.scale(name)
+            start[self.size + j] = values.get(name, float(self.nominal[self.names.index(name)])) / self.scale(name)
         model = self.model(hypothesis, moved, k)
         free = np.full(len(start), math.inf)
         solved = least_squares.solve(_residual, model, start[None], -free, free, max_steps=1)

@@ -13,11 +13,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from smajax.diagnose import score
-from smajax.diagnose.candidates import SLOTS, Bench, Hypothesis, Refit, together
+from smajax.diagnose.candidates import SLOTS, Bench, Hypothesis, Refit, plain_residual, together
 from smajax.diagnose.effects import catalogue
 from smajax.errors import NumericsError
+from smajax.fit import least_squares
 from smajax.fit.fit import difference_noise
 from smajax.fit.least_squares import Stop
+from smajax.fit.problem import Problem
 
 DETECTED = 0.01
 CUT = 0.05
@@ -83,30 +85,17 @@ class Diagnosis:
 
 
 class _Tracer:
-    def __init__(self, bench: Bench, seed: int, say: Callable[[str], None]):
-        self.bench, self.seed, self.say = bench, seed, say
-        self.rejected: list[tuple[str, str]] = []
-        self.floor: dict[str, float] = {}
+    """One bench, and what is done on it."""
 
-    def base(self) -> Refit:
-        """The fit without effects, weighted by the noise that it leaves; refused if it did not come to rest."""
-        bench = self.bench
-        self.say("fitting the rig as it is written down")
-        lower, upper = bench.plain.search_box()
-        nominal = np.clip(bench.plain.nominal, lower, upper)
-        aside = 0.1 * np.random.default_rng(self.seed).uniform(-1, 1, len(nominal)) * (upper - lower)
-        solved = [bench.fit_plain(start) for start in (nominal, np.clip(nominal + aside, lower, upper))]
-        best = min(solved, key=lambda s: s.costs[0] if math.isfinite(s.costs[0]) else math.inf)
-        if best.stops[0] is Stop.failed:
-            raise NumericsError("the simulation fails at the rig's own values: check them by smajax simulate")
-        residual, point = best.residuals[0], best.points[0]
-        weight = {c: float(np.max(np.asarray(bench.plain.data.weight)[0, i])) for i, c in enumerate(bench.channels)}
-        parts = residual.reshape(len(bench.channels), -1)
-        self.floor = {c: difference_noise(parts[i]) / weight[c] for i, c in enumerate(bench.channels)}
-        bench.compiled()
-        bench.set_noise(self.floor)
-        found, jacobian = bench.evaluate(Hypothesis(), point, 0)
-        return Refit(Hypothesis(), point, found, jacobian, best.stops[0])
+    def __init__(self, bench: Bench, floor: dict[str, float], seed: int):
+        self.bench, self.floor, self.seed = bench, floor, seed
+        bench.set_noise(floor)
+
+    def base(self, point: np.ndarray, stop: Stop) -> Refit:
+        """The plant without effects at a fitted point."""
+        self.bench.compiled()
+        residual, jacobian = self.bench.evaluate(Hypothesis(), point, 0)
+        return Refit(Hypothesis(), point, residual, jacobian, stop)
 
     def fitness(self, residual: np.ndarray, k: int) -> float:
         """Mean square of a residual over the noise: 1 where only noise is left."""
@@ -161,19 +150,30 @@ class _Tracer:
         low, high = effect.plausible()
         return low / effect.typical, high / effect.typical
 
-    def race(self, refit: Refit, keys: Sequence[str], strengths: dict[str, float], shapes: dict[str, dict[str, float]]) -> list[Trial]:
-        """Fits with one effect more for each key: a few steps for all, then the best of them to their end."""
+    def race(
+        self, refit: Refit, keys: Sequence[str], strengths: dict[str, float], shapes: dict[str, dict[str, float]], also: np.ndarray | None
+    ) -> list[Trial]:
+        """Fits with one effect more for each key: a few steps for all, then the best of them to their end.
+
+        They start at the fit's own point with the expected strength, and at the point ``also`` with 0.4 of the typical one: what a large
+        effect has done to the other parameters may lie in the way.
+        """
         starts = []
         for key in keys:
+            typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
             low, high = self.plausible(key)
             size = float(np.clip(strengths[key], max(low, -3.0), min(high, 3.0))) or 0.1
-            starts.append(
-                (key, refit.hypothesis.extended(key, {f"effects.{key}.strength": size * self.bench.effects[key].typical, **shapes[key]}))
-            )
-        sprints = together(lambda start: (start[0], self.bench.fit(start[1], refit.base, max_steps=_SPRINT)), starts)
-        sprints = sorted((s for s in sprints if math.isfinite(s[1].chi2)), key=lambda s: s[1].chi2)
-        ended = together(lambda s: (s[0], self.bench.fit(s[1].hypothesis, s[1].base, max_steps=30)), sprints[:_FINALISTS])
-        return together(lambda s: self.judged(*s), [*ended, *sprints[_FINALISTS:]])
+            starts.append((key, refit.hypothesis.extended(key, {name: size * typical, **shapes[key]}), refit.base))
+            if also is not None:
+                other = refit.hypothesis.extended(key, {name: math.copysign(0.4, size) * typical, **shapes[key]})
+                starts.append((key, other, also))
+        sprints = together(lambda start: (start[0], self.bench.fit(start[1], start[2], max_steps=_SPRINT)), starts)
+        best: dict[str, Refit] = {}
+        for key, found in sorted((s for s in sprints if math.isfinite(s[1].chi2)), key=lambda s: s[1].chi2):
+            best.setdefault(key, found)
+        order = list(best.items())
+        ended = together(lambda s: (s[0], self.bench.fit(s[1].hypothesis, s[1].base, max_steps=40, rtol=1e-6)), order[:_FINALISTS])
+        return together(lambda s: self.judged(*s), [*ended, *order[_FINALISTS:]])
 
     def judged(self, key: str, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
@@ -186,70 +186,113 @@ def critical(samples: int) -> float:
     return 1.0 + 4.0 * math.sqrt(2.0 / (0.8 * samples))
 
 
-def trace(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
-    """Diagnoses a bench whose recordings are training, selection and holdout. Raises NumericsError if the base fit does not come to rest."""
-    tracer = _Tracer(bench, seed, say)
-    base = tracer.base()
-    gradient = score.basis(base.jacobian[:, tracer.held(base)]).T @ base.residual
-    if np.linalg.norm(gradient) > _STATIONARY * np.linalg.norm(base.residual):
+def _first_fit(plain: Problem, seed: int) -> tuple[np.ndarray, Stop, dict[str, float], int]:
+    """The rig as it is written down, fitted from its own values and from beside them: point, end, noise by channel, simulations."""
+    lower, upper = plain.search_box()
+    nominal = np.clip(plain.nominal, lower, upper)
+    aside = 0.1 * np.random.default_rng(seed).uniform(-1, 1, len(nominal)) * (upper - lower)
+    solved = [
+        least_squares.solve(plain_residual, plain, start[None], *plain.box, max_steps=100, rtol=1e-8)
+        for start in (nominal, np.clip(nominal + aside, lower, upper))
+    ]
+    best = min(solved, key=lambda s: s.costs[0] if math.isfinite(s.costs[0]) else math.inf)
+    if best.stops[0] is Stop.failed:
+        raise NumericsError("the simulation fails at the rig's own values: check them by smajax simulate")
+    jacobian, residual = best.jacobians[0], best.residuals[0]
+    inside = (best.points[0] > plain.box[0]) & (best.points[0] < plain.box[1])
+    if np.linalg.norm(score.basis(jacobian[:, inside]).T @ residual) > _STATIONARY * np.linalg.norm(residual):
         raise NumericsError("the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds")
-    samples = len(tracer.flat(base.residual))
+    weight = np.asarray(plain.data.weight)[0]
+    parts = residual.reshape(len(plain.channels), -1)
+    floor = {c: difference_noise(parts[i]) / float(np.max(weight[i])) for i, c in enumerate(plain.channels)}
+    return best.points[0], best.stops[0], floor, sum(s.simulations for s in solved)
+
+
+def trace(make: Callable[[Callable[[type], bool]], Bench], *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
+    """Diagnoses three recordings, for training, selection and holdout.
+
+    ``make`` makes a bench with those effects for which a condition holds. Effects that drag on the motion make every step dearer, so they
+    have a bench of their own in the first round, and only what one effect does not explain meets the bench with all of them. Raises
+    NumericsError if the first fit does not come to rest.
+    """
+    light, heavy = make(lambda kind: not _drags(kind)), make(_drags)
+    say("fitting the rig as it is written down")
+    point, stop, floor, simulations = _first_fit(light.plain, seed)
+    tracers = [_Tracer(bench, floor, seed) for bench in (light, heavy) if bench.effects]
+    current = tracers[0].judged("", tracers[0].base(point, stop))
+    first, owner = current, tracers[0]
+    samples = len(owner.flat(current.refit.residual))
     limit = critical(samples)
-    current = tracer.judged("", base)
-    first = current
     accepted: list[str] = []
+    rejected: list[tuple[str, str]] = []
     equivalent: dict[str, tuple[str, ...]] = {}
     ranking: dict[str, Ranked] = {}
     for turn in range(ROUNDS):
-        if len(bench.moved(current.refit.hypothesis)) >= SLOTS:
+        if turn and current.train < max(limit, 1.02):
             break
-        say(f"round {turn + 1}: scoring {len(bench.effects) - len(accepted)} effects")
-        scores, shapes, chance = tracer.scores(current.refit)
+        if turn == 1 and heavy.effects:
+            say("compiling the plant with all effects at once")
+            tracers = [_Tracer(make(lambda kind: True), floor, seed)]
+            owner = tracers[0]
+            current = owner.judged(current.key, owner.bench.fit(current.refit.hypothesis, current.refit.base, max_steps=40, rtol=1e-8))
+        if len(owner.bench.moved(current.refit.hypothesis)) >= SLOTS:
+            break
+        trials: list[tuple[_Tracer, Trial]] = []
+        chances = []
+        for tracer in tracers:
+            here = current.refit if tracer is owner else tracer.base(point, stop)
+            say(f"round {turn + 1}: scoring {len(tracer.bench.effects) - len(accepted)} effects")
+            scores, shapes, chance = tracer.scores(here)
+            chances.append(chance)
+            if turn == 0:
+                ranking |= _ranking(tracer, scores, chance, here)
+            if current.train > limit or chance < DETECTED:
+                trials += [(tracer, t) for t in _refits(tracer, here, scores, shapes, turn, limit, say)]
         if turn == 0:
-            ranking = _ranking(tracer, scores, chance, base)
-        if not (chance < DETECTED or current.train > limit):
-            break
-        excess = current.train - 1.0
-        if turn and excess < 0.02:
-            break
-        hopeful = [k for k, s in sorted(scores.items(), key=lambda item: -item[1].gain) if s.gain > 0.0]
-        groups = score.classes({k: scores[k].column for k in hopeful})
-        chosen = hopeful[:_REFITTED]
-        for key in hopeful[:2]:  # all that look like the best ones
-            chosen += [k for k in next((g for g in groups if key in g), ()) if k not in chosen]
-        rest = [k for k in hopeful if k not in chosen]
-        strengths = {k: s.strength for k, s in scores.items()}
-        say(f"round {turn + 1}: refitting {len(chosen)} effects")
-        trials = tracer.race(current.refit, chosen, strengths, shapes)
-        if rest and min((t.train for t in trials), default=math.inf) > max(limit, 1.15):
-            say(f"round {turn + 1}: refitting {len(rest)} more")
-            trials += tracer.race(current.refit, rest, strengths, shapes)
-        trials = [t for t in trials if math.isfinite(t.total)]
-        if turn == 0:
-            for t in trials:
+            ranking = {key: ranking.get(key) or _impossible(light, key) for key in catalogue()}
+            for _, t in trials:
                 ranking[t.key] = dataclasses.replace(ranking[t.key], refit_select=t.select)
-        best = min(trials, key=lambda t: t.total, default=None)
-        if best is None:
+        if not (min(chances) < DETECTED or current.train > limit) or not trials:
             break
+        tracer, best = min(trials, key=lambda t: t[1].total)
         fall = (current.train - best.train) * samples
         cut = 1.0 - math.sqrt(best.select / current.select)
         if fall < 25.0 * max(1.0, best.train) or cut < CUT:
-            tracer.rejected.append(
-                (
-                    best.key,
-                    f"cuts the error on the selection recording by {100 * cut:.1f} %, under the {100 * CUT:.0f} % that a cause must reach",
-                )
-            )
+            why = f"cuts the error on the selection recording by {100 * cut:.1f} %, under the {100 * CUT:.0f} % that a cause must reach"
+            rejected.append((best.key, why))
             break
-        near = [t for t in trials if t is not best and _as_good(t, best, samples)]
+        near = [t for _, t in trials if t.key != best.key and _as_good(t, best, samples)]
         accepted.append(best.key)
         equivalent[best.key] = tuple(t.key for t in sorted(near, key=lambda t: t.total))
-        say(
-            f"accepted {best.key}: error over noise {math.sqrt(current.select):.3g} -> {math.sqrt(best.select):.3g} on the selection recording"
-        )
-        current = best
-    current, accepted = _backward(tracer, current, accepted, samples)
-    return _conclude(tracer, first, current, accepted, equivalent, ranking, tracer.floor, limit)
+        owner, was = tracer, current.select
+        current = owner.judged(best.key, owner.bench.fit(best.refit.hypothesis, best.refit.base, max_steps=60, rtol=1e-9))
+        say(f"accepted {best.key}: error over noise {math.sqrt(was):.3g} -> {math.sqrt(current.select):.3g} on the selection recording")
+    current, accepted, dropped = _backward(owner, current, accepted, samples)
+    say("predicting the holdout")
+    owner.bench.simulations += simulations
+    return _conclude(owner, first, current, accepted, equivalent, ranking, [*rejected, *dropped], limit)
+
+
+def _drags(kind: type) -> bool:
+    return bool(getattr(kind, "drags", False))
+
+
+def _refits(tracer: _Tracer, refit: Refit, scores: dict, shapes: dict, turn: int, limit: float, say: Callable[[str], None]) -> list[Trial]:
+    """Refits of the effects that promise most, and of all others if none of these explains the residual."""
+    hopeful = [k for k, s in sorted(scores.items(), key=lambda item: -item[1].gain) if s.gain > 0.0]
+    groups = score.classes({k: scores[k].column for k in hopeful})
+    chosen = hopeful[:_REFITTED]
+    for key in hopeful[:2]:  # all that look like the best ones
+        chosen += [k for k in next((g for g in groups if key in g), ()) if k not in chosen]
+    strengths = {k: s.strength for k, s in scores.items()}
+    also = tracer.bench.problems[0].nominal if turn == 0 else None
+    say(f"round {turn + 1}: refitting {len(chosen)} effects")
+    trials = tracer.race(refit, chosen, strengths, shapes, also)
+    rest = [k for k in hopeful if k not in chosen]
+    if rest and min((t.train for t in trials), default=math.inf) > max(limit, 1.15):
+        say(f"round {turn + 1}: refitting {len(rest)} more")
+        trials += tracer.race(refit, rest, strengths, shapes, also)
+    return [t for t in trials if math.isfinite(t.total)]
 
 
 def _as_good(trial: Trial, best: Trial, samples: int) -> bool:
@@ -257,42 +300,43 @@ def _as_good(trial: Trial, best: Trial, samples: int) -> bool:
     return close and trial.select < best.select + max(0.01, 10.0 * max(1.0, best.select) / samples)
 
 
-def _backward(tracer: _Tracer, current: Trial, accepted: list[str], samples: int) -> tuple[Trial, list[str]]:
+def _backward(tracer: _Tracer, current: Trial, accepted: list[str], samples: int) -> tuple[Trial, list[str], list[tuple[str, str]]]:
     """Drops each accepted effect that is not missed by now."""
+    dropped = []
     for key in list(accepted)[:-1]:
         without = tracer.bench.fit(current.refit.hypothesis.without(key), current.refit.base)
         judged = tracer.judged("", without)
         loss = 1.0 - math.sqrt(current.select / judged.select)
         if (judged.train - current.train) * samples < 25.0 * max(1.0, current.train) or loss < CUT:
-            tracer.rejected.append((key, "is no longer missed beside the other effects"))
+            dropped.append((key, "is no longer missed beside the other effects"))
             current, accepted = judged, [k for k in accepted if k != key]
-    return current, accepted
+    return current, accepted, dropped
+
+
+def _impossible(bench: Bench, key: str) -> Ranked:
+    """An effect that is not on any bench of this rig, and why."""
+    kind = catalogue()[key]
+    why = kind.no_mean_effect or f"this rig cannot show it: it needs {', '.join(sorted(set(kind.needs) - bench.traits))}"
+    return Ranked(key, kind.stage, "blind", None, None, None, kind.unit(), None, None, None, None, (why,))
 
 
 def _ranking(tracer: _Tracer, scores: dict[str, score.Score], chance: float, base: Refit) -> dict[str, Ranked]:
     bench, ranking = tracer.bench, {}
-    names = [u.label for u in bench.problems[0].unknowns]
-    total = float(base.residual @ base.residual)
-    for key, kind in catalogue().items():
+    names = tuple(u.label for u in bench.problems[0].unknowns)
+    inflated = math.sqrt(max(float(base.residual @ base.residual) / len(tracer.flat(base.residual)), 1.0))
+    for key, one in scores.items():
+        kind = catalogue()[key]
         low, high = kind.plausible()
-        if key not in bench.effects:
-            why = kind.no_mean_effect or f"this rig cannot show it: needs {', '.join(sorted(set(kind.needs) - bench.traits))}"
-            ranking[key] = Ranked(key, kind.stage, "blind", None, None, None, kind.unit(), None, None, None, None, (why,))
-            continue
-        one = scores[key]
         reach = max(abs(low), abs(high)) / kind.typical
         status = "absorbed" if one.absorbed > score.ABSORBED else "blind" if not one.smallest < reach else "testable"
-        by: tuple[str, ...] = ()
-        if status == "absorbed":
-            by = tuple(names)
-        spread = 1.96 / score.DETECTABLE * one.smallest * kind.typical * math.sqrt(max(total / len(base.residual), 1.0))
-        estimate = one.strength * kind.typical
-        testable = status == "testable"
-        ranking[key] = Ranked(
-            key, kind.stage, status, estimate if testable else None, estimate - spread if testable else None,
-            estimate + spread if testable else None, kind.unit(), one.gain if testable else None, chance if testable else None, None,
-            one.smallest * kind.typical if math.isfinite(one.smallest) else None, by,
-        )  # fmt: skip
+        smallest = one.smallest * kind.typical if math.isfinite(one.smallest) else None
+        if status != "testable":
+            by = names if status == "absorbed" else ()
+            ranking[key] = Ranked(key, kind.stage, status, None, None, None, kind.unit(), None, None, None, smallest, by)
+            continue
+        estimate, spread = one.strength * kind.typical, 1.96 / score.DETECTABLE * one.smallest * kind.typical * inflated
+        ends = (estimate - spread, estimate + spread)
+        ranking[key] = Ranked(key, kind.stage, status, estimate, *ends, kind.unit(), one.gain, chance, None, smallest, ())
     return ranking
 
 
@@ -302,7 +346,7 @@ def _stages(tracer: _Tracer, refit: Refit) -> dict[str, float]:
     q = score.basis(jacobian)
     left = score.project(q, tracer.flat(refit.residual))
     whole, columns = float(left @ left), tracer.bench.columns(refit.hypothesis, refit.base)
-    shares = dict.fromkeys(("drive", "heat", "material", "mechanism", "sensor"), 0.0)
+    shares: dict[str, float] = dict.fromkeys(("drive", "heat", "material", "mechanism", "sensor"), 0.0)
     for stage in shares:
         own = [tracer.flat(c) for (key, _), c in columns.items() if tracer.bench.effects[key].stage == stage]
         own = [p for c in own if np.linalg.norm(p := score.project(q, c)) > 1e-3 * max(np.linalg.norm(c), 1e-300)]
@@ -315,10 +359,9 @@ def _stages(tracer: _Tracer, refit: Refit) -> dict[str, float]:
 
 
 def _conclude(
-    tracer: _Tracer, first: Trial, last: Trial, accepted: Sequence[str], equivalent: dict, ranking: dict, noise: dict, limit: float
+    tracer: _Tracer, first: Trial, last: Trial, accepted: Sequence[str], equivalent: dict, ranking: dict, rejected: list, limit: float
 ) -> Diagnosis:
-    bench = tracer.bench
-    tracer.say("predicting the holdout")
+    bench, noise = tracer.bench, tracer.floor
     stages = _stages(tracer, first.refit)
     residuals = {
         "before": [first.refit.residual, *(bench.evaluate(Hypothesis(), first.refit.base, k)[0] for k in (1, 2))],
@@ -346,7 +389,7 @@ def _conclude(
         unresolved = max(left, key=lambda s: left[s])
     return Diagnosis(
         verdict, tuple(accepted), {k: equivalent.get(k, ()) for k in accepted if equivalent.get(k)}, unresolved, tuple(ranking.values()),
-        stages, noise, first.refit, last.refit, (first.train, last.train, limit), rmse, cut95, tuple(tracer.rejected),
+        stages, noise, first.refit, last.refit, (first.train, last.train, limit), rmse, cut95, tuple(rejected),
         _intervals(tracer, last.refit), {when: [{c: v * noise[c] for c, v in s.items()} for s in found] for when, found in series.items()},
     )  # fmt: skip
 

@@ -164,7 +164,7 @@ class Plant(eqx.Module):
         skip = self.mechanism.wires if self.drive.control else 0
         return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
 
-    def _of(self, kind: type) -> tuple:
+    def _of(self, kind: type | tuple[type, ...]) -> tuple:
         return tuple(e for e in self.effects if isinstance(e, kind))
 
     @property

@@ -29,8 +29,15 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     for one in series:
         sections += _recording(one, doc["observed"], doc["inputs"], floor, pictures)
     sections += _certainty(doc, pictures)
-    sections += ["<h2>Where this comes from</h2>", _recordings(doc["recordings"]), _fixed(doc), _solver(doc), _provenance(run), _rig(rig)]
-    return _page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)
+    sections += [
+        "<h2>Where this comes from</h2>",
+        _recordings(doc["recordings"]),
+        _fixed(doc),
+        _solver(doc),
+        provenance(run),
+        rig_text(rig),
+    ]
+    return page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)
 
 
 def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
@@ -42,12 +49,13 @@ def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
     sections += _recording(series, observed, run["inputs"], {}, pictures)
     if rest:
         sections.append("<h2>The other channels</h2>")
-        sections.append(_draw(plots.time_picture(series, rest, [], {}), pictures))
-    sections += ["<h2>Where this comes from</h2>", _recordings(run["recordings"]), _provenance(run), _rig(rig)]
-    return _page(f"Simulation of {run['rig']}", f"{run['rig']} driven by {series.name}: {len(series.time):,} rows.", sections, pictures)
+        sections.append(draw(plots.time_picture(series, rest, [], {}), pictures))
+    sections += ["<h2>Where this comes from</h2>", _recordings(run["recordings"]), provenance(run), rig_text(rig)]
+    return page(f"Simulation of {run['rig']}", f"{run['rig']} driven by {series.name}: {len(series.time):,} rows.", sections, pictures)
 
 
-def _page(title: str, lead: str, sections: Iterable[str], pictures: Sequence[Picture]) -> str:
+def page(title: str, lead: str, sections: Iterable[str], pictures: Sequence[Picture]) -> str:
+    """A whole page: its title, a sentence below it, sections of HTML, and the pictures that stand in them."""
     from plotly.offline import get_plotlyjs  # here, since it takes time to load
 
     style, script = ((_HERE / name).read_text("utf-8") for name in ("style.css", "page.js"))
@@ -77,22 +85,22 @@ def _certainty(doc: Mapping[str, Any], pictures: list[Picture]) -> list[str]:
     """How well the parameters are known: profiles, and correlations."""
     drawn = []
     for name, profile in doc.get("profiles", {}).items():
-        drawn.append(_draw(plots.profile_picture(name, doc["parameters"][name]["unit"], profile["values"], profile["rise"]), pictures))
+        drawn.append(draw(plots.profile_picture(name, doc["parameters"][name]["unit"], profile["values"], profile["rise"]), pictures))
     correlations = doc["correlations"]
     if len(correlations["parameters"]) > 1:
-        drawn.append(_draw(plots.correlation_picture(correlations["parameters"], correlations["matrix"]), pictures))
+        drawn.append(draw(plots.correlation_picture(correlations["parameters"], correlations["matrix"]), pictures))
     return ["<h2>How certain the parameters are</h2>", *drawn] if drawn else []
 
 
 def _recording(
     series: Series, observed: Sequence[str], inputs: Sequence[str], floor: Mapping[str, float | None], pictures: list[Picture]
 ) -> list[str]:
-    drawn = [_draw(plots.time_picture(series, observed, inputs, floor), pictures)]
-    drawn += [_draw(picture, pictures) for picture in (plots.phase_picture(series, channel) for channel in observed) if picture]
+    drawn = [draw(plots.time_picture(series, observed, inputs, floor), pictures)]
+    drawn += [draw(picture, pictures) for picture in (plots.phase_picture(series, channel) for channel in observed) if picture]
     return drawn
 
 
-def _draw(picture: Picture, pictures: list[Picture]) -> str:
+def draw(picture: Picture, pictures: list[Picture]) -> str:
     """The place where a picture goes; its figure is added to the page's."""
     pictures.append(picture)
     kind = "picture" if picture.wide else "picture square"
@@ -113,17 +121,17 @@ def _verdict(doc: Mapping[str, Any]) -> str:
 
 
 def _rmse(doc: Mapping[str, Any]) -> str:
-    return _table(("channel", "RMSE train", "holdout", "noise floor", "train / floor"), summary.rmse_rows(doc), numbers=(1, 2, 3, 4))
+    return table(("channel", "RMSE train", "holdout", "noise floor", "train / floor"), summary.rmse_rows(doc), numbers=(1, 2, 3, 4))
 
 
 def _parameters(doc: Mapping[str, Any]) -> str:
     rows = [(name, e, low, high, pretty_unit(unit), note) for name, e, low, high, unit, note in summary.parameter_rows(doc)]
-    return _table(("parameter", "estimate", "95 % from", "to", "unit", ""), rows, numbers=(1, 2, 3), remark=5)
+    return table(("parameter", "estimate", "95 % from", "to", "unit", ""), rows, numbers=(1, 2, 3), remark=5)
 
 
 def _recordings(entries: Sequence[Mapping[str, Any]]) -> str:
     rows = [(r["name"], r["role"], f"{r['rows']:,}", r["sha256"] or "-") for r in entries]
-    return "<h3>Recordings</h3>" + _table(("file", "role", "rows", "SHA-256"), rows, numbers=(2,), hash_column=3)
+    return "<h3>Recordings</h3>" + table(("file", "role", "rows", "SHA-256"), rows, numbers=(2,), hash_column=3)
 
 
 def _fixed(doc: Mapping[str, Any]) -> str:
@@ -131,7 +139,7 @@ def _fixed(doc: Mapping[str, Any]) -> str:
     for name, entry in doc["fixed"].items():
         value, _, _, unit = summary.readable(entry["value"], None, None, unit=entry["unit"])
         rows.append((name, value, pretty_unit(unit), entry["source"]))
-    return _folded("Parameters that were held", _table(("parameter", "value", "unit", "from"), rows, numbers=(1,))) if rows else ""
+    return _folded("Parameters that were held", table(("parameter", "value", "unit", "from"), rows, numbers=(1,))) if rows else ""
 
 
 def _solver(doc: Mapping[str, Any]) -> str:
@@ -141,17 +149,19 @@ def _solver(doc: Mapping[str, Any]) -> str:
     if solver["wall_s"] is not None:
         rows.append(("time", f"{solver['wall_s']:.2f} s, of it {solver['compile_s'] or 0:.2f} s to compile"))
     rows += [("starts at the best minimum", f"{solver['starts_at_best']} of {solver['starts']}"), ("seed", str(doc["seed"]))]
-    return _folded("How it was solved", _table(("", ""), rows))
+    return _folded("How it was solved", table(("", ""), rows))
 
 
-def _provenance(run: Mapping[str, Any]) -> str:
+def provenance(run: Mapping[str, Any]) -> str:
+    """Command, versions and timings of a run."""
     rows = [("command", " ".join(run["argv"])), ("started", run["started"]), ("machine", run["machine"])]
     rows += [("versions", ", ".join(f"{name} {version}" for name, version in run["versions"].items()))]
     rows += [("seconds", ", ".join(f"{name} {value:.2f}" for name, value in run["timings"].items()))]
-    return _folded("Command, versions and timings", _table(("", ""), rows))
+    return _folded("Command, versions and timings", table(("", ""), rows))
 
 
-def _rig(text: str) -> str:
+def rig_text(text: str) -> str:
+    """The rig file, folded."""
     return _folded("The rig file", f"<pre>{escape(text)}</pre>")
 
 
@@ -163,9 +173,11 @@ def _list(sentences: Sequence[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>" if sentences else ""
 
 
-def _table(
+def table(
     head: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: Sequence[int] = (), remark: int = -1, hash_column: int = -1
 ) -> str:
+    """A table; the columns ``numbers`` are set flush right. All text is escaped."""
+
     def kind(k: int) -> str:
         found = "number" if k in numbers else "remark" if k == remark else "hash" if k == hash_column else ""
         return f' class="{found}"' if found else ""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from smajax.errors import InputError
 from smajax.report import html, prediction
+from smajax.report.diagnosis import diagnosis_page
 from smajax.results import read_json, replace_file
 
 
@@ -15,6 +16,8 @@ def rebuild_report(folder: Path) -> Path:
         rig = (folder / "rig.toml").read_text("utf-8")
         if run["command"] == "simulate":
             page = html.simulation_page(series[0], run, rig)
+        elif run["command"] == "diagnose":
+            page = diagnosis_page(read_json(folder, "diagnosis.json"), series, run["inputs"], run, rig)
         else:
             page = html.fit_page(read_json(folder, "fit.json"), series, run, rig)
     except OSError as error:

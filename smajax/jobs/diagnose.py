@@ -1,0 +1,105 @@
+"""The job of ``smajax diagnose``."""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from smajax import parameters
+from smajax.console import Progress
+from smajax.diagnose.candidates import Bench
+from smajax.diagnose.trace import Diagnosis, trace
+from smajax.errors import InputError
+from smajax.jobs.fit import read_recordings
+from smajax.jobs.record import Clock, Outcome, rig_text, run_record
+from smajax.recording import Recording
+from smajax.report import prediction
+from smajax.report.diagnosis import PARTS, diagnosis_document, diagnosis_page
+from smajax.report.document import to_json
+from smajax.report.prediction import Series, to_series
+from smajax.results import check_out, write_folder
+from smajax.rig import Rig, read_rig
+
+_FEWEST = 200
+
+
+class DiagnoseJob(NamedTuple):
+    """What a diagnosis is asked to do; ``seed`` replaces the rig's where it is given."""
+
+    rig: Path
+    train: Path
+    select: Path
+    holdout: Path
+    out: Path
+    seed: int | None = None
+    drop_bad_rows: bool = False
+
+
+def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> Outcome:
+    """Reads, diagnoses and writes the folder. Raises InputError and NumericsError."""
+    out, clock, began = check_out(job.out), Clock(), time.perf_counter()
+    progress.phase("reading")
+    with clock.time("read"):
+        rig, text = read_rig(job.rig), rig_text(job.rig)
+        recordings = _read(rig, job)
+    seed = rig.fit.seed if job.seed is None else job.seed
+    with clock.time("diagnose"):
+        settings: Any = rig.fit
+        benches: list[Bench] = []
+
+        def make(only: Any) -> Bench:
+            benches.append(Bench(rig.plant, recordings, settings, interpolation=rig.interpolation, only=only))
+            return benches[-1]
+
+        found = trace(make, seed=seed, say=progress.phase)
+    simulations = sum(b.simulations for b in benches)
+    document = diagnosis_document(found, recordings[0], simulations=simulations, wall=time.perf_counter() - began, seed=seed)
+    run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
+    series = _series(rig, recordings, found)
+    progress.phase("writing the report")
+
+    def fill(folder: Path) -> None:
+        (folder / "rig.toml").write_text(text, "utf-8", newline="")
+        (folder / "diagnosis.json").write_text(to_json(document), "utf-8")
+        prediction.write(folder / "prediction.csv", series)
+        _fitted(rig, benches, found).write(folder / "rig-diagnosed.toml")
+        page = diagnosis_page(document, prediction.read(folder / "prediction.csv"), run["inputs"], run, text)
+        (folder / "report.html").write_text(page, "utf-8")
+
+    write_folder(out, run, fill)
+    return Outcome(out, document, 0)
+
+
+def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
+    read = [r for r, _ in read_recordings(rig, [job.train], [job.select, job.holdout], job.drop_bad_rows)]
+    for k, one in enumerate(read):
+        if not one.has_clock:
+            raise InputError(f"{one.name}: a diagnosis needs recordings with a time column")
+        if len(one) < _FEWEST:
+            raise InputError(f"{one.name}: {len(one)} rows are too few for a diagnosis: at least {_FEWEST} are needed")
+        same = next((other.name for other in read[:k] if other.sha256 == one.sha256), None)
+        if same is not None:
+            raise InputError(f"{one.name} has the same content as {same}: it tests nothing; give another recording, of another input")
+    return read
+
+
+def _fitted(rig: Rig, benches: Sequence[Bench], found: Diagnosis) -> Rig:
+    """The rig with its parameters fitted and the accepted effects in it."""
+    values, _ = benches[0].problems[0].values(jnp.asarray(found.after.base))
+    effects = tuple(next(b.effects[key] for b in benches if key in b.effects) for key in found.effects)
+    plant = dataclasses.replace(parameters.replace(rig.plant, values), effects=effects)
+    own = {name: value for name, value in found.after.values.items() if name.split(".")[1] in found.effects}
+    return dataclasses.replace(rig, plant=parameters.replace(plant, own))
+
+
+def _series(rig: Rig, recordings: Sequence[Recording], found: Diagnosis) -> list[Series]:
+    series = []
+    for k, (recording, role) in enumerate(zip(recordings, PARTS, strict=True)):
+        for when, residuals in found.predictions.items():
+            model = {c: recording.channels[c] + v for c, v in residuals[k].items()}
+            name = f"{recording.name} ({when})"
+            series.append(to_series(name, role, recording.time, recording.channels, model, recording.units, clock=True))
+    return series
