@@ -18,4 +18,15 @@ class TimeSkew(SensorEffect):
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""
-        return jnp.interp(time - self.strength, time, series) - series
+        return _at(time - self.strength, time, series) - series
+
+
+def _at(wanted: jax.Array, time: jax.Array, series: jax.Array) -> jax.Array:
+    """A series between its samples by cubics through them, whose slope at a sample is the same from both sides; its ends go on level."""
+    slope = jnp.gradient(series) / jnp.gradient(time)
+    wanted = jnp.clip(wanted, time[0], time[-1])
+    i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(wanted), side="right") - 1, 0, len(time) - 2)
+    gap = time[i + 1] - time[i]
+    u = (wanted - time[i]) / gap
+    near = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * series[i] + u * (1.0 - u) ** 2 * gap * slope[i]
+    return near + u**2 * (3.0 - 2.0 * u) * series[i + 1] - u**2 * (1.0 - u) * gap * slope[i + 1]

@@ -1,0 +1,152 @@
+"""The catalogue: what every effect declares, that it is absent at 0, and that its derivative there is the right one."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax import parameters
+from smajax.datasets import shipped
+from smajax.diagnose.candidates import Bench, Hypothesis
+from smajax.diagnose.effects import catalogue
+from smajax.errors import InputError
+from smajax.parameters import declarations
+from smajax.plant.effect import AbstractEffect
+from smajax.rig import parse_rig, read_rig
+from tests import plants
+
+KEYS = [
+    "latent-heat",
+    "convection-temperature",
+    "convection-diameter",
+    "radiation",
+    "end-conduction",
+    "ambient-drift",
+    "airflow-change",
+    "coating",
+    "wire-crosstalk",
+    "heat-capacity",
+    "thermocouple-lag",
+    "thermocouple-attachment",
+    "thermocouple-pickup",
+    "time-skew",
+    "sensor-lag",
+    "encoder-gain",
+    "quantisation",
+    "current-limit",
+    "lead-resistance",
+    "resistivity-temperature",
+    "resistivity-strain",
+    "coulomb-friction",
+    "viscous-friction",
+    "backlash",
+    "slack",
+    "compliance",
+    "bias-nonlinearity",
+    "load-change",
+    "r-phase",
+    "stress-dependent-strain",
+    "clausius-asymmetry",
+    "ratcheting",
+    "functional-fatigue",
+    "transformation-shift",
+    "minor-loop-shape",
+    "creep",
+    "temperature-distribution",
+    "encoder-drift",
+]
+
+
+def bench(kind: str, seconds: float, observe: str = "") -> Bench:
+    """A shipped rig on the first seconds of its training recording, with other observed channels where these are given."""
+    folder = shipped("recordings", kind)
+    text = (folder / "rig.toml").read_text("utf-8")
+    rig = parse_rig(text) if not observe else parse_rig(text.replace('observe = ["displacement"]', f"observe = [{observe}]"))
+    recording = read_rig(folder / "rig.toml").read(folder / "train.csv").slice(0.0, seconds)
+    if observe:  # evidence of the kind that more sensors would give; its values do not matter for derivatives
+        channels = recording.channels | {
+            "temperature": 20.0 + 1e3 * recording.channels["displacement"],
+            "voltage": 9.0 * recording.channels["current"] + 1e-3,
+        }
+        recording = dataclasses.replace(recording, channels=channels, units=recording.units | {"temperature": "degC", "voltage": "V"})
+    noise = {"displacement": 2e-5, "temperature": 0.4, "voltage": 5e-3, "angle": 1e-3}
+    settings = dataclasses.replace(rig.fit, noise={c: noise[c] for c in rig.fit.observe})
+    return Bench(rig.plant, [recording], settings, interpolation=rig.interpolation)
+
+
+def test_the_catalogue_is_whole():
+    assert sorted(KEYS) == list(catalogue())
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_an_effect_says_what_it_is(key):
+    kind: type[AbstractEffect] = catalogue()[key]
+    low, high = kind.plausible()
+    assert kind.stage in ("drive", "heat", "material", "mechanism", "sensor")
+    assert low <= 0.0 < high
+    assert 0.0 < kind.typical <= high
+    assert kind.source and kind.__doc__
+    assert set(kind.confused_with) <= set(KEYS)
+    assert declarations(kind)["strength"].default == 0.0
+    assert all(name in declarations(kind) for name, _ in kind.shapes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "observe"),
+    [
+        ("dead-weight", 12.0, '"displacement", "temperature", "voltage"'),
+        ("rotary", 6.0, ""),
+        ("bias-spring", 8.0, ""),
+    ],
+)
+def test_derivatives_at_zero_strength(kind, seconds, observe):
+    """All effects of a rig in one program: absent at 0, and the derivative there is that of a small step."""
+    made = bench(kind, seconds, observe)
+    nominal = made.problems[0].nominal
+    nothing, _ = made.evaluate(Hypothesis(), nominal, 0)
+    without = np.asarray(made.plain.residual(jnp.asarray(nominal)))
+    assert np.max(np.abs(nothing - without)) < 1e-6 * np.linalg.norm(without)
+    silent = set()
+    for (key, shape), column in made.columns(Hypothesis(), nominal).items():
+        assert np.all(np.isfinite(column)), key
+        size = 1e-4
+        at = Hypothesis(
+            (key,), ((f"effects.{key}.strength", size * made.effects[key].typical), *((f"effects.{key}.{n}", v) for n, v in shape))
+        )
+        moved, _ = made.evaluate(at, nominal, 0)
+        change = (moved - nothing) / size
+        if np.linalg.norm(column) < 1e-6 * np.linalg.norm(nothing):
+            silent.add(key)
+            assert np.linalg.norm(change) < 1e-3 * np.linalg.norm(nothing), key
+            continue
+        assert np.linalg.norm(change - column) < 2e-2 * np.linalg.norm(column), key
+    assert silent <= {"compliance", "stress-dependent-strain"}, silent
+
+
+def test_what_a_rig_cannot_have_is_not_tried_and_said():
+    traits = plants.dead_weight().traits(("displacement",))
+    assert "two wires" not in traits and "drag" in traits and "current" in traits
+    text = (shipped("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
+    for section, said in (
+        ('[effects.wire-crosstalk]\nstrength = "0.1"', "has no place on this rig: it needs two wires"),
+        ('[effects.latent-heet]\nstrength = "1 J/m^3"', "not in the catalogue (did you mean 'latent-heat'?)"),
+        ('[effects.quantisation]\nstrength = "1"', "rounding scatters"),
+        ('[effects.latent-heat]\nstrenght = "1 J/m^3"', "did you mean 'strength'?"),
+        ('[effects.latent-heat]\nstrength = "9 GJ/m^3"', "is not possible"),
+    ):
+        with pytest.raises(InputError) as error:
+            parse_rig(f"{text}\n{section}\n")
+        assert said in str(error.value)
+
+
+def test_a_rig_with_effects_is_written_and_read_back():
+    text = (shipped("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
+    rig = parse_rig(text + '\n[effects.latent-heat]\nstrength = "60 MJ/m^3"\n[effects.coating]\nstrength = "0.2"\ntime_constant = "2 s"\n')
+    again = parse_rig(rig.to_toml())
+    for name in ("effects.latent-heat.strength", "effects.coating.strength", "effects.coating.time_constant"):
+        assert float(parameters.get(again.plant, name)) == float(parameters.get(rig.plant, name)) > 0.0
+    assert math.isclose(float(parameters.get(rig.plant, "effects.latent-heat.strength")), 6e7)
+    assert jax.tree.structure(again.plant) == jax.tree.structure(rig.plant)
