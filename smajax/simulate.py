@@ -122,6 +122,11 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
     return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
 
 
+# Traced once for all programs: their step is the same, and tracing it takes longer than compiling some of them.
+_advance = eqx.filter_jit(lambda plant, *step: plant.advance(*step))
+_arrive = eqx.filter_jit(lambda plant, *step: plant.arrive(*step))
+
+
 class _Nothing(dfx.AbstractTerm):
     """A term without content: the plant comes as ``args``, and its increments are the solver's own."""
 
@@ -160,7 +165,7 @@ class _PlantSteps(dfx.AbstractSolver):
         def single(carry: tuple, row: tuple) -> tuple:
             state, unsolved, hottest = carry
             before, after, signal, duration = row
-            state, failed = plant.advance(state, before, after, duration)
+            state, failed = _advance(plant, state, before, after, duration)
             return (state, unsolved + failed, jnp.maximum(hottest, jnp.max(state.temperature))), self.keep(plant, state, signal)
 
         carry, y1 = jax.lax.scan(single, carry, jax.tree.map(lambda leaf: leaf[block], rows))
@@ -233,7 +238,7 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
 
     def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: Any) -> tuple[jax.Array, jax.Array]:
         before, after, duration = step
-        left, state = plant.arrive(unflatten(y), before, after, duration, end)
+        left, state = _arrive(plant, unflatten(y), before, after, duration, end)
         return left, ravel_pytree(state)[0]
 
     def push(of_plant: Callable[[Plant], Any]) -> Any:

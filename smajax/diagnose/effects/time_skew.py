@@ -23,7 +23,7 @@ class TimeSkew(SensorEffect):
 
 def _at(wanted: jax.Array, time: jax.Array, series: jax.Array) -> jax.Array:
     """A series between its samples by cubics through them, whose slope at a sample is the same from both sides; its ends go on level."""
-    slope = jnp.gradient(series) / jnp.gradient(time)
+    slope = jnp.asarray(jnp.gradient(series)) / jnp.asarray(jnp.gradient(time))
     wanted = jnp.clip(wanted, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(wanted), side="right") - 1, 0, len(time) - 2)
     gap = time[i + 1] - time[i]
