@@ -1,5 +1,6 @@
 """Puts the tables of experiments into the README: ``python experiments/readme.py FILE.json ...``, files written by experiments with --json.
 
+Of measured recordings only the rows with a target go in.
 A table goes between ``<!-- NAME -->`` and ``<!-- end -->``, under the command that prints it. Numbers reach the README in no other way.
 """
 
@@ -15,8 +16,10 @@ from _common import ROOT, table
 
 def block(document: dict) -> str:
     """The table of one experiment as Markdown, under its command."""
+    measured = document["experiment"].startswith("measured_")
+    shown = [r for r in document["rows"] if r["met"] is not None or not measured]
     command = f"`python experiments/{document['experiment']}.py{' --quick' if document['quick'] else ''}`"
-    rows = [(r["what"], r["target"], r["measured"], {True: "yes", False: "no", None: "-"}[r["met"]]) for r in document["rows"]]
+    rows = [(r["what"], r["target"], r["measured"], {True: "yes", False: "no", None: "-"}[r["met"]]) for r in shown]
     return f"{command}:\n\n{table(['what', 'target', 'measured', 'met'], rows)}"
 
 

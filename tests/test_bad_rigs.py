@@ -21,7 +21,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
         DEAD,
         {"[load]": "[motor]"},
         "[motor] is not a section of a rig: the sections are rig, wire, environment, initial, drive, heat, material, load, spring, pulley, "
-        "sensor, channels, fit",
+        "effects, sensor, channels, fit",
     ),
     "key misspelt": (
         DEAD,

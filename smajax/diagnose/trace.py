@@ -26,7 +26,7 @@ CUT = 0.05
 ROUNDS = 3
 _REFITTED = 8
 _SPRINT = 6
-_FINALISTS = 4
+_HEATS = ((4, 10), (2, 30))  # how many go on, and for how many steps
 _STATIONARY = 2e-2
 
 
@@ -171,9 +171,12 @@ class _Tracer:
         best: dict[str, Refit] = {}
         for key, found in sorted((s for s in sprints if math.isfinite(s[1].chi2)), key=lambda s: s[1].chi2):
             best.setdefault(key, found)
-        order = list(best.items())
-        ended = together(lambda s: (s[0], self.bench.fit(s[1].hypothesis, s[1].base, max_steps=40, rtol=1e-6)), order[:_FINALISTS])
-        return together(lambda s: self.judged(*s), [*ended, *order[_FINALISTS:]])
+        order = sorted(best.items(), key=lambda item: item[1].chi2)
+        for count, steps in _HEATS:
+            ahead = [(k, f) for k, f in order[:count] if f.chi2 < 4.0 * order[0][1].chi2]
+            ended = together(lambda s: (s[0], self.bench.fit(s[1].hypothesis, s[1].base, max_steps=steps, rtol=1e-6)), ahead)  # noqa: B023
+            order = sorted([*ended, *order[len(ahead) :]], key=lambda item: item[1].chi2 if math.isfinite(item[1].chi2) else math.inf)
+        return together(lambda s: self.judged(*s), order)
 
     def judged(self, key: str, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
