@@ -79,7 +79,7 @@ def read_levels(folder: Path) -> dict[int, Recording]:
         stress = np.full(len(columns), int(found[1]) * 1e6)
         channels = {"temperature": columns[:, 0], "stress": stress, "strain": strain}
         levels[int(found[1])] = Recording.from_arrays(path.name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"})
-    return levels
+    return dict(sorted(levels.items()))
 
 
 def hold_out(levels: dict[int, Recording], level: int, times: int) -> tuple[list[Fit], np.ndarray]:

@@ -16,7 +16,7 @@ class AirflowChange(HeatEffect):
     instant: jax.Array = parameter("s", "time of the change, from the first row", 0.0, 1e5, 30.0)
     key = "airflow-change"
     typical = 0.3
-    source = "catalogue row 7; a fan or an open door changes h by 0.2 to 5 times"
+    source = "estimate: a fan or an open door changes h by 0.2 to 5 times"
     confused_with = ("ambient-drift",)
     shapes = (("instant", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),)
 

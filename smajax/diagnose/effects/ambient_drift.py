@@ -12,7 +12,7 @@ class AmbientDrift(HeatEffect):
     strength: jax.Array = parameter("K/s", "rate at which the ambient temperature changes", -0.3, 0.3, 0.0)
     key = "ambient-drift"
     typical = 0.03
-    source = "catalogue row 6; 1 to 5 K in a run"
+    source = "estimate: 1 to 5 K in a run"
     confused_with = ("end-conduction", "airflow-change")
 
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:

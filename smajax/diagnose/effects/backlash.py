@@ -15,7 +15,7 @@ class Backlash(MechanismEffect):
     strength: jax.Array = parameter("m", "half of the play", 0.0, 5e-3, 0.0)
     key = "backlash"
     typical = 1e-4
-    source = "catalogue row 24; 0.05 to 0.3 mm"
+    source = "estimate: 0.05 to 0.3 mm"
     confused_with = ("coulomb-friction",)
 
     def carry(self, motion: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:

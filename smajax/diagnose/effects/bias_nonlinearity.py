@@ -12,7 +12,7 @@ class BiasNonlinearity(MechanismEffect):
     strength: jax.Array = parameter("N/m^3", "cubic stiffness of the spring", -1e9, 1e10, 0.0)
     key = "bias-nonlinearity"
     typical = 1e6
-    source = "catalogue row 27; 0 to 10 % at full stroke"
+    source = "estimate: 0 to 10 % at full stroke"
     confused_with = ("load-change",)
     needs = ("drag", "spring")
     drags = True

@@ -14,7 +14,7 @@ class ClausiusAsymmetry(MaterialEffect):
     strength: jax.Array = parameter("1", "relative excess of the forward slope C_M", -0.6, 1.0, 0.0)
     key = "clausius-asymmetry"
     typical = 0.2
-    source = "catalogue row 31; 0 to 30 %"
+    source = "estimate: 0 to 30 %"
     confused_with = ()
 
     def alter(self, material: AbstractMaterial) -> AbstractMaterial:

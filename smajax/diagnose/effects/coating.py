@@ -14,7 +14,7 @@ class Coating(HeatEffect):
     time_constant: jax.Array = parameter("s", "time in which the coating follows the wire", 0.2, 60.0, 3.0)
     key = "coating"
     typical = 0.5
-    source = "catalogue row 8; time constants 0.5 to 10 s, capacities 0.3 to 3 of the wire's"
+    source = "estimate: time constants 0.5 to 10 s, capacities 0.3 to 3 of the wire's"
     confused_with = ("latent-heat", "end-conduction", "heat-capacity")
     shapes = (("time_constant", (1.0, 5.0)),)
 

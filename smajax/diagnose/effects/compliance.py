@@ -12,7 +12,7 @@ class Compliance(MechanismEffect):
     strength: jax.Array = parameter("m/N", "compliance of frame and tendon", 0.0, 2e-3, 0.0)
     key = "compliance"
     typical = 1e-4
-    source = "catalogue row 26; 5 to 50 N/mm"
+    source = "estimate: 5 to 50 N/mm"
     confused_with = ("load-change",)
     needs = ("displacement",)
 

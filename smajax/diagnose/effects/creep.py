@@ -14,7 +14,7 @@ class Creep(MaterialEffect):
     time_constant: jax.Array = parameter("s", "time in which it relaxes", 0.5, 500.0, 15.0)
     key = "creep"
     typical = 0.002
-    source = "catalogue row 36; 0.1 to 1 % of strain within minutes"
+    source = "estimate: 0.1 to 1 % of strain within minutes"
     confused_with = ("ratcheting", "end-conduction")
     shapes = (("time_constant", (5.0, 30.0)),)
 

@@ -13,7 +13,7 @@ class CurrentLimit(DriveEffect):
     reference: jax.Array = parameter("A", "current to which the strength refers", 1e-3, 100.0, 1.0)
     key = "current-limit"
     typical = 0.05
-    source = "catalogue row 18; current sources lose 1 to 10 % near their limit"
+    source = "estimate: current sources lose 1 to 10 % near their limit"
     confused_with = ("convection-temperature", "radiation")
     needs = ("current",)
 

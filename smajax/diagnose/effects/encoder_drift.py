@@ -12,7 +12,7 @@ class EncoderDrift(SensorEffect):
     strength: jax.Array = parameter("m/s", "drift of the reading", -1e-3, 1e-3, 0.0)
     key = "encoder-drift"
     typical = 2e-6
-    source = "catalogue: a displacement or angle that drifts with time"
+    source = "estimate: a displacement or angle that drifts with time"
     confused_with = ("ratcheting",)
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ class EncoderGain(SensorEffect):
     strength: jax.Array = parameter("1", "relative error of the gain", -0.1, 0.1, 0.0)
     key = "encoder-gain"
     typical = 0.01
-    source = "catalogue row 16; 0.1 to 2 %"
+    source = "estimate: 0.1 to 2 %"
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""

@@ -12,7 +12,7 @@ class FunctionalFatigue(MaterialEffect):
     strength: jax.Array = parameter("1", "share of the transformation strain lost in each full cycle", -0.02, 0.06, 0.0)
     key = "functional-fatigue"
     typical = 0.005
-    source = "catalogue row 33; 0.1 to 1 % in 100 cycles once trained, far more in the first ones"
+    source = "estimate: 0.1 to 1 % in 100 cycles once trained, far more in the first ones"
     confused_with = ("ratcheting",)
 
     def strain(self, now: Instant, memory: tuple, where: Where) -> jax.Array:

@@ -12,7 +12,7 @@ class HeatCapacity(HeatEffect):
     strength: jax.Array = parameter("1", "relative excess of austenite's heat capacity", -0.5, 0.8, 0.0)
     key = "heat-capacity"
     typical = 0.1
-    source = "catalogue row 10; reported capacities differ by 0 to 15 % between the phases"
+    source = "estimate: reported capacities differ by 0 to 15 % between the phases"
     confused_with = ("latent-heat",)
 
     def capacity(self, martensite: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ class LeadResistance(DriveEffect):
     strength: jax.Array = parameter("ohm", "resistance of leads and contacts inside the measured voltage", -1.0, 5.0, 0.0)
     key = "lead-resistance"
     typical = 0.2
-    source = "catalogue row 19; 0.05 to 0.5 ohm"
+    source = "estimate: 0.05 to 0.5 ohm"
     confused_with = ("resistivity-temperature",)
     needs = ("voltage observed",)
 

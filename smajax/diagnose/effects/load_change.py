@@ -14,7 +14,7 @@ class LoadChange(MechanismEffect):
     strength: jax.Array = parameter("Pa", "change of the load, as stress in the wire, over a contraction of 4 %", -2e8, 4e8, 0.0)
     key = "load-change"
     typical = 3e7
-    source = "catalogue row 28: the lever arm of a weight changes along the way"
+    source = "estimate: the lever arm of a weight changes along the way"
     confused_with = ("bias-nonlinearity",)
     needs = ("drag",)
     drags = True

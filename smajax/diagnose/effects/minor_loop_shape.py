@@ -24,7 +24,7 @@ class MinorLoopShape(MaterialEffect):
     strength: jax.Array = parameter("1", "additional exponent of the remaining share", -0.8, 2.0, 0.0)
     key = "minor-loop-shape"
     typical = 0.3
-    source = "catalogue row 34; exponents of 0 to 1"
+    source = "estimate: exponents of 0 to 1"
     confused_with = ("temperature-distribution",)
 
     def transform(self, before: Fractions, after: Fractions) -> Fractions:

@@ -12,5 +12,5 @@ class Quantisation(SensorEffect):
     strength: jax.Array = parameter("1", "step of the converter", 0.0, 1.0, 0.0)
     key = "quantisation"
     typical = 1.0
-    source = "catalogue row 17"
+    source = "the variance of rounding, step squared over 12"
     no_mean_effect = "rounding scatters and does not shift: its variance is counted in the noise"

@@ -18,7 +18,7 @@ class RPhase(MaterialEffect):
     above: jax.Array = parameter("K", "R-phase start above the martensite start temperature", -20.0, 60.0, 12.0)
     key = "r-phase"
     typical = 0.006
-    source = "catalogue row 29; 0.5 to 1 % of strain, 10 to 20 % of resistance"
+    source = "estimate: 0.5 to 1 % of strain, 10 to 20 % of resistance"
     confused_with = ("resistivity-temperature", "slack")
     shapes = (("above", (8.0, 25.0)),)
 

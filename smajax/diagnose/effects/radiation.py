@@ -15,7 +15,7 @@ class Radiation(HeatEffect):
     strength: jax.Array = parameter("1", "emissivity of the surface", 0.0, 1.0, 0.0)
     key = "radiation"
     typical = 0.5
-    source = "catalogue row 4; oxidised NiTi 0.2 to 0.8, which is 2 to 9 % of h in still air"
+    source = "estimate: oxidised NiTi 0.2 to 0.8, which is 2 to 9 % of h in still air"
     confused_with = ("convection-temperature",)
 
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:

@@ -12,7 +12,7 @@ class Ratcheting(MaterialEffect):
     strength: jax.Array = parameter("1", "strain left by each full cycle", -2e-3, 4e-3, 0.0)
     key = "ratcheting"
     typical = 2e-4
-    source = "catalogue row 32; 1e-5 to 1e-4 per cycle of a young wire, more at high stress"
+    source = "estimate: 1e-5 to 1e-4 per cycle of a young wire, more at high stress"
     confused_with = ("encoder-drift", "creep")
 
     def strain(self, now: Instant, memory: tuple, where: Where) -> jax.Array:

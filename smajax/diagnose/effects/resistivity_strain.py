@@ -12,7 +12,7 @@ class ResistivityStrain(MaterialEffect):
     strength: jax.Array = parameter("1", "strain's part in the resistance over that of the geometry", -4.0, 6.0, 0.0)
     key = "resistivity-strain"
     typical = 1.0
-    source = "catalogue row 21; 4 % of strain make 8 % of resistance"
+    source = "estimate: 4 % of strain make 8 % of resistance"
     confused_with = ("resistivity-temperature",)
 
     def resistivity(self, now: Instant, where: Where) -> jax.Array:

@@ -12,7 +12,7 @@ class ResistivityTemperature(MaterialEffect):
     strength: jax.Array = parameter("1/K", "temperature coefficient of resistivity", -2e-3, 5e-3, 0.0)
     key = "resistivity-temperature"
     typical = 7e-4
-    source = "catalogue row 20; 5e-4 to 1e-3 per kelvin"
+    source = "estimate: 5e-4 to 1e-3 per kelvin"
     confused_with = ("convection-temperature", "current-limit", "lead-resistance")
 
     def resistivity(self, now: Instant, where: Where) -> jax.Array:

@@ -13,7 +13,7 @@ class SensorLag(SensorEffect):
     strength: jax.Array = parameter("s", "time constant of the sensor", 0.0, 2.0, 0.0)
     key = "sensor-lag"
     typical = 0.03
-    source = "catalogue row 15; 10 to 100 ms"
+    source = "estimate: 10 to 100 ms"
     confused_with = ("time-skew", "viscous-friction")
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:

@@ -15,7 +15,7 @@ class Slack(MechanismEffect):
     strength: jax.Array = parameter("m", "motion that is lost before the tendon is taut", 0.0, 5e-3, 0.0)
     key = "slack"
     typical = 2e-4
-    source = "catalogue row 25; 0.1 to 0.5 mm"
+    source = "estimate: 0.1 to 0.5 mm"
     confused_with = ("backlash", "r-phase")
     needs = ("displacement",)
 

@@ -16,7 +16,7 @@ class StressDependentStrain(MaterialEffect):
     strength: jax.Array = parameter("1", "how far the transformation strain follows 1 - exp(-k sigma)", -0.6, 1.6, 0.0)
     key = "stress-dependent-strain"
     typical = 1.0
-    source = "catalogue row 30; k = 0.01 to 0.03 per MPa"
+    source = "estimate: k = 0.01 to 0.03 per MPa"
     confused_with = ()
 
     def strain(self, now: Instant, memory: tuple, where: Where) -> jax.Array:

@@ -12,7 +12,7 @@ class ThermocoupleAttachment(SensorEffect):
     strength: jax.Array = parameter("1", "share of the excess temperature that is not seen", -0.2, 0.6, 0.0)
     key = "thermocouple-attachment"
     typical = 0.2
-    source = "catalogue row 12; 0.2 for a 75 um thermocouple on a 0.25 mm wire"
+    source = "estimate: 0.2 for a 75 um thermocouple on a 0.25 mm wire"
     needs = ("temperature observed",)
     channel = "temperature"
 

@@ -13,7 +13,7 @@ class ThermocoupleLag(SensorEffect):
     strength: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, 5.0, 0.0)
     key = "thermocouple-lag"
     typical = 0.3
-    source = "catalogue row 11; 0.05 to 1 s"
+    source = "estimate: 0.05 to 1 s"
     confused_with = ("time-skew",)
     needs = ("temperature observed",)
     channel = "temperature"

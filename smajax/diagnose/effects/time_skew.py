@@ -13,7 +13,7 @@ class TimeSkew(SensorEffect):
     strength: jax.Array = parameter("s", "delay of the channel", -1.0, 1.0, 0.0)
     key = "time-skew"
     typical = 0.03
-    source = "catalogue row 14; 1 to 100 ms"
+    source = "estimate: 1 to 100 ms"
     confused_with = ("sensor-lag",)
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:

@@ -12,7 +12,7 @@ class TransformationShift(MaterialEffect):
     strength: jax.Array = parameter("K", "shift of the transformation temperatures per full cycle", -4.0, 4.0, 0.0)
     key = "transformation-shift"
     typical = 0.3
-    source = "catalogue row 33; start temperatures move with accumulated transformation"
+    source = "estimate: start temperatures move with accumulated transformation"
     confused_with = ("ambient-drift",)
 
     def shift(self, now: Instant, where: Where) -> jax.Array:

@@ -13,7 +13,7 @@ class ViscousFriction(MechanismEffect):
     strength: jax.Array = parameter("Pa s", "stress in the wire per rate of contraction", 0.0, 3e9, 0.0)
     key = "viscous-friction"
     typical = 2e8
-    source = "catalogue row 23"
+    source = "estimate: greased guides and sheaths"
     confused_with = ("sensor-lag",)
     needs = ("drag",)
     drags = True

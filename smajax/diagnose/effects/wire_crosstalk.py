@@ -12,7 +12,7 @@ class WireCrosstalk(HeatEffect):
     strength: jax.Array = parameter("1", "heat passed between the wires over convection", 0.0, 0.6, 0.0)
     key = "wire-crosstalk"
     typical = 0.05
-    source = "catalogue row 9; 2 to 10 % of h at a pitch of 1 to 2 mm"
+    source = "estimate: 2 to 10 % of h at a pitch of 1 to 2 mm"
     confused_with = ("ambient-drift",)
     needs = ("two wires",)
 
