@@ -212,10 +212,12 @@ def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array
         adjoint=dfx.ForwardMode(),
         throw=False,
     )
-    later, (_, (_, unsolved, hottest)) = cast(tuple, (solution.ys, solution.solver_state))
+    later, (_, (final, unsolved, hottest)) = cast(tuple, (solution.ys, solution.solver_state))
     joined = [jnp.concatenate([a[None], b.reshape(blocks * _BLOCK, *a.shape)[:count]]) for a, b in zip(first, later, strict=True)]
     code = jnp.where(unsolved > 0, Code.unsolved, Code.done)
-    code = jnp.where(jnp.isfinite(hottest), jnp.where(hottest > _HOTTEST, Code.overheated, code), Code.diverged)
+    # What is no number in a fraction or a motion stays so to the end; in a temperature it stays in the hottest.
+    finite = jnp.all(jnp.asarray([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(final)])) & jnp.isfinite(hottest)
+    code = jnp.where(finite, jnp.where(hottest > _HOTTEST, Code.overheated, code), Code.diverged)
     return jax.tree.unflatten(structure, joined), code
 
 

@@ -82,6 +82,7 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(h
     assert rmse["holdout_cut_95"][0] > 0.0
     entry = next(r for r in document["ranking"] if r["key"] == "latent-heat")
     assert entry["strength"] == pytest.approx(5e7, rel=0.02)
+    assert entry["refit_rmse_select"] < 0.022
     assert entry["lower95"] < entry["strength"] < entry["upper95"]
     assert {r["key"] for r in document["ranking"]} >= {"coating", "encoder-gain", "quantisation"}
     assert read_rig(hidden / "out" / "rig-diagnosed.toml").plant.effects[0].key == "latent-heat"

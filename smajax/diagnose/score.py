@@ -14,7 +14,7 @@ from smajax.fit.uncertainty import autoregression
 
 ABSORBED = 1.0 - 1e-5
 DETECTABLE = 3.5
-SAME, CLASS = 0.97, 0.9
+CLASS = 0.9
 
 
 @dataclasses.dataclass(frozen=True)

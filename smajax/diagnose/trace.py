@@ -16,7 +16,7 @@ from smajax.diagnose import score
 from smajax.diagnose.candidates import SLOTS, Bench, Hypothesis, Refit, plain_residual, together
 from smajax.diagnose.effects import catalogue
 from smajax.errors import NumericsError
-from smajax.fit import least_squares
+from smajax.fit import least_squares, uncertainty
 from smajax.fit.fit import difference_noise
 from smajax.fit.least_squares import Stop
 from smajax.fit.problem import Problem
@@ -32,12 +32,16 @@ _STATIONARY = 2e-2
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A refit with one effect more, and how it does: goodness of fit on the training and on the selection recording."""
+    """A refit with one effect more, and how it does: goodness of fit on the training and on the selection recording.
+
+    ``rmse_select`` is that of the first observed channel on the selection recording, SI.
+    """
 
     key: str
     refit: Refit
     train: float
     select: float
+    rmse_select: float
 
     @property
     def total(self) -> float:
@@ -58,14 +62,17 @@ class Ranked:
     unit: str
     gain: float | None
     p_value: float | None
-    refit_select: float | None
+    refit_rmse_select: float | None
     smallest: float | None
     absorbed_by: tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """The whole of it. RMSEs in SI by channel; ``residuals`` by stage of the story and recording."""
+    """The whole of it. RMSEs in SI by channel.
+
+    ``predictions`` hold model minus measurement, SI, by before / after, recording and channel.
+    """
 
     verdict: str
     effects: tuple[str, ...]
@@ -181,7 +188,9 @@ class _Tracer:
     def judged(self, key: str, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
         predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
-        return Trial(key, refit, self.fitness(refit.residual, 0), self.fitness(predicted, 1))
+        channel = self.bench.channels[0]
+        rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.floor[channel]
+        return Trial(key, refit, self.fitness(refit.residual, 0), self.fitness(predicted, 1), rmse)
 
 
 def critical(samples: int) -> float:
@@ -237,6 +246,7 @@ def trace(make: Callable[[Callable[[type], bool]], Bench], *, seed: int = 0, say
             say("compiling the plant with all effects at once")
             tracers = [_Tracer(make(lambda kind: True), floor, seed)]
             owner = tracers[0]
+            owner.bench.compiled()  # or the fit below would compile the same program beside the bench
             current = owner.judged(current.key, owner.bench.fit(current.refit.hypothesis, current.refit.base, max_steps=40, rtol=1e-8))
         if len(owner.bench.moved(current.refit.hypothesis)) >= SLOTS:
             break
@@ -254,7 +264,7 @@ def trace(make: Callable[[Callable[[type], bool]], Bench], *, seed: int = 0, say
         if turn == 0:
             ranking = {key: ranking.get(key) or _impossible(light, key) for key in catalogue()}
             for _, t in trials:
-                ranking[t.key] = dataclasses.replace(ranking[t.key], refit_select=t.select)
+                ranking[t.key] = dataclasses.replace(ranking[t.key], refit_rmse_select=t.rmse_select)
         if not (min(chances) < DETECTED or current.train > limit) or not trials:
             break
         tracer, best = min(trials, key=lambda t: t[1].total)
@@ -399,8 +409,6 @@ def _conclude(
 
 def _intervals(tracer: _Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
     """95 % intervals of the effects' parameters, by the residual's own autocorrelation."""
-    from smajax.fit import uncertainty
-
     bench, moved = tracer.bench, tracer.bench.moved(refit.hypothesis)
     if not moved:
         return {}

@@ -28,6 +28,7 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
         rmse[channel]["holdout_cut_95"] = [number(end, factor) for end in found.cut95[channel]]
         floor[channel] = {"value": number(found.noise[channel], factor), "unit": unit, "from": "residual differences"}
     values = found.after.values
+    scale = difference_unit(recording, next(iter(found.rmse)))[1]
     ranking = []
     for one in found.ranking:
         strength, low, high = one.strength, one.lower95, one.upper95
@@ -39,7 +40,7 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
             {
                 "key": one.key, "stage": one.stage, "status": one.status, "strength": number(strength), "lower95": number(low),
                 "upper95": number(high), "unit": one.unit, "statistic": number(one.gain), "p_value": number(one.p_value),
-                "refit_error_over_noise": number(None if one.refit_select is None else one.refit_select**0.5),
+                "refit_rmse_select": number(one.refit_rmse_select, scale),
                 "smallest_detectable": number(one.smallest), "absorbed_by": list(one.absorbed_by) if one.status == "absorbed" else [],
                 "why": one.absorbed_by[0] if one.status == "blind" and one.absorbed_by else "",
             }
