@@ -5,6 +5,9 @@
 Each sheet is one run, named "<duty of the heating>%, <its phase>%". The temperature was not measured, and the column of power is a
 nominal schedule: it is laid out anew here on the heater's own clock of 21.0 s a period. One constant of each run is fitted, the strain at
 which the wire comes taut; for a held-out run it is set by its first cycle, and the score counts the later cycles only.
+
+Without a temperature these data cannot decide every parameter. The Clausius-Clapeyron coefficients are held, since temperature has no scale
+but theirs, and so is the modulus of austenite, which otherwise runs to its bound along a valley where different starts end apart.
 """
 
 from __future__ import annotations
@@ -57,8 +60,8 @@ prestrain = "1 %"
 ambient = "25 degC"
 [fit]
 free = ["drive.gain", "heat.h0", "material.martensite_start", "material.martensite_finish", "material.austenite_start",
-        "material.austenite_finish", "material.clausius_clapeyron_martensite", "material.modulus_austenite", "material.modulus_martensite",
-        "material.detwinning_start_stress", "material.detwinning_finish_stress", "material.max_strain", "material.thermal_expansion"]
+        "material.austenite_finish", "material.modulus_martensite", "material.detwinning_start_stress",
+        "material.detwinning_finish_stress", "material.max_strain", "material.thermal_expansion"]
 per_recording = ["wire.prestrain"]
 observe = ["stress"]
 noise = { stress = "30 MPa" }
@@ -70,14 +73,12 @@ starts = 10
 "material.martensite_finish" = ["-100 degC", "30 degC"]
 "material.austenite_start" = ["-75 degC", "50 degC"]
 "material.austenite_finish" = ["50 degC", "300 degC"]
-"material.clausius_clapeyron_martensite" = ["2 MPa/K", "50 MPa/K"]
-"material.modulus_austenite" = ["10 GPa", "80 GPa"]
 "material.modulus_martensite" = ["15 GPa", "80 GPa"]
 "material.detwinning_start_stress" = ["0 MPa", "80 MPa"]
 "material.detwinning_finish_stress" = ["80 MPa", "500 MPa"]
 "material.max_strain" = ["0.2 %", "6 %"]
 "material.thermal_expansion" = ["-3e-4 1/K", "3e-4 1/K"]
-"wire.prestrain" = ["-1 %", "3 %"]
+"wire.prestrain" = ["-1 %", "8 %"]
 """
 
 
