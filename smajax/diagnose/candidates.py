@@ -89,8 +89,8 @@ class Refit:
 
     @property
     def chi2(self) -> float:
-        """Sum of the squared residuals over the noise."""
-        return float(self.residual @ self.residual)
+        """Sum of the squared residuals over the noise; infinite if the simulation fails at the start point."""
+        return math.inf if self.stop is Stop.failed else float(self.residual @ self.residual)
 
 
 class Bench:
@@ -104,14 +104,13 @@ class Bench:
         *,
         interpolation: str,
         step: float | None = None,
-        only: Callable[[type[AbstractEffect]], bool] = lambda kind: True,
     ):
         if settings.per_recording or settings.initial:
             raise InputError("a diagnosis takes one set of parameters for all recordings: leave out fit.per_recording and fit.initial")
         self.traits = plant.traits(tuple(settings.observe))
         train = recordings[0]
         self.duration = float(train.time[-1] - train.time[0])
-        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if self.possible(kind) and only(kind)}
+        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if self.possible(kind)}
         augmented = dataclasses.replace(plant, effects=tuple(self.effects.values()))
         self.names = tuple(f"effects.{key}.{name}" for key, kind in self.effects.items() for name in declarations(kind))
         self.nominal = np.array([float(parameters.get(augmented, name)) for name in self.names])
@@ -207,7 +206,8 @@ class Bench:
         free = np.full(len(start), math.inf)
         solved = least_squares.solve(_residual, model, start[None], -free, free, max_steps=1)
         self.simulations += solved.simulations
-        return solved.residuals[0], solved.jacobians[0][:, : self.size + len(moved)]
+        failed = solved.stops[0] is Stop.failed
+        return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, : self.size + len(moved)]
 
     def columns(self, hypothesis: Hypothesis, base: np.ndarray) -> dict[tuple[str, tuple[tuple[str, float], ...]], np.ndarray]:
         """The residual's derivative by the strength of every effect that is not there yet, at each value of its shape's grid.

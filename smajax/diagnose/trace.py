@@ -21,6 +21,7 @@ from smajax.fit.fit import difference_noise
 from smajax.fit.least_squares import Stop
 from smajax.fit.problem import Problem
 
+STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 DETECTED = 0.01
 CUT = 0.05
 ROUNDS = 3
@@ -120,8 +121,8 @@ class _Tracer:
         pressed = ((refit.base <= lower + margin) & (gradient > 0)) | ((refit.base >= upper - margin) & (gradient < 0))
         return np.append(~pressed, np.ones(refit.jacobian.shape[1] - self.bench.size, bool))
 
-    def scores(self, refit: Refit) -> tuple[dict[str, score.Score], dict[str, dict[str, float]], float]:
-        """The best score of each effect over its shapes, that shape, and the probability of so large a gain by noise."""
+    def scores(self, refit: Refit) -> tuple[dict[str, score.Score], dict[str, dict[str, float]], float, dict[str, float]]:
+        """The best score of each effect over its shapes, that shape, the probability of so large a gain by noise, and stages' shares."""
         bench = self.bench
         free = self.held(refit)
         jacobian = np.column_stack([self.flat(c) for c in refit.jacobian[:, free].T])
@@ -133,7 +134,20 @@ class _Tracer:
             one = score.score(q, left, columns[key, shape], self.plausible(key))
             if key not in found or one.gain > found[key].gain:
                 found[key], shapes[key] = one, {f"effects.{key}.{n}": v for n, v in shape}
-        return found, shapes, self.chance(refit, jacobian, columns)
+        return found, shapes, self.chance(refit, jacobian, columns), self.stages(q, left, columns)
+
+    def stages(self, q: np.ndarray, left: np.ndarray, columns: dict) -> dict[str, float]:
+        """Share of a projected residual that each stage's effects together could explain; adjusted for their number."""
+        whole, n = float(left @ left), len(left)
+        shares: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+        for stage in shares:
+            own = [c for (key, _), c in columns.items() if self.bench.effects[key].stage == stage]
+            own = [p for c in own if np.linalg.norm(p := score.project(q, c)) > 1e-3 * max(np.linalg.norm(c), 1e-300)]
+            if own and whole > 0:
+                basis = score.basis(np.column_stack(own))
+                explained, p = float(np.sum((basis.T @ left) ** 2)) / whole, basis.shape[1]
+                shares[stage] = float(np.clip(1.0 - (1.0 - explained) * (n - 1) / max(n - p - 1, 1), 0.0, 1.0))
+        return shares
 
     def chance(self, refit: Refit, jacobian: np.ndarray, columns: dict) -> float:
         """The p-value of the largest gain, the residual's own autocorrelation taken out first."""
@@ -220,74 +234,57 @@ def _first_fit(plain: Problem, seed: int) -> tuple[np.ndarray, Stop, dict[str, f
     return best.points[0], best.stops[0], floor, sum(s.simulations for s in solved)
 
 
-def trace(make: Callable[[Callable[[type], bool]], Bench], *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
-    """Diagnoses three recordings, for training, selection and holdout.
+def trace(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
+    """Diagnoses the bench's three recordings, for training, selection and holdout.
 
-    ``make`` makes a bench with those effects for which a condition holds. Effects that drag on the motion make every step dearer, so they
-    have a bench of their own in the first round, and only what one effect does not explain meets the bench with all of them. Raises
-    NumericsError if the first fit does not come to rest.
+    Raises NumericsError if the first fit does not come to rest.
     """
-    light, heavy = make(lambda kind: not _drags(kind)), make(_drags)
     say("fitting the rig as it is written down")
-    point, stop, floor, simulations = _first_fit(light.plain, seed)
-    tracers = [_Tracer(bench, floor, seed) for bench in (light, heavy) if bench.effects]
-    current = tracers[0].judged("", tracers[0].base(point, stop))
-    first, owner = current, tracers[0]
-    samples = len(owner.flat(current.refit.residual))
+    point, stop, floor, simulations = _first_fit(bench.plain, seed)
+    bench.simulations += simulations
+    tracer = _Tracer(bench, floor, seed)
+    first = current = tracer.judged("", tracer.base(point, stop))
+    samples = len(tracer.flat(current.refit.residual))
     limit = critical(samples)
     accepted: list[str] = []
     rejected: list[tuple[str, str]] = []
     equivalent: dict[str, tuple[str, ...]] = {}
     ranking: dict[str, Ranked] = {}
+    stages: dict[str, float] = {}
     for turn in range(ROUNDS):
         if turn and current.train < max(limit, 1.02):
             break
-        if turn == 1 and heavy.effects:
-            say("compiling the plant with all effects at once")
-            tracers = [_Tracer(make(lambda kind: True), floor, seed)]
-            owner = tracers[0]
-            owner.bench.compiled()  # or the fit below would compile the same program beside the bench
-            current = owner.judged(current.key, owner.bench.fit(current.refit.hypothesis, current.refit.base, max_steps=40, rtol=1e-8))
-        if len(owner.bench.moved(current.refit.hypothesis)) >= SLOTS:
+        if len(bench.moved(current.refit.hypothesis)) >= SLOTS:
             break
-        trials: list[tuple[_Tracer, Trial]] = []
-        chances = []
-        for tracer in tracers:
-            here = current.refit if tracer is owner else tracer.base(point, stop)
-            say(f"round {turn + 1}: scoring {len(tracer.bench.effects) - len(accepted)} effects")
-            scores, shapes, chance = tracer.scores(here)
-            chances.append(chance)
-            if turn == 0:
-                ranking |= _ranking(tracer, scores, chance, here)
-            if current.train > limit or chance < DETECTED:
-                trials += [(tracer, t) for t in _refits(tracer, here, scores, shapes, turn, limit, say)]
+        say(f"round {turn + 1}: scoring {len(bench.effects) - len(accepted)} effects")
+        scores, shapes, chance, shares = tracer.scores(current.refit)
         if turn == 0:
-            ranking = {key: ranking.get(key) or _impossible(light, key) for key in catalogue()}
-            for _, t in trials:
-                ranking[t.key] = dataclasses.replace(ranking[t.key], refit_rmse_select=t.rmse_select)
-        if not (min(chances) < DETECTED or current.train > limit) or not trials:
+            stages = shares
+            ranking = {key: _impossible(bench, key) for key in catalogue()} | _ranking(tracer, scores, chance, current.refit)
+        if chance > DETECTED and current.train < limit:
             break
-        tracer, best = min(trials, key=lambda t: t[1].total)
+        trials = _refits(tracer, current.refit, scores, shapes, turn, limit, say)
+        if turn == 0:
+            for t in trials:
+                ranking[t.key] = dataclasses.replace(ranking[t.key], refit_rmse_select=t.rmse_select)
+        if not trials:
+            break
+        best = min(trials, key=lambda t: t.total)
         fall = (current.train - best.train) * samples
         cut = 1.0 - math.sqrt(best.select / current.select)
         if fall < 25.0 * max(1.0, best.train) or cut < CUT:
             why = f"cuts the error on the selection recording by {100 * cut:.1f} %, under the {100 * CUT:.0f} % that a cause must reach"
             rejected.append((best.key, why))
             break
-        near = [t for _, t in trials if t.key != best.key and _as_good(t, best, samples)]
+        near = [t for t in trials if t.key != best.key and _as_good(t, best, samples)]
         accepted.append(best.key)
         equivalent[best.key] = tuple(t.key for t in sorted(near, key=lambda t: t.total))
-        owner, was = tracer, current.select
-        current = owner.judged(best.key, owner.bench.fit(best.refit.hypothesis, best.refit.base, max_steps=60, rtol=1e-9))
+        was = current.select
+        current = tracer.judged(best.key, bench.fit(best.refit.hypothesis, best.refit.base, max_steps=60, rtol=1e-9))
         say(f"accepted {best.key}: error over noise {math.sqrt(was):.3g} -> {math.sqrt(current.select):.3g} on the selection recording")
-    current, accepted, dropped = _backward(owner, current, accepted, samples)
+    current, accepted, dropped = _backward(tracer, current, accepted, samples)
     say("predicting the holdout")
-    owner.bench.simulations += simulations
-    return _conclude(owner, first, current, accepted, equivalent, ranking, [*rejected, *dropped], limit)
-
-
-def _drags(kind: type) -> bool:
-    return bool(getattr(kind, "drags", False))
+    return _conclude(tracer, first, current, accepted, equivalent, ranking, stages, [*rejected, *dropped], limit)
 
 
 def _refits(tracer: _Tracer, refit: Refit, scores: dict, shapes: dict, turn: int, limit: float, say: Callable[[str], None]) -> list[Trial]:
@@ -353,29 +350,18 @@ def _ranking(tracer: _Tracer, scores: dict[str, score.Score], chance: float, bas
     return ranking
 
 
-def _stages(tracer: _Tracer, refit: Refit) -> dict[str, float]:
-    """Share of the residual that each stage's effects together could explain, beyond the free parameters; adjusted for their number."""
-    jacobian = np.column_stack([tracer.flat(c) for c in refit.jacobian.T])
-    q = score.basis(jacobian)
-    left = score.project(q, tracer.flat(refit.residual))
-    whole, columns = float(left @ left), tracer.bench.columns(refit.hypothesis, refit.base)
-    shares: dict[str, float] = dict.fromkeys(("drive", "heat", "material", "mechanism", "sensor"), 0.0)
-    for stage in shares:
-        own = [tracer.flat(c) for (key, _), c in columns.items() if tracer.bench.effects[key].stage == stage]
-        own = [p for c in own if np.linalg.norm(p := score.project(q, c)) > 1e-3 * max(np.linalg.norm(c), 1e-300)]
-        if own and whole > 0:
-            basis = score.basis(np.column_stack(own))
-            explained = float(np.sum((basis.T @ left) ** 2)) / whole
-            n, p = len(left), basis.shape[1]
-            shares[stage] = float(np.clip(1.0 - (1.0 - explained) * (n - 1) / max(n - p - 1, 1), 0.0, 1.0))
-    return shares
-
-
 def _conclude(
-    tracer: _Tracer, first: Trial, last: Trial, accepted: Sequence[str], equivalent: dict, ranking: dict, rejected: list, limit: float
+    tracer: _Tracer,
+    first: Trial,
+    last: Trial,
+    accepted: Sequence[str],
+    equivalent: dict,
+    ranking: dict,
+    stages: dict[str, float],
+    rejected: list,
+    limit: float,
 ) -> Diagnosis:
     bench, noise = tracer.bench, tracer.floor
-    stages = _stages(tracer, first.refit)
     residuals = {
         "before": [first.refit.residual, *(bench.evaluate(Hypothesis(), first.refit.base, k)[0] for k in (1, 2))],
         "after": [last.refit.residual, *(bench.evaluate(last.refit.hypothesis, last.refit.base, k)[0] for k in (1, 2))],
@@ -398,7 +384,7 @@ def _conclude(
         verdict = "partial"
     unresolved = None
     if verdict in ("unresolved", "partial"):
-        left = _stages(tracer, last.refit) if accepted else stages
+        left = tracer.scores(last.refit)[3] if accepted else stages
         unresolved = max(left, key=lambda s: left[s])
     return Diagnosis(
         verdict, tuple(accepted), {k: equivalent.get(k, ()) for k in accepted if equivalent.get(k)}, unresolved, tuple(ranking.values()),

@@ -65,7 +65,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     below which two steps running end the search.
     """
 
-    rtol: float
+    rtol: Any  # an array of no dimensions: as a number, each value would be a program of its own
     atol: float = 0.0
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
 
@@ -150,6 +150,13 @@ def _propose(y: jax.Array, residual: jax.Array, jacobian: jax.Array, damping: ja
     return y + change, predicted
 
 
+# Compiled, so that the residual's shape is traced once and not again for each search.
+@eqx.filter_jit
+def _begin(solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, rest: Any) -> LMState:
+    struct = jax.eval_shape(fn, points[0], rest)
+    return jax.vmap(lambda y: solver.init(fn, y, None, {}, struct, None, frozenset()))(points)
+
+
 class Solved(NamedTuple):
     """A batch of ``s`` starts at their ends: points ``(s, p)``, residuals ``(s, m)``, Jacobians ``(s, m, p)``, costs ``(s,)``."""
 
@@ -194,12 +201,11 @@ def solve(
 
     ``progress`` is called after each step with its number and the best cost so far. Ctrl-C ends the search and keeps the best points.
     """
-    solver = BoundedLevenbergMarquardt(rtol)
+    solver = BoundedLevenbergMarquardt(jnp.asarray(rtol))
     size = starts.shape[1]
     low, high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
     points = jnp.clip(jnp.asarray(starts), low, high)
-    struct = jax.eval_shape(fn, points[0], rest)
-    states = jax.vmap(lambda y: solver.init(fn, y, None, {}, struct, None, frozenset()))(points)
+    states = _begin(solver, fn, points, rest)
     began = time.perf_counter()
     history = []
     step = simulations = 0

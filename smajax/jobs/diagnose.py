@@ -48,15 +48,9 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
     seed = rig.fit.seed if job.seed is None else job.seed
     with clock.time("diagnose"):
         settings: Any = rig.fit
-        benches: list[Bench] = []
-
-        def make(only: Any) -> Bench:
-            benches.append(Bench(rig.plant, recordings, settings, interpolation=rig.interpolation, only=only))
-            return benches[-1]
-
-        found = trace(make, seed=seed, say=progress.phase)
-    simulations = sum(b.simulations for b in benches)
-    document = diagnosis_document(found, recordings[0], simulations=simulations, wall=time.perf_counter() - began, seed=seed)
+        bench = Bench(rig.plant, recordings, settings, interpolation=rig.interpolation)
+        found = trace(bench, seed=seed, say=progress.phase)
+    document = diagnosis_document(found, recordings[0], simulations=bench.simulations, wall=time.perf_counter() - began, seed=seed)
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
     series = _series(rig, recordings, found)
     progress.phase("writing the report")
@@ -65,7 +59,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         (folder / "rig.toml").write_text(text, "utf-8", newline="")
         (folder / "diagnosis.json").write_text(to_json(document), "utf-8")
         prediction.write(folder / "prediction.csv", series)
-        _fitted(rig, benches, found).write(folder / "rig-diagnosed.toml")
+        _fitted(rig, bench, found).write(folder / "rig-diagnosed.toml")
         page = diagnosis_page(document, prediction.read(folder / "prediction.csv"), run["inputs"], run, text)
         (folder / "report.html").write_text(page, "utf-8")
 
@@ -86,10 +80,10 @@ def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
     return read
 
 
-def _fitted(rig: Rig, benches: Sequence[Bench], found: Diagnosis) -> Rig:
+def _fitted(rig: Rig, bench: Bench, found: Diagnosis) -> Rig:
     """The rig with its parameters fitted and the accepted effects in it."""
-    values, _ = benches[0].problems[0].values(jnp.asarray(found.after.base))
-    effects = tuple(next(b.effects[key] for b in benches if key in b.effects) for key in found.effects)
+    values, _ = bench.problems[0].values(jnp.asarray(found.after.base))
+    effects = tuple(bench.effects[key] for key in found.effects)
     plant = dataclasses.replace(parameters.replace(rig.plant, values), effects=effects)
     own = {name: value for name, value in found.after.values.items() if name.split(".")[1] in found.effects}
     return dataclasses.replace(rig, plant=parameters.replace(plant, own))

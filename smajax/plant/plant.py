@@ -122,7 +122,11 @@ class Plant(eqx.Module):
         else:
             straight = not self.mechanism.unknowns and not self.effects
             end, failed = _search(
-                lambda z: Plant._residual(*given, z, coarse=True)[0], jax.lax.stop_gradient(guess), self.mechanism.wires, straight
+                lambda z: Plant._residual(*given, z, coarse=True)[0],
+                jax.lax.stop_gradient(guess),
+                self.mechanism.wires,
+                straight,
+                self._drags,
             )
         (value, landed), push = jax.linearize(lambda z: Plant._residual(*given, z), end)
         return _stepped(landed, value, push), failed
@@ -307,44 +311,63 @@ class Plant(eqx.Module):
         return frozenset(words if quiet else words | {"drag"})
 
 
-def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool) -> tuple[jax.Array, jax.Array]:
+def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dragged: bool) -> tuple[jax.Array, jax.Array]:
     """Solves ``residual(z) = 0`` by Newton's method with halving; says whether it failed. Not differentiable.
 
     The first ``wires`` unknowns are temperatures in K, the rest stresses in Pa. Temperatures alone, without latent heat, are so nearly
-    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do.
+    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do. The last unknown is a drag where there is one
+    (``dragged``). Its equation increases with it, but from flat (sliding) to steep (sticking) and back, so that Newton's steps go to and
+    fro: the drag is kept between the largest value known to be too small and the smallest known to be too large.
     """
     size = guess.shape[0]
     scale = jnp.where(jnp.arange(size) < wires, _TEMPERATURE_TOLERANCE, _STRESS_TOLERANCE)
 
     def newton(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         value, push = jax.linearize(residual, z)
-        return value, -linear(jax.vmap(push, out_axes=-1)(jnp.eye(size)), value)
+        return value, jax.vmap(push, out_axes=-1)(jnp.eye(size))
 
     def norm(value: jax.Array) -> jax.Array:
         return jnp.max(jnp.abs(value) / scale)
 
     def unsolved(carry: tuple) -> jax.Array:
-        _, _, change, count, _ = carry
+        _, _, change, count, *_ = carry
         return (norm(change) > 1.0) & (count < _ITERATIONS)
 
     def iterate(carry: tuple) -> tuple:
-        z, error, change, count, fraction = carry
+        z, error, change, count, fraction, ends = carry
         trial = z + fraction * change
-        value, new = newton(trial)
-        better = norm(value) <= error
+        value, slope = newton(trial)
+        new, left = -linear(slope, value), norm(value[:-1]) if dragged else norm(value)
+        better = left <= jnp.maximum(1.0, error)
+        if dragged:
+            low, high = ends
+            low = jnp.where(value[-1] <= 0.0, trial[-1], low)
+            high = jnp.where(value[-1] >= 0.0, trial[-1], high)
+            # The ends were found at other temperatures: where they meet without an answer between them, they are forgotten.
+            met = high - low < 0.1 * _STRESS_TOLERANCE
+            low, high = jnp.where(met, -jnp.inf, low), jnp.where(met, jnp.inf, high)
+            halved = 0.5 * (low + high) - trial[-1]
+            outside = (trial[-1] + new[-1] <= low) | (trial[-1] + new[-1] >= high)
+            outside &= jnp.isfinite(halved)
+            last = jnp.arange(size) == size - 1
+            held = -linear(jnp.where(last[:, None], last[None, :] * 1.0, slope), jnp.where(last, -halved, value))
+            new, left, ends = jnp.where(outside, held, new), jnp.where(outside, jnp.inf, left), (low, high)
         return (
             jnp.where(better, trial, z),
-            jnp.where(better, norm(value), error),
+            jnp.where(better, left, error),
             jnp.where(better, new, change),
             count + 1,
             jnp.where(better, 1.0, 0.5 * fraction),
+            ends,
         )
 
     if straight:
-        change = newton(guess)[1]
+        value, slope = newton(guess)
+        change = -linear(slope, value)
         return guess + change, ~jnp.all(jnp.isfinite(change))
-    start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), 0, jnp.asarray(1.0))
-    z, _, change, count, _ = jax.lax.while_loop(unsolved, iterate, iterate(start))
+    ends = (jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf))
+    start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), 0, jnp.asarray(1.0), ends)
+    z, _, change, count, *_ = jax.lax.while_loop(unsolved, iterate, iterate(start))
     return z + change, (count >= _ITERATIONS) | ~jnp.all(jnp.isfinite(change))
 
 
