@@ -171,17 +171,18 @@ def demo(
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = True,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a shipped recording of a wire that lifts a weight, predict another one, and open the report."""
+    """Find out what a shipped rig has that its file does not know: fit, trace, add, compare before and after, and open the report."""
     from smajax.datasets import shipped
-    from smajax.report.summary import text
+    from smajax.report.diagnosis import text
 
-    folder = shipped("recordings", "dead-weight")
+    folder = shipped("recordings", "dead-weight-unexplained")
     with _progress(quiet) as progress:
-        from smajax.jobs.fit import FitJob, run_fit
+        from smajax.jobs.diagnose import DiagnoseJob, run_diagnose
 
-        outcome = run_fit(FitJob(folder / "rig.toml", [folder / "train.csv"], out, [folder / "holdout.csv"]), progress, _argv())
+        train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))
+        outcome = run_diagnose(DiagnoseJob(folder / "rig.toml", train, select, holdout, out), progress, _argv())
     after = f"Report:  {out / 'report.html'}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
-    _finish(outcome, "fit.json", f"{text(outcome.document, str(out))}\n{after}", quiet=quiet, open_report=open_report)
+    _finish(outcome, "diagnosis.json", f"{text(outcome.document, str(out))}\n{after}", quiet=quiet, open_report=open_report)
 
 
 @app.command()

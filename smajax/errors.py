@@ -5,7 +5,7 @@
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class InputError(ValueError):
@@ -15,9 +15,16 @@ class InputError(ValueError):
 
 
 class NumericsError(ArithmeticError):
-    """A calculation that failed; the message names the result code, the parameters and the cure."""
+    """A calculation that failed; the message names the result code, the parameters and the cure.
+
+    ``state`` holds the last good values by parameter name, in internal units, where there are any.
+    """
 
     exit_code = 3
+
+    def __init__(self, message: str, state: Mapping[str, float] | None = None):
+        super().__init__(message)
+        self.state = dict(state or {})
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

@@ -289,8 +289,7 @@ def _effects(content: Any, traits: frozenset[str]) -> tuple[AbstractEffect, ...]
         kind = catalogue().get(key)
         if kind is None:
             raise InputError(f"effects.{key} is not in the catalogue{nearest(key, catalogue())}")
-        if kind.no_mean_effect or not set(kind.needs) <= traits:
-            why = kind.no_mean_effect or f"it needs {', '.join(sorted(set(kind.needs) - traits))}"
+        if why := kind.obstacle(traits):
             raise InputError(f"effects.{key} has no place on this rig: {why}")
         section = f"effects.{key}"
         numbers = _quantities(section, values, {f"{section}.{n}": d for n, d in declarations(kind).items()})

@@ -224,7 +224,15 @@ def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array
 @eqx.filter_custom_jvp
 def _trajectory(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
     """The states at all grid points, each leaf with a leading axis of ``g``, and the result code."""
-    return _march(plant, inputs, lambda plant, state, signal: state)
+    # As one row a step: each of the state's many small arrays on its own would cost a step as much as some equations do.
+    flat, code = _march(plant, inputs, lambda plant, state, signal: ravel_pytree(state)[0])
+    return jax.vmap(_unflatten(plant, inputs))(flat), code
+
+
+def _unflatten(plant: Plant, inputs: Inputs) -> Callable[[jax.Array], State]:
+    """Makes a state of a row of numbers."""
+    shape = jax.eval_shape(plant.start, inputs.sampled[0])
+    return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape))[1]
 
 
 @_trajectory.def_jvp

@@ -202,25 +202,6 @@ def test_ctrl_c_keeps_the_best_point_so_far(bench, fitted, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_the_demo_fits_shipped_files_predicts_and_opens_the_report(bench, fitted, monkeypatch, tmp_path):
-    opened = []
-    monkeypatch.setattr(datasets, "shipped", lambda *parts: bench)
-    monkeypatch.setattr("smajax.console.open_in_browser", opened.append)
-    monkeypatch.chdir(tmp_path)
-    result = smajax("demo", "--quiet")
-    assert result.exit_code == 0, result.output
-    assert opened == [tmp_path / "smajax-demo" / "report.html"]
-    assert opened[0].is_file()
-    assert smajax("demo", "--no-open", "--out", "elsewhere").exit_code == 0
-    assert len(opened) == 1
-    assert (tmp_path / "elsewhere" / "fit.json").is_file()
-
-
-def test_the_demo_has_its_recordings():
-    for name in ("rig.toml", "train.csv", "holdout.csv"):
-        assert datasets.shipped("recordings", "dead-weight", name).is_file()
-
-
 def test_a_simulation_is_a_recording_again(bench):
     result = smajax("simulate", bench / "rig.toml", bench / "more.csv", "--out", bench / "simulated")
     assert result.exit_code == 0, result.output

@@ -1,20 +1,22 @@
 """The diagnosis: its statistics on made-up numbers, and the whole command on truth from the exact reference."""
 
 import json
+import re
+import shutil
+import subprocess
+from importlib.resources import files
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from smajax.cli import app
 from smajax.datasets import shipped
-from smajax.diagnose import score
+from smajax.diagnose import residual, score
+from smajax.diagnose.effects import catalogue
 from smajax.rig import read_rig
-from tests.reference.rig_file import read_channel, read_csv, simulate
-from tests.reference.rig_file import read_rig as reference_rig
-
-SECONDS = 50.0
 
 
 def test_a_score_finds_a_planted_strength_beside_what_is_absorbed():
@@ -50,31 +52,47 @@ def test_classes_are_linked_by_their_cosines():
     assert sorted(map(sorted, score.classes(columns))) == [["a", "b"], ["c"]]
 
 
+def test_noise_is_seen_at_rest_where_it_is_slower_than_the_sampling():
+    rng = np.random.default_rng(4)
+    steps = np.repeat([0.0, 1.0], 1500)
+    white = rng.normal(0.0, 0.3, 3000)
+    assert residual.noise(white, {"current": steps})[0] == pytest.approx(0.3, rel=0.1)
+    slow = np.zeros(3000)
+    for k in range(1, 3000):
+        slow[k] = 0.7 * slow[k - 1] + 0.3 * np.sqrt(1.0 - 0.49) * rng.normal()
+    value, source = residual.noise(slow, {"current": steps})
+    assert source == "rest" and value == pytest.approx(0.3, rel=0.2)
+    busy = residual.noise(slow, {"current": rng.normal(size=3000)})
+    assert busy[1] == "residual differences" and busy[0] < 0.22
+
+
+def test_a_residual_that_follows_an_input_is_seen_to():
+    rng = np.random.default_rng(5)
+    pushed = rng.normal(size=2000)
+    seen = residual.look(np.append(np.zeros(3), pushed[:-3]) + 0.1 * rng.normal(size=2000), {"current": pushed})
+    lags = (len(seen.cross["current"]) - 1) // 2
+    assert np.argmax(np.abs(seen.cross["current"])) - lags == 3
+    assert seen.cross["current"][lags + 3] > 0.9
+    white = residual.look(rng.normal(size=2000), {"current": pushed})
+    assert max(white.outside.values()) < 0.1
+
+
 @pytest.fixture(scope="module")
-def hidden(tmp_path_factory) -> Path:
-    """Recordings of a wire with latent heat that its rig file does not have, by the exact reference simulator."""
-    folder = tmp_path_factory.mktemp("hidden")
-    source = shipped("recordings", "dead-weight")
-    (folder / "rig.toml").write_text((source / "rig.toml").read_text("utf-8"))
-    rig = reference_rig(source / "rig.toml").changed(h0=1.05, capacity=0.97, austenite_shift=1.0)
-    rig = rig.__class__(**{**rig.__dict__, "heat": rig.heat._replace(latent_heat=5e7)})
-    for k, part in enumerate(("train", "select", "holdout")):
-        channels = read_csv(source / f"{part}.csv")
-        count = int(np.sum(channels["time"] <= SECONDS))
-        channels = {name: column[:count] for name, column in channels.items()}
-        lifted = read_channel(simulate(rig, channels, substeps=20), "displacement") * 1e3
-        lifted += np.random.default_rng(k).normal(0.0, 0.02, count)
-        table = np.column_stack([channels["time"], channels["current"], lifted])
-        np.savetxt(folder / f"{part}.csv", table, delimiter=",", header="time [s],current [A],displacement [mm]", comments="", fmt="%.6f")
-    return folder
-
-
-def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(hidden):
-    words = [str(hidden / name) for name in ("rig.toml", "train.csv")]
-    words += ["--select", str(hidden / "select.csv"), "--holdout", str(hidden / "holdout.csv"), "--out", str(hidden / "out"), "--quiet"]
-    result = CliRunner().invoke(app, ["diagnose", *words])
+def demo(tmp_path_factory) -> Path:
+    """The folder that ``smajax demo`` writes: a diagnosis of recordings by the exact reference, of a wire with hidden latent heat."""
+    out = tmp_path_factory.mktemp("demo") / "out"
+    opened: list[Path] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smajax.console.open_in_browser", opened.append)
+        result = CliRunner().invoke(app, ["demo", "--out", str(out)])
     assert result.exit_code == 0, result.output
-    document = json.loads((hidden / "out" / "diagnosis.json").read_text("utf-8"))
+    assert opened == [out / "report.html"]
+    assert "The rig has latent-heat" in result.stdout
+    return out
+
+
+def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(demo):
+    document = json.loads((demo / "diagnosis.json").read_text("utf-8"))
     assert document["effects"] == ["latent-heat"]
     assert document["verdict"] in ("named", "named-up-to-class")
     rmse = document["rmse"]["displacement"]
@@ -84,10 +102,40 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(h
     assert entry["strength"] == pytest.approx(5e7, rel=0.02)
     assert entry["refit_rmse_select"] < 0.022
     assert entry["lower95"] < entry["strength"] < entry["upper95"]
-    assert {r["key"] for r in document["ranking"]} >= {"coating", "encoder-gain", "quantisation"}
-    assert read_rig(hidden / "out" / "rig-diagnosed.toml").plant.effects[0].key == "latent-heat"
-    assert "latent-heat" in (hidden / "out" / "report.html").read_text("utf-8")
-    assert CliRunner().invoke(app, ["report", str(hidden / "out")]).exit_code == 0
+    assert {r["key"] for r in document["ranking"]} == set(catalogue())
+    seen = {s["key"]: s for s in document["preflight"]}
+    assert seen["quantisation"]["status"] == seen["wire-crosstalk"]["status"] == "blind"
+    assert "rounding" in seen["quantisation"]["why"] and "two wires" in seen["wire-crosstalk"]["why"]
+    assert seen["encoder-gain"]["status"] == "absorbed" and "material.max_strain" in seen["encoder-gain"]["absorbed_by"]
+    assert 0.0 < seen["latent-heat"]["smallest_detectable"] < 1e6
+    looks = document["residual"]["displacement"]
+    assert looks["before"]["outside"]["residual"] > 0.9 > 0.2 > looks["after"]["outside"]["residual"]
+    assert document["noise_floor"]["displacement"]["value"] == pytest.approx(0.02, rel=0.05)
+    assert read_rig(demo / "rig-diagnosed.toml").plant.effects[0].key == "latent-heat"
+    assert "latent-heat" in (demo / "report.html").read_text("utf-8")
+    assert CliRunner().invoke(app, ["report", str(demo)]).exit_code == 0
+
+
+def test_the_document_is_as_its_schema_says(demo, shared):
+    schema = json.loads((files("smajax.report") / "diagnosis.schema.json").read_text("utf-8"))
+    jsonschema.validate(json.loads((demo / "diagnosis.json").read_text("utf-8")), schema)
+    jsonschema.validate(json.loads((shared / "design" / "examples" / "diagnosis.json").read_text("utf-8")), schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({"schema": "smajax.diagnosis/1", "verdict": "maybe"}, schema)
+
+
+def test_the_report_in_a_browser(demo, tmp_path):
+    """The page as a browser leaves it: all pictures drawn, the verdict on top, nothing asked from the network."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("there is no Chromium on this machine")
+    words = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}", "--virtual-time-budget=20000"]
+    shown = subprocess.run([*words, "--dump-dom", (demo / "report.html").as_uri()], capture_output=True, text=True, timeout=120)
+    page = shown.stdout
+    figures = json.loads(re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)[1])  # pyright: ignore[reportOptionalSubscript]
+    assert len(figures) > 6
+    assert page.count('class="main-svg"') >= 2 * len(figures)
+    assert page.index("The rig has latent-heat") < page.index("Error before and after")
 
 
 @pytest.mark.parametrize(
@@ -98,22 +146,15 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(h
         (("short", "select", "holdout"), "too few"),
     ],
 )
-def test_recordings_that_test_nothing_are_refused(hidden, names, said):
-    (hidden / "copy.csv").write_bytes((hidden / "train.csv").read_bytes())
-    (hidden / "short.csv").write_text("\n".join((hidden / "train.csv").read_text().splitlines()[:60]))
-    train, select, holdout = (str(hidden / f"{name}.csv") for name in names)
-    words = [
-        "diagnose",
-        str(hidden / "rig.toml"),
-        train,
-        "--select",
-        select,
-        "--holdout",
-        holdout,
-        "--out",
-        str(hidden / "never"),
-        "--quiet",
-    ]
-    result = CliRunner().invoke(app, words)
+def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
+    source = shipped("recordings", "dead-weight-unexplained")
+    for name in ("rig.toml", "train.csv", "select.csv", "holdout.csv"):
+        (tmp_path / name).write_bytes((source / name).read_bytes())
+    (tmp_path / "copy.csv").write_bytes((source / "train.csv").read_bytes())
+    (tmp_path / "short.csv").write_text("\n".join((source / "train.csv").read_text().splitlines()[:60]))
+    train, select, holdout = (str(tmp_path / f"{name}.csv") for name in names)
+    words = ["diagnose", str(tmp_path / "rig.toml"), train, "--select", select, "--holdout", holdout]
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "never"), "--quiet"])
     assert result.exit_code == 2
     assert said in result.stderr
+    assert not (tmp_path / "never").exists()

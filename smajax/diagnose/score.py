@@ -43,13 +43,18 @@ def project(q: np.ndarray, column: np.ndarray) -> np.ndarray:
     return column - q @ (q.T @ column)
 
 
-def score(q: np.ndarray, residual: np.ndarray, column: np.ndarray, plausible: tuple[float, float]) -> Score:
-    """Scores one column against a residual that is projected already; ``plausible`` in the column's units."""
+def score(
+    q: np.ndarray, residual: np.ndarray, column: np.ndarray, plausible: tuple[float, float], absorbed_from: float = ABSORBED
+) -> Score:
+    """Scores one column against a residual that is projected already; ``plausible`` in the column's units.
+
+    A column of which ``q`` holds more than the share ``absorbed_from`` gains nothing.
+    """
     left = project(q, column)
     size, whole = float(left @ left), float(column @ column)
     if whole == 0.0 or not np.isfinite(whole):
         return Score(0.0, 0.0, float("nan"), float("inf"), left)
-    if size <= (1.0 - ABSORBED) * whole:
+    if size <= (1.0 - absorbed_from) * whole:
         return Score(0.0, 0.0, 1.0 - size / whole, float("inf"), left)
     best = float(np.clip(-(left @ residual) / size, *plausible))
     gain = -2.0 * best * float(left @ residual) - best**2 * size

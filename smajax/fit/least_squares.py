@@ -186,6 +186,72 @@ def _advance(
     return jax.vmap(single)(points, states, lower, upper)
 
 
+class Search:
+    """Searches from each row of ``starts``, shape ``(s, p)``, that can be taken up again where they stood.
+
+    Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``rtol`` as in ``BoundedLevenbergMarquardt``.
+    """
+
+    def __init__(
+        self,
+        fn: Callable[[jax.Array, Any], jax.Array],
+        rest: Any,
+        starts: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        rtol: float = 1e-7,
+    ):
+        self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol))
+        self._low, self._high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
+        self._points = jnp.clip(jnp.asarray(starts), self._low, self._high)
+        self._states = _begin(self._solver, fn, self._points, rest)
+        self._wall, self._history = 0.0, []
+        self.steps = self.simulations = 0
+        self._interrupted = False
+
+    def advance(self, steps: int, progress: Callable[[int, float], None] = lambda step, cost: None) -> "Search":
+        """At most so many steps more; ``progress`` is called after each with its number and the best cost so far.
+
+        Ctrl-C ends the search and keeps the best points.
+        """
+        began, last = time.perf_counter() - self._wall, self.steps + steps
+        try:
+            while self.steps < last and bool(jnp.any(self._states.stop == Stop.running)):
+                self.simulations += int(jnp.sum(self._states.stop == Stop.running)) * (1 + self._points.shape[1])
+                moved = _advance(self._solver, self._fn, self._points, self._states, self._low, self._high, self._rest)
+                self._points, self._states = jax.block_until_ready(moved)
+                self.steps += 1
+                self._wall = time.perf_counter() - began
+                best = float(jnp.min(self._states.cost))
+                self._history.append((self.simulations, self._wall, best))
+                progress(self.steps, best)
+        except KeyboardInterrupt:
+            self._interrupted = True
+        return self
+
+    @property
+    def cost(self) -> float:
+        """The best cost so far."""
+        return float(jnp.min(self._states.cost))
+
+    def result(self) -> Solved:
+        """Where the searches stand."""
+        unfinished = Stop.interrupted if self._interrupted else Stop.steps
+        stops = [Stop(int(s)) for s in self._states.stop]
+        return Solved(
+            points=np.asarray(self._points),
+            residuals=np.asarray(self._states.residual),
+            jacobians=np.asarray(self._states.jacobian),
+            costs=np.asarray(self._states.cost),
+            stops=[unfinished if s is Stop.running else s for s in stops],
+            steps=self.steps,
+            simulations=self.simulations,
+            wall=self._wall,
+            history=self._history,
+        )
+
+
 def solve(
     fn: Callable[[jax.Array, Any], jax.Array],
     rest: Any,
@@ -197,39 +263,5 @@ def solve(
     max_steps: int = 100,
     progress: Callable[[int, float], None] = lambda step, cost: None,
 ) -> Solved:
-    """Minimises ``sum(fn(v, rest)**2)`` from each row of ``starts``, shape ``(s, p)``; bounds of shape ``(p,)`` or ``(s, p)``.
-
-    ``progress`` is called after each step with its number and the best cost so far. Ctrl-C ends the search and keeps the best points.
-    """
-    solver = BoundedLevenbergMarquardt(jnp.asarray(rtol))
-    size = starts.shape[1]
-    low, high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
-    points = jnp.clip(jnp.asarray(starts), low, high)
-    states = _begin(solver, fn, points, rest)
-    began = time.perf_counter()
-    history = []
-    step = simulations = 0
-    interrupted = False
-    try:
-        while step < max_steps and bool(jnp.any(states.stop == Stop.running)):
-            simulations += int(jnp.sum(states.stop == Stop.running)) * (1 + size)
-            points, states = jax.block_until_ready(_advance(solver, fn, points, states, low, high, rest))
-            step += 1
-            best = float(jnp.min(states.cost))
-            history.append((simulations, time.perf_counter() - began, best))
-            progress(step, best)
-    except KeyboardInterrupt:
-        interrupted = True
-    stops = [Stop(int(s)) for s in states.stop]
-    stops = [s if s is not Stop.running else (Stop.interrupted if interrupted else Stop.steps) for s in stops]
-    return Solved(
-        points=np.asarray(points),
-        residuals=np.asarray(states.residual),
-        jacobians=np.asarray(states.jacobian),
-        costs=np.asarray(states.cost),
-        stops=stops,
-        steps=step,
-        simulations=simulations,
-        wall=time.perf_counter() - began,
-        history=history,
-    )
+    """A ``Search`` of at most ``max_steps`` steps."""
+    return Search(fn, rest, starts, lower, upper, rtol=rtol).advance(max_steps, progress).result()

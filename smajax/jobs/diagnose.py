@@ -11,13 +11,13 @@ import jax.numpy as jnp
 from smajax import parameters
 from smajax.console import Progress
 from smajax.diagnose.candidates import Bench
-from smajax.diagnose.trace import Diagnosis, trace
-from smajax.errors import InputError
+from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
+from smajax.errors import InputError, NumericsError
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.recording import Recording
 from smajax.report import prediction
-from smajax.report.diagnosis import PARTS, diagnosis_document, diagnosis_page
+from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document, diagnosis_page
 from smajax.report.document import to_json
 from smajax.report.prediction import Series, to_series
 from smajax.results import check_out, write_folder
@@ -49,7 +49,15 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
     with clock.time("diagnose"):
         settings: Any = rig.fit
         bench = Bench(rig.plant, recordings, settings, interpolation=rig.interpolation)
-        found = trace(bench, seed=seed, say=progress.phase)
+        try:
+            found = diagnose(bench, seed=seed, say=progress.phase)
+        except NumericsError as error:
+            if not error.state:
+                raise
+            last = parameters.replace(rig.plant, error.state)
+            run = run_record("diagnose", rig, argv, clock, seed, error.exit_code)
+            write_folder(out, run, lambda folder: dataclasses.replace(rig, plant=last).write(folder / "rig-last.toml"))
+            raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
     document = diagnosis_document(found, recordings[0], simulations=bench.simulations, wall=time.perf_counter() - began, seed=seed)
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
     series = _series(rig, recordings, found)
@@ -60,6 +68,8 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         (folder / "diagnosis.json").write_text(to_json(document), "utf-8")
         prediction.write(folder / "prediction.csv", series)
         _fitted(rig, bench, found).write(folder / "rig-diagnosed.toml")
+        if found.next and found.next.recording:
+            found.next.recording.write(folder / NEXT_INPUT)
         page = diagnosis_page(document, prediction.read(folder / "prediction.csv"), run["inputs"], run, text)
         (folder / "report.html").write_text(page, "utf-8")
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.parameters import declarations
+from smajax.plant.heat import AbstractHeat
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.wire import Environment, Wire
 
@@ -37,7 +38,7 @@ class Where(NamedTuple):
     wire: Wire
     environment: Environment
     material: AbstractMaterial
-    convection: Any
+    heat: AbstractHeat
 
 
 class AbstractEffect(eqx.Module):
@@ -45,7 +46,9 @@ class AbstractEffect(eqx.Module):
 
     ``strength`` is declared by the effect (``parameter``), its bounds being the plausible range; other declared fields are shapes, such as
     a time constant, and ``shapes`` holds the values at which a search for the effect tries them (an ``instant`` as a share of the
-    recording's length). ``needs`` names what a rig must have for the effect to exist: words of ``Plant.traits``.
+    recording's length). From the share ``absorbed_from`` of its influence on that free parameters make up for, it counts as absorbed; where
+    the little that is left rests on nominal values that nobody measured, the share is lower. ``needs`` names what a rig must have for the
+    effect to exist: words of ``Plant.traits``.
     """
 
     key: ClassVar[str]
@@ -56,6 +59,7 @@ class AbstractEffect(eqx.Module):
     needs: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[tuple[tuple[str, tuple[float, ...]], ...]] = ()
     no_mean_effect: ClassVar[str] = ""
+    absorbed_from: ClassVar[float] = 1.0 - 1e-5
     strength: eqx.AbstractVar[jax.Array]
 
     @classmethod
@@ -68,6 +72,12 @@ class AbstractEffect(eqx.Module):
         """Least and largest plausible strength."""
         strength = declarations(cls)["strength"]
         return strength.lower, strength.upper
+
+    @classmethod
+    def obstacle(cls, traits: frozenset[str]) -> str:
+        """Why a rig with these traits cannot have or show the effect; empty if it can."""
+        missing = sorted(set(cls.needs) - traits)
+        return cls.no_mean_effect or (f"it needs {', '.join(missing)}" if missing else "")
 
     def start(self, instant: Instant, where: Where) -> Any:
         """What is remembered at the first row; by default nothing."""
@@ -108,6 +118,36 @@ class HeatEffect(AbstractEffect):
     def enthalpy(self, now: Instant, where: Where) -> jax.Array:
         """Heat stored beside capacity times temperature, J/m^3, shape ``(wires,)``: a function of the instant alone."""
         return jnp.zeros_like(now.temperature)
+
+
+class SecondNode(HeatEffect):
+    """Heat flows into a second thermal node, s times the convection at ambient per kelvin between them.
+
+    The node's excess over ambient goes to ``share`` of the wire's with its ``time_constant``.
+    """
+
+    share: ClassVar[float] = 1.0
+    time_constant: eqx.AbstractVar[jax.Array]
+
+    def start(self, instant: Instant, where: Where) -> jax.Array:
+        """The node's temperature above ambient, which it has at rest."""
+        return jnp.zeros_like(instant.temperature)
+
+    def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
+        """See ``AbstractEffect``."""
+        over = 0.5 * (before.temperature + after.temperature) - where.environment.ambient
+        return relaxed(memory, self.share * over, step, self.time_constant)
+
+    def power(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
+        """See ``HeatEffect``."""
+        per_kelvin = where.heat.conductance(where.environment.ambient, where.wire)
+        return -self.strength * per_kelvin * (now.temperature - where.environment.ambient - memory)
+
+
+def relaxed(value: jax.Array, towards: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:
+    """What a value has become after a step in which it went towards another with a time constant."""
+    stays = jnp.exp(-step / time_constant)
+    return stays * value + (1.0 - stays) * towards
 
 
 class MaterialEffect(AbstractEffect):

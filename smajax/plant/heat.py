@@ -32,7 +32,11 @@ class AbstractHeat(eqx.Module):
 
     def rate(self, joule: jax.Array, temperature: jax.Array, wire: Wire, environment: Environment) -> jax.Array:
         """Net heat into the wire per volume, W/m^3."""
-        return joule - 4.0 / wire.diameter * self.convection(temperature) * (temperature - environment.ambient)
+        return joule - self.conductance(temperature, wire) * (temperature - environment.ambient)
+
+    def conductance(self, temperature: jax.Array, wire: Wire) -> jax.Array:
+        """Heat given off to the surroundings per volume of wire and kelvin, W/m^3/K."""
+        return 4.0 / wire.diameter * self.convection(temperature)
 
     def halfway(self, temperature: tuple, capacity: tuple, rate: tuple, step: jax.Array) -> jax.Array:
         """Temperature in the middle of a step; each pair holds the values at its start and end."""

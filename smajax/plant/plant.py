@@ -176,7 +176,7 @@ class Plant(eqx.Module):
         return any(e.drags for e in self._of(MechanismEffect))
 
     def _where(self) -> Where:
-        return Where(self.wire, self.environment, self.material, self.heat.convection)
+        return Where(self.wire, self.environment, self.material, self.heat)
 
     def _instant(self, state: State) -> Instant:
         nothing = jnp.zeros(())
@@ -327,7 +327,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
         return value, jax.vmap(push, out_axes=-1)(jnp.eye(size))
 
     def norm(value: jax.Array) -> jax.Array:
-        return jnp.max(jnp.abs(value) / scale)
+        return jnp.max(jnp.abs(value) / scale[: value.shape[0]])
 
     def unsolved(carry: tuple) -> jax.Array:
         _, _, change, count, *_ = carry

@@ -41,3 +41,21 @@ class Sensor(eqx.Module):
         if channel not in self.gain:
             return value
         return self.gain[channel] * value + self.offset[channel]
+
+
+def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
+    """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s, exact for what is straight between samples.
+
+    Differentiable at 0, where it is the series itself.
+    """
+    share = constant / jnp.diff(time)
+    decays = share > 0.02  # below, what is left of the last sample is under rounding
+    stays = jnp.where(decays, jnp.exp(-1.0 / jnp.where(decays, share, 1.0)), 0.0)
+
+    def follow(y: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        last, value, share, stays = row
+        y = value + stays * (y - last) - (value - last) * share * (1.0 - stays)
+        return y, y
+
+    _, rest = jax.lax.scan(follow, series[0], (series[:-1], series[1:], share, stays), unroll=8)
+    return jnp.append(series[:1], rest)

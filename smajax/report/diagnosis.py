@@ -8,7 +8,9 @@ from typing import Any
 
 from smajax import __version__
 from smajax.diagnose.effects import catalogue
-from smajax.diagnose.trace import Diagnosis
+from smajax.diagnose.preflight import Sight
+from smajax.diagnose.residual import Look
+from smajax.diagnose.verdict import PARTS, Diagnosis
 from smajax.recording import Recording
 from smajax.report import html, plots
 from smajax.report.document import difference_unit, number
@@ -16,7 +18,7 @@ from smajax.report.plots import Picture
 from smajax.report.prediction import Series
 
 SCHEMA = "smajax.diagnosis/1"
-PARTS = ("train", "select", "holdout")
+NEXT_INPUT = "next_input.csv"
 
 
 def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: int, wall: float, seed: int) -> dict[str, Any]:
@@ -26,23 +28,23 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
         unit, factor = difference_unit(recording, channel)
         rmse[channel] = {"unit": unit} | {key: number(value, factor) for key, value in values.items()}
         rmse[channel]["holdout_cut_95"] = [number(end, factor) for end in found.cut95[channel]]
-        floor[channel] = {"value": number(found.noise[channel], factor), "unit": unit, "from": "residual differences"}
+        value, source = found.noise[channel]
+        floor[channel] = {"value": number(value, factor), "unit": unit, "from": source}
     values = found.after.values
     scale = difference_unit(recording, next(iter(found.rmse)))[1]
     ranking = []
     for one in found.ranking:
-        strength, low, high = one.strength, one.lower95, one.upper95
-        name = f"effects.{one.key}.strength"
-        if one.key in found.effects:
+        seen, strength, low, high = one.sight, one.strength, one.lower95, one.upper95
+        name = f"effects.{seen.key}.strength"
+        if seen.key in found.effects:
             strength = values[name]
             low, high = found.intervals.get(name, (None, None))
         ranking.append(
             {
-                "key": one.key, "stage": one.stage, "status": one.status, "strength": number(strength), "lower95": number(low),
-                "upper95": number(high), "unit": one.unit, "statistic": number(one.gain), "p_value": number(one.p_value),
-                "refit_rmse_select": number(one.refit_rmse_select, scale),
-                "smallest_detectable": number(one.smallest), "absorbed_by": list(one.absorbed_by) if one.status == "absorbed" else [],
-                "why": one.absorbed_by[0] if one.status == "blind" and one.absorbed_by else "",
+                "key": seen.key, "stage": seen.stage, "status": seen.status, "strength": number(strength), "lower95": number(low),
+                "upper95": number(high), "unit": seen.unit, "statistic": number(one.gain), "p_value": number(one.p_value),
+                "refit_rmse_select": number(one.refit_rmse_select, scale), "smallest_detectable": number(seen.smallest),
+                "absorbed_by": list(seen.absorbed_by), "why": seen.why,
             }
         )  # fmt: skip
     ranking.sort(key=lambda r: (r["key"] not in found.effects, -(r["statistic"] or -1.0)))
@@ -65,7 +67,13 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
             for r in ranking
             if found.verdict == "nothing-missing" and r["status"] == "testable" and r["smallest_detectable"] is not None
         ],
-        "next_experiment": None,
+        "preflight": [_sight(one) for one in found.preflight],
+        "residual": {
+            channel: {when: _look(looks[channel], difference_unit(recording, channel)[1]) for when, looks in found.looks.items()}
+            for channel in found.rmse
+        },
+        "free_form": _free_form(found),
+        "next_experiment": _next(found),
         "simulations": simulations,
         "wall_s": round(wall, 2),
         "seed": seed,
@@ -73,6 +81,41 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
     }
     document["summary"] = " ".join(sentences(document))
     return document
+
+
+def _sight(one: Sight) -> dict[str, Any]:
+    return {
+        "key": one.key, "stage": one.stage, "status": one.status, "smallest_detectable": number(one.smallest), "unit": one.unit,
+        "absorbed_by": list(one.absorbed_by), "why": one.why,
+    }  # fmt: skip
+
+
+def _look(one: Look, factor: float) -> dict[str, Any]:
+    cross = {name: [number(float(v)) for v in values] for name, values in one.cross.items()}
+    return {
+        "rms": number(one.rms, factor), "band_99": number(one.band), "autocorrelation": [number(float(v)) for v in one.autocorrelation],
+        "cross_correlation": cross, "outside": {name: number(share) for name, share in one.outside.items()},
+    }  # fmt: skip
+
+
+def _free_form(found: Diagnosis) -> dict[str, Any] | None:
+    if found.shape is None:
+        return None
+    shape, before = found.shape, found.fitness[1]
+    explained = 1.0 - max(shape.train - 1.0, 0.0) / max(before - 1.0, 1e-9)
+    return {
+        "stage": shape.stage, "adds": shape.kind.removeprefix("free-"), "unit": shape.unit, "against": shape.against,
+        "at": [number(float(v)) for v in shape.at], "term": [number(float(v)) for v in shape.term],
+        "explains": number(max(0.0, explained)), "select_error_over_noise": number(shape.select**0.5),
+        "note": "a description of what is missing, not its cause",
+    }  # fmt: skip
+
+
+def _next(found: Diagnosis) -> dict[str, Any] | None:
+    if found.next is None:
+        return None
+    file = NEXT_INPUT if found.next.recording else None
+    return {"file": file, "separates": list(found.next.separates), "sigma": number(found.next.sigma), "advice": found.next.advice}
 
 
 def sentences(doc: Mapping[str, Any]) -> list[str]:
@@ -97,6 +140,15 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
             f"On the holdout the error of {channel} is {rmse['holdout_before']:.3g} {rmse['unit']} before and "
             f"{rmse['holdout_after']:.3g} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
+    if doc["free_form"]:
+        form = doc["free_form"]
+        told.append(
+            f"A free term in the {form['stage']} stage, {form['adds']} as a function of {form['against']}, would explain "
+            f"{100 * form['explains']:.0f} % of what is left; it describes, and names no cause."
+        )
+    if doc["next_experiment"] and doc["next_experiment"]["separates"]:
+        planned = doc["next_experiment"]
+        told.append(f"Next, run {planned['file']}: {planned['advice']}." if planned["file"] else f"Next: {planned['advice']}.")
     return told
 
 
@@ -121,9 +173,32 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
         for part in PARTS
     ]  # fmt: skip
     sections.append(html.table(("channel", "recording", "before", "after", "noise", "unit"), rows, numbers=(2, 3, 4)))
-    sections.append("<h2>Share of the residual that each stage could explain</h2>")
+    sections.append("<h2>What is left on the training recording</h2>")
+    heard = [
+        (channel, when, name, _four(look["rms"]), f"{100 * share:.0f} %")
+        for channel, looks in doc["residual"].items()
+        for when, look in looks.items()
+        for name, share in look["outside"].items()
+    ]
+    sections.append(html.table(("channel", "fit", "correlated with", "RMS", "lags beyond 99 %"), heard, numbers=(3, 4)))
+    for channel, looks in doc["residual"].items():
+        sections.append(html.draw(plots.whiteness_picture(channel, looks), pictures))
+    sections.append("<h2>Share of the residual that can live in each stage</h2>")
     sections.append(html.table(("stage", "share"), [(s, f"{100 * v:.0f} %") for s, v in doc["stages"].items()], numbers=(1,)))
-    sections += ["<h2>Effects</h2>", html.table(_HEAD, [_row(r) for r in doc["ranking"]], numbers=(3, 4, 5, 6))]
+    if doc["free_form"]:
+        sections.append(html.draw(plots.free_form_picture(doc["free_form"]), pictures))
+    sections += ["<h2>Effects</h2>", html.table(_HEAD, [_row(r) for r in doc["ranking"]], numbers=(3, 4, 5, 6, 7))]
+    if doc["rejected"]:
+        sections.append(html.table(("left out", "because"), [(r["key"], r["why"]) for r in doc["rejected"]]))
+    if doc["excluded"]:
+        limits = [(e["key"], f"{e['above']:.3g}", html.pretty_unit(e["unit"])) for e in doc["excluded"]]
+        sections += ["<h2>Excluded down to this size</h2>", html.table(("effect", "above", "unit"), limits, numbers=(1,))]
+    before = [
+        (s["key"], s["status"], _three(s["smallest_detectable"]), html.pretty_unit(s["unit"]), ", ".join(s["absorbed_by"]) or s["why"])
+        for s in doc["preflight"]
+    ]
+    sections += ["<h2>What this input can show, before any fit</h2>"]
+    sections.append(html.table(("effect", "status", "detectable from", "unit", "absorbed by, or why not"), before, numbers=(2,)))
     sections.append("<h2>Measured against model</h2>")
     for one in series:
         sections.append(html.draw(plots.time_picture(one, list(doc["rmse"]), inputs, floor), pictures))
@@ -135,17 +210,17 @@ def _four(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-_HEAD = ("effect", "stage", "status", "strength", "95 % from", "to", "detectable from", "unit", "")
+def _three(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+_HEAD = ("effect", "stage", "status", "strength", "95 % from", "to", "error after refit", "detectable from", "unit", "")
 
 
 def _row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    shown = [f"{entry[k]:.3g}" if entry[k] is not None else "-" for k in ("strength", "lower95", "upper95", "smallest_detectable")]
+    shown = [_three(entry[k]) for k in ("strength", "lower95", "upper95", "refit_rmse_select", "smallest_detectable")]
     absorbed = f"absorbed by {', '.join(entry['absorbed_by'])}" if entry["absorbed_by"] else entry["why"]
     return (
-        entry["key"],
-        entry["stage"],
-        entry["status"],
-        *shown,
-        html.pretty_unit(entry["unit"]),
+        entry["key"], entry["stage"], entry["status"], *shown, html.pretty_unit(entry["unit"]),
         absorbed or catalogue()[entry["key"]].source,
-    )
+    )  # fmt: skip

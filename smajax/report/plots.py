@@ -113,6 +113,33 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
     return Picture(f"Phase picture of {series.name} ({series.role})", caption, {"data": data, "layout": layout}, 460, len(partners) > 1)
 
 
+def whiteness_picture(channel: str, looks: Mapping[str, Any]) -> Picture:
+    """The residual's autocorrelation before and after, with the band that holds 99 % of white noise."""
+    layout = _base()
+    layout["xaxis"] = _axis_style("lag [samples]")
+    layout["yaxis"] = _axis_style("correlation")
+    data = []
+    for (when, look), colour in zip(looks.items(), (MEASURED, MODEL), strict=False):
+        lags = list(range(1, len(look["autocorrelation"]) + 1))
+        data.append(
+            {"type": "scatter", "mode": "lines+markers", "name": when, "x": lags, "y": look["autocorrelation"], "line": {"color": colour}}
+        )
+        layout["shapes"] = layout.get("shapes", []) + _band(look["band_99"] / 2.0, "y")
+    caption = "How far each residual goes with itself some samples before; between the dotted lines it looks like white noise."
+    return Picture(f"Autocorrelation of the residual of {channel}", caption, {"data": data, "layout": layout}, 320, wide=False)
+
+
+def free_form_picture(form: Mapping[str, Any]) -> Picture:
+    """A term of free form against the state that it stands against."""
+    layout = _base()
+    units = {"temperature": "degC", "martensite": "fraction", "travel": "full transformations"}
+    layout["xaxis"] = _axis_style(escape(f"{form['against']} [{units.get(form['against'], 's')}]"))
+    layout["yaxis"] = _axis_style(escape(f"{form['adds']} [{form['unit']}]" if form["unit"] != "1" else form["adds"]))
+    line = {"type": "scatter", "mode": "lines+markers", "x": form["at"], "y": form["term"], "line": {"color": MODEL}, "showlegend": False}
+    caption = "What would have to be added to the stage, as a function of the state. It describes what is missing and names no cause."
+    return Picture(f"Free term in the {form['stage']} stage", caption, {"data": [line], "layout": layout}, 320, wide=False)
+
+
 def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: Sequence[float | None]) -> Picture:
     """The profile likelihood of one parameter, with the level that bounds its 95 % interval."""
     layout = _base()

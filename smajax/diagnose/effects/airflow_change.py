@@ -23,5 +23,5 @@ class AirflowChange(HeatEffect):
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
         on = 0.5 * (1.0 + jnp.tanh((now.time - self.instant) / _RISE))
-        cooling = 4.0 / where.wire.diameter * where.convection(now.temperature) * (now.temperature - where.environment.ambient)
+        cooling = where.heat.conductance(now.temperature, where.wire) * (now.temperature - where.environment.ambient)
         return -self.strength * on * cooling

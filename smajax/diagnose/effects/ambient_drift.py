@@ -17,4 +17,4 @@ class AmbientDrift(HeatEffect):
 
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
-        return 4.0 / where.wire.diameter * where.convection(now.temperature) * self.strength * now.time
+        return where.heat.conductance(now.temperature, where.wire) * self.strength * now.time

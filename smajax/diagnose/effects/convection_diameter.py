@@ -18,5 +18,5 @@ class ConvectionDiameter(HeatEffect):
 
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
-        cooling = 4.0 / where.wire.diameter * where.convection(now.temperature) * (now.temperature - where.environment.ambient)
+        cooling = where.heat.conductance(now.temperature, where.wire) * (now.temperature - where.environment.ambient)
         return self.strength * jnp.log(where.wire.diameter / 0.25e-3) * cooling

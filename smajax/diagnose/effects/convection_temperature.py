@@ -18,4 +18,4 @@ class ConvectionTemperature(HeatEffect):
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
         over = now.temperature - where.environment.ambient
-        return -self.strength * 4.0 / where.wire.diameter * where.convection(now.temperature) * over * over / 50.0
+        return -self.strength * where.heat.conductance(now.temperature, where.wire) * over * over / 50.0

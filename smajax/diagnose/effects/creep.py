@@ -1,10 +1,9 @@
 """Martensite that keeps reorienting under load."""
 
 import jax
-import jax.numpy as jnp
 
 from smajax.parameters import parameter
-from smajax.plant.effect import Instant, MaterialEffect, Where
+from smajax.plant.effect import Instant, MaterialEffect, Where, relaxed
 
 
 class Creep(MaterialEffect):
@@ -24,8 +23,7 @@ class Creep(MaterialEffect):
 
     def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
         """See ``AbstractEffect``."""
-        stays = jnp.exp(-step / self.time_constant)
-        return stays * memory + (1.0 - stays) * 0.5 * (before.fractions.martensite + after.fractions.martensite)
+        return relaxed(memory, 0.5 * (before.fractions.martensite + after.fractions.martensite), step, self.time_constant)
 
     def strain(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""

@@ -13,6 +13,7 @@ class EncoderGain(SensorEffect):
     key = "encoder-gain"
     typical = 0.01
     source = "estimate: 0.1 to 2 %"
+    absorbed_from = 0.99
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""

@@ -13,6 +13,7 @@ class ThermocoupleAttachment(SensorEffect):
     key = "thermocouple-attachment"
     typical = 0.2
     source = "estimate: 0.2 for a 75 um thermocouple on a 0.25 mm wire"
+    absorbed_from = 0.99
     needs = ("temperature observed",)
     channel = "temperature"
 

@@ -1,10 +1,10 @@
 """A thermocouple that follows slowly."""
 
 import jax
-import jax.numpy as jnp
 
 from smajax.parameters import parameter
 from smajax.plant.effect import SensorEffect
+from smajax.plant.sensor import lagged
 
 
 class ThermocoupleLag(SensorEffect):
@@ -19,12 +19,5 @@ class ThermocoupleLag(SensorEffect):
     channel = "temperature"
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
-        """See ``SensorEffect``; the implicit form has a derivative at 0."""
-
-        def follow(y: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            value, gap = row
-            y = y + (value - y) * gap / (gap + self.strength)
-            return y, y
-
-        _, rest = jax.lax.scan(follow, series[0], (series[1:], jnp.diff(time)), unroll=8)
-        return jnp.append(series[:1], rest) - series
+        """See ``SensorEffect``."""
+        return lagged(series, time, self.strength) - series

@@ -18,5 +18,5 @@ class WireCrosstalk(HeatEffect):
 
     def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
-        per_kelvin = 4.0 / where.wire.diameter * where.convection(where.environment.ambient)
+        per_kelvin = where.heat.conductance(where.environment.ambient, where.wire)
         return -self.strength * per_kelvin * (now.temperature - now.temperature[::-1])

@@ -1,0 +1,103 @@
+"""Terms of free form: what a stage would need, as a piecewise linear function of time or of a state. A description, not a cause.
+
+As functions of time they say in which stage a residual can live; as functions of a state, how a term that the catalogue lacks would look.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.parameters import parameter
+from smajax.plant.effect import HeatEffect, Instant, MaterialEffect, Where
+from smajax.plant.plant import Plant
+
+KNOTS = 24
+AGAINST = ("time", "temperature", "martensite", "travel")
+
+
+class FreeHeat(HeatEffect):
+    """Heat added, W/m^3, as a function of ``AGAINST[mix]`` over its ``low`` to ``high``; ``knots`` of shape ``(KNOTS,)``."""
+
+    knots: jax.Array
+    mix: jax.Array
+    low: jax.Array
+    high: jax.Array
+    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
+    key = "free-heat"
+    typical = 1.0
+    source = "free form"
+
+    def power(self, now: Instant, memory: Any, where: Where) -> jax.Array:
+        """See ``HeatEffect``."""
+        return _term(self, now)
+
+
+class FreeShift(MaterialEffect):
+    """Shift of the transformation temperatures, K; fields as ``FreeHeat``."""
+
+    knots: jax.Array
+    mix: jax.Array
+    low: jax.Array
+    high: jax.Array
+    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
+    key = "free-shift"
+    typical = 1.0
+    source = "free form"
+
+    def shift(self, now: Instant, where: Where) -> jax.Array:
+        """See ``MaterialEffect``."""
+        return _term(self, now)
+
+
+class FreeStrain(MaterialEffect):
+    """Strain added; fields as ``FreeHeat``."""
+
+    knots: jax.Array
+    mix: jax.Array
+    low: jax.Array
+    high: jax.Array
+    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
+    key = "free-strain"
+    typical = 1.0
+    source = "free form"
+
+    def strain(self, now: Instant, memory: Any, where: Where) -> jax.Array:
+        """See ``MaterialEffect``."""
+        return _term(self, now)
+
+
+KINDS = (FreeHeat, FreeShift, FreeStrain)
+STAGE = {"free-heat": "heat", "free-shift": "material", "free-strain": "material"}
+UNIT = {"free-heat": "W/m^3", "free-shift": "K", "free-strain": "1"}
+
+
+def absent() -> tuple[FreeHeat, FreeShift, FreeStrain]:
+    """One of each kind, all zero."""
+    none, zeros, ones = jnp.zeros(KNOTS), jnp.zeros(len(AGAINST)), jnp.ones(len(AGAINST))
+    return FreeHeat(none, zeros, zeros, ones), FreeShift(none, zeros, zeros, ones), FreeStrain(none, zeros, zeros, ones)
+
+
+def put(plant: Plant, knots: jax.Array, mix: jax.Array, low: jax.Array, high: jax.Array) -> Plant:
+    """A plant whose free terms have these values: ``knots`` of shape ``(len(KINDS), KNOTS)``, the rest ``(len(AGAINST),)``."""
+    effects = tuple(
+        dataclasses.replace(e, knots=knots[KINDS.index(type(e))], mix=mix, low=low, high=high) if isinstance(e, KINDS) else e
+        for e in plant.effects
+    )
+    return dataclasses.replace(plant, effects=effects)
+
+
+def hats(where: np.ndarray, nodes: int) -> np.ndarray:
+    """Piecewise linear functions on ``nodes`` equal parts of 0..1, at points ``(n,)``: shape ``(n, nodes)``."""
+    place = np.clip(where, 0.0, 1.0) * (nodes - 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(nodes)[None, :]))
+
+
+def _term(effect: FreeHeat | FreeShift | FreeStrain, now: Instant) -> jax.Array:
+    states = (jnp.broadcast_to(now.time, now.temperature.shape), now.temperature, now.fractions.martensite, now.travel)
+    place = sum(m * (s - a) / (b - a) for m, s, a, b in zip(effect.mix, states, effect.low, effect.high, strict=True))
+    place = jnp.clip(place, 0.0, 1.0) * (KNOTS - 1)
+    left = jnp.clip(jnp.floor(place).astype(int), 0, KNOTS - 2)
+    return effect.knots[left] * (left + 1 - place) + effect.knots[left + 1] * (place - left)

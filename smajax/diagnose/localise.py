@@ -1,0 +1,122 @@
+"""In which stage a residual lives, and how a term of free form there would look.
+
+Heat and material are each given a piecewise linear function of time, added as heat or as a shift of the transformation temperatures; the
+place where the motion is measured, one that is added to the channel. Whatever of the residual such a function explains beyond the free
+parameters, adjusted for its freedom, is the share that can live there. Drive, mechanism and sensor have no such function of their own
+(a current is heat, and what happens between mechanism and sensor adds to the channel): their effects say which of them it is.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from smajax.diagnose import freeform, score
+from smajax.diagnose.candidates import SLOTS, Bench, Form, Refit
+
+STAGES = ("drive", "heat", "material", "mechanism", "sensor")
+_NODES = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """A term of free form, fitted: its stage and unit, what it stands against, where its nodes are and their values.
+
+    ``train`` and ``select`` are the mean squares over the noise that the fit with it leaves.
+    """
+
+    stage: str
+    kind: str
+    unit: str
+    against: str
+    at: np.ndarray
+    term: np.ndarray
+    train: float
+    select: float
+
+
+def shares(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, columns: Mapping) -> dict[str, float]:
+    """Share of a residual, projected on ``q``, that can live in each stage; ``columns`` are the effects' own."""
+    known = {s: _share(q, left, [c for (key, _), c in columns.items() if bench.effects[key].stage == s]) for s in STAGES}
+    span = (0.0, max(float(r.time[-1] - r.time[0]) for r in bench.recordings[:1]))
+    heat, material = (_share(q, left, _hats(bench, refit, kind, "time", span, freeform.KNOTS)) for kind in (0, 1))
+    places = [score.project(q, c) for c in _carried(bench)]
+    carried = _share(q, left, places)
+    late = max(known["mechanism"], known["sensor"], 1e-300)
+    return {
+        "drive": min(known["drive"], max(heat, known["heat"])),
+        "heat": max(heat, known["heat"]),
+        "material": max(material, known["material"]),
+        "mechanism": max(known["mechanism"], carried * known["mechanism"] / late),
+        "sensor": max(known["sensor"], carried * known["sensor"] / late),
+    }
+
+
+def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: str) -> Shape | None:
+    """The term of free form in a stage that explains most, fitted beside all other parameters; ``None`` if no slot is left for it."""
+    nodes = min(_NODES, SLOTS - len(bench.moved(refit.hypothesis)))
+    kinds = [1, 2] if stage in ("material", "mechanism", "sensor") else [0]
+    if nodes < 3:
+        return None
+    against = [a for a in freeform.AGAINST if a != "time"]
+    options = [(kind, a, bench.span(refit, a)) for kind in kinds for a in against]
+    options = [o for o in options if o[2][1] > o[2][0]]
+    found = [_share(q, left, _hats(bench, refit, *o, nodes)) for o in options]
+    if not found:
+        return None
+    kind, state, (low, high) = options[int(np.argmax(found))]
+    form = Form(kind, state, low, high, _matrix(nodes) * _unit(bench, kind))
+    fitted = bench.fit(refit.hypothesis, refit.base, max_steps=25, form=form)
+    if not np.isfinite(fitted.chi2):
+        return None
+    moved = bench.moved(fitted.hypothesis)
+    predicted, _ = bench.evaluate(fitted.hypothesis, fitted.base, 1, moved, form, fitted.nodes)
+    key = freeform.KINDS[kind].key
+    at = np.linspace(low, high, nodes)
+    return Shape(
+        freeform.STAGE[key], key, freeform.UNIT[key], state, at, fitted.nodes * _unit(bench, kind),
+        bench.fitness(fitted.residual, 0), bench.fitness(predicted, 1),
+    )  # fmt: skip
+
+
+def _unit(bench: Bench, kind: int) -> float:
+    """A change of order one: what a kelvin does to the heat balance, a kelvin, a hundredth of a per cent."""
+    plant = bench.problems[0].plant
+    return (10.0 * float(plant.heat.conductance(plant.environment.ambient, plant.wire)), 1.0, 1e-4)[kind]
+
+
+def _matrix(nodes: int) -> np.ndarray:
+    return freeform.hats(np.linspace(0.0, 1.0, freeform.KNOTS), nodes)
+
+
+def _hats(bench: Bench, refit: Refit, kind: int, against: str, span: tuple[float, float], nodes: int) -> list[np.ndarray]:
+    """The residual's derivative by each node of a free term."""
+    matrix = _matrix(nodes) * _unit(bench, kind)
+    forms = [Form(kind, against, *span, matrix[:, k : k + SLOTS]) for k in range(0, nodes, SLOTS)]
+    found = bench.many(lambda form: bench.evaluate(refit.hypothesis, refit.base, 0, (), form)[1][:, bench.size :], forms)
+    return [bench.flat(c) for block in found for c in block.T]
+
+
+def _carried(bench: Bench) -> list[np.ndarray]:
+    """Hats in time added to each channel."""
+    columns = []
+    channels = len(bench.channels)
+    for i in range(channels):
+        time = bench.recordings[0].time
+        hats = freeform.hats((time - time[0]) / (time[-1] - time[0]), freeform.KNOTS)
+        for k in range(freeform.KNOTS):
+            whole = np.zeros((channels, len(time)))
+            whole[i] = hats[:, k]
+            columns.append(whole.ravel())
+    return columns
+
+
+def _share(q: np.ndarray, left: np.ndarray, columns: list[np.ndarray]) -> float:
+    """Share of a projected residual that columns explain beyond ``q``, adjusted for their number (adjusted R squared)."""
+    whole, n = float(left @ left), len(left)
+    own = [p for c in columns if np.linalg.norm(p := score.project(q, c)) > 1e-3 * max(np.linalg.norm(c), 1e-300)]
+    if not own or whole <= 0.0:
+        return 0.0
+    basis = score.basis(np.column_stack(own))
+    explained, p = float(np.sum((basis.T @ left) ** 2)) / whole, basis.shape[1]
+    return float(np.clip(1.0 - (1.0 - explained) * (n - 1) / max(n - p - 1, 1), 0.0, 1.0))

@@ -1,0 +1,173 @@
+"""The verdict: what a trace found, looked at once on the third recording, in numbers."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from smajax.diagnose import experiment, localise
+from smajax.diagnose.candidates import Bench, Hypothesis, Refit
+from smajax.diagnose.experiment import Next
+from smajax.diagnose.localise import Shape
+from smajax.diagnose.preflight import Sight
+from smajax.diagnose.residual import Look, look
+from smajax.diagnose.trace import Ranked, Story, Tracer, trace
+from smajax.fit import uncertainty
+
+PARTS = ("train", "select", "holdout")
+_EXPLAINED = 0.5
+_NOISY = 1.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """The whole of it. RMSEs in SI by channel.
+
+    ``predictions`` hold model minus measurement, SI, by before / after, recording and channel; ``looks`` the residuals of the training
+    recording by before / after and channel.
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    equivalent: dict[str, tuple[str, ...]]
+    unresolved_stage: str | None
+    preflight: tuple[Sight, ...]
+    ranking: tuple[Ranked, ...]
+    stages: dict[str, float]
+    noise: dict[str, tuple[float, str]]
+    before: Refit
+    after: Refit
+    fitness: tuple[float, float, float]
+    rmse: dict[str, dict[str, float]]
+    cut95: dict[str, tuple[float, float]]
+    rejected: tuple[tuple[str, str], ...]
+    intervals: dict[str, tuple[float, float]]
+    predictions: dict[str, list[dict[str, np.ndarray]]]
+    looks: dict[str, dict[str, Look]]
+    shape: Shape | None
+    next: Next | None
+
+
+def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
+    """Traces, judges, and says what to do next. The bench holds three recordings, for training, selection and holdout.
+
+    Raises NumericsError if the first fit does not come to rest.
+    """
+    tracer, story = trace(bench, seed=seed, say=say)
+    verdict = judge(story)
+    stage = shape = None
+    if verdict in ("unresolved", "partial"):
+        say("looking for the stage where the rest lives")
+        scores = tracer.scores(story.last.refit)
+        left = tracer.shares(story.last.refit, scores) if story.accepted else story.stages
+        stage = max(left, key=lambda s: left[s])
+        shape = localise.shape(bench, story.last.refit, scores.q, scores.left, stage)
+    designed = None
+    if verdict != "named" and verdict != "nothing-missing":
+        say("designing the next experiment")
+        designed = experiment.design(bench, story.last.refit, _rivals(story), seed)
+    say("predicting the holdout")
+    return _conclude(tracer, story, verdict, stage, shape, designed)
+
+
+def judge(story: Story) -> str:
+    """The verdict's word; takes back effects that leave most of the excess unexplained."""
+    first, last = story.first, story.last
+    if story.accepted:
+        left = max(last.train - 1.0, 0.0) + max(last.select - 1.0, 0.0)
+        explained = 1.0 - left / max(first.train - 1.0 + first.select - 1.0, 1e-9)
+        if explained < _EXPLAINED and last.train > max(story.limit, 1.25):
+            why = f"together the effects found explain {100 * explained:.0f} % of what is missing, too little for a cause"
+            story.rejected += [(key, why) for key in story.accepted]
+            story.accepted, story.equivalent, story.last = [], {}, first
+    if not story.accepted:
+        missing = first.train > max(story.limit, 1.1) or first.select > _NOISY
+        return "unresolved" if missing else "nothing-missing"
+    if math.sqrt(story.last.select) < _NOISY and story.last.train < max(story.limit, 1.25):
+        return "named-up-to-class" if any(story.equivalent.get(k) for k in story.accepted) else "named"
+    return "partial"
+
+
+def _rivals(story: Story) -> dict[str, dict[str, float]]:
+    """What could still be told apart: each accepted effect with its equivalents, or the best two trials where nothing was accepted."""
+    found: dict[str, dict[str, float]] = {}
+    for key in story.accepted:
+        if story.equivalent.get(key) or story.last.train > story.limit:
+            same = [t for t in story.rivals.get(key, ()) if t.key in story.equivalent.get(key, ()) or not story.equivalent.get(key)][:2]
+            found |= {t.key: {n: v for n, v in t.refit.values.items() if n.split(".")[1] == t.key} for t in same}
+            found[key] = {n: v for n, v in story.last.refit.values.items() if n.split(".")[1] == key}
+    if not found:
+        tried = sorted((r for r in story.ranking.values() if r.gain), key=lambda r: -(r.gain or 0.0))[:2]
+        found = {r.sight.key: {f"effects.{r.sight.key}.strength": r.strength or 0.0} for r in tried}
+    return found
+
+
+def _conclude(tracer: Tracer, story: Story, verdict: str, stage: str | None, shape: Shape | None, designed: Next | None) -> Diagnosis:
+    bench, first, last = tracer.bench, story.first.refit, story.last.refit
+    noise = bench.noise
+    residuals = {
+        "before": [first.residual, *(bench.evaluate(Hypothesis(), first.base, k)[0] for k in (1, 2))],
+        "after": [last.residual, *(bench.evaluate(last.hypothesis, last.base, k)[0] for k in (1, 2))],
+    }
+    series = {when: [bench.series(r, k) for k, r in enumerate(found)] for when, found in residuals.items()}
+    rmse, cut95 = {}, {}
+    for c in bench.channels:
+        rmse[c] = {
+            f"{part}_{when}": float(np.sqrt(np.mean(series[when][k][c] ** 2))) * noise[c]
+            for k, part in enumerate(PARTS)
+            for when in ("before", "after")
+        }
+        cut95[c] = bootstrap(series["before"][2][c] * noise[c], series["after"][2][c] * noise[c], tracer.seed)
+    inputs = {name: bench.recordings[0].channels[name] for name in bench.plain.plant.signals}
+    looks = {when: {c: look(v * noise[c], inputs) for c, v in found[0].items()} for when, found in series.items()}
+    return Diagnosis(
+        verdict=verdict,
+        effects=tuple(story.accepted),
+        equivalent={k: story.equivalent[k] for k in story.accepted if story.equivalent.get(k)},
+        unresolved_stage=stage,
+        preflight=tuple(story.preflight.values()),
+        ranking=tuple(story.ranking.values()),
+        stages=story.stages,
+        noise=story.noise,
+        before=first,
+        after=last,
+        fitness=(story.first.train, story.last.train, story.limit),
+        rmse=rmse,
+        cut95=cut95,
+        rejected=tuple(story.rejected),
+        intervals=_intervals(tracer, last),
+        predictions={when: [{c: v * noise[c] for c, v in s.items()} for s in found] for when, found in series.items()},
+        looks=looks,
+        shape=shape,
+        next=designed,
+    )
+
+
+def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
+    """95 % intervals of the effects' parameters, by the residual's own autocorrelation."""
+    bench, moved = tracer.bench, tracer.bench.moved(refit.hypothesis)
+    if not moved:
+        return {}
+    free = tracer.held(refit)
+    columns = [bench.series(c) for c in refit.jacobian[:, free].T]
+    series = bench.series(refit.residual)
+    jacobians = [np.column_stack([c[name] for c in columns]) for name in series]
+    covariance = uncertainty.covariance(jacobians, list(series.values()), int(np.sum(free)))
+    spread = np.sqrt(np.diag(covariance))[-len(moved) :] * 1.96
+    return {
+        name: (refit.values[name] - s * bench.scale(name), refit.values[name] + s * bench.scale(name))
+        for name, s in zip(moved, spread, strict=True)
+        if math.isfinite(s)
+    }
+
+
+def bootstrap(before: np.ndarray, after: np.ndarray, seed: int, draws: int = 1000) -> tuple[float, float]:
+    """95 % interval of the fall of the RMSE, by blocks of a fiftieth of the recording."""
+    length = max(1, len(before) // 50)
+    count = len(before) // length
+    squares = [np.mean((v[: count * length] ** 2).reshape(count, length), axis=1) for v in (before, after)]
+    pick = np.random.default_rng(seed).integers(0, count, (draws, count))
+    cut = np.sqrt(np.mean(squares[0][pick], axis=1)) - np.sqrt(np.mean(squares[1][pick], axis=1))
+    low, high = np.quantile(cut, [0.025, 0.975])
+    return float(low), float(high)
