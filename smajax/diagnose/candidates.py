@@ -227,7 +227,8 @@ class Bench:
         _, key, field = name.split(".")
         if field == "strength":
             return self.effects[key].typical
-        return 0.3 * abs(self.nominal[self.names.index(name)])
+        declared = declarations(self.effects[key])[field]
+        return 0.3 * abs(self.nominal[self.names.index(name)]) or 0.15 * (declared.upper - declared.lower)
 
     def compiled(self) -> None:
         """Waits until the large program is compiled."""

@@ -77,7 +77,8 @@ UNIT = {"free-heat": "W/m^3", "free-shift": "K", "free-strain": "1"}
 def absent() -> tuple[FreeHeat, FreeShift, FreeStrain]:
     """One of each kind, all zero."""
     none, zeros, ones = jnp.zeros(KNOTS), jnp.zeros(len(AGAINST)), jnp.ones(len(AGAINST))
-    return FreeHeat(none, zeros, zeros, ones), FreeShift(none, zeros, zeros, ones), FreeStrain(none, zeros, zeros, ones)
+    ends = {"mix": zeros, "low": zeros, "high": ones}
+    return FreeHeat(knots=none, **ends), FreeShift(knots=none, **ends), FreeStrain(knots=none, **ends)
 
 
 def put(plant: Plant, knots: jax.Array, mix: jax.Array, low: jax.Array, high: jax.Array) -> Plant:

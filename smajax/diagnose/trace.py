@@ -2,13 +2,15 @@
 
 One round: the effects' scores say whether anything is missing and what is worth refitting; each of the best is added to the plant and all
 is fitted again; the one that explains the training recording and predicts the selection recording best is accepted, if it lowers the error
-there by more than ``CUT``. What explains both as well is its equivalence. After the last round each accepted effect is tried against its
-rivals, and has to be missed if it is taken away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the end.
+there by more than ``CUT``. What explains both as well is its equivalence. Where more than noise is left, the best few of them get another
+effect each, so that a first choice can still be changed for a better pair. In the end each accepted effect has to be missed if it is taken
+away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the end.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,25 +27,35 @@ from smajax.fit.problem import Problem
 DETECTED = 0.01
 CUT = 0.05
 ROUNDS = 3
-_REFITTED = 8
-_HEATS = ((99, 2), (5, 3), (4, 6), (2, 30))  # how many go on, and for how many steps
-_APART = 3
+_NEAR, _AFAR = 5, 4  # effects refitted first: by their scores at the fit, and at the rig's nominal values
+_BEAM, _SECOND = 4, 5  # fits that get another effect, and how many are tried on each
+_HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
+_APART = 5
 _STATIONARY = 2e-2
 _RIVALS = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A refit with one effect more, and how it does: goodness of fit on the training and on the selection recording.
+    """A refit, and how it does: goodness of fit on the training and on the selection recording.
 
     ``rmse_select`` is that of the first observed channel on the selection recording, SI.
     """
 
-    key: str
     refit: Refit
     train: float
     select: float
     rmse_select: float
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its effects, in the order in which they were added."""
+        return self.refit.hypothesis.keys
+
+    @property
+    def key(self) -> str:
+        """The effect that was added last; empty without effects."""
+        return self.keys[-1] if self.keys else ""
 
     @property
     def total(self) -> float:
@@ -78,12 +90,16 @@ class Story:
     last: Trial
     limit: float
     promise: dict[str, float]
-    accepted: list[str] = dataclasses.field(default_factory=list)
     rivals: dict[str, list[Trial]] = dataclasses.field(default_factory=dict)
     equivalent: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     rejected: list[tuple[str, str]] = dataclasses.field(default_factory=list)
     ranking: dict[str, Ranked] = dataclasses.field(default_factory=dict)
     stages: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """The effects of the last fit, in order."""
+        return self.last.keys
 
 
 class Tracer:
@@ -146,24 +162,23 @@ class Tracer:
         scores = scores or self.scores(refit)
         return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
 
-    def race(self, refit: Refit, keys: Sequence[str], scores: "Scores", also: np.ndarray | None) -> list[Trial]:
-        """Fits with one effect more for each key: a few steps for all, then the best of them to their end.
+    def race(self, extensions: Sequence["Extension"], also: np.ndarray | None = None) -> list[Trial]:
+        """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
-        They start at the fit's own point with the expected strength, and at the point ``also`` with 0.4 of the typical one: what a large
-        effect has done to the other parameters may lie in the way.
+        They start at their parent's point with the expected strength, and at the point ``also`` with 0.4 of the typical one: what a
+        large effect has done to the other parameters may lie in the way.
         """
         starts = []
-        for key in keys:
+        for parent, key, strength, shape in extensions:
             typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
-            shape = {f"effects.{key}.{n}": v for n, v in scores.shapes[key]}
+            own = {f"effects.{key}.{n}": v for n, v in shape}
             low, high = self.bench.plausible(key)
-            size = float(np.clip(scores.found[key].strength, max(low, -3.0), min(high, 3.0))) or 0.1
-            starts.append((key, refit.hypothesis.extended(key, {name: size * typical, **shape}), refit.base))
+            size = float(np.clip(strength, max(low, -3.0), min(high, 3.0))) or 0.1
+            starts.append((parent.hypothesis.extended(key, {name: size * typical, **own}), parent.base, False))
             if also is not None:
-                other = refit.hypothesis.extended(key, {name: math.copysign(0.4, size) * typical, **shape})
-                starts.append((key, other, also))
+                starts.append((parent.hypothesis.extended(key, {name: math.copysign(0.4, size) * typical, **own}), also, True))
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
-        fields = [[self.bench.search(h, base) for _, h, base in starts if (base is also) == far] for far in (False, True)]
+        fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
         everyone = [s for f in fields for s in f]
         for count, steps in _HEATS:
             fields = [sorted(f, key=lambda s: s.search.cost)[:count] for f in fields]
@@ -171,17 +186,39 @@ class Tracer:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
                 fields = [[s for s in whole if s.search.cost < 4.0 * whole[0].search.cost][:count]]
             self.bench.many(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
-        best: dict[str, Refit] = {}
+        best: dict[frozenset, Refit] = {}
         for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
-            best.setdefault(found.hypothesis.keys[-1], found)
-        return self.bench.many(lambda item: self.judged(*item), [item for item in best.items() if math.isfinite(item[1].chi2)])
+            best.setdefault(frozenset(found.hypothesis.keys), found)
+        trials = self.bench.many(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
+        return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
 
-    def judged(self, key: str, refit: Refit) -> Trial:
+    def nothing(self, trial: Trial) -> bool:
+        """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""
+        key = trial.key
+        return abs(trial.refit.values[f"effects.{key}.strength"]) < 1e-3 * self.bench.effects[key].typical
+
+    def settled(self, trial: Trial) -> Trial:
+        """A trial fitted to its end: from its own point, and from the rig's nominal values with the effects that it has."""
+        hypothesis = trial.refit.hypothesis
+        starts = [trial.refit.base, self.bench.problems[0].nominal]
+        ended = self.bench.many(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
+        return self.judged(min(ended, key=lambda r: r.chi2))
+
+    def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
         predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
         channel = self.bench.channels[0]
         rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.bench.noise[channel]
-        return Trial(key, refit, self.bench.fitness(refit.residual, 0), self.bench.fitness(predicted, 1), rmse)
+        return Trial(refit, self.bench.fitness(refit.residual, 0), self.bench.fitness(predicted, 1), rmse)
+
+
+class Extension(NamedTuple):
+    """One effect more for a fit: its key, the strength expected in units of the typical one, and its shape."""
+
+    parent: Refit
+    key: str
+    strength: float
+    shape: tuple
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,16 +253,14 @@ def trace(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda te
     say("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
     bench.set_noise({c: value for c, (value, _) in noise.items()})
     tracer = Tracer(bench, seed)
-    first = tracer.judged("", tracer.base(point, stop))
-    samples = len(bench.flat(first.refit.residual))
-    story = Story(seen, noise, first, first, critical(samples), gains)
+    first = tracer.judged(tracer.base(point, stop))
+    story = Story(seen, noise, first, first, critical(len(bench.flat(first.refit.residual))), gains)
+    beam = [first]
     for turn in range(ROUNDS):
-        if not _round(tracer, story, turn, say):
+        beam = _round(tracer, story, beam, turn, say)
+        if not beam:
             break
-    if len(story.accepted) > 1:
-        say("looking for a better set of effects")
-        _swap(tracer, story)
-        _backward(tracer, story, samples)
+    _backward(tracer, story)
     return tracer, story
 
 
@@ -261,76 +296,81 @@ def _noise(bench: Bench, plain: Problem, left: np.ndarray) -> dict[str, tuple[fl
     return found
 
 
-def _round(tracer: Tracer, story: Story, turn: int, say: Callable[[str], None]) -> bool:
-    """One round; says whether an effect was accepted."""
+def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:
+    """One round: adds an effect to each trial of the beam; gives the next beam, empty if no effect was accepted."""
     bench, current = tracer.bench, story.last
     samples = len(bench.flat(current.refit.residual))
-    if turn and current.train < max(story.limit, 1.02):
-        return False
-    if len(bench.moved(current.refit.hypothesis)) >= SLOTS:
-        return False
-    say(f"round {turn + 1}: scoring {len(bench.effects) - len(story.accepted)} effects")
-    scores = tracer.scores(current.refit)
+    beam = [t for t in beam if len(bench.moved(t.refit.hypothesis)) < SLOTS]
+    if not beam or (turn and current.train < max(story.limit, 1.02)):
+        return []
+    say(f"round {turn + 1}: scoring {len(bench.effects) - turn} effects")
     if turn == 0:
+        scores = tracer.scores(current.refit)
         story.stages = tracer.shares(current.refit, scores)
         story.ranking = _ranking(tracer, scores, current.refit)
-    if scores.chance > DETECTED and current.train < story.limit:
-        return False
-    trials = _refits(tracer, story, scores, turn, say)
-    if turn == 0:
+        if scores.chance > DETECTED and current.train < story.limit:
+            return []
+        trials = _singles(tracer, story, scores, say)
         for t in trials:
             story.ranking[t.key] = dataclasses.replace(story.ranking[t.key], refit_rmse_select=t.rmse_select)
-    best = min((t for t in trials if not _nothing(bench, t)), key=lambda t: t.total, default=None)
+    else:
+        trials = _more(tracer, story, beam, turn, say)
+    best = min(trials, key=lambda t: t.total, default=None)
     if best is None:
-        return False
+        return []
+    best = tracer.settled(best)
     fall = (current.train - best.train) * samples
     cut = 1.0 - math.sqrt(best.select / current.select)
     if fall < 25.0 * max(1.0, best.train) or cut < CUT:
-        why = f"cuts the error on the selection recording by {100 * cut:.1f} %, under the {100 * CUT:.0f} % that a cause must reach"
-        story.rejected.append((best.key, why))
-        return False
-    near = sorted((t for t in trials if t.key != best.key and _as_good(t, best, samples)), key=lambda t: t.total)
-    story.accepted.append(best.key)
-    story.equivalent[best.key] = tuple(t.key for t in near)
-    story.rivals[best.key] = sorted((t for t in trials if t.key != best.key), key=lambda t: t.total)[:_RIVALS]
-    story.last = _settled(tracer, best)
-    reached = math.sqrt(story.last.select)
-    say(f"accepted {best.key}: error over noise {math.sqrt(current.select):.3g} -> {reached:.3g} on the selection recording")
-    return True
+        told = "fits the training recording no better" if fall <= 0.0 else f"cuts the error on the selection recording by {100 * cut:.1f} %"
+        story.rejected.append((best.key, f"{told}; a cause has to cut it by {100 * CUT:.0f} %"))
+        return []
+    say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")
+    story.last = best
+    others = sorted((t for t in trials if set(t.keys) != set(best.keys)), key=lambda t: t.total)
+    for key in best.keys:
+        swapped = [t for t in others if set(best.keys) - {key} <= set(t.keys) and key not in t.keys]
+        if key == best.key or swapped:
+            story.rivals[key] = swapped[:_RIVALS]
+            story.equivalent[key] = tuple((set(t.keys) - set(best.keys)).pop() for t in swapped if _as_good(t, best, samples))
+    return [best, *others[: _BEAM - 1]]
 
 
-def _refits(tracer: Tracer, story: Story, scores: Scores, turn: int, say: Callable[[str], None]) -> list[Trial]:
+def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], None]) -> list[Trial]:
     """Refits of the effects that promise most, and of all others if none of these explains the residual."""
-    refit = story.last.refit
+    refit, bench = story.last.refit, tracer.bench
     hopeful = [k for k, s in sorted(scores.found.items(), key=lambda item: -item[1].gain) if s.gain > 0.0]
+    afar = [k for k in sorted(story.promise, key=lambda k: -story.promise[k]) if story.promise[k] > 0.0 and k in hopeful]
     groups = score.classes({k: scores.found[k].column for k in hopeful})
-    chosen = hopeful[:_REFITTED]
-    if turn == 0:
-        afar = [k for k in sorted(story.promise, key=lambda k: -story.promise[k]) if story.promise[k] > 0.0]
-        chosen = list(dict.fromkeys([*hopeful[: _REFITTED // 2], *afar[: _REFITTED // 2]]))
+    chosen = list(dict.fromkeys([*hopeful[:_NEAR], *afar[:_AFAR]]))
     for key in chosen[:2]:  # all that look like the best ones
         chosen += [k for k in next((g for g in groups if key in g), ()) if k not in chosen]
-    also = tracer.bench.problems[0].nominal if turn == 0 else None
-    say(f"round {turn + 1}: refitting {len(chosen)} effects")
-    trials = tracer.race(refit, chosen, scores, also)
+
+    def refits(keys: list[str]) -> list[Trial]:
+        say(f"round 1: refitting {len(keys)} effects")
+        extensions = [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in keys]
+        return tracer.race(extensions, bench.problems[0].nominal)
+
+    trials = refits(chosen)
     rest = [k for k in hopeful if k not in chosen]
     if rest and min((t.train for t in trials), default=math.inf) > max(story.limit, 1.15):
-        say(f"round {turn + 1}: refitting {len(rest)} more")
-        trials += tracer.race(refit, rest, scores, also)
-    return [t for t in trials if math.isfinite(t.total)]
+        trials += refits(rest)
+    return trials
 
 
-def _settled(tracer: Tracer, trial: Trial) -> Trial:
-    """A trial fitted to its end: from its own point, and from the rig's nominal values with the effects that it has."""
-    bench, hypothesis = tracer.bench, trial.refit.hypothesis
-    starts = [trial.refit.base, bench.problems[0].nominal]
-    ended = bench.many(lambda base: bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
-    return tracer.judged(trial.key, min(ended, key=lambda r: r.chi2))
-
-
-def _nothing(bench: Bench, trial: Trial) -> bool:
-    """Whether a trial's effect is as good as absent: what it improves is owed to a better point of the other parameters."""
-    return abs(trial.refit.values[f"effects.{trial.key}.strength"]) < 1e-3 * bench.effects[trial.key].typical
+def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:
+    """Refits of the beam's fits with one effect more."""
+    extensions: list[Extension] = []
+    seen: set[frozenset] = set()
+    for trial in beam:
+        scores = tracer.scores(trial.refit)
+        for key, one in sorted(scores.found.items(), key=lambda item: -item[1].gain)[:_SECOND]:
+            keys = frozenset((*trial.keys, key))
+            if one.gain > 0.0 and keys not in seen:
+                seen.add(keys)
+                extensions.append(Extension(trial.refit, key, one.strength, scores.shapes[key]))
+    say(f"round {turn + 1}: refitting {len(extensions)} sets of effects")
+    return tracer.race(extensions)
 
 
 def _as_good(trial: Trial, best: Trial, samples: int) -> bool:
@@ -338,37 +378,18 @@ def _as_good(trial: Trial, best: Trial, samples: int) -> bool:
     return close and trial.select < best.select + max(0.01, 10.0 * max(1.0, best.select) / samples)
 
 
-def _swap(tracer: Tracer, story: Story) -> None:
-    """Tries each accepted effect but the last against its rivals, beside the effects that were accepted after it."""
-    bench = tracer.bench
-    for key in list(story.accepted)[:-1]:
-        tasks = [t for t in story.rivals[key] if t.key not in story.accepted]
-        without = story.last.refit.hypothesis.without(key)
-
-        def instead(rival: Trial, without: Hypothesis = without) -> Trial:
-            own = {n: v for n, v in rival.refit.values.items() if n.split(".")[1] == rival.key}
-            return tracer.judged(rival.key, bench.fit(without.extended(rival.key, own), rival.refit.base, max_steps=30, rtol=1e-6))
-
-        tried = [t for t in bench.many(instead, tasks) if math.isfinite(t.total)]
-        best = min(tried, key=lambda t: t.total, default=None)
-        if best and best.train < story.last.train and best.select < (1.0 - CUT) ** 2 * story.last.select:
-            story.rejected.append((key, f"{best.key} in its place explains more, beside the other effects"))
-            story.accepted[story.accepted.index(key)] = best.key
-            story.equivalent[best.key] = ()
-            story.last = _settled(tracer, best)
-
-
-def _backward(tracer: Tracer, story: Story, samples: int) -> None:
+def _backward(tracer: Tracer, story: Story) -> None:
     """Drops each accepted effect that is not missed by now."""
-    for key in list(story.accepted):
+    samples = len(tracer.bench.flat(story.first.refit.residual))
+    for key in story.accepted:
         if len(story.accepted) < 2:
             return
         refit = story.last.refit
-        judged = tracer.judged("", tracer.bench.fit(refit.hypothesis.without(key), refit.base))
+        judged = tracer.judged(tracer.bench.fit(refit.hypothesis.without(key), refit.base))
         loss = 1.0 - math.sqrt(story.last.select / judged.select)
         if (judged.train - story.last.train) * samples < 25.0 * max(1.0, story.last.train) or loss < CUT:
             story.rejected.append((key, "is no longer missed beside the other effects"))
-            story.last, story.accepted = judged, [k for k in story.accepted if k != key]
+            story.last = judged
 
 
 def _ranking(tracer: Tracer, scores: Scores, base: Refit) -> dict[str, Ranked]:

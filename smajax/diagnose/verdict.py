@@ -80,7 +80,7 @@ def judge(story: Story) -> str:
         if explained < _EXPLAINED and last.train > max(story.limit, 1.25):
             why = f"together the effects found explain {100 * explained:.0f} % of what is missing, too little for a cause"
             story.rejected += [(key, why) for key in story.accepted]
-            story.accepted, story.equivalent, story.last = [], {}, first
+            story.equivalent, story.last = {}, first
     if not story.accepted:
         missing = first.train > max(story.limit, 1.1) or first.select > _NOISY
         return "unresolved" if missing else "nothing-missing"

@@ -96,6 +96,8 @@ class Plant(eqx.Module):
         memory: dict[str, Any] = {}
         if self.effects:
             at = Instant(jnp.zeros(()), temperature, fractions, stress, self.mechanism.contraction(strain), jnp.zeros_like(temperature))
+            strain = self._strain(at, {e.key: e.start(at, self._where()) for e in self.effects})
+            at = at._replace(contraction=self.mechanism.contraction(strain))
             memory = {e.key: e.start(at, self._where()) for e in self.effects}
             memory |= {"time": at.time, "contraction": at.contraction, "travel": at.travel}
         state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain), memory)

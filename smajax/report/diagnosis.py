@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from smajax import __version__
-from smajax.diagnose.effects import catalogue
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look
 from smajax.diagnose.verdict import PARTS, Diagnosis
@@ -187,7 +186,7 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
     sections.append(html.table(("stage", "share"), [(s, f"{100 * v:.0f} %") for s, v in doc["stages"].items()], numbers=(1,)))
     if doc["free_form"]:
         sections.append(html.draw(plots.free_form_picture(doc["free_form"]), pictures))
-    sections += ["<h2>Effects</h2>", html.table(_HEAD, [_row(r) for r in doc["ranking"]], numbers=(3, 4, 5, 6, 7))]
+    sections += ["<h2>Effects</h2>", html.table(_HEAD, [_row(r) for r in doc["ranking"]], numbers=(3, 5, 6))]
     if doc["rejected"]:
         sections.append(html.table(("left out", "because"), [(r["key"], r["why"]) for r in doc["rejected"]]))
     if doc["excluded"]:
@@ -203,7 +202,8 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
     for one in series:
         sections.append(html.draw(plots.time_picture(one, list(doc["rmse"]), inputs, floor), pictures))
     sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
-    return html.page(f"Diagnosis: {doc['verdict']}", doc["summary"], sections, pictures)
+    lead = f"What {', '.join(dict.fromkeys(s.name.removesuffix(' (before)').removesuffix(' (after)') for s in series))} say of the rig."
+    return html.page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
 
 
 def _four(value: float | None) -> str:
@@ -214,13 +214,13 @@ def _three(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-_HEAD = ("effect", "stage", "status", "strength", "95 % from", "to", "error after refit", "detectable from", "unit", "")
+_HEAD = ("effect", "stage", "status", "strength ± 95 %", "unit", "error after refit", "detectable from", "absorbed by, or why not")
 
 
 def _row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    shown = [_three(entry[k]) for k in ("strength", "lower95", "upper95", "refit_rmse_select", "smallest_detectable")]
-    absorbed = f"absorbed by {', '.join(entry['absorbed_by'])}" if entry["absorbed_by"] else entry["why"]
-    return (
-        entry["key"], entry["stage"], entry["status"], *shown, html.pretty_unit(entry["unit"]),
-        absorbed or catalogue()[entry["key"]].source,
-    )  # fmt: skip
+    strength = _three(entry["strength"])
+    if entry["lower95"] is not None:
+        strength += f" ± {0.5 * (entry['upper95'] - entry['lower95']):.2g}"
+    shown = [_three(entry[k]) for k in ("refit_rmse_select", "smallest_detectable")]
+    reason = ", ".join(entry["absorbed_by"]) or entry["why"]
+    return (entry["key"], entry["stage"], entry["status"], strength, html.pretty_unit(entry["unit"]), *shown, reason)
