@@ -29,6 +29,7 @@ from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 SLOTS = 6
+_MULTIPLE = 512
 
 
 class Model(eqx.Module):
@@ -157,7 +158,7 @@ class Bench:
         self.plain = build(plant, recordings[:1], settings, interpolation=interpolation, step=step)
         self._layout: dict[str, Any] = {"interpolation": interpolation, "step": step}
         # Built together, so that all have the length of the longest and run on one program.
-        whole = build(augmented, recordings, settings, **self._layout)
+        whole = build(augmented, recordings, settings, **self._layout, multiple=_MULTIPLE)
         parts = [jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], whole.data) for k in range(len(recordings))]
         self.problems = [dataclasses.replace(whole, data=data) for data in parts]
         self.recordings, self.channels = list(recordings), tuple(settings.observe)
@@ -234,8 +235,8 @@ class Bench:
         """Waits until the large program is compiled."""
         self._ready.join()
 
-    def model(self, hypothesis: Hypothesis, moved: Sequence[str], k: int = 0, form: "Form | None" = None) -> Model:
-        """The program's data for a hypothesis on recording ``k``; the parameters ``moved`` are the slots', in units of ``scale``.
+    def model(self, hypothesis: Hypothesis, moved: Sequence[str], problem: Problem, form: "Form | None" = None) -> Model:
+        """The program's data for a hypothesis on a problem; the parameters ``moved`` are the slots', in units of ``scale``.
 
         The slots after these are the nodes of a free term, if there is one.
         """
@@ -251,9 +252,10 @@ class Bench:
         if form is not None:
             own = slice(len(self.names) + form.kind * freeform.KNOTS, len(self.names) + (form.kind + 1) * freeform.KNOTS)
             matrix[own, len(moved) : len(moved) + form.matrix.shape[1]] = form.matrix
-            against = freeform.AGAINST.index(form.against)
-            free[0][against], free[1][against], free[2][against] = 1.0, form.low, form.high
-        return Model(self.problems[k], jnp.asarray(fixed), jnp.asarray(matrix), tuple(map(jnp.asarray, free)), self.names)  # pyright: ignore
+            state = freeform.AGAINST.index(form.against)
+            free[0][state], free[1][state], free[2][state] = 1.0, form.low, form.high
+        against, low, high = map(jnp.asarray, free)
+        return Model(problem, jnp.asarray(fixed), jnp.asarray(matrix), (against, low, high), self.names)
 
     def moved(self, hypothesis: Hypothesis) -> list[str]:
         """The parameters that a fit of a hypothesis frees: strengths first, then shapes as far as there are slots."""
@@ -276,7 +278,7 @@ class Bench:
             start[self.size + j] = values.get(name, float(self.nominal[self.names.index(name)])) / self.scale(name)
         nodes = form.matrix.shape[1] if form else 0
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
-        model = self.model(hypothesis, moved, form=form)
+        model = self.model(hypothesis, moved, self.problems[0], form)
         return Running(least_squares.Search(_residual, model, start[None], lower, upper, rtol=rtol), hypothesis, nodes)
 
     def reached(self, running: "Running") -> Refit:
@@ -320,7 +322,7 @@ class Bench:
         columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
         if nodes is not None:
             start[self.size + len(moved) : columns] = nodes
-        model = dataclasses.replace(self.model(hypothesis, moved, form=form), problem=problem)
+        model = self.model(hypothesis, moved, problem, form)
         free = np.full(len(start), math.inf)
         solved = least_squares.solve(_residual, model, start[None], -free, free, max_steps=1)
         self.simulations += solved.simulations

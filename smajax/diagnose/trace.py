@@ -26,9 +26,10 @@ from smajax.fit.problem import Problem
 
 DETECTED = 0.01
 CUT = 0.05
+EXPLAINED = 0.5
 ROUNDS = 3
 _NEAR, _AFAR = 5, 4  # effects refitted first: by their scores at the fit, and at the rig's nominal values
-_BEAM, _SECOND = 4, 5  # fits that get another effect, and how many are tried on each
+_BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
 _STATIONARY = 2e-2
@@ -100,6 +101,12 @@ class Story:
     def accepted(self) -> tuple[str, ...]:
         """The effects of the last fit, in order."""
         return self.last.keys
+
+    @property
+    def explained(self) -> float:
+        """Share of the first fit's excess over the noise, on both recordings, that the last one explains."""
+        left = max(self.last.train - 1.0, 0.0) + max(self.last.select - 1.0, 0.0)
+        return 1.0 - left / max(self.first.total - 2.0, 1e-9)
 
 
 class Tracer:
@@ -209,7 +216,8 @@ class Tracer:
         predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
         channel = self.bench.channels[0]
         rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.bench.noise[channel]
-        return Trial(refit, self.bench.fitness(refit.residual, 0), self.bench.fitness(predicted, 1), rmse)
+        train = self.bench.fitness(refit.residual, 0) if math.isfinite(refit.chi2) else math.inf
+        return Trial(refit, train, self.bench.fitness(predicted, 1), rmse)
 
 
 class Extension(NamedTuple):
@@ -301,7 +309,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     bench, current = tracer.bench, story.last
     samples = len(bench.flat(current.refit.residual))
     beam = [t for t in beam if len(bench.moved(t.refit.hypothesis)) < SLOTS]
-    if not beam or (turn and current.train < max(story.limit, 1.02)):
+    if not beam or (turn and current.train < max(story.limit, 1.02)) or (turn > 1 and story.explained < EXPLAINED):
         return []
     say(f"round {turn + 1}: scoring {len(bench.effects) - turn} effects")
     if turn == 0:
@@ -346,15 +354,17 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
     for key in chosen[:2]:  # all that look like the best ones
         chosen += [k for k in next((g for g in groups if key in g), ()) if k not in chosen]
 
-    def refits(keys: list[str]) -> list[Trial]:
+    def refits(keys: list[str], parent: Refit, also: np.ndarray | None) -> list[Trial]:
         say(f"round 1: refitting {len(keys)} effects")
-        extensions = [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in keys]
-        return tracer.race(extensions, bench.problems[0].nominal)
+        extensions = [Extension(parent, k, scores.found[k].strength, scores.shapes[k]) for k in keys]
+        return tracer.race(extensions, also)
 
-    trials = refits(chosen)
+    nominal = bench.problems[0].nominal
+    trials = refits(chosen, refit, nominal)
     rest = [k for k in hopeful if k not in chosen]
     if rest and min((t.train for t in trials), default=math.inf) > max(story.limit, 1.15):
-        trials += refits(rest)
+        # Where the fit stands they promise little: from the nominal values only.
+        trials += refits(rest, dataclasses.replace(refit, base=nominal), None)
     return trials
 
 
@@ -386,6 +396,8 @@ def _backward(tracer: Tracer, story: Story) -> None:
             return
         refit = story.last.refit
         judged = tracer.judged(tracer.bench.fit(refit.hypothesis.without(key), refit.base))
+        if not math.isfinite(judged.total):
+            continue
         loss = 1.0 - math.sqrt(story.last.select / judged.select)
         if (judged.train - story.last.train) * samples < 25.0 * max(1.0, story.last.train) or loss < CUT:
             story.rejected.append((key, "is no longer missed beside the other effects"))

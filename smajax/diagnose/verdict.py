@@ -12,11 +12,10 @@ from smajax.diagnose.experiment import Next
 from smajax.diagnose.localise import Shape
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look, look
-from smajax.diagnose.trace import Ranked, Story, Tracer, trace
+from smajax.diagnose.trace import EXPLAINED, Ranked, Story, Tracer, trace
 from smajax.fit import uncertainty
 
 PARTS = ("train", "select", "holdout")
-_EXPLAINED = 0.5
 _NOISY = 1.2
 
 
@@ -74,13 +73,10 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
 def judge(story: Story) -> str:
     """The verdict's word; takes back effects that leave most of the excess unexplained."""
     first, last = story.first, story.last
-    if story.accepted:
-        left = max(last.train - 1.0, 0.0) + max(last.select - 1.0, 0.0)
-        explained = 1.0 - left / max(first.train - 1.0 + first.select - 1.0, 1e-9)
-        if explained < _EXPLAINED and last.train > max(story.limit, 1.25):
-            why = f"together the effects found explain {100 * explained:.0f} % of what is missing, too little for a cause"
-            story.rejected += [(key, why) for key in story.accepted]
-            story.equivalent, story.last = {}, first
+    if story.accepted and story.explained < EXPLAINED and last.train > max(story.limit, 1.25):
+        why = f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause"
+        story.rejected += [(key, why) for key in story.accepted]
+        story.equivalent, story.last = {}, first
     if not story.accepted:
         missing = first.train > max(story.limit, 1.1) or first.select > _NOISY
         return "unresolved" if missing else "nothing-missing"

@@ -129,9 +129,18 @@ class Problem(eqx.Module):
 
 
 def build(
-    plant: Plant, recordings: Sequence[Recording], settings: Settings, *, interpolation: str = "hold", step: float | None = None
+    plant: Plant,
+    recordings: Sequence[Recording],
+    settings: Settings,
+    *,
+    interpolation: str = "hold",
+    step: float | None = None,
+    multiple: int = 1,
 ) -> Problem:
-    """Puts a fit together. Raises ``InputError`` if a channel is missing or a parameter is free twice."""
+    """Puts a fit together. Raises ``InputError`` if a channel is missing or a parameter is free twice.
+
+    Grids and samples are filled up to a ``multiple``, so that recordings of nearly one length share a compiled program.
+    """
     for recording in recordings:
         missing = [c for c in (*plant.signals, *settings.observe) if c not in recording.channels]
         if missing:
@@ -146,7 +155,7 @@ def build(
     for name in own:  # a start value left to the plant becomes a leaf
         if name.startswith("initial."):
             plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
-    data = _data(plant, recordings, tuple(settings.observe), noise, interpolation, step)
+    data = _data(plant, recordings, tuple(settings.observe), noise, interpolation, step, multiple)
     return Problem(plant, data, jnp.asarray([u.scale for u in unknowns]), tuple(unknowns), tuple(settings.observe), shared, own)
 
 
@@ -189,10 +198,18 @@ def _resting(plant: Plant, name: str, sample: Recording) -> float:
     return float({"temperature": state.temperature, "detwinned": state.fractions.detwinned, "twinned": state.fractions.twinned}[key][0])
 
 
-def _data(plant: Plant, recordings: Sequence[Recording], channels: tuple, noise: dict, interpolation: str, step: float | None) -> Data:
+def _data(
+    plant: Plant,
+    recordings: Sequence[Recording],
+    channels: tuple,
+    noise: dict,
+    interpolation: str,
+    step: float | None,
+    multiple: int,
+) -> Data:
     laid = [simulate.lay_out(plant, r, interpolation=interpolation, step=step) for r in recordings]
-    grid = max(i.time.shape[0] for i in laid)
-    samples = max(i.rows.shape[0] for i in laid)
+    grid = -(-max(i.time.shape[0] for i in laid) // multiple) * multiple
+    samples = -(-max(i.rows.shape[0] for i in laid) // multiple) * multiple
     inputs = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *[i.padded(grid, samples) for i in laid])
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)

@@ -46,9 +46,9 @@ class Sensor(eqx.Module):
 def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
     """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s, exact for what is straight between samples.
 
-    Differentiable at 0, where it is the series itself.
+    Differentiable at 0, where it is the series itself. Samples at one instant, as fillings are, are one sample.
     """
-    share = constant / jnp.diff(time)
+    share = constant / jnp.maximum(jnp.diff(time), 1e-9)
     decays = share > 0.02  # below, what is left of the last sample is under rounding
     stays = jnp.where(decays, jnp.exp(-1.0 / jnp.where(decays, share, 1.0)), 0.0)
 

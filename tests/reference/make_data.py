@@ -201,13 +201,18 @@ def in_si(columns: Columns) -> dict[str, Floats]:
     return {split[header][0]: values * sizes.get(split[header][1], 1.0) for header, values in columns.items()}
 
 
+def truth(nominal: RigFile, name: str) -> RigFile:
+    """The wire behind a folder's recordings."""
+    rig = nominal.changed(**TRUTHS[name])
+    return replace(rig, heat=rig.heat._replace(**HIDDEN.get(name, {})))
+
+
 def make(name: str, split: str) -> tuple[Columns, Floats]:
     """One recording in the file's units, and the exact observed series in SI behind it."""
     recipe = RECIPES[name]
     rng = np.random.default_rng([list(RECIPES).index(name), SPLITS.index(split)])
     columns = recipe.inputs(rng)
-    rig = read_rig(FOLDER / name / "rig.toml").changed(**TRUTHS[name])
-    rig = replace(rig, heat=rig.heat._replace(**HIDDEN.get(name, {})))
+    rig = truth(read_rig(FOLDER / name / "rig.toml"), name)
     exact = read_channel(simulate(rig, in_si(columns), **recipe.options), recipe.observed.name)
     columns[f"{recipe.observed.name} [{recipe.observed.unit}]"] = read_sensor(rng, exact, recipe.observed)
     return columns, exact

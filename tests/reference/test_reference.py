@@ -17,7 +17,8 @@ from tests.reference.brinson import (
     reverse_from_leg_start,
     stress_of,
 )
-from tests.reference.make_data import FOLDER, RECIPES, SPLITS, TRUTHS, make
+from tests.reference.hidden import Hidden, displacement
+from tests.reference.make_data import FOLDER, RECIPES, SPLITS, make, truth
 from tests.reference.rig_file import quantity, read_channel, read_csv, read_rig, simulate
 from tests.reference.wire import Wire, polynomial_heat
 
@@ -384,7 +385,7 @@ def test_nominal_values_do_not_explain_the_recordings(name):
         measured = channels[observed.name]
         miss = [
             np.std(read_channel(simulate(r, channels, substeps=5), observed.name) - measured) / observed.si / observed.noise
-            for r in (rig, rig.changed(**TRUTHS[name]))
+            for r in (rig, truth(rig, name))
         ]
         assert miss[0] > 5.0 and miss[1] < 1.1
 
@@ -399,3 +400,13 @@ def test_agrees_in_start_and_sign_with_recordings_made_elsewhere(shared, case, c
     assert position[0] == 0.0 and abs(measured[0]) < 0.02 * np.ptp(measured)
     assert np.ptp(position) == pytest.approx(np.ptp(measured), rel=0.1)
     assert np.corrcoef(position, measured)[0, 1] > 0.5
+
+
+def test_the_rig_with_hidden_effects_is_the_other_one_without_them():
+    rig = read_rig(FOLDER / "dead-weight" / "rig.toml")
+    channels = read_csv(FOLDER / "dead-weight" / "train.csv")
+    time, current = channels["time"][:1500], channels["current"][:1500]
+    exact = read_channel(simulate(rig, {"time": time, "current": current}, substeps=20), "displacement")
+    np.testing.assert_allclose(displacement(rig, Hidden(), time, current), exact, atol=2e-6)
+    for name, size in {"friction": 1e7, "play": 1e-4, "lag": 0.1, "latent_heat": 5e7, "exponent": 1.1, "cubic": 0.02}.items():
+        assert np.max(np.abs(displacement(rig, Hidden(**{name: size}), time, current) - exact)) > 2e-5, name

@@ -23,10 +23,11 @@ class TimeSkew(SensorEffect):
 
 def _at(wanted: jax.Array, time: jax.Array, series: jax.Array) -> jax.Array:
     """A series between its samples by cubics through them, whose slope at a sample is the same from both sides; its ends go on level."""
-    slope = jnp.asarray(jnp.gradient(series)) / jnp.asarray(jnp.gradient(time))
+    # A filling repeats the last instant: its gaps are none, and nothing is asked for inside them.
+    slope = jnp.asarray(jnp.gradient(series)) / jnp.maximum(jnp.asarray(jnp.gradient(time)), 1e-9)
     wanted = jnp.clip(wanted, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(wanted), side="right") - 1, 0, len(time) - 2)
-    gap = time[i + 1] - time[i]
+    gap = jnp.maximum(time[i + 1] - time[i], 1e-9)
     u = (wanted - time[i]) / gap
     near = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * series[i] + u * (1.0 - u) ** 2 * gap * slope[i]
     return near + u**2 * (3.0 - 2.0 * u) * series[i + 1] - u**2 * (1.0 - u) * gap * slope[i + 1]
