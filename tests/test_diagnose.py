@@ -144,6 +144,7 @@ def test_the_report_in_a_browser(demo, tmp_path):
         (("train", "train", "holdout"), "given twice"),
         (("train", "copy", "holdout"), "same content"),
         (("short", "select", "holdout"), "too few"),
+        (("clipped", "select", "holdout"), "displacement stands at its highest value for"),
     ],
 )
 def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
@@ -152,6 +153,9 @@ def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
         (tmp_path / name).write_bytes((source / name).read_bytes())
     (tmp_path / "copy.csv").write_bytes((source / "train.csv").read_bytes())
     (tmp_path / "short.csv").write_text("\n".join((source / "train.csv").read_text().splitlines()[:60]))
+    rows = [line.split(",") for line in (source / "train.csv").read_text().splitlines()]
+    clipped = [rows[0], *([t, i, f"{min(float(x), 8.0):g}"] for t, i, x in rows[1:])]
+    (tmp_path / "clipped.csv").write_text("\n".join(map(",".join, clipped)))
     train, select, holdout = (str(tmp_path / f"{name}.csv") for name in names)
     words = ["diagnose", str(tmp_path / "rig.toml"), train, "--select", select, "--holdout", holdout]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "never"), "--quiet"])

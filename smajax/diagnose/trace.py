@@ -32,6 +32,7 @@ _NEAR, _AFAR = 5, 4  # effects refitted first: by their scores at the fit, and a
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
+_HOPELESS = 30.0
 _STATIONARY = 2e-2
 _RIVALS = 3
 
@@ -188,7 +189,8 @@ class Tracer:
         fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
         everyone = [s for f in fields for s in f]
         for count, steps in _HEATS:
-            fields = [sorted(f, key=lambda s: s.search.cost)[:count] for f in fields]
+            least = min((s.search.cost for s in everyone), default=math.inf)
+            fields = [sorted((s for s in f if not s.search.cost > _HOPELESS * least), key=lambda s: s.search.cost)[:count] for f in fields]
             if steps > _APART:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
                 fields = [[s for s in whole if s.search.cost < 4.0 * whole[0].search.cost][:count]]

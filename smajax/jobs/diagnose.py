@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from smajax import parameters
 from smajax.console import Progress
 from smajax.diagnose.candidates import Bench
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
+from smajax.fit.problem import difference_noise
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.recording import Recording
@@ -24,6 +26,7 @@ from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 
 _FEWEST = 200
+_CLIPPED = 0.02
 
 
 class DiagnoseJob(NamedTuple):
@@ -84,10 +87,25 @@ def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
             raise InputError(f"{one.name}: a diagnosis needs recordings with a time column")
         if len(one) < _FEWEST:
             raise InputError(f"{one.name}: {len(one)} rows are too few for a diagnosis: at least {_FEWEST} are needed")
+        for channel in rig.fit.observe:
+            _refuse_clipped(one, channel)
         same = next((other.name for other in read[:k] if other.sha256 == one.sha256), None)
         if same is not None:
             raise InputError(f"{one.name} has the same content as {same}: it tests nothing; give another recording, of another input")
     return read
+
+
+def _refuse_clipped(recording: Recording, channel: str) -> None:
+    """Refuses a channel that stands at one of its ends as noise would never let it; rounding coarser than the noise hides that."""
+    values = recording.channels[channel]
+    levels = np.unique(values)
+    if len(levels) < 3 or float(np.min(np.diff(levels))) > 0.5 * difference_noise(values):
+        return
+    for end, word in ((levels[0], "lowest"), (levels[-1], "highest")):
+        share = float(np.mean(values == end))
+        if share > _CLIPPED:
+            told = f"{recording.name}: {channel} stands at its {word} value for {100 * share:.0f} % of the rows"
+            raise InputError(f"{told}, as a saturated or clipped sensor does: cut these rows out, or record with a wider range")
 
 
 def _fitted(rig: Rig, bench: Bench, found: Diagnosis) -> Rig:
