@@ -170,21 +170,30 @@ class Tracer:
         scores = scores or self.scores(refit)
         return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
 
+    def expected(self, refit: Refit) -> float:
+        """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on the selection recording: at least 1."""
+        bench, free = self.bench, self.held(refit)
+        known = np.column_stack([bench.flat(c) for c in refit.jacobian[:, free].T])
+        _, jacobian = bench.evaluate(refit.hypothesis, refit.base, 1, bench.moved(refit.hypothesis))
+        asked = np.column_stack([bench.flat(c, 1) for c in jacobian[:, free].T])
+        return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
+
     def race(self, extensions: Sequence["Extension"], also: np.ndarray | None = None) -> list[Trial]:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
-        They start at their parent's point with the expected strength, and at the point ``also`` with 0.4 of the typical one: what a
-        large effect has done to the other parameters may lie in the way.
+        They start at their parent's point with a small strength, so that all parameters go together from there, and at the point ``also``
+        with the expected one: what a large effect has done to the other parameters may lie in the way.
         """
         starts = []
         for parent, key, strength, shape in extensions:
             typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
             own = {f"effects.{key}.{n}": v for n, v in shape}
             low, high = self.bench.plausible(key)
-            size = float(np.clip(strength, max(low, -3.0), min(high, 3.0))) or 0.1
-            starts.append((parent.hypothesis.extended(key, {name: size * typical, **own}), parent.base, False))
+            size = float(np.clip(strength, max(low, -2.0), min(high, 2.0))) or 0.1
+            small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
+            starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
             if also is not None:
-                starts.append((parent.hypothesis.extended(key, {name: math.copysign(0.4, size) * typical, **own}), also, True))
+                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also, True))
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
         everyone = [s for f in fields for s in f]

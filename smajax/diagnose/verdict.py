@@ -54,7 +54,7 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     Raises NumericsError if the first fit does not come to rest.
     """
     tracer, story = trace(bench, seed=seed, say=say)
-    verdict = judge(story)
+    verdict = judge(story, tracer.expected(story.last.refit))
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
@@ -70,8 +70,11 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     return _conclude(tracer, story, verdict, stage, shape, designed)
 
 
-def judge(story: Story) -> str:
-    """The verdict's word; takes back effects that leave most of the excess unexplained."""
+def judge(story: Story, expected: float = 1.0) -> str:
+    """The verdict's word; takes back effects that leave most of the excess unexplained.
+
+    ``expected`` is what a perfect fit would leave on the selection recording, as mean square over the noise.
+    """
     first, last = story.first, story.last
     if story.accepted and story.explained < EXPLAINED and last.train > max(story.limit, 1.25):
         why = f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause"
@@ -80,7 +83,7 @@ def judge(story: Story) -> str:
     if not story.accepted:
         missing = first.train > max(story.limit, 1.1) or first.select > _NOISY
         return "unresolved" if missing else "nothing-missing"
-    if math.sqrt(story.last.select) < _NOISY and story.last.train < max(story.limit, 1.25):
+    if math.sqrt(story.last.select / expected) < _NOISY and story.last.train < max(story.limit, 1.25):
         return "named-up-to-class" if any(story.equivalent.get(k) for k in story.accepted) else "named"
     return "partial"
 
