@@ -83,11 +83,11 @@ def from_elsewhere(rig: Rig, recordings: Sequence[Recording], settings: Any, tim
 
 
 def agreement(fits: Sequence[Fit]) -> Row:
-    """How many of the fits from different start points end within 1 % of the best one's RMSE."""
-    same = sum(f.cost <= fits[0].cost * 1.01**2 for f in fits)
+    """How many of the fits from different start points end at the best one's cost, within 0.1 %."""
+    same = sum(f.cost <= fits[0].cost * 1.001 for f in fits)
     costs = [f.cost for f in fits]
-    apart = 100 * (max(costs) / costs[0]) ** 0.5 - 100
-    text = f"{same} of {len(fits)} end within 1 % of the best RMSE, the worst {apart:.2f} % above; {fits[0].starts} starts each; "
+    apart = 100 * (max(costs) / costs[0] - 1)
+    text = f"{same} of {len(fits)} end within 0.1 % of the lowest cost, the worst {apart:.2f} % above; {fits[0].starts} starts each; "
     text += fits[0].stop.text
     return Row("is it the best that this model can do?", "one optimum from all start points", text, same == len(fits), {"costs": costs})
 
