@@ -222,11 +222,12 @@ def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array
 
 
 @eqx.filter_custom_jvp
-def _trajectory(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
-    """The states at all grid points, each leaf with a leading axis of ``g``, and the result code."""
-    # As one row a step: each of the state's many small arrays on its own would cost a step as much as some equations do.
-    flat, code = _march(plant, inputs, lambda plant, state, signal: ravel_pytree(state)[0])
-    return jax.vmap(_unflatten(plant, inputs))(flat), code
+def _trajectory(plant: Plant, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
+    """The states at all grid points, one row of numbers each, and the result code.
+
+    Rows, because each of the state's many small arrays on its own would cost a step as much as some equations do.
+    """
+    return _march(plant, inputs, lambda plant, state, signal: ravel_pytree(state)[0])
 
 
 def _unflatten(plant: Plant, inputs: Inputs) -> Callable[[jax.Array], State]:
@@ -242,9 +243,8 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     Being linear, the recurrence has a transpose, so reverse mode comes with it; the states are its only tape.
     """
     plant, inputs = primals
-    states, code = _trajectory(plant, inputs)
-    _, unflatten = ravel_pytree(jax.tree.map(lambda leaf: leaf[0], states))
-    flat = jax.vmap(lambda state: ravel_pytree(state)[0])(states)
+    flat, code = _trajectory(plant, inputs)
+    unflatten = _unflatten(plant, inputs)
 
     def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: Any) -> tuple[jax.Array, jax.Array]:
         before, after, duration = step
@@ -277,7 +277,7 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     steps = jax.vmap(linearise)(flat[:-1], flat[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
     first = push(lambda p: ravel_pytree(p.start(inputs.sampled[0]))[0])
     _, rest = jax.lax.scan(recur, first, steps)
-    return (states, code), (jax.vmap(unflatten)(jnp.concatenate([first[None], rest])), None)
+    return (flat, code), (jnp.concatenate([first[None], rest]), None)
 
 
 def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
@@ -285,8 +285,8 @@ def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
 
     Differentiable in the plant's parameters, in forward and in reverse mode, once; not in the inputs.
     """
-    states, code = _trajectory(plant, inputs)
-    return jax.tree.map(lambda leaf: leaf[inputs.rows], states), code
+    flat, code = _trajectory(plant, inputs)
+    return jax.vmap(_unflatten(plant, inputs))(flat[inputs.rows]), code
 
 
 def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]) -> dict[str, jax.Array]:

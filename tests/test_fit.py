@@ -191,13 +191,27 @@ def test_levenberg_marquardt_on_known_problems():
     def rosenbrock(v, rest):
         return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
 
-    free = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0], [3.0, -2.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
+    free = (
+        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0], [3.0, -2.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
+        .advance()
+        .result()
+    )
     assert free.points == pytest.approx(np.ones((2, 2)), abs=1e-6)
-    held = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.array([0.5, 10.0]), rtol=1e-14)
+    held = (
+        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.array([0.5, 10.0]), rtol=1e-14)
+        .advance()
+        .result()
+    )
     assert held.points[0] == pytest.approx([0.5, 0.25], abs=1e-6)
-    fixed = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.array([-1.2, -10.0]), np.array([-1.2, 10.0]), rtol=1e-14)
+    fixed = (
+        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.array([-1.2, -10.0]), np.array([-1.2, 10.0]), rtol=1e-14)
+        .advance()
+        .result()
+    )
     assert fixed.points[0] == pytest.approx([-1.2, 1.44], abs=1e-6)
-    few = least_squares.solve(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14, max_steps=3)
+    few = (
+        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14).advance(3).result()
+    )
     assert few.stops == [least_squares.Stop.steps]
     assert few.simulations == 9
 

@@ -324,7 +324,7 @@ class Bench:
             start[self.size + len(moved) : columns] = nodes
         model = self.model(hypothesis, moved, problem, form)
         free = np.full(len(start), math.inf)
-        solved = least_squares.solve(_residual, model, start[None], -free, free, max_steps=1)
+        solved = least_squares.Search(_residual, model, start[None], -free, free).advance(1).result()
         self.simulations += solved.simulations
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]

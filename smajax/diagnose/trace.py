@@ -290,7 +290,7 @@ def _first_fit(bench: Bench, seed: int) -> tuple[np.ndarray, Stop, dict[str, tup
     nominal = np.clip(plain.nominal, lower, upper)
     aside = 0.1 * np.random.default_rng(seed).uniform(-1, 1, len(nominal)) * (upper - lower)
     solved = [
-        least_squares.solve(plain_residual, plain, start[None], *plain.box, max_steps=100, rtol=1e-8)
+        least_squares.Search(plain_residual, plain, start[None], *plain.box, rtol=1e-8).advance().result()
         for start in (nominal, np.clip(nominal + aside, lower, upper))
     ]
     bench.simulations += sum(s.simulations for s in solved)

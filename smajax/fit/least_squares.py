@@ -5,7 +5,7 @@ one that sits on its bound with the gradient pushing it outwards stays there, th
 are evaluated together at the trial point, because with forward tangents the pair costs less than two residuals; a trial that does not lower
 the cost raises the damping. A parameter whose two bounds are equal is fixed, so profiles and nested models need no other program.
 
-The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``solve`` drives it step by step on a batch of starts, so
+The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``Search`` drives it step by step on a batch of starts, so
 that progress can be shown, an interruption keeps the best point so far, and one start's failure leaves the others alone.
 """
 
@@ -210,7 +210,7 @@ class Search:
         self.steps = self.simulations = 0
         self._interrupted = False
 
-    def advance(self, steps: int, progress: Callable[[int, float], None] = lambda step, cost: None) -> "Search":
+    def advance(self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None) -> "Search":
         """At most so many steps more; ``progress`` is called after each with its number and the best cost so far.
 
         Ctrl-C ends the search and keeps the best points.
@@ -250,18 +250,3 @@ class Search:
             wall=self._wall,
             history=self._history,
         )
-
-
-def solve(
-    fn: Callable[[jax.Array, Any], jax.Array],
-    rest: Any,
-    starts: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    *,
-    rtol: float = 1e-7,
-    max_steps: int = 100,
-    progress: Callable[[int, float], None] = lambda step, cost: None,
-) -> Solved:
-    """A ``Search`` of at most ``max_steps`` steps."""
-    return Search(fn, rest, starts, lower, upper, rtol=rtol).advance(max_steps, progress).result()
