@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from _common import ROOT, Row, finish, say
 
-from smajax.diagnose.candidates import Bench
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.verdict import Diagnosis, diagnose
 from smajax.recording import Recording
 from smajax.rig import Rig, read_rig
@@ -46,7 +46,7 @@ SINGLES: dict[str, tuple[str, float, float | None, dict[str, float]]] = {
     "creep": ("creep", 0.003, None, {"creep_time": 12.0}),
     "encoder-drift": ("encoder_drift", 1.5e-5, 1.0, {}),
 }
-SAME = {"transformation-shift": set(), "ratcheting": {"functional-fatigue"}, "functional-fatigue": {"ratcheting"}}
+SAME = {"ratcheting": {"functional-fatigue"}, "functional-fatigue": {"ratcheting"}}
 PAIRS = (("latent-heat", "sensor-lag"), ("ambient-drift", "backlash"), ("coulomb-friction", "latent-heat"), ("creep", "airflow-change"))
 UNLISTED = {"kinetics exponent": {"exponent": 1.35}, "load step": {"load_step": 0.12, "load_instant": 28.0}, "bent sensor": {"cubic": 0.05}}
 NOISE = 2e-5

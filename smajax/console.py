@@ -20,7 +20,7 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
-_OLD_EMITTERS = "--xla_cpu_use_fusion_emitters=false"  # they compile our programs in two thirds of the time; known to jax < 0.11
+OLD_EMITTERS = "--xla_cpu_use_fusion_emitters=false"  # they compile our programs faster; known to jax < 0.11
 
 
 class Progress:
@@ -143,7 +143,7 @@ def prepare_jax() -> None:
     os.environ.setdefault("EQX_ON_ERROR", "off")
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_cpu_use_fusion_emitters" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_OLD_EMITTERS}".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {OLD_EMITTERS}".strip()
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):

@@ -8,13 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smajax import parameters
+from smajax import parameters, simulate
 from smajax.datasets import shipped
-from smajax.diagnose.candidates import Bench, Hypothesis
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
+from smajax.diagnose.hypothesis import Hypothesis
 from smajax.errors import InputError
 from smajax.parameters import declarations
 from smajax.plant.effect import AbstractEffect
+from smajax.plant.sensor import lagged
 from smajax.rig import parse_rig, read_rig
 from tests import plants
 
@@ -54,6 +56,7 @@ KEYS = [
     "functional-fatigue",
     "transformation-shift",
     "minor-loop-shape",
+    "gradual-transformation",
     "creep",
     "temperature-distribution",
     "encoder-drift",
@@ -105,7 +108,7 @@ def test_an_effect_says_what_it_is(key):
 def test_derivatives_at_zero_strength(kind, seconds, observe):
     """All effects of a rig in one program: absent at 0, and the derivative there is that of a small step."""
     made = bench(kind, seconds, observe)
-    nominal = made.problems[0].nominal
+    nominal = made.nominal
     nothing, _ = made.evaluate(Hypothesis(), nominal, 0)
     without = np.asarray(made.plain.residual(jnp.asarray(nominal)))
     assert np.max(np.abs(made.flat(nothing) - without)) < 1e-6 * np.linalg.norm(without)
@@ -122,7 +125,9 @@ def test_derivatives_at_zero_strength(kind, seconds, observe):
             assert np.linalg.norm(changes[0]) < 1e-3 * np.linalg.norm(nothing), key
             continue
         off = min(np.linalg.norm(change - column) for change in (*changes, 0.5 * (changes[0] + changes[1])))
-        assert off < 2e-2 * np.linalg.norm(column), key
+        # Grains that turn while a rotary rig's wires are just taut meet that kink at many instants, each with its own side.
+        kinks = kind == "rotary" and key == "gradual-transformation"
+        assert off < (0.25 if kinks else 2e-2) * np.linalg.norm(column), key
     assert silent <= {"compliance", "stress-dependent-strain"}, silent
 
 
@@ -150,3 +155,43 @@ def test_a_rig_with_effects_is_written_and_read_back():
         assert float(parameters.get(again.plant, name)) == float(parameters.get(rig.plant, name)) > 0.0
     assert math.isclose(float(parameters.get(rig.plant, "effects.latent-heat.strength")), 6e7)
     assert jax.tree.structure(again.plant) == jax.tree.structure(rig.plant)
+
+
+def test_a_lag_is_exact_and_the_series_itself_at_zero():
+    time = np.concatenate([np.arange(0.0, 2.0, 0.05), [2.0, 2.0, 2.3, 2.3]])
+    ramp = 3.0 * time
+    for constant in (0.004, 0.03, 0.7):
+        exact = 3.0 * (time - constant * (1.0 - np.exp(-time / constant)))
+        assert (
+            np.max(np.abs(np.asarray(lagged(jnp.asarray(ramp), jnp.asarray(time), jnp.asarray(constant))) - exact)) < 1e-8
+        )  # of instants 1e-9 s apart
+    assert np.array_equal(lagged(jnp.asarray(ramp), jnp.asarray(time), jnp.asarray(0.0)), ramp)
+    slope = jax.jacfwd(lambda c: lagged(jnp.asarray(ramp), jnp.asarray(time), c))(jnp.asarray(0.0))
+    assert np.asarray(slope)[1:-4] == pytest.approx(-3.0)
+
+
+def _response(key: str, strengths: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements of a dead weight with an effect of several strengths, and the result codes."""
+    plant, inputs = plants.dead_weight(), simulate.lay_out(plants.dead_weight(), plants.inputs("dead_weight"))
+
+    def one(strength: jax.Array) -> tuple[jax.Array, jax.Array]:
+        member = dataclasses.replace(plant, effects=(catalogue()[key](strength=strength),))  # pyright: ignore[reportCallIssue]
+        states, code = simulate.run(member, inputs)
+        return simulate.observe(member, states, inputs, ("displacement",))["displacement"], code
+
+    moved, codes = jax.jit(jax.vmap(one))(jnp.asarray(strengths))
+    return np.asarray(moved), np.asarray(codes)
+
+
+def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
+    moved, codes = _response("coulomb-friction", [0.0, 1e5, 1e6, 3e6, 1e7, 2e7, 5e7, 1e8, 1.5e8])
+    assert not codes.any()
+    assert np.all(np.isfinite(moved))
+    ways = np.sum(np.abs(np.diff(moved)), axis=1)
+    assert np.all(np.diff(ways) < 0.0)
+
+
+def test_what_an_effect_strains_at_the_start_moves_no_zero():
+    moved, _ = _response("stress-dependent-strain", [0.0, 1.0])
+    assert moved[:, 0] == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(moved[1]) < 0.99 * np.ptp(moved[0])

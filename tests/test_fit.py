@@ -191,29 +191,34 @@ def test_levenberg_marquardt_on_known_problems():
     def rosenbrock(v, rest):
         return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
 
-    free = (
-        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0], [3.0, -2.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
-        .advance()
-        .result()
-    )
+    def solve(starts, lower, upper, steps=100):
+        return (
+            least_squares.Search(rosenbrock, None, np.array(starts), np.array(lower), np.array(upper), rtol=1e-14).advance(steps).result()
+        )
+
+    free = solve([[-1.2, 1.0], [3.0, -2.0]], [-10.0, -10.0], [10.0, 10.0])
     assert free.points == pytest.approx(np.ones((2, 2)), abs=1e-6)
-    held = (
-        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.array([0.5, 10.0]), rtol=1e-14)
-        .advance()
-        .result()
-    )
+    held = solve([[-1.2, 1.0]], [-10.0, -10.0], [0.5, 10.0])
     assert held.points[0] == pytest.approx([0.5, 0.25], abs=1e-6)
-    fixed = (
-        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.array([-1.2, -10.0]), np.array([-1.2, 10.0]), rtol=1e-14)
-        .advance()
-        .result()
-    )
+    fixed = solve([[-1.2, 1.0]], [-1.2, -10.0], [-1.2, 10.0])
     assert fixed.points[0] == pytest.approx([-1.2, 1.44], abs=1e-6)
-    few = (
-        least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14).advance(3).result()
-    )
+    few = solve([[-1.2, 1.0]], [-10.0, -10.0], [10.0, 10.0], steps=3)
     assert few.stops == [least_squares.Stop.steps]
     assert few.simulations == 9
+
+
+def test_a_search_that_is_resumed_ends_where_one_run_does():
+    def rosenbrock(v, rest):
+        return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
+
+    def search():
+        return least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
+
+    whole, parts = search().advance(40), search()
+    for steps in (1, 2, 3, 5, 8, 21):
+        parts.advance(steps)
+    assert np.array_equal(whole.result().points, parts.result().points)
+    assert whole.result().simulations == parts.result().simulations
 
 
 def test_autoregression_is_found():

@@ -1,27 +1,32 @@
 """The next experiment: the input on which the effects that remain differ most, beyond what the free parameters can make up for.
 
-Inputs are drawn from a library (steps, pulses and slow ramps of several levels and paces) within the largest input recorded so far, so
-that no wire gets hotter than it has been under it. Each is laid out like the training recording and costs the derivatives of one
-simulation. The measure is how many standard deviations apart the two nearest rivals are, the better of them fitted.
+Inputs are drawn from a library (steps, pulses and slow ramps of several levels and paces) within the range of the inputs recorded so far;
+one that makes a wire hotter than the training or the selection input does, by the fitted plant without its effects, is left out. Each is
+laid out like the training recording and costs the derivatives of one simulation. The measure is how many standard deviations apart the
+two nearest rivals are, the better of them fitted.
 """
 
 import dataclasses
 import itertools
 import math
 
+import jax
 import numpy as np
 
 from smajax.diagnose import score
-from smajax.diagnose.candidates import Bench, Refit
+from smajax.diagnose.bench import SLOTS, Bench, in_pairs
+from smajax.diagnose.hypothesis import Refit
+from smajax.fit.problem import Problem
 from smajax.recording import Recording
 
 _TRIED = 24
 _TOLD_APART = 5.0
+_HOTTER = 1.0  # K
 
 
 @dataclasses.dataclass(frozen=True)
 class Next:
-    """The input to run next (``None`` if none helps), which effects it separates, by how many standard deviations, and advice."""
+    """The input to run next (``None`` if none helps), which effects it would separate, by how many standard deviations, and advice."""
 
     recording: Recording | None
     separates: tuple[str, ...]
@@ -29,20 +34,30 @@ class Next:
     advice: str
 
 
-def design(bench: Bench, refit: Refit, rivals: dict[str, dict[str, float]], seed: int) -> Next:
-    """Looks for the input that separates ``rivals``: effects with the values of strength and shape that each was fitted with."""
-    inputs = bench.problems[0].plant.signals
+def design(bench: Bench, refit: Refit, rivals: dict[str, dict[str, float]], seed: int) -> Next | None:
+    """Looks for the input that separates ``rivals``: effects with the values of strength and shape that each was fitted with.
+
+    ``None`` where fewer than two are left.
+    """
     keys = [k for k in rivals if k in bench.effects]
     if len(keys) < 2:
-        return Next(None, (), None, "nothing is left to tell apart")
-    now = _apart(bench, refit, rivals, keys, bench.recordings[0])
-    tried = [r for r in library(bench.recordings[0], inputs, seed) if bench.under(r) is not None][:_TRIED]
-    found = bench.many(lambda r: _apart(bench, refit, rivals, keys, r), tried)
+        return None
+    now = _apart(bench, refit, rivals, keys, bench.problems[0])
+    limit = max(_hottest(bench, refit, bench.problems[k]) for k in (0, 1))
+    tried: list[tuple[Recording, Problem]] = []
+    for recording in library(bench.parts[0].recordings[0], bench.plain.plant.signals, seed):
+        problem = bench.under(recording)
+        if problem is not None and _hottest(bench, refit, problem) <= limit + _HOTTER:
+            tried.append((recording, problem))
+        if len(tried) == _TRIED:
+            break
+    found = in_pairs(lambda pair: _apart(bench, refit, rivals, keys, pair[1]), tried)
     best = max(range(len(tried)), key=lambda i: found[i]) if tried else -1
     if best < 0 or found[best] < max(_TOLD_APART, 1.2 * now):
         return Next(None, tuple(keys), max([now, *found]), _channel(bench, keys))
-    told = f"{tried[best].name}; it sets {' and '.join(keys)} {found[best]:.0f} standard deviations apart, the training input {now:.0f}"
-    return Next(tried[best], tuple(keys), found[best], told)
+    chosen = tried[best][0]
+    told = f"{chosen.name}; it sets {' and '.join(keys)} {found[best]:.0f} standard deviations apart, the training input {now:.0f}"
+    return Next(chosen, tuple(keys), found[best], told)
 
 
 def library(like: Recording, inputs: tuple[str, ...], seed: int) -> list[Recording]:
@@ -64,25 +79,29 @@ def library(like: Recording, inputs: tuple[str, ...], seed: int) -> list[Recordi
                 channels[name] = np.where(at - k < 0.4, levels[k], low)
             else:
                 channels[name] = levels[k] + (at - k) * (levels[k + 1] - levels[k])
-        title = f"{kind}, {span / pieces:.3g} s each"
-        recordings.append(Recording.from_arrays(title, time, channels, like.units))
+        title = f"{kind}, {span / pieces:.3g} {'s' if like.has_clock else 'rows'} each"
+        recordings.append(Recording.from_arrays(title, time if like.has_clock else None, channels, like.units))
     return recordings
 
 
-def _apart(bench: Bench, refit: Refit, rivals: dict, keys: list[str], recording: Recording) -> float:
+def _hottest(bench: Bench, refit: Refit, problem: Problem) -> float:
+    """Highest temperature under a problem's inputs, degC."""
+    members = range(problem.data.measured.shape[0])
+    inputs = [jax.tree.map(lambda leaf, k=k: leaf[k], problem.data.inputs) for k in members]
+    return max(float(np.max(np.asarray(bench.states(refit, one).temperature))) for one in inputs)
+
+
+def _apart(bench: Bench, refit: Refit, rivals: dict, keys: list[str], problem: Problem) -> float:
     """Least distance between two rivals in standard deviations, the weaker of them taken at its fitted strength."""
-    problem = bench.under(recording)
-    if problem is None:
-        return 0.0
     base = refit.hypothesis
     for key in keys:
         base = base.without(key)
     shapes = [item for k in keys for item in rivals[k].items() if not item[0].endswith(".strength")]
     at = dataclasses.replace(base, values=(*base.values, *shapes))
     columns = []
-    for pair in (keys[i : i + 6] for i in range(0, len(keys), 6)):
-        _, jacobian = bench.evaluate_at(problem, at, refit.base, [f"effects.{k}.strength" for k in pair])
-        columns += [jacobian[:, bench.size + j] for j in range(len(pair))]
+    for some in (keys[i : i + SLOTS] for i in range(0, len(keys), SLOTS)):
+        _, jacobian = bench.evaluate_at(problem, at, refit.base, [f"effects.{k}.strength" for k in some])
+        columns += [jacobian[:, bench.size + j] for j in range(len(some))]
     q = score.basis(jacobian[:, : bench.size])
     size = {k: abs(rivals[k].get(f"effects.{k}.strength", 0.0)) / bench.effects[k].typical or 1.0 for k in keys}
     left = {k: score.project(q, c) * size[k] for k, c in zip(keys, columns, strict=True)}

@@ -4,74 +4,75 @@ As functions of time they say in which stage a residual can live; as functions o
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from smajax.parameters import parameter
-from smajax.plant.effect import HeatEffect, Instant, MaterialEffect, Where
+from smajax.plant.effect import AbstractEffect, HeatEffect, Instant, MaterialEffect, Where
 from smajax.plant.plant import Plant
 
 KNOTS = 24
 AGAINST = ("time", "temperature", "martensite", "travel")
 
 
-class FreeHeat(HeatEffect):
-    """Heat added, W/m^3, as a function of ``AGAINST[mix]`` over its ``low`` to ``high``; ``knots`` of shape ``(KNOTS,)``."""
+class FreeForm(AbstractEffect):
+    """A piecewise linear function of ``AGAINST[mix]`` over its ``low`` to ``high``, with ``knots`` of shape ``(KNOTS,)``."""
 
     knots: jax.Array
     mix: jax.Array
     low: jax.Array
     high: jax.Array
     strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
-    key = "free-heat"
     typical = 1.0
     source = "free form"
+    adds: ClassVar[str]
+
+    def term(self, now: Instant) -> jax.Array:
+        """Its value, shape ``(wires,)``."""
+        states = (jnp.broadcast_to(now.time, now.temperature.shape), now.temperature, now.fractions.martensite, now.travel)
+        place = sum(m * (s - a) / (b - a) for m, s, a, b in zip(self.mix, states, self.low, self.high, strict=True))
+        place = jnp.clip(place, 0.0, 1.0) * (KNOTS - 1)
+        left = jnp.clip(jnp.floor(place).astype(int), 0, KNOTS - 2)
+        return self.strength * (self.knots[left] * (left + 1 - place) + self.knots[left + 1] * (place - left))
+
+
+class FreeHeat(FreeForm, HeatEffect):
+    """Heat added."""
+
+    key = "free-heat"
+    adds = "W/m^3"
 
     def power(self, now: Instant, memory: Any, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
-        return _term(self, now)
+        return self.term(now)
 
 
-class FreeShift(MaterialEffect):
-    """Shift of the transformation temperatures, K; fields as ``FreeHeat``."""
+class FreeShift(FreeForm, MaterialEffect):
+    """Shift of the transformation temperatures."""
 
-    knots: jax.Array
-    mix: jax.Array
-    low: jax.Array
-    high: jax.Array
-    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
     key = "free-shift"
-    typical = 1.0
-    source = "free form"
+    adds = "K"
 
     def shift(self, now: Instant, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
-        return _term(self, now)
+        return self.term(now)
 
 
-class FreeStrain(MaterialEffect):
-    """Strain added; fields as ``FreeHeat``."""
+class FreeStrain(FreeForm, MaterialEffect):
+    """Strain added."""
 
-    knots: jax.Array
-    mix: jax.Array
-    low: jax.Array
-    high: jax.Array
-    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
     key = "free-strain"
-    typical = 1.0
-    source = "free form"
+    adds = "1"
 
     def strain(self, now: Instant, memory: Any, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
-        return _term(self, now)
+        return self.term(now)
 
 
 KINDS = (FreeHeat, FreeShift, FreeStrain)
-STAGE = {"free-heat": "heat", "free-shift": "material", "free-strain": "material"}
-UNIT = {"free-heat": "W/m^3", "free-shift": "K", "free-strain": "1"}
 
 
 def absent() -> tuple[FreeHeat, FreeShift, FreeStrain]:
@@ -94,11 +95,3 @@ def hats(where: np.ndarray, nodes: int) -> np.ndarray:
     """Piecewise linear functions on ``nodes`` equal parts of 0..1, at points ``(n,)``: shape ``(n, nodes)``."""
     place = np.clip(where, 0.0, 1.0) * (nodes - 1)
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(nodes)[None, :]))
-
-
-def _term(effect: FreeHeat | FreeShift | FreeStrain, now: Instant) -> jax.Array:
-    states = (jnp.broadcast_to(now.time, now.temperature.shape), now.temperature, now.fractions.martensite, now.travel)
-    place = sum(m * (s - a) / (b - a) for m, s, a, b in zip(effect.mix, states, effect.low, effect.high, strict=True))
-    place = jnp.clip(place, 0.0, 1.0) * (KNOTS - 1)
-    left = jnp.clip(jnp.floor(place).astype(int), 0, KNOTS - 2)
-    return effect.knots[left] * (left + 1 - place) + effect.knots[left + 1] * (place - left)

@@ -12,10 +12,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from smajax.diagnose import freeform, score
-from smajax.diagnose.candidates import SLOTS, Bench, Form, Refit
+from smajax.diagnose.bench import SLOTS, Bench, in_pairs
+from smajax.diagnose.hypothesis import Form, Refit
 
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 _NODES = 5
+_TIE = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,10 +40,9 @@ class Shape:
 def shares(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, columns: Mapping) -> dict[str, float]:
     """Share of a residual, projected on ``q``, that can live in each stage; ``columns`` are the effects' own."""
     known = {s: _share(q, left, [c for (key, _), c in columns.items() if bench.effects[key].stage == s]) for s in STAGES}
-    span = (0.0, max(float(r.time[-1] - r.time[0]) for r in bench.recordings[:1]))
+    span = (0.0, bench.duration)
     heat, material = (_share(q, left, _hats(bench, refit, kind, "time", span, freeform.KNOTS)) for kind in (0, 1))
-    places = [score.project(q, c) for c in _carried(bench)]
-    carried = _share(q, left, places)
+    carried = _share(q, left, _carried(bench))
     late = max(known["mechanism"], known["sensor"], 1e-300)
     return {
         "drive": min(known["drive"], max(heat, known["heat"])),
@@ -50,6 +51,11 @@ def shares(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, columns:
         "mechanism": max(known["mechanism"], carried * known["mechanism"] / late),
         "sensor": max(known["sensor"], carried * known["sensor"] / late),
     }
+
+
+def likeliest(shares: Mapping[str, float]) -> str:
+    """The stage to look at: the first of those whose share is within ``_TIE`` of the largest, since what is upstream shows further down."""
+    return next(s for s in STAGES if shares[s] >= max(shares.values()) - _TIE)
 
 
 def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: str) -> Shape | None:
@@ -71,16 +77,16 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
         return None
     moved = bench.moved(fitted.hypothesis)
     predicted, _ = bench.evaluate(fitted.hypothesis, fitted.base, 1, moved, form, fitted.nodes)
-    key = freeform.KINDS[kind].key
+    made = freeform.KINDS[kind]
     at = np.linspace(low, high, nodes)
     return Shape(
-        freeform.STAGE[key], key, freeform.UNIT[key], state, at, fitted.nodes * _unit(bench, kind),
+        stage if made is freeform.FreeStrain else made.stage, made.key, made.adds, state, at, fitted.nodes * _unit(bench, kind),
         bench.fitness(fitted.residual, 0), bench.fitness(predicted, 1),
     )  # fmt: skip
 
 
 def _unit(bench: Bench, kind: int) -> float:
-    """A change of order one: what a kelvin does to the heat balance, a kelvin, a hundredth of a per cent."""
+    """A change of order one: what ten kelvins do to the heat balance, a kelvin, a hundredth of a per cent."""
     plant = bench.problems[0].plant
     return (10.0 * float(plant.heat.conductance(plant.environment.ambient, plant.wire)), 1.0, 1e-4)[kind]
 
@@ -93,21 +99,18 @@ def _hats(bench: Bench, refit: Refit, kind: int, against: str, span: tuple[float
     """The residual's derivative by each node of a free term."""
     matrix = _matrix(nodes) * _unit(bench, kind)
     forms = [Form(kind, against, *span, matrix[:, k : k + SLOTS]) for k in range(0, nodes, SLOTS)]
-    found = bench.many(lambda form: bench.evaluate(refit.hypothesis, refit.base, 0, (), form)[1][:, bench.size :], forms)
+    found = in_pairs(lambda form: bench.evaluate(refit.hypothesis, refit.base, 0, (), form)[1][:, bench.size :], forms)
     return [bench.flat(c) for block in found for c in block.T]
 
 
 def _carried(bench: Bench) -> list[np.ndarray]:
-    """Hats in time added to each channel."""
-    columns = []
-    channels = len(bench.channels)
-    for i in range(channels):
-        time = bench.recordings[0].time
-        hats = freeform.hats((time - time[0]) / (time[-1] - time[0]), freeform.KNOTS)
-        for k in range(freeform.KNOTS):
-            whole = np.zeros((channels, len(time)))
-            whole[i] = hats[:, k]
-            columns.append(whole.ravel())
+    """Hats along the rows added to each channel."""
+    lengths = [len(v) for v in bench.series(np.zeros(bench.problems[0].data.measured.size)).values()]
+    whole, columns = np.zeros(sum(lengths)), []
+    for first, length in zip(np.cumsum([0, *lengths]), lengths, strict=False):
+        for hat in freeform.hats(np.linspace(0.0, 1.0, length), freeform.KNOTS).T:
+            columns.append(whole.copy())
+            columns[-1][first : first + length] = hat
     return columns
 
 

@@ -6,8 +6,9 @@ import math
 import numpy as np
 
 from smajax.diagnose import score
-from smajax.diagnose.candidates import Bench, Hypothesis
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
+from smajax.diagnose.hypothesis import Hypothesis
 from smajax.plant.effect import AbstractEffect
 
 _ALL_OF_IT = 0.99
@@ -35,7 +36,7 @@ def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, float]]:
 
     Also gives what each would explain of the residual there, to first order, beyond the free parameters.
     """
-    nominal = bench.problems[0].nominal
+    nominal = bench.nominal
     residual, jacobian = bench.evaluate(Hypothesis(), nominal, 0)
     jacobian = np.column_stack([bench.flat(c) for c in jacobian.T])
     q = score.basis(jacobian)

@@ -12,7 +12,6 @@ import numpy as np
 
 from smajax.fit.uncertainty import autoregression
 
-ABSORBED = 1.0 - 1e-5
 DETECTABLE = 3.5
 CLASS = 0.9
 
@@ -43,9 +42,7 @@ def project(q: np.ndarray, column: np.ndarray) -> np.ndarray:
     return column - q @ (q.T @ column)
 
 
-def score(
-    q: np.ndarray, residual: np.ndarray, column: np.ndarray, plausible: tuple[float, float], absorbed_from: float = ABSORBED
-) -> Score:
+def score(q: np.ndarray, residual: np.ndarray, column: np.ndarray, plausible: tuple[float, float], absorbed_from: float) -> Score:
     """Scores one column against a residual that is projected already; ``plausible`` in the column's units.
 
     A column of which ``q`` holds more than the share ``absorbed_from`` gains nothing.

@@ -9,16 +9,17 @@ away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.diagnose import localise, residual, score
-from smajax.diagnose.candidates import SLOTS, Bench, Hypothesis, Refit, plain_residual
+from smajax.diagnose import residual, score
+from smajax.diagnose.bench import SLOTS, Bench, plain_residual
 from smajax.diagnose.effects import catalogue
+from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Sight, hidden, preflight, sight
+from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares
 from smajax.fit.least_squares import Stop
@@ -30,39 +31,9 @@ EXPLAINED = 0.5
 ROUNDS = 3
 _NEAR, _AFAR = 5, 4  # effects refitted first: by their scores at the fit, and at the rig's nominal values
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
-_HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
-_APART = 5
-_HOPELESS = 30.0
 _STATIONARY = 2e-2
+_FALL = 25.0  # least fall of the sum of squares over the noise that counts
 _RIVALS = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """A refit, and how it does: goodness of fit on the training and on the selection recording.
-
-    ``rmse_select`` is that of the first observed channel on the selection recording, SI.
-    """
-
-    refit: Refit
-    train: float
-    select: float
-    rmse_select: float
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Its effects, in the order in which they were added."""
-        return self.refit.hypothesis.keys
-
-    @property
-    def key(self) -> str:
-        """The effect that was added last; empty without effects."""
-        return self.keys[-1] if self.keys else ""
-
-    @property
-    def total(self) -> float:
-        """What trials are compared by."""
-        return self.train + self.select
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,162 +81,18 @@ class Story:
         return 1.0 - left / max(self.first.total - 2.0, 1e-9)
 
 
-class Tracer:
-    """A bench, and what is done on it again and again."""
-
-    def __init__(self, bench: Bench, seed: int):
-        self.bench, self.seed = bench, seed
-
-    def base(self, point: np.ndarray, stop: Stop) -> Refit:
-        """The plant without effects at a fitted point."""
-        self.bench.compiled()
-        left, jacobian = self.bench.evaluate(Hypothesis(), point, 0)
-        return Refit(Hypothesis(), point, left, jacobian, stop)
-
-    def held(self, refit: Refit) -> np.ndarray:
-        """Jacobian columns that are free to move: those of parameters on a bound that the data press against it are not."""
-        lower, upper = self.bench.problems[0].box
-        gradient = refit.jacobian[:, : self.bench.size].T @ refit.residual
-        margin = 1e-9 * (1 + np.abs(refit.base))
-        pressed = ((refit.base <= lower + margin) & (gradient > 0)) | ((refit.base >= upper - margin) & (gradient < 0))
-        return np.append(~pressed, np.ones(refit.jacobian.shape[1] - self.bench.size, bool))
-
-    def projection(self, refit: Refit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Jacobian of the free columns, its orthonormal basis, and the residual beyond it."""
-        jacobian = np.column_stack([self.bench.flat(c) for c in refit.jacobian[:, self.held(refit)].T])
-        q = score.basis(jacobian)
-        return jacobian, q, score.project(q, self.bench.flat(refit.residual))
-
-    def scores(self, refit: Refit) -> "Scores":
-        """Scores every effect that is not there yet, at each of its shapes."""
-        bench = self.bench
-        jacobian, q, left = self.projection(refit)
-        columns = {item: bench.flat(column) for item, column in bench.columns(refit.hypothesis, refit.base).items()}
-        found: dict[str, score.Score] = {}
-        shapes: dict[str, tuple] = {}
-        for (key, shape), column in columns.items():
-            one = bench.scored(key, q, left, column)
-            if key not in found or one.gain > found[key].gain:
-                found[key], shapes[key] = one, shape
-        return Scores(found, shapes, columns, jacobian, q, left, self.chance(refit, jacobian, columns))
-
-    def chance(self, refit: Refit, jacobian: np.ndarray, columns: dict) -> float:
-        """The p-value of the largest gain, the residual's own autocorrelation taken out first."""
-        series = list(self.bench.series(refit.residual).values())
-        models = [score.noise_model(s) for s in series]
-        cuts = np.cumsum([len(s) for s in series])[:-1]
-
-        def white(v: np.ndarray) -> np.ndarray:
-            return np.concatenate([score.whiten(p, m[0]) / m[1] for p, m in zip(np.split(v, cuts), models, strict=True)])
-
-        q = score.basis(np.column_stack([white(c) for c in jacobian.T]))
-        left = score.project(q, white(self.bench.flat(refit.residual)))
-        kept = {key: self.bench.scored(key[0], q, left, white(c)) for key, c in columns.items()}
-        kept = {f"{key}{shape}": (s, self.bench.plausible(key)) for (key, shape), s in kept.items() if math.isfinite(s.smallest)}
-        largest = max((s.gain for s, _ in kept.values()), default=0.0)
-        return score.p_value({k: s.column for k, (s, _) in kept.items()}, {k: p for k, (_, p) in kept.items()}, largest, self.seed)
-
-    def shares(self, refit: Refit, scores: "Scores | None" = None) -> dict[str, float]:
-        """Share of a fit's residual that can live in each stage."""
-        scores = scores or self.scores(refit)
-        return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
-
-    def expected(self, refit: Refit) -> float:
-        """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on the selection recording: at least 1."""
-        bench, free = self.bench, self.held(refit)
-        known = np.column_stack([bench.flat(c) for c in refit.jacobian[:, free].T])
-        _, jacobian = bench.evaluate(refit.hypothesis, refit.base, 1, bench.moved(refit.hypothesis))
-        asked = np.column_stack([bench.flat(c, 1) for c in jacobian[:, free].T])
-        return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
-
-    def race(self, extensions: Sequence["Extension"], also: np.ndarray | None = None) -> list[Trial]:
-        """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
-
-        They start at their parent's point with a small strength, so that all parameters go together from there, and at the point ``also``
-        with the expected one: what a large effect has done to the other parameters may lie in the way.
-        """
-        starts = []
-        for parent, key, strength, shape in extensions:
-            typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
-            own = {f"effects.{key}.{n}": v for n, v in shape}
-            low, high = self.bench.plausible(key)
-            size = float(np.clip(strength, max(low, -2.0), min(high, 2.0))) or 0.1
-            small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
-            starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
-            if also is not None:
-                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also, True))
-        # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
-        fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
-        everyone = [s for f in fields for s in f]
-        for count, steps in _HEATS:
-            least = min((s.search.cost for s in everyone), default=math.inf)
-            fields = [sorted((s for s in f if not s.search.cost > _HOPELESS * least), key=lambda s: s.search.cost)[:count] for f in fields]
-            if steps > _APART:
-                whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
-                fields = [[s for s in whole if s.search.cost < 4.0 * whole[0].search.cost][:count]]
-            self.bench.many(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
-        best: dict[frozenset, Refit] = {}
-        for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
-            best.setdefault(frozenset(found.hypothesis.keys), found)
-        trials = self.bench.many(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
-        return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
-
-    def nothing(self, trial: Trial) -> bool:
-        """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""
-        key = trial.key
-        return abs(trial.refit.values[f"effects.{key}.strength"]) < 1e-3 * self.bench.effects[key].typical
-
-    def settled(self, trial: Trial) -> Trial:
-        """A trial fitted to its end: from its own point, and from the rig's nominal values with the effects that it has."""
-        hypothesis = trial.refit.hypothesis
-        starts = [trial.refit.base, self.bench.problems[0].nominal]
-        ended = self.bench.many(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
-        return self.judged(min(ended, key=lambda r: r.chi2))
-
-    def judged(self, refit: Refit) -> Trial:
-        """A refit with its fitness on both recordings."""
-        predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
-        channel = self.bench.channels[0]
-        rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.bench.noise[channel]
-        train = self.bench.fitness(refit.residual, 0) if math.isfinite(refit.chi2) else math.inf
-        return Trial(refit, train, self.bench.fitness(predicted, 1), rmse)
-
-
-class Extension(NamedTuple):
-    """One effect more for a fit: its key, the strength expected in units of the typical one, and its shape."""
-
-    parent: Refit
-    key: str
-    strength: float
-    shape: tuple
-
-
-@dataclasses.dataclass(frozen=True)
-class Scores:
-    """Scores at one fit: the best of each effect, at which shape, all columns, the free parameters' Jacobian, its basis, the residual
-    beyond it, and the probability of so large a gain by noise."""
-
-    found: dict[str, score.Score]
-    shapes: dict[str, tuple]
-    columns: dict
-    jacobian: np.ndarray
-    q: np.ndarray
-    left: np.ndarray
-    chance: float
-
-
 def critical(samples: int) -> float:
     """Fitness above which more than noise is left."""
     return 1.0 + 4.0 * math.sqrt(2.0 / (0.8 * samples))
 
 
-def trace(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> tuple[Tracer, Story]:
-    """Traces the residual of the bench's training recording, helped by the selection recording.
+def trace(bench: Bench, *, seed: int = 0, starts: int = 2, say: Callable[[str], None] = lambda text: None) -> tuple[Tracer, Story]:
+    """Traces the residual of the bench's training part, helped by the selection part; the first fit has so many ``starts``.
 
     Raises NumericsError if the first fit does not come to rest; its ``state`` holds the point where it ended.
     """
     say("fitting the rig as it is written down")
-    point, stop, noise = _first_fit(bench, seed)
+    point, stop, noise = _first_fit(bench, seed, starts)
     bench.compiled()
     seen, gains = preflight(bench)
     counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
@@ -283,16 +110,14 @@ def trace(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda te
     return tracer, story
 
 
-def _first_fit(bench: Bench, seed: int) -> tuple[np.ndarray, Stop, dict[str, tuple[float, str]]]:
-    """The rig as it is written down, fitted from its own values and from beside them: point, end, and noise by channel."""
+def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, dict[str, tuple[float, str]]]:
+    """The rig as it is written down, fitted from its own values and from points beside them: point, end, and noise by channel."""
     plain = bench.plain
     lower, upper = plain.search_box()
     nominal = np.clip(plain.nominal, lower, upper)
-    aside = 0.1 * np.random.default_rng(seed).uniform(-1, 1, len(nominal)) * (upper - lower)
-    solved = [
-        least_squares.Search(plain_residual, plain, start[None], *plain.box, rtol=1e-8).advance().result()
-        for start in (nominal, np.clip(nominal + aside, lower, upper))
-    ]
+    aside = 0.1 * np.random.default_rng(seed).uniform(-1, 1, (starts - 1, len(nominal))) * (upper - lower)
+    points = [nominal, *np.clip(nominal + aside, lower, upper)]
+    solved = [least_squares.Search(plain_residual, plain, p[None], *plain.box, rtol=1e-8).advance().result() for p in points]
     bench.simulations += sum(s.simulations for s in solved)
     best = min(solved, key=lambda s: s.costs[0] if math.isfinite(s.costs[0]) else math.inf)
     if best.stops[0] is Stop.failed:
@@ -302,16 +127,16 @@ def _first_fit(bench: Bench, seed: int) -> tuple[np.ndarray, Stop, dict[str, tup
     if np.linalg.norm(score.basis(jacobian[:, inside]).T @ left) > _STATIONARY * np.linalg.norm(left):
         told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
         raise NumericsError(told, {name: float(v) for name, v in plain.values(jnp.asarray(best.points[0]))[0].items()})
-    return best.points[0], best.stops[0], _noise(bench, plain, left)
+    return bench.padded(best.points[0]), best.stops[0], _noise(bench, plain, left)
 
 
 def _noise(bench: Bench, plain: Problem, left: np.ndarray) -> dict[str, tuple[float, str]]:
-    weight, recording = np.asarray(plain.data.weight)[0], bench.recordings[0]
-    inputs = {name: recording.channels[name] for name in plain.plant.signals}
+    inputs, rows = bench.inputs(), bench.parts[0].rows()
+    by = left.reshape(len(rows), len(plain.channels), -1)
     found = {}
-    for channel, part, w in zip(plain.channels, left.reshape(len(plain.channels), -1), weight, strict=True):
-        value, source = residual.noise(part[: len(recording)] / float(np.max(w)), inputs)
-        found[channel] = (value, source)
+    for i, channel in enumerate(plain.channels):
+        series = np.concatenate([by[r, i, seen] for r, seen in enumerate(rows)]) * bench.noise[channel]
+        found[channel] = residual.noise(series, inputs)
     return found
 
 
@@ -340,9 +165,12 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     best = tracer.settled(best)
     fall = (current.train - best.train) * samples
     cut = 1.0 - math.sqrt(best.select / current.select)
-    if fall < 25.0 * max(1.0, best.train) or cut < CUT:
-        told = "fits the training recording no better" if fall <= 0.0 else f"cuts the error on the selection recording by {100 * cut:.1f} %"
-        story.rejected.append((best.key, f"{told}; a cause has to cut it by {100 * CUT:.0f} %"))
+    if fall < _FALL * max(1.0, best.train):
+        story.rejected.append((best.key, "fits the training recording no better than chance would"))
+        return []
+    if cut < CUT:
+        told = f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
+        story.rejected.append((best.key, told))
         return []
     say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")
     story.last = best
@@ -370,7 +198,7 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
         extensions = [Extension(parent, k, scores.found[k].strength, scores.shapes[k]) for k in keys]
         return tracer.race(extensions, also)
 
-    nominal = bench.problems[0].nominal
+    nominal = bench.nominal
     trials = refits(chosen, refit, nominal)
     rest = [k for k in hopeful if k not in chosen]
     if rest and min((t.train for t in trials), default=math.inf) > max(story.limit, 1.15):
@@ -410,14 +238,14 @@ def _backward(tracer: Tracer, story: Story) -> None:
         if not math.isfinite(judged.total):
             continue
         loss = 1.0 - math.sqrt(story.last.select / judged.select)
-        if (judged.train - story.last.train) * samples < 25.0 * max(1.0, story.last.train) or loss < CUT:
+        if (judged.train - story.last.train) * samples < _FALL * max(1.0, story.last.train) or loss < CUT:
             story.rejected.append((key, "is no longer missed beside the other effects"))
             story.last = judged
 
 
 def _ranking(tracer: Tracer, scores: Scores, base: Refit) -> dict[str, Ranked]:
     bench, ranking = tracer.bench, {}
-    names = [u.label for u, free in zip(bench.problems[0].unknowns, tracer.held(base), strict=True) if free]
+    names = [u.label for u, free in zip(bench.problems[0].unknowns, tracer.free(base), strict=True) if free]
     inflated = math.sqrt(max(bench.fitness(base.residual, 0), 1.0))
     for key, kind in catalogue().items():
         if key not in scores.found:

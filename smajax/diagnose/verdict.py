@@ -7,12 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from smajax.diagnose import experiment, localise
-from smajax.diagnose.candidates import Bench, Hypothesis, Refit
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.experiment import Next
+from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.localise import Shape
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look, look
-from smajax.diagnose.trace import EXPLAINED, Ranked, Story, Tracer, trace
+from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
+from smajax.diagnose.tracer import Tracer
 from smajax.fit import uncertainty
 
 PARTS = ("train", "select", "holdout")
@@ -60,7 +62,7 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
         say("looking for the stage where the rest lives")
         scores = tracer.scores(story.last.refit)
         left = tracer.shares(story.last.refit, scores) if story.accepted else story.stages
-        stage = max(left, key=lambda s: left[s])
+        stage = localise.likeliest(left)
         shape = localise.shape(bench, story.last.refit, scores.q, scores.left, stage)
     designed = None
     if verdict != "named" and verdict != "nothing-missing":
@@ -118,8 +120,7 @@ def _conclude(tracer: Tracer, story: Story, verdict: str, stage: str | None, sha
             for when in ("before", "after")
         }
         cut95[c] = bootstrap(series["before"][2][c] * noise[c], series["after"][2][c] * noise[c], tracer.seed)
-    inputs = {name: bench.recordings[0].channels[name] for name in bench.plain.plant.signals}
-    looks = {when: {c: look(v * noise[c], inputs) for c, v in found[0].items()} for when, found in series.items()}
+    looks = {when: {c: look(v * noise[c], bench.inputs()) for c, v in found[0].items()} for when, found in series.items()}
     return Diagnosis(
         verdict=verdict,
         effects=tuple(story.accepted),
@@ -148,7 +149,7 @@ def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
     bench, moved = tracer.bench, tracer.bench.moved(refit.hypothesis)
     if not moved:
         return {}
-    free = tracer.held(refit)
+    free = tracer.free(refit)
     columns = [bench.series(c) for c in refit.jacobian[:, free].T]
     series = bench.series(refit.residual)
     jacobians = [np.column_stack([c[name] for c in columns]) for name in series]

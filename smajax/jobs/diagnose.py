@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters
 from smajax.console import Progress
-from smajax.diagnose.candidates import Bench
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
 from smajax.fit.problem import difference_noise
@@ -47,6 +46,8 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
     progress.phase("reading")
     with clock.time("read"):
         rig, text = read_rig(job.rig), rig_text(job.rig)
+        if rig.fit.per_recording:
+            raise InputError(f"{job.rig}: a diagnosis takes one set of parameters for all recordings: move fit.per_recording to fit.free")
         recordings = _read(rig, job)
     seed = rig.fit.seed if job.seed is None else job.seed
     with clock.time("diagnose"):
@@ -70,7 +71,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         (folder / "rig.toml").write_text(text, "utf-8", newline="")
         (folder / "diagnosis.json").write_text(to_json(document), "utf-8")
         prediction.write(folder / "prediction.csv", series)
-        _fitted(rig, bench, found).write(folder / "rig-diagnosed.toml")
+        dataclasses.replace(rig, plant=bench.fitted(found.after)).write(folder / "rig-diagnosed.toml")
         if found.next and found.next.recording:
             found.next.recording.write(folder / NEXT_INPUT)
         page = diagnosis_page(document, prediction.read(folder / "prediction.csv"), run["inputs"], run, text)
@@ -83,8 +84,6 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
 def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
     read = [r for r, _ in read_recordings(rig, [job.train], [job.select, job.holdout], job.drop_bad_rows)]
     for k, one in enumerate(read):
-        if not one.has_clock:
-            raise InputError(f"{one.name}: a diagnosis needs recordings with a time column")
         if len(one) < _FEWEST:
             raise InputError(f"{one.name}: {len(one)} rows are too few for a diagnosis: at least {_FEWEST} are needed")
         for channel in rig.fit.observe:
@@ -108,20 +107,11 @@ def _refuse_clipped(recording: Recording, channel: str) -> None:
             raise InputError(f"{told}, as a saturated or clipped sensor does: cut these rows out, or record with a wider range")
 
 
-def _fitted(rig: Rig, bench: Bench, found: Diagnosis) -> Rig:
-    """The rig with its parameters fitted and the accepted effects in it."""
-    values, _ = bench.problems[0].values(jnp.asarray(found.after.base))
-    effects = tuple(bench.effects[key] for key in found.effects)
-    plant = dataclasses.replace(parameters.replace(rig.plant, values), effects=effects)
-    own = {name: value for name, value in found.after.values.items() if name.split(".")[1] in found.effects}
-    return dataclasses.replace(rig, plant=parameters.replace(plant, own))
-
-
 def _series(rig: Rig, recordings: Sequence[Recording], found: Diagnosis) -> list[Series]:
     series = []
     for k, (recording, role) in enumerate(zip(recordings, PARTS, strict=True)):
         for when, residuals in found.predictions.items():
             model = {c: recording.channels[c] + v for c, v in residuals[k].items()}
             name = f"{recording.name} ({when})"
-            series.append(to_series(name, role, recording.time, recording.channels, model, recording.units, clock=True))
+            series.append(to_series(name, role, recording.time, recording.channels, model, recording.units, clock=recording.has_clock))
     return series

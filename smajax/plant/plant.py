@@ -305,8 +305,8 @@ class Plant(eqx.Module):
         return read
 
     def traits(self, observed: tuple[str, ...]) -> frozenset[str]:
-        """Words for what effects may need of a rig: see ``AbstractEffect.needs``."""
-        words = {self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
+        """Words for what effects may need of a rig: see ``AbstractEffect.needs``. Recordings without a clock take that word away."""
+        words = {"clock", self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
         words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
         quiet = self.mechanism.prescribed or (self.mechanism.wires == 2 and self.mechanism.unknowns > 1)
@@ -340,7 +340,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
         trial = z + fraction * change
         value, slope = newton(trial)
         new, left = -linear(slope, value), norm(value[:-1]) if dragged else norm(value)
-        better = left <= jnp.maximum(1.0, error)
+        better = left <= jnp.maximum(1.0, error)  # within the tolerances, rounding may raise it
         if dragged:
             low, high = ends
             low = jnp.where(value[-1] <= 0.0, trial[-1], low)

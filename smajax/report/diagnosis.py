@@ -39,11 +39,10 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
             strength = values[name]
             low, high = found.intervals.get(name, (None, None))
         ranking.append(
-            {
-                "key": seen.key, "stage": seen.stage, "status": seen.status, "strength": number(strength), "lower95": number(low),
-                "upper95": number(high), "unit": seen.unit, "statistic": number(one.gain), "p_value": number(one.p_value),
-                "refit_rmse_select": number(one.refit_rmse_select, scale), "smallest_detectable": number(seen.smallest),
-                "absorbed_by": list(seen.absorbed_by), "why": seen.why,
+            _sight(seen)
+            | {
+                "strength": number(strength), "lower95": number(low), "upper95": number(high), "statistic": number(one.gain),
+                "p_value": number(one.p_value), "refit_rmse_select": number(one.refit_rmse_select, scale),
             }
         )  # fmt: skip
     ranking.sort(key=lambda r: (r["key"] not in found.effects, -(r["statistic"] or -1.0)))
@@ -167,14 +166,14 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
     said = "".join(f"<p>{html.escape(s)}</p>" for s in sentences(doc))
     sections = [f'<div class="verdict{" bad" if bad else ""}">{said}</div>', "<h2>Error before and after</h2>"]
     rows = [
-        (channel, part, _four(rmse[f"{part}_before"]), _four(rmse[f"{part}_after"]), _four(floor[channel]), rmse["unit"])
+        (channel, part, _shown(rmse[f"{part}_before"], 4), _shown(rmse[f"{part}_after"], 4), _shown(floor[channel], 4), rmse["unit"])
         for channel, rmse in doc["rmse"].items()
         for part in PARTS
     ]  # fmt: skip
     sections.append(html.table(("channel", "recording", "before", "after", "noise", "unit"), rows, numbers=(2, 3, 4)))
     sections.append("<h2>What is left on the training recording</h2>")
     heard = [
-        (channel, when, name, _four(look["rms"]), f"{100 * share:.0f} %")
+        (channel, when, name, _shown(look["rms"], 4), f"{100 * share:.0f} %")
         for channel, looks in doc["residual"].items()
         for when, look in looks.items()
         for name, share in look["outside"].items()
@@ -193,7 +192,7 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
         limits = [(e["key"], f"{e['above']:.3g}", html.pretty_unit(e["unit"])) for e in doc["excluded"]]
         sections += ["<h2>Excluded down to this size</h2>", html.table(("effect", "above", "unit"), limits, numbers=(1,))]
     before = [
-        (s["key"], s["status"], _three(s["smallest_detectable"]), html.pretty_unit(s["unit"]), ", ".join(s["absorbed_by"]) or s["why"])
+        (s["key"], s["status"], _shown(s["smallest_detectable"]), html.pretty_unit(s["unit"]), ", ".join(s["absorbed_by"]) or s["why"])
         for s in doc["preflight"]
     ]
     sections += ["<h2>What this input can show, before any fit</h2>"]
@@ -206,21 +205,17 @@ def diagnosis_page(doc: Mapping[str, Any], series: Sequence[Series], inputs: Seq
     return html.page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
 
 
-def _four(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
-
-
-def _three(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+def _shown(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}g}"
 
 
 _HEAD = ("effect", "stage", "status", "strength ± 95 %", "unit", "error after refit", "detectable from", "absorbed by, or why not")
 
 
 def _row(entry: Mapping[str, Any]) -> tuple[str, ...]:
-    strength = _three(entry["strength"])
+    strength = _shown(entry["strength"])
     if entry["lower95"] is not None:
         strength += f" ± {0.5 * (entry['upper95'] - entry['lower95']):.2g}"
-    shown = [_three(entry[k]) for k in ("refit_rmse_select", "smallest_detectable")]
+    shown = [_shown(entry[k]) for k in ("refit_rmse_select", "smallest_detectable")]
     reason = ", ".join(entry["absorbed_by"]) or entry["why"]
     return (entry["key"], entry["stage"], entry["status"], strength, html.pretty_unit(entry["unit"]), *shown, reason)

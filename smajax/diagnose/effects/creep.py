@@ -15,6 +15,7 @@ class Creep(MaterialEffect):
     typical = 0.002
     source = "estimate: 0.1 to 1 % of strain within minutes"
     confused_with = ("ratcheting", "end-conduction")
+    needs = ("clock",)
     shapes = (("time_constant", (5.0, 30.0)),)
 
     def start(self, instant: Instant, where: Where) -> jax.Array:

@@ -14,6 +14,7 @@ class EncoderDrift(SensorEffect):
     typical = 2e-6
     source = "estimate: a displacement or angle that drifts with time"
     confused_with = ("ratcheting",)
+    needs = ("clock",)
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""

@@ -15,6 +15,7 @@ class SensorLag(SensorEffect):
     typical = 0.03
     source = "estimate: 10 to 100 ms"
     confused_with = ("time-skew", "viscous-friction")
+    needs = ("clock",)
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""

@@ -15,6 +15,7 @@ class TimeSkew(SensorEffect):
     typical = 0.03
     source = "estimate: 1 to 100 ms"
     confused_with = ("sensor-lag",)
+    needs = ("clock",)
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``SensorEffect``."""

@@ -1,0 +1,77 @@
+"""Closes the loop on measured recordings: which effects the residual asks for, and what they do to the error held out.
+
+The effects are traced on a training part and accepted by a selection part; then the rig, without and with them, is fitted to both parts
+together and predicts the held-out part, which nothing else has looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from _common import Row
+
+from smajax.diagnose.bench import Bench, Part
+from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.diagnose.trace import Story, trace
+from smajax.rig import Rig
+
+
+@dataclass(frozen=True)
+class Closed:
+    """What was found, and the residuals (model minus measurement, SI, by channel) of the last fits on the fitted and the held-out part."""
+
+    story: Story
+    before: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+    after: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+    refit: Refit
+
+    def rmse(self, channel: str) -> tuple[float, float, float, float]:
+        """Fitted and held out before, fitted and held out after."""
+        values = (self.before[0], self.before[1], self.after[0], self.after[1])
+        fitted, held, fitted_after, held_after = (float(np.sqrt(np.mean(v[channel] ** 2))) for v in values)
+        return fitted, held, fitted_after, held_after
+
+
+def close_loop(rig: Rig, train: Part, select: Part, holdout: Part, say: Callable[[str], None], *, starts: int, seed: int = 0) -> Closed:
+    """Traces, fits again on all that may be fitted to, and predicts the held-out part."""
+    bench = Bench(rig.plant, [train, select, holdout], rig.fit, interpolation=rig.interpolation)
+    _, story = trace(bench, seed=seed, starts=starts, say=say)
+    say("fitting to the training and the selection part together")
+    whole = Bench(rig.plant, [_joined(train, select), holdout], rig.fit, interpolation=rig.interpolation)
+    whole.set_noise(bench.noise)
+
+    def last(hypothesis: Hypothesis, near: np.ndarray) -> Refit:
+        starts = [np.append(near[: whole.shared], whole.nominal[whole.shared :]), whole.nominal]
+        return min((whole.fit(hypothesis, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
+
+    def residuals(refit: Refit) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        predicted, _ = whole.evaluate(refit.hypothesis, refit.base, 1)
+        fitted, held = whole.series(refit.residual), whole.series(predicted, 1)
+        return {c: v * whole.noise[c] for c, v in fitted.items()}, {c: v * whole.noise[c] for c, v in held.items()}
+
+    plain = last(Hypothesis(), story.first.refit.base)
+    final = last(story.last.refit.hypothesis, story.last.refit.base)
+    return Closed(story, residuals(plain), residuals(final), final)
+
+
+def _joined(first: Part, second: Part) -> Part:
+    scored = tuple(np.ones(len(r), bool) for r in first.recordings) if not first.scored else first.scored
+    more = tuple(np.ones(len(r), bool) for r in second.recordings) if not second.scored else second.scored
+    return Part((*first.recordings, *second.recordings), (*scored, *more))
+
+
+def effect_rows(closed: Closed, prefix: str = "") -> list[Row]:
+    """What the trace says, as rows without a target."""
+    story, rows = closed.story, []
+    for key in story.accepted:
+        own = ", ".join(f"{n.split('.')[2]} {v:.4g}" for n, v in closed.refit.values.items() if n.split(".")[1] == key)
+        same = ", ".join(story.equivalent.get(key, ())) or "none"
+        rows.append(Row(f"{prefix}effect accepted: {key}", "-", f"{own}; as good: {same}", None))
+    for key, why in story.rejected:
+        rows.append(Row(f"{prefix}left out: {key}", "-", why, None))
+    tried = sorted((r for r in story.ranking.values() if r.refit_rmse_select is not None), key=lambda r: r.refit_rmse_select or 0.0)
+    told = ", ".join(f"{r.sight.key} {r.refit_rmse_select:.3g}" for r in tried[:6])
+    rows.append(Row(f"{prefix}one effect, error on the selection part (SI)", "-", f"without {story.first.rmse_select:.3g}; {told}", None))
+    return rows

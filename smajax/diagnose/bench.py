@@ -1,0 +1,410 @@
+"""The plant with every effect that its rig could have, all at strength 0, as one compiled program.
+
+Fits, scores, refits and predictions all run on that program: a vector holds the rig's free parameters, then ``SLOTS`` slots; which
+effect's strength or shape a slot moves is data (a matrix), so that no hypothesis needs a compilation of its own. All parts (training,
+selection, holdout) are laid out alike: as many recordings, of which those that fill up count nothing, on grids of one length.
+"""
+
+import dataclasses
+import math
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters, simulate
+from smajax.diagnose import freeform, score
+from smajax.diagnose.effects import catalogue
+from smajax.diagnose.hypothesis import Form, Hypothesis, Refit
+from smajax.errors import InputError
+from smajax.fit import least_squares
+from smajax.fit.least_squares import Stop
+from smajax.fit.problem import Problem, Settings, build
+from smajax.parameters import declarations
+from smajax.plant.effect import AbstractEffect
+from smajax.plant.plant import Plant
+from smajax.recording import Recording
+
+SLOTS = 6
+_MULTIPLE = 512
+
+
+class Part(NamedTuple):
+    """Recordings that serve one purpose: training, selection or holdout.
+
+    ``scored`` says which rows of each count (boolean arrays; default: all). Where every recording has parameters of its own, those of a
+    recording that nothing else is fitted to are set on its rows ``anchor`` (default: those that count).
+    """
+
+    recordings: tuple[Recording, ...]
+    scored: tuple[np.ndarray, ...] = ()
+    anchor: tuple[np.ndarray, ...] = ()
+
+    def rows(self) -> list[np.ndarray]:
+        """Numbers of the rows of each recording that count."""
+        return [np.flatnonzero(mask) for mask in self.scored or (np.ones(len(r), bool) for r in self.recordings)]
+
+    def anchor_rows(self) -> list[np.ndarray]:
+        """Numbers of the rows of each recording on which its own parameters are set."""
+        return [np.flatnonzero(mask) for mask in self.anchor] or self.rows()
+
+
+class Model(eqx.Module):
+    """What the compiled program takes beside the vector: a part's problem, the effects' parameters, and what the slots move.
+
+    ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, hold the named parameters and then the knots of the free terms, which
+    are functions of ``free``: what they stand against, its low and its high, each of shape ``(len(freeform.AGAINST),)``.
+    """
+
+    problem: Problem
+    fixed: jax.Array
+    moved: jax.Array
+    free: tuple[jax.Array, jax.Array, jax.Array]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Model minus measurement over the noise, shape ``(r * c * n,)``."""
+        base = len(self.problem.unknowns)
+        values = self.fixed + self.moved @ vector[base:]
+        plant = parameters.replace(self.problem.plant, {name: values[i] for i, name in enumerate(self.names)})
+        plant = freeform.put(plant, values[len(self.names) :].reshape(len(freeform.KINDS), freeform.KNOTS), *self.free)
+        return dataclasses.replace(self.problem, plant=plant).residual(vector[:base])
+
+
+def _residual(vector: jax.Array, model: Model) -> jax.Array:
+    return model.residual(vector)
+
+
+def plain_residual(vector: jax.Array, problem: Problem) -> jax.Array:
+    """The residual of a rig without effects."""
+    return problem.residual(vector)
+
+
+def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
+    """Results of a function over tasks, two at a time: a simulation keeps one core busy."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(function, tasks))
+
+
+@dataclasses.dataclass(frozen=True)
+class Running:
+    """A search that can go on: its hypothesis, and the number of nodes of its free term."""
+
+    search: least_squares.Search
+    hypothesis: Hypothesis
+    nodes: int
+
+    def advance(self, steps: int) -> "Running":
+        """At most so many steps more."""
+        self.search.advance(steps)
+        return self
+
+
+class Bench:
+    """A rig's augmented plant with its recordings laid out alike: all that is simulated runs on one compiled program.
+
+    ``parts`` are the training, selection and holdout recordings, in this order. ``plain`` is the rig without effects on the training part.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        parts: Sequence[Part | Recording],
+        settings: Settings,
+        *,
+        interpolation: str,
+        step: float | None = None,
+    ):
+        if settings.initial:
+            raise InputError("a diagnosis takes no free start values: leave out fit.initial")
+        self.parts = [Part((p,)) if isinstance(p, Recording) else p for p in parts]
+        train = self.parts[0].recordings
+        self.traits = plant.traits(tuple(settings.observe)) - (set() if all(r.has_clock for r in train) else {"clock"})
+        self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
+        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if not kind.obstacle(self.traits)}
+        augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *freeform.absent()))
+        self.names = tuple(f"effects.{key}.{name}" for key, kind in self.effects.items() for name in declarations(kind))
+        self.values = np.array([float(parameters.get(augmented, name)) for name in self.names])
+        self.channels = tuple(settings.observe)
+        self._layout: dict[str, Any] = {"interpolation": interpolation, "step": step}
+        self._rows = [part.rows() for part in self.parts]
+        # Built together, so that all have the length of the longest and run on one program.
+        everything = [r for part in self.parts for r in part.recordings]
+        whole = build(augmented, everything, settings, **self._layout, multiple=_MULTIPLE)
+        self.noise = dict(zip(self.channels, 1.0 / np.max(np.asarray(whole.data.weight), axis=(0, 2)), strict=True))
+        self.shared, self._own = len(whole.shared), len(whole.own)
+        self._split(whole)
+        self.nominal, self.box = self._ends[0][0], self._ends[0][1:]
+        self.plain = self._weighted(build(plant, train, settings, **self._layout), self._rows[0])
+        self.set_noise(self.noise)
+        self.simulations = 0
+        self._ready = threading.Thread(target=self.evaluate, args=(Hypothesis(), self.nominal, 0), daemon=True)
+        self._ready.start()  # the large program compiles while the small one fits
+
+    def _split(self, whole: Problem) -> None:
+        """Makes a problem of each part, and its vector's nominal values and ends: shared entries, then those of its own recordings.
+
+        Parts with fewer recordings than the largest are filled up with their last one, whose own parameters are held then.
+        """
+        size, first = max(len(part.recordings) for part in self.parts), 0
+        self.problems: list[Problem] = []
+        self._ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        unknowns: tuple = ()
+        for part in self.parts:
+            count = len(part.recordings)
+            recordings = first + np.minimum(np.arange(size), count - 1)
+            own = self.shared + (recordings[:, None] * self._own + np.arange(self._own)).ravel()
+            places = np.concatenate([np.arange(self.shared), own]).astype(int)
+            unknowns = unknowns or tuple(whole.unknowns[i] for i in places)  # the same for all, so that they run on one program
+            data = jax.tree.map(lambda leaf: leaf[recordings], whole.data)  # noqa: B023
+            self.problems.append(dataclasses.replace(whole, data=data, scales=whole.scales[places], unknowns=unknowns))
+            nominal, (lower, upper) = whole.nominal[places], (side[places] for side in whole.box)
+            held = np.arange(len(places)) >= self.shared + self._own * count
+            self._ends.append((nominal, np.where(held, nominal, lower), np.where(held, nominal, upper)))
+            first += count
+
+    def _weighted(self, problem: Problem, rows: Sequence[np.ndarray]) -> Problem:
+        """The problem with only these rows of each recording weighted, by the bench's noise; recordings that fill up count nothing."""
+        weight = np.zeros(problem.data.weight.shape)
+        each = np.array([1.0 / self.noise[c] for c in self.channels])
+        for k, seen in enumerate(rows):
+            weight[k][:, seen] = each[:, None]
+        return dataclasses.replace(problem, data=eqx.tree_at(lambda d: d.weight, problem.data, jnp.asarray(weight)))
+
+    @property
+    def size(self) -> int:
+        """Length of the base vector: the rig's free parameters, then each training recording's own."""
+        return len(self.nominal)
+
+    def set_noise(self, noise: dict[str, float]) -> None:
+        """Weights all recordings by these standard deviations (SI)."""
+        self.noise = dict(noise)
+        self.problems = [self._weighted(p, rows) for p, rows in zip(self.problems, self._rows, strict=True)]
+
+    def padded(self, point: np.ndarray) -> np.ndarray:
+        """The base vector of a point of ``plain``."""
+        return np.append(point, self.nominal[len(point) :])
+
+    def series(self, residual: np.ndarray, k: int = 0) -> dict[str, np.ndarray]:
+        """A residual of part ``k`` over the noise as one series per channel, its recordings one behind the other."""
+        by = residual.reshape(len(self.problems[k].data.measured), len(self.channels), -1)
+        return {c: np.concatenate([by[r, i, rows] for r, rows in enumerate(self._rows[k])]) for i, c in enumerate(self.channels)}
+
+    def inputs(self, k: int = 0) -> dict[str, np.ndarray]:
+        """The driving channels of part ``k`` on the rows of ``series``."""
+        pairs = list(zip(self.parts[k].recordings, self._rows[k], strict=True))
+        return {name: np.concatenate([r.channels[name][rows] for r, rows in pairs]) for name in self.plain.plant.signals}
+
+    def flat(self, residual: np.ndarray, k: int = 0) -> np.ndarray:
+        """The samples of a residual that count."""
+        return np.concatenate(list(self.series(residual, k).values()))
+
+    def fitness(self, residual: np.ndarray, k: int) -> float:
+        """Mean square of a residual over the noise: 1 where only noise is left."""
+        return float(np.mean(self.flat(residual, k) ** 2))
+
+    def plausible(self, key: str) -> tuple[float, float]:
+        """An effect's plausible range over its typical strength."""
+        low, high = self.effects[key].plausible()
+        return low / self.effects[key].typical, high / self.effects[key].typical
+
+    def scored(self, key: str, q: np.ndarray, left: np.ndarray, column: np.ndarray) -> score.Score:
+        """The score of one effect's column against a projected residual."""
+        return score.score(q, left, column, self.plausible(key), self.effects[key].absorbed_from)
+
+    def fitted(self, refit: Refit) -> Plant:
+        """The plant with a refit's parameters and effects, without parameters that each recording has of its own."""
+        shared, _ = self.problems[0].values(jnp.asarray(refit.base))
+        plant = dataclasses.replace(self.plain.plant, effects=tuple(self.effects[key] for key in refit.hypothesis.keys))
+        own = {name: value for name, value in refit.values.items() if name.split(".")[1] in refit.hypothesis.keys}
+        return parameters.replace(plant, {**shared, **own})
+
+    def span(self, refit: Refit, against: str) -> tuple[float, float]:
+        """Lowest and highest value of a state (a word of ``freeform.AGAINST``) over the training part, without effects."""
+        low, high = math.inf, -math.inf
+        for k, recording in enumerate(self.parts[0].recordings):
+            states = self.states(refit, jax.tree.map(lambda leaf, k=k: leaf[k], self.problems[0].data.inputs))
+            martensite = np.asarray(states.fractions.martensite)[: len(recording)]
+            travelled = np.cumsum(np.abs(np.diff(martensite, axis=0)), axis=0)
+            temperature = np.asarray(states.temperature)[: len(recording)]
+            values = {"temperature": temperature, "martensite": martensite, "travel": travelled}[against]
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+        return low, high
+
+    def states(self, refit: Refit, inputs: simulate.Inputs) -> Any:
+        """States of the plant without effects, at a refit's parameters, under inputs laid out like the bench's own."""
+        return _states(dataclasses.replace(self.fitted(refit), effects=()), inputs)[0]
+
+    def scale(self, name: str) -> float:
+        """A typical change of an effect's parameter."""
+        _, key, field = name.split(".")
+        if field == "strength":
+            return self.effects[key].typical
+        declared = declarations(self.effects[key])[field]
+        return 0.3 * abs(self.values[self.names.index(name)]) or 0.15 * (declared.upper - declared.lower)
+
+    def compiled(self) -> None:
+        """Waits until the large program is compiled."""
+        self._ready.join()
+
+    def model(self, hypothesis: Hypothesis, moved: Sequence[str], problem: Problem, form: Form | None = None) -> Model:
+        """The program's data for a hypothesis on a problem; the parameters ``moved`` are the slots', in units of ``scale``.
+
+        The slots after these are the nodes of a free term, if there is one.
+        """
+        knots = len(freeform.KINDS) * freeform.KNOTS
+        fixed, matrix = np.append(self.values, np.zeros(knots)), np.zeros((len(self.names) + knots, SLOTS))
+        for name, value in hypothesis.values:
+            fixed[self.names.index(name)] = value
+        for j, name in enumerate(moved):
+            i = self.names.index(name)
+            matrix[i, j] = self.scale(name)
+            fixed[i] = 0.0
+        free = (np.zeros(len(freeform.AGAINST)), np.zeros(len(freeform.AGAINST)), np.ones(len(freeform.AGAINST)))
+        if form is not None:
+            own = slice(len(self.names) + form.kind * freeform.KNOTS, len(self.names) + (form.kind + 1) * freeform.KNOTS)
+            matrix[own, len(moved) : len(moved) + form.matrix.shape[1]] = form.matrix
+            state = freeform.AGAINST.index(form.against)
+            free[0][state], free[1][state], free[2][state] = 1.0, form.low, form.high
+        against, low, high = map(jnp.asarray, free)
+        return Model(problem, jnp.asarray(fixed), jnp.asarray(matrix), (against, low, high), self.names)
+
+    def moved(self, hypothesis: Hypothesis) -> list[str]:
+        """The parameters that a fit of a hypothesis frees: strengths first, then shapes as far as there are slots."""
+        strengths = [f"effects.{key}.strength" for key in hypothesis.keys]
+        shapes = [f"effects.{key}.{shape}" for key in hypothesis.keys for shape, _ in self.effects[key].shapes]
+        return [*strengths, *shapes][:SLOTS]
+
+    def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5, form: Form | None = None) -> Refit:
+        """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one."""
+        return self.reached(self.search(hypothesis, base, rtol=rtol, form=form).advance(max_steps))
+
+    def search(self, hypothesis: Hypothesis, base: np.ndarray, *, rtol: float = 1e-6, form: Form | None = None) -> Running:
+        """The search of ``fit`` before its first step."""
+        moved, nodes = self.moved(hypothesis), form.matrix.shape[1] if form else 0
+        lower, upper = (np.concatenate([side, np.zeros(SLOTS)]) for side in self.box)
+        for j, name in enumerate(moved):
+            declared = declarations(self.effects[name.split(".")[1]])[name.split(".")[2]]
+            lower[self.size + j], upper[self.size + j] = declared.lower / self.scale(name), declared.upper / self.scale(name)
+        lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
+        model = self.model(hypothesis, moved, self.problems[0], form)
+        start = self._start(hypothesis, base, moved)
+        return Running(least_squares.Search(_residual, model, start[None], lower, upper, rtol=rtol), hypothesis, nodes)
+
+    def reached(self, running: Running) -> Refit:
+        """Where a search ends."""
+        solved, moved, values = running.search.result(), self.moved(running.hypothesis), dict(running.hypothesis.values)
+        self.simulations += solved.simulations
+        point, columns = solved.points[0], self.size + len(moved)
+        found = {**values, **{name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)}}
+        return Refit(
+            Hypothesis(running.hypothesis.keys, tuple(found.items())), point[: self.size], solved.residuals[0],
+            solved.jacobians[0][:, :columns], solved.stops[0], point[columns : columns + running.nodes],
+        )  # fmt: skip
+
+    def evaluate(
+        self,
+        hypothesis: Hypothesis,
+        base: np.ndarray,
+        k: int,
+        moved: Sequence[str] = (),
+        form: Form | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residual on part ``k`` and its derivatives by the free parameters, by ``moved`` and by a free term's nodes."""
+        if k and self._own:
+            base = self._anchored(hypothesis, base, k)
+        return self.evaluate_at(self.problems[k], hypothesis, base, moved, form, nodes)
+
+    def evaluate_at(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        base: np.ndarray,
+        moved: Sequence[str] = (),
+        form: Form | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``evaluate``, under the inputs of a problem that is laid out like the bench's own."""
+        columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
+        start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
+        model = self.model(hypothesis, moved, problem, form)
+        solved = least_squares.Search(_residual, model, start[None], -free, free).advance(1).result()
+        self.simulations += solved.simulations
+        failed = solved.stops[0] is Stop.failed
+        return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
+
+    def _start(self, hypothesis: Hypothesis, base: np.ndarray, moved: Sequence[str], nodes: np.ndarray | None = None) -> np.ndarray:
+        values = dict(hypothesis.values)
+        slots = [values.get(name, float(self.values[self.names.index(name)])) / self.scale(name) for name in moved]
+        slots += [] if nodes is None else list(nodes)
+        return np.concatenate([base, slots, np.zeros(SLOTS - len(slots))])
+
+    def _anchored(self, hypothesis: Hypothesis, base: np.ndarray, k: int) -> np.ndarray:
+        """The base vector on part ``k``: shared parameters of ``base``, each recording's own fitted to its anchor."""
+        nominal, *ends = self._ends[k]
+        start, lower, upper = (np.concatenate([base[: self.shared], own[self.shared :], np.zeros(SLOTS)]) for own in (nominal, *ends))
+        problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
+        model = self.model(hypothesis, (), problem)
+        solved = least_squares.Search(_residual, model, start[None], lower, upper).advance(15).result()
+        self.simulations += solved.simulations
+        return solved.points[0][: self.size]
+
+    def under(self, recording: Recording) -> Problem | None:
+        """A problem under other inputs, laid out like the bench's own; ``None`` if it would need a longer grid."""
+        mine = self.problems[0]
+        inputs = simulate.lay_out(mine.plant, recording, **self._layout)
+        count, grid = mine.data.inputs.time.shape
+        samples = mine.data.inputs.rows.shape[1]
+        if len(inputs.time) > grid or len(inputs.rows) > samples:
+            return None
+        inputs = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(np.asarray(leaf)[None], count, axis=0)), inputs.padded(grid, samples))
+        data = dataclasses.replace(mine.data, inputs=inputs)
+        return self._weighted(dataclasses.replace(mine, data=data), [np.arange(len(recording))])
+
+    def columns(self, hypothesis: Hypothesis, base: np.ndarray) -> dict[tuple[str, tuple[tuple[str, float], ...]], np.ndarray]:
+        """The residual's derivative by the strength of every effect that is not there yet, at each value of its shape's grid.
+
+        Keyed by effect and shape; in units of the typical strength; on the training recording.
+        """
+        wanted = [(key, shape) for key in self.effects if key not in hypothesis.keys for shape in self.grid(key)]
+        batches: list[list[tuple[str, tuple[tuple[str, float], ...]]]] = []
+        for item in wanted:
+            home = next((b for b in batches if len(b) < SLOTS and all(other[0] != item[0] for other in b)), None)
+            if home is None:
+                batches.append(home := [])
+            home.append(item)
+
+        def one(batch: list) -> list[np.ndarray]:
+            at = hypothesis
+            for key, shape in batch:
+                at = Hypothesis(at.keys, (*at.values, *((f"effects.{key}.{n}", v) for n, v in shape)))
+            _, jacobian = self.evaluate(at, base, 0, [f"effects.{key}.strength" for key, _ in batch])
+            return [jacobian[:, self.size + j] for j in range(len(batch))]
+
+        found = in_pairs(one, batches)
+        return {item: column for batch, columns in zip(batches, found, strict=True) for item, column in zip(batch, columns, strict=True)}
+
+    def grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
+        """The shapes at which an effect is tried."""
+        shapes = self.effects[key].shapes
+        if not shapes:
+            return [()]
+        (name, values), *_ = shapes
+        return [((name, v * self.duration if name == "instant" else v),) for v in values]
+
+
+_states = eqx.filter_jit(simulate.run)
+
+
+def _made(kind: type[AbstractEffect], recordings: Sequence[Recording]) -> AbstractEffect:
+    values = {"strength": jnp.asarray(0.0)}
+    if "reference" in declarations(kind):
+        currents = [np.max(np.abs(v)) for r in recordings for c, v in r.channels.items() if c.startswith("current")]
+        values["reference"] = jnp.asarray(float(max(currents, default=0.0)) or 1.0)
+    return kind(**values)  # pyright: ignore[reportCallIssue]

@@ -1,0 +1,64 @@
+"""What may be missing: a hypothesis, how it was fitted, and a term of free form that may stand beside it."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from smajax.fit.least_squares import Stop
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """Effects that are there: their keys, and starting values of their strengths and shapes by parameter name."""
+
+    keys: tuple[str, ...] = ()
+    values: tuple[tuple[str, float], ...] = ()
+
+    def extended(self, key: str, values: dict[str, float]) -> "Hypothesis":
+        """With one more effect."""
+        return Hypothesis((*self.keys, key), (*self.values, *values.items()))
+
+    def without(self, key: str) -> "Hypothesis":
+        """With one effect less."""
+        prefix = f"effects.{key}."
+        return Hypothesis(tuple(k for k in self.keys if k != key), tuple((n, v) for n, v in self.values if not n.startswith(prefix)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Refit:
+    """A hypothesis fitted: base vector ``(p,)``, effect parameters by name, residual and Jacobian (base, then moved parameters).
+
+    ``nodes`` are those of a free term, where there is one.
+    """
+
+    hypothesis: Hypothesis
+    base: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    stop: Stop
+    nodes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Strengths and shapes by parameter name."""
+        return dict(self.hypothesis.values)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squared residuals over the noise; infinite if the simulation fails at the start point."""
+        return math.inf if self.stop is Stop.failed else float(self.residual @ self.residual)
+
+
+@dataclasses.dataclass(frozen=True)
+class Form:
+    """A free term: its kind (row of ``freeform.KINDS``), what it stands against from ``low`` to ``high``, and its nodes.
+
+    ``matrix``, shape ``(freeform.KNOTS, nodes)``, makes the knots of what the slots hold.
+    """
+
+    kind: int
+    against: str
+    low: float
+    high: float
+    matrix: np.ndarray

@@ -1,0 +1,185 @@
+"""What is done at a fit again and again: scores of what could be missing, refits with one effect more, and how they predict."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from smajax.diagnose import localise, score
+from smajax.diagnose.bench import Bench, in_pairs
+from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.fit.least_squares import Stop
+
+_HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
+_APART = 5
+_HOPELESS = 30.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """A refit, and how it does: goodness of fit on the training and on the selection recording.
+
+    ``rmse_select`` is that of the first observed channel on the selection recording, SI.
+    """
+
+    refit: Refit
+    train: float
+    select: float
+    rmse_select: float
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Its effects, in the order in which they were added."""
+        return self.refit.hypothesis.keys
+
+    @property
+    def key(self) -> str:
+        """The effect that was added last; empty without effects."""
+        return self.keys[-1] if self.keys else ""
+
+    @property
+    def total(self) -> float:
+        """What trials are compared by."""
+        return self.train + self.select
+
+
+class Extension(NamedTuple):
+    """One effect more for a fit: its key, the strength expected in units of the typical one, and its shape."""
+
+    parent: Refit
+    key: str
+    strength: float
+    shape: tuple
+
+
+@dataclasses.dataclass(frozen=True)
+class Scores:
+    """Scores at one fit: the best of each effect, at which shape, all columns, the free parameters' Jacobian, its basis, the residual
+    beyond it, and the probability of so large a gain by noise."""
+
+    found: dict[str, score.Score]
+    shapes: dict[str, tuple]
+    columns: dict
+    jacobian: np.ndarray
+    q: np.ndarray
+    left: np.ndarray
+    chance: float
+
+
+class Tracer:
+    """A bench, and what is done on it again and again."""
+
+    def __init__(self, bench: Bench, seed: int):
+        self.bench, self.seed = bench, seed
+
+    def base(self, point: np.ndarray, stop: Stop) -> Refit:
+        """The plant without effects at a fitted point."""
+        self.bench.compiled()
+        left, jacobian = self.bench.evaluate(Hypothesis(), point, 0)
+        return Refit(Hypothesis(), point, left, jacobian, stop)
+
+    def free(self, refit: Refit) -> np.ndarray:
+        """Jacobian columns that are free to move: those of parameters that are held, or on a bound that the data press against, are not."""
+        lower, upper = self.bench.box
+        gradient = refit.jacobian[:, : self.bench.size].T @ refit.residual
+        margin = 1e-9 * (1 + np.abs(refit.base))
+        pressed = ((refit.base <= lower + margin) & (gradient > 0)) | ((refit.base >= upper - margin) & (gradient < 0)) | (lower == upper)
+        return np.append(~pressed, np.ones(refit.jacobian.shape[1] - self.bench.size, bool))
+
+    def scores(self, refit: Refit) -> Scores:
+        """Scores every effect that is not there yet, at each of its shapes."""
+        bench = self.bench
+        jacobian = np.column_stack([bench.flat(c) for c in refit.jacobian[:, self.free(refit)].T])
+        q = score.basis(jacobian)
+        left = score.project(q, bench.flat(refit.residual))
+        columns = {item: bench.flat(column) for item, column in bench.columns(refit.hypothesis, refit.base).items()}
+        found: dict[str, score.Score] = {}
+        shapes: dict[str, tuple] = {}
+        for (key, shape), column in columns.items():
+            one = bench.scored(key, q, left, column)
+            if key not in found or one.gain > found[key].gain:
+                found[key], shapes[key] = one, shape
+        return Scores(found, shapes, columns, jacobian, q, left, self.chance(refit, jacobian, columns))
+
+    def chance(self, refit: Refit, jacobian: np.ndarray, columns: dict) -> float:
+        """The p-value of the largest gain, the residual's own autocorrelation taken out first."""
+        series = list(self.bench.series(refit.residual).values())
+        models = [score.noise_model(s) for s in series]
+        cuts = np.cumsum([len(s) for s in series])[:-1]
+
+        def white(v: np.ndarray) -> np.ndarray:
+            return np.concatenate([score.whiten(p, m[0]) / m[1] for p, m in zip(np.split(v, cuts), models, strict=True)])
+
+        q = score.basis(np.column_stack([white(c) for c in jacobian.T]))
+        left = score.project(q, white(self.bench.flat(refit.residual)))
+        kept = {key: self.bench.scored(key[0], q, left, white(c)) for key, c in columns.items()}
+        kept = {f"{key}{shape}": (s, self.bench.plausible(key)) for (key, shape), s in kept.items() if math.isfinite(s.smallest)}
+        largest = max((s.gain for s, _ in kept.values()), default=0.0)
+        return score.p_value({k: s.column for k, (s, _) in kept.items()}, {k: p for k, (_, p) in kept.items()}, largest, self.seed)
+
+    def shares(self, refit: Refit, scores: Scores) -> dict[str, float]:
+        """Share of a fit's residual that can live in each stage."""
+        return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
+
+    def expected(self, refit: Refit) -> float:
+        """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on the selection recording: at least 1."""
+        bench, free = self.bench, self.free(refit)
+        known = np.column_stack([bench.flat(c) for c in refit.jacobian[:, free].T])
+        _, jacobian = bench.evaluate(refit.hypothesis, refit.base, 1, bench.moved(refit.hypothesis))
+        foreign = (np.arange(len(free)) >= bench.shared) & (np.arange(len(free)) < bench.size)  # another recording's own parameters
+        asked = np.column_stack([bench.flat(c, 1) for c in np.where(foreign, 0.0, jacobian)[:, free].T])
+        return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
+
+    def race(self, extensions: Sequence[Extension], also: np.ndarray | None = None) -> list[Trial]:
+        """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
+
+        They start at their parent's point with a small strength, so that all parameters go together from there, and at the point ``also``
+        with the expected one: what a large effect has done to the other parameters may lie in the way.
+        """
+        starts = []
+        for parent, key, strength, shape in extensions:
+            typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
+            own = {f"effects.{key}.{n}": v for n, v in shape}
+            low, high = self.bench.plausible(key)
+            size = float(np.clip(strength, max(low, -2.0), min(high, 2.0))) or 0.1
+            small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
+            starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
+            if also is not None:
+                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also, True))
+        # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
+        fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
+        everyone = [s for f in fields for s in f]
+        for count, steps in _HEATS:
+            least = min((s.search.cost for s in everyone), default=math.inf)
+            fields = [sorted((s for s in f if not s.search.cost > _HOPELESS * least), key=lambda s: s.search.cost)[:count] for f in fields]
+            if steps > _APART:
+                whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
+                fields = [[s for s in whole if s.search.cost < 4.0 * whole[0].search.cost][:count]]
+            in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
+        best: dict[frozenset, Refit] = {}
+        for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
+            best.setdefault(frozenset(found.hypothesis.keys), found)
+        trials = in_pairs(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
+        return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
+
+    def nothing(self, trial: Trial) -> bool:
+        """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""
+        key = trial.key
+        return abs(trial.refit.values[f"effects.{key}.strength"]) < 1e-3 * self.bench.effects[key].typical
+
+    def settled(self, trial: Trial) -> Trial:
+        """A trial fitted to its end: from its own point, and from the rig's nominal values with the effects that it has."""
+        hypothesis = trial.refit.hypothesis
+        starts = [trial.refit.base, self.bench.nominal]
+        ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
+        return self.judged(min(ended, key=lambda r: r.chi2))
+
+    def judged(self, refit: Refit) -> Trial:
+        """A refit with its fitness on both recordings."""
+        predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
+        channel = self.bench.channels[0]
+        rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.bench.noise[channel]
+        train = self.bench.fitness(refit.residual, 0) if math.isfinite(refit.chi2) else math.inf
+        return Trial(refit, train, self.bench.fitness(predicted, 1), rmse)
