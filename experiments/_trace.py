@@ -6,8 +6,9 @@ together and predicts the held-out part, which nothing else has looked at.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from _common import Row
@@ -34,32 +35,36 @@ class Closed:
         return fitted, held, fitted_after, held_after
 
 
-def close_loop(rig: Rig, train: Part, select: Part, holdout: Part, say: Callable[[str], None], *, starts: int, seed: int = 0) -> Closed:
-    """Traces, fits again on all that may be fitted to, and predicts the held-out part."""
-    bench = Bench(rig.plant, [train, select, holdout], rig.fit, interpolation=rig.interpolation)
+def close_loop(
+    rig: Rig,
+    parts: Sequence[Part],
+    whole: Part,
+    say: Callable[[str], None],
+    *,
+    starts: int,
+    step: float | None = None,
+    seed: int = 0,
+) -> Closed:
+    """Traces on the first of ``parts`` with the second selecting, fits again to ``whole``, and predicts the third."""
+    layout: dict[str, Any] = {"interpolation": rig.interpolation, "step": step}
+    bench = Bench(rig.plant, parts, rig.fit, **layout)
     _, story = trace(bench, seed=seed, starts=starts, say=say)
     say("fitting to the training and the selection part together")
-    whole = Bench(rig.plant, [_joined(train, select), holdout], rig.fit, interpolation=rig.interpolation)
-    whole.set_noise(bench.noise)
+    final = Bench(rig.plant, [whole, parts[2]], rig.fit, **layout)
+    final.set_noise(bench.noise)
 
     def last(hypothesis: Hypothesis, near: np.ndarray) -> Refit:
-        starts = [np.append(near[: whole.shared], whole.nominal[whole.shared :]), whole.nominal]
-        return min((whole.fit(hypothesis, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
+        starts = [np.append(near[: final.shared], final.nominal[final.shared :]), final.nominal]
+        return min((final.fit(hypothesis, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
 
     def residuals(refit: Refit) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        predicted, _ = whole.evaluate(refit.hypothesis, refit.base, 1)
-        fitted, held = whole.series(refit.residual), whole.series(predicted, 1)
-        return {c: v * whole.noise[c] for c, v in fitted.items()}, {c: v * whole.noise[c] for c, v in held.items()}
+        predicted, _ = final.evaluate(refit.hypothesis, refit.base, 1)
+        fitted, held = final.series(refit.residual), final.series(predicted, 1)
+        return {c: v * final.noise[c] for c, v in fitted.items()}, {c: v * final.noise[c] for c, v in held.items()}
 
-    plain = last(Hypothesis(), story.first.refit.base)
-    final = last(story.last.refit.hypothesis, story.last.refit.base)
-    return Closed(story, residuals(plain), residuals(final), final)
-
-
-def _joined(first: Part, second: Part) -> Part:
-    scored = tuple(np.ones(len(r), bool) for r in first.recordings) if not first.scored else first.scored
-    more = tuple(np.ones(len(r), bool) for r in second.recordings) if not second.scored else second.scored
-    return Part((*first.recordings, *second.recordings), (*scored, *more))
+    before = last(Hypothesis(), story.first.refit.base)
+    after = last(story.last.refit.hypothesis, story.last.refit.base)
+    return Closed(story, residuals(before), residuals(after), after)
 
 
 def effect_rows(closed: Closed, prefix: str = "") -> list[Row]:

@@ -19,7 +19,7 @@ class GradualTransformation(MaterialEffect):
     width: jax.Array = parameter("K", "width of the logistic distribution of the grains' temperatures", 1.0, 40.0, 8.0)
     key = "gradual-transformation"
     typical = 0.3
-    source = "isobaric cycles of actuator wire, rounded at all four corners (tamu-flexinol-isobaric: tails of 20 to 40 K)"
+    source = "isobaric cycles of actuator wire, rounded at all four corners: tails of 20 to 40 K"
     confused_with = ("temperature-distribution", "minor-loop-shape", "stress-dependent-strain")
     shapes = (("width", (5.0, 12.0)),)
 
