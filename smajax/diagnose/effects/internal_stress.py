@@ -11,14 +11,14 @@ from smajax.plant.material.base import AbstractMaterial, Fractions
 class InternalStress(MaterialEffect):
     """In a share s of the material, internal stresses of all sizes up to one worth ``reach`` favour the detwinned martensite.
 
-    There the reverse transformation ends, and the forward one begins, ``reach`` K higher, while their other ends stay: both bands are wider.
+    There the reverse transformation ends, and the forward one begins, ``reach`` K higher, while their other ends stay.
     """
 
     strength: jax.Array = parameter("1", "share of the material in internal stress fields", 0.0, 0.5, 0.0)
     reach: jax.Array = parameter("K", "how much wider both bands are there", 5.0, 300.0, 60.0)
     key = "internal-stress"
     typical = 0.1
-    source = "estimate: trained wires keep 5 to 20 % of their martensite in tails of tens of kelvin (internal stress of training: Bo, Lagoudas 1999)"
+    source = "estimate: 5 to 20 % of a trained wire; training leaves internal stress (Bo, Lagoudas 1999)"
     confused_with = ("temperature-distribution", "minor-loop-shape", "r-phase")
     shapes = (("reach", (30.0, 120.0)),)
 
