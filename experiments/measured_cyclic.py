@@ -40,8 +40,8 @@ PLATEAU = (80.0, 200.0)  # degC: rows outside
 TARGETS = (0.065, 0.125)  # % of strain, plateau rows and all rows
 STRESS = 300e6
 WITHOUT = {
-    "clausius-asymmetry": "one stress", "stress-dependent-strain": "one stress", "encoder-gain": "absorbed by the transformation strain",
-    "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
+    "clausius-asymmetry": "one stress", "stress-dependent-strain": "one stress", "slip": "one stress",
+    "encoder-gain": "absorbed by the transformation strain", "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
 }  # fmt: skip
 RIG = """
 schema = 1
