@@ -213,18 +213,11 @@ def round_rows(rounds: Sequence[Round], show: Callable[[float], str]) -> list[Ro
     rows = []
     for k, each in enumerate(rounds, 1):
         tried = ", ".join(f"{t.effects[-1].label} {show(t.error)}" for t in each.tried)
-        rows.append(
-            Row(
-                f"round {k}, tried: RMSE of the selection part",
-                f"< {show((1.0 - CUT) * each.before.error)}, 5 % below {show(each.before.error)}",
-                tried,
-                each.accepted,
-                {"before": each.before.error, "after": {t.effects[-1].label: t.error for t in each.tried}},
-            )
-        )
+        numbers = {"before": each.before.error, "after": {t.effects[-1].label: t.error for t in each.tried}}
+        rows.append(Row(f"round {k}: selection part from {show(each.before.error)} to", "-", tried, None, numbers))
         if each.accepted:
             same = ", ".join(t.effects[-1].label for t in each.equivalents) or "none"
-            rows.append(Row(f"round {k}: {each.tried[0].effects[-1].label} is accepted; within 5 % of it", "-", same, None))
+            rows.append(Row(f"round {k}: accepted is {each.tried[0].effects[-1].label}; as good within 5 %", "-", same, None))
         else:
             rows.append(Row(f"round {k}: nothing is accepted", "-", "no effect cuts the selection part's RMSE by more than 5 %", None))
     return rows

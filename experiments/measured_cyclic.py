@@ -41,7 +41,8 @@ TARGETS = (0.065, 0.125)  # % of strain, plateau rows and all rows
 STRESS = 300e6
 WITHOUT = {
     "clausius-asymmetry": "one stress", "stress-dependent-strain": "one stress", "slip": "one stress",
-    "encoder-gain": "absorbed by the transformation strain", "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
+    "encoder-gain": "absorbed by the transformation strain",
+    "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
 }  # fmt: skip
 RIG = """
 schema = 1

@@ -11,7 +11,7 @@ DIR holds one workbook a temperature, ``pseudoelastic_...C.xlsx``. What is done 
   40 degC is reset twice; a row stands for a second, as in the other two.
 - The wire is slack where the load reads about -4 N (-30 MPa), because it cannot push. That is taken for the load cell's zero: the median
   of the negative readings of the fitted loops is subtracted from all loads, and what is still negative is zero.
-- Every fourth row is fitted; all rows are scored.
+- Every eighth row is fitted; all rows are scored.
 
 Effects are chosen by every third of twelve stretches of each fitted loop: models are fitted to the other stretches and led through these.
 Neither loop can be spared as a whole, since it takes two temperatures to know what depends on temperature, and the last third of a loop
@@ -36,7 +36,7 @@ from smajax.recording import Recording
 FITTED, HELD = (0, 100), 40  # degC
 DROPOUT = 0.10  # strain
 PRELOAD = 3.0  # N
-THINNED = 4  # rows
+THINNED = 8  # rows
 STRETCHES = 12  # of a fitted loop's rows, every third of which chooses between effects
 TARGET = 33.0  # MPa
 WITHOUT = {
@@ -207,8 +207,8 @@ def main() -> None:
         if not path.is_file():
             refuse(f"{path} is no file: give the folder of pseudoelastic_...C.xlsx by --data")
     loops = {t: read_loop(path) for t, path in paths.items()}
-    every = 4 * THINNED if args.quick else THINNED
-    search = Search(RIG, "stress", train(loops, every), select(loops, every), 30 if args.quick else 80)
+    every = 2 * THINNED if args.quick else THINNED
+    search = Search(RIG, "stress", train(loops, every), select(loops, every), 30 if args.quick else 60)
     rig, final, held = search.rig(), fitted(loops, every), holdout(loops)
     settings = dataclasses.replace(rig.fit, starts=1) if args.quick else rig.fit
     say("fitting the base model to the training part")
