@@ -109,15 +109,15 @@ class Search:
         names = tuple(name for c in effects for name in c.names)
         return dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, free=(*rig.fit.free, *names)))
 
-    def candidates(self, keys: Sequence[str] = (), without: Mapping[str, str] | None = None) -> list[Candidate]:
-        """The effects of the catalogue that this rig can have, but for those that act on a drive or on a heat balance.
+    def candidates(self, without: Mapping[str, str]) -> list[Candidate]:
+        """The effects of the catalogue that this rig can have, ``without`` some, and without those on a drive or on a heat balance.
 
-        ``keys`` limits them, ``without`` leaves some out. A shape that the diagnosis holds is free in a second candidate.
+        A shape that the diagnosis holds is free in a second candidate.
         """
         traits = self.rig().plant.traits((self.channel,))
         found = []
         for key, kind in catalogue().items():
-            if kind.stage in ("drive", "heat") or kind.obstacle(traits) or key in (without or {}) or (keys and key not in keys):
+            if kind.stage in ("drive", "heat") or kind.obstacle(traits) or key in without:
                 continue
             usual = tuple(name for name, _ in kind.shapes)
             grid = tuple({name: value} for name, values in kind.shapes[:1] for value in values) or ({},)
