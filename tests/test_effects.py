@@ -57,7 +57,6 @@ KEYS = [
     "creep",
     "temperature-distribution",
     "encoder-drift",
-    "internal-stress",
     "slip",
 ]
 
