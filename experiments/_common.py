@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -90,6 +90,12 @@ def agreement(fits: Sequence[Fit]) -> Row:
     text = f"{same} of {len(fits)} end within 0.1 % of the lowest cost, the worst {apart:.2f} % above; {fits[0].starts} starts each; "
     text += fits[0].stop.text
     return Row("is it the best that this model can do?", "one optimum from all start points", text, same == len(fits), {"costs": costs})
+
+
+def refuse(sentence: str) -> NoReturn:
+    """Ends the experiment for bad input: one sentence on stderr, exit code 2."""
+    print(sentence, file=sys.stderr)
+    sys.exit(2)
 
 
 def say(text: str) -> None:

@@ -1,5 +1,6 @@
 """The experiments on recordings by others: what they read, and what they say of folders that they cannot use. Their fits are no tests."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +25,7 @@ def levels(folder: Path, *stresses: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["measured_isobaric", "measured_muscle_electric"])
+@pytest.mark.parametrize("name", ["measured_isobaric", "measured_muscle_electric", "measured_cyclic", "measured_superelastic"])
 def test_a_folder_that_is_not_there_is_named(name, tmp_path):
     done = run(name, "--data", str(tmp_path / "nowhere"))
     assert done.returncode == 2
@@ -47,3 +48,48 @@ def test_the_measured_levels_are_found(shared):
     done = run("measured_isobaric", "--data", str(shared / "data" / "tamu-flexinol-isobaric"), "--holdout", "1")
     assert done.returncode == 2
     assert "50, 100, 150, 172, 200 MPa" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("20 0.01\n30 abc\n", "two columns of numbers"),
+        ("20 0.01 3\n" * 20, "3 columns"),
+        ("20 0.01\n" * 20, "0 cycles go above 200 degC"),
+    ],
+)
+def test_cycles_that_cannot_be_read_are_refused(text, said, tmp_path):
+    (tmp_path / "Example Test Data.txt").write_text(text)
+    done = run("measured_cyclic", "--data", str(tmp_path))
+    assert done.returncode == 2
+    assert "Example Test Data.txt" in done.stderr and said in done.stderr
+
+
+def test_a_workbook_that_is_none_is_refused(tmp_path):
+    for temperature in (0, 40, 100):
+        (tmp_path / f"pseudoelastic_{temperature}C.xlsx").write_text("no workbook")
+    done = run("measured_superelastic", "--data", str(tmp_path))
+    assert done.returncode == 2
+    assert "pseudoelastic_0C.xlsx cannot be read" in done.stderr
+
+
+def quick_rows(name: str, folder: Path, tmp_path: Path) -> dict[str, dict]:
+    """The rows of a quick run by what they say."""
+    done = run(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
+    assert done.returncode == 0, done.stderr
+    return {row["what"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
+
+
+def test_an_effect_forecasts_the_measured_cycles_better_than_the_base_model(shared, tmp_path):
+    rows = quick_rows("measured_cyclic", shared / "data" / "asmada-cyclic", tmp_path)
+    base = rows["base model: held out, plateau rows"]["numbers"]["percent"]
+    assert rows["all effects: held out, plateau rows"]["numbers"]["percent"] < 0.7 * base
+    assert rows["rows scored"]["measured"].startswith("all: 10404")
+    assert rows["all effects against the naive forecast, plateau rows"]["met"] is False  # one effect is not enough, and the table says so
+
+
+def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared, tmp_path):
+    rows = quick_rows("measured_superelastic", shared / "data" / "tamu-muscle-superelastic", tmp_path)
+    base = rows["base model: held out, 40 degC"]["numbers"]["rmse_MPa"]
+    assert rows["all effects: held out, 40 degC"]["numbers"]["rmse_MPa"] < 0.7 * base
+    assert rows["rows left out as dropouts"]["measured"] == "1 at 0 degC, 0 at 100 degC, 0 at 40 degC"

@@ -1,0 +1,235 @@
+"""Greedy forward search for effects on recordings by others: fitted on one part, chosen on another, and shown on a third.
+
+Each round adds each effect of the catalogue in turn to the rig, as ``[effects.KEY]``, fits all free parameters together with its strength
+and its shapes to the training part, starting from the optimum without it, and scores the selection part. The best one is accepted if it
+cuts the RMSE there by more than 5 %. The held-out part is scored afterwards only, with the models refitted to training and selection part
+together.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from _common import Row, say
+
+from smajax import parameters
+from smajax.diagnose.effects import catalogue
+from smajax.errors import NumericsError
+from smajax.fit.fit import Fit, fit, respond
+from smajax.parameters import declarations
+from smajax.plant.plant import Plant
+from smajax.recording import Recording
+from smajax.rig import Rig, parse_rig
+
+CUT = 0.05  # share of the selection part's RMSE that an effect has to take away
+FIRST_STRENGTH = 0.2  # of the typical one, at which a fit with an effect starts
+
+
+@dataclass(frozen=True)
+class Part:
+    """Recordings, and the rows of each that count: what lies before leads the model to its state there."""
+
+    recordings: list[Recording]
+    rows: list[np.ndarray]
+
+    @classmethod
+    def whole(cls, recordings: Sequence[Recording]) -> Part:
+        """All rows of all recordings count."""
+        return cls(list(recordings), [np.full(len(r), True) for r in recordings])
+
+    @property
+    def count(self) -> int:
+        """Number of rows that count."""
+        return int(sum(np.sum(rows) for rows in self.rows))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect with the shapes that are fitted with its strength; ``starts`` are the shapes' values to start from."""
+
+    key: str
+    shapes: tuple[str, ...]
+    starts: tuple[Mapping[str, float], ...]
+
+    @property
+    def label(self) -> str:
+        """The effect's key, with its shapes where not all of them are usually free."""
+        usual = tuple(name for name, _ in catalogue()[self.key].shapes)
+        return self.key if self.shapes == usual else f"{self.key} ({', '.join(set(self.shapes) - set(usual))} free)"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that a fit with it frees beside the rig's own."""
+        return tuple(f"effects.{self.key}.{field}" for field in ("strength", *self.shapes))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A set of effects, its fit to the training part, and the RMSE (SI) of the selection part."""
+
+    effects: tuple[Candidate, ...]
+    result: Fit
+    error: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """All effects that were tried on top of ``before``, best first; the first of them was ``accepted`` or nothing was."""
+
+    before: Trial
+    tried: list[Trial]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the best effect cuts the RMSE of the selection part by more than 5 %."""
+        return bool(self.tried) and self.tried[0].error < (1.0 - CUT) * self.before.error
+
+    @property
+    def equivalents(self) -> list[Trial]:
+        """The others whose RMSE on the selection part is within 5 % of the best one's."""
+        return [t for t in self.tried[1:] if t.error <= self.tried[0].error / (1.0 - CUT)]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What the search runs on: the base rig's text, the channel that is fitted, the parts, and the number of steps of a fit."""
+
+    text: str
+    channel: str
+    train: Part
+    select: Part
+    max_steps: int = 60
+
+    def rig(self, effects: Sequence[Candidate] = ()) -> Rig:
+        """The base rig with these effects, their strengths and shapes free."""
+        rig = parse_rig(self.text + "".join(f"\n[effects.{c.key}]\n" for c in effects))
+        names = tuple(name for c in effects for name in c.names)
+        return dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, free=(*rig.fit.free, *names)))
+
+    def candidates(self, without: Mapping[str, str]) -> list[Candidate]:
+        """The effects of the catalogue that this rig can have, ``without`` some, and without those on a drive or on a heat balance.
+
+        A shape that the diagnosis holds is free in a second candidate.
+        """
+        traits = self.rig().plant.traits((self.channel,))
+        found = []
+        for key, kind in catalogue().items():
+            if kind.stage in ("drive", "heat") or kind.obstacle(traits) or key in without:
+                continue
+            usual = tuple(name for name, _ in kind.shapes)
+            grid = tuple({name: value} for name, values in kind.shapes[:1] for value in values) or ({},)
+            found.append(Candidate(key, usual, grid))
+            held = tuple(name for name in declarations(kind) if name != "strength" and name not in usual)
+            if held:
+                middle = {n: 0.5 * float(declarations(kind)[n].default or 1.0) for n in held}
+                found.append(Candidate(key, (*usual, *held), tuple({**start, **middle} for start in grid)))
+        return found
+
+    def refit(self, part: Part, effects: Sequence[Candidate], values: Mapping[str, float]) -> Fit | None:
+        """The best fit of a set of effects to a part, starting from ``values`` and from each start of the last effect's shapes.
+
+        Parameters that ``values`` does not have start as the rig has them. ``None`` if the simulation fails at all starts.
+        """
+        rig, fits = self.rig(effects), []
+        last = effects[-1] if effects else None
+        new = last is not None and f"effects.{last.key}.strength" not in values
+        for start in last.starts if last and new else ({},):
+            begin = dict(values)
+            if last and new:
+                begin[f"effects.{last.key}.strength"] = FIRST_STRENGTH * catalogue()[last.key].typical
+                begin |= {f"effects.{last.key}.{name}": value for name, value in start.items()}
+            try:
+                settings = dataclasses.replace(rig.fit, starts=1)
+                fits.append(fit(parameters.replace(rig.plant, begin), part.recordings, settings, max_steps=self.max_steps))
+            except NumericsError as error:
+                say(f"{last.label if last else 'base'}: {error}")
+        return min(fits, key=lambda f: f.cost) if fits else None
+
+    def error(self, plant: Plant, part: Part) -> float:
+        """RMSE of a part in SI."""
+        return rms(residual(plant, part, self.channel))
+
+    def rounds(self, base: Fit, candidates: Sequence[Candidate], limit: int) -> list[Round]:
+        """The rounds of the search from a base model that is fitted to the training part; the last one may have accepted nothing."""
+        now, rounds = Trial((), base, self.error(base.plant, self.select)), []
+        say(f"base: selection part {now.error:.5g}")
+        while len(rounds) < limit:
+            there = {c.key for c in now.effects}
+            tried = []
+            for candidate in candidates:
+                if candidate.key in there:
+                    continue
+                effects = (*now.effects, candidate)
+                result = self.refit(self.train, effects, estimates(now.result))
+                if result is not None:
+                    tried.append(Trial(effects, result, self.error(result.plant, self.select)))
+                    say(f"{' + '.join(c.label for c in effects)}: selection part {tried[-1].error:.5g}")
+            rounds.append(Round(now, sorted(tried, key=lambda t: t.error if np.isfinite(t.error) else np.inf)))
+            if not rounds[-1].accepted:
+                break
+            now = rounds[-1].tried[0]
+        return rounds
+
+
+def estimates(result: Fit) -> dict[str, float]:
+    """A fit's shared parameters by name."""
+    return {e.name: e.estimate for e in result.estimates if "@" not in e.name}
+
+
+def residual(plant: Plant, part: Part, channel: str) -> np.ndarray:
+    """Measured minus modelled in the rows of a part that count, SI, one recording after the other."""
+    count = len(part.recordings)
+    responses, _ = respond([plant] * count, part.recordings, ["holdout"] * count, (channel,), "hold", None)
+    return np.concatenate([r.residual(channel)[rows] for r, rows in zip(responses, part.rows, strict=True)])
+
+
+def rms(values: np.ndarray) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def chosen(rounds: Sequence[Round]) -> list[tuple[Candidate, ...]]:
+    """The sets of effects that were accepted, one after the other."""
+    return [r.tried[0].effects for r in rounds if r.accepted]
+
+
+def chain(search: Search, fitted: Part, base: Fit, sets: Sequence[tuple[Candidate, ...]]) -> list[Fit]:
+    """The base model's fit and those of the growing sets of effects to a part, each from the optimum of the one before."""
+    fits = [base]
+    for effects in sets:
+        result = search.refit(fitted, effects, estimates(fits[-1]))
+        if result is None:
+            break
+        fits.append(result)
+        say(f"refitted with {' + '.join(c.label for c in effects)}: cost {result.cost:.6g}")
+    return fits
+
+
+def round_rows(rounds: Sequence[Round], show: Callable[[float], str]) -> list[Row]:
+    """One line for each round: what was tried, and how each effect did on the selection part."""
+    rows = []
+    for k, each in enumerate(rounds, 1):
+        tried = ", ".join(f"{t.effects[-1].label} {show(t.error)}" for t in each.tried)
+        numbers = {"before": each.before.error, "after": {t.effects[-1].label: t.error for t in each.tried}}
+        rows.append(Row(f"round {k}: selection part from {show(each.before.error)} to", "-", tried, None, numbers))
+        if each.accepted:
+            same = ", ".join(t.effects[-1].label for t in each.equivalents) or "none"
+            rows.append(Row(f"round {k}: accepted is {each.tried[0].effects[-1].label}; as good within 5 %", "-", same, None))
+        else:
+            rows.append(Row(f"round {k}: nothing is accepted", "-", "no effect cuts the selection part's RMSE by more than 5 %", None))
+    return rows
+
+
+def estimate_rows(result: Fit) -> list[Row]:
+    """One line for each parameter of a fit with its 95 % interval, and one for each group that cannot be told apart."""
+    rows = []
+    for e in result.estimates:
+        known = f"{e.lower95:.5g} .. {e.upper95:.5g}" if e.lower95 is not None else "-"
+        rows.append(Row(e.name, "-", f"{e.estimate:.5g} {e.unit} ({'held at its bound' if e.at_bound else known})", None))
+    for group in result.indistinct:
+        what = f"{', '.join(group.parameters)} together leave {100 * group.shrink:.1f} % of their effect"
+        rows.append(Row("cannot be told apart", "-", what, None))
+    return rows

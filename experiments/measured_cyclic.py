@@ -1,0 +1,256 @@
+"""A hundred thermal cycles of an actuator under constant load, measured by others: fit cycles 2 to 60, predict 61 to 100.
+
+    python experiments/measured_cyclic.py [--data DIR] [--quick] [--json FILE] [--out DIR]
+
+DIR holds one text file with columns temperature (degC) and strain (fraction), without time and without stress. What is done with it:
+
+- Cycle 1 starts from an unknown state and is left out; all parts start with cycle 2. Cycles 2 to 40 train the models while effects are
+  chosen, 41 to 60 choose, 2 to 60 are fitted anew with the effects chosen, and 61 to 100 are only predicted. A part that chooses or is
+  predicted is simulated from cycle 2 on, so that what builds up with the cycles has built up, and scored in its own cycles only.
+- The temperature scatters by 5 K, and every small reversal would move a rate law forth and back: it is smoothed over 9 rows. The same
+  smoothed temperature decides which rows lie on a plateau (below 80 or above 200 degC).
+- Every third row is fitted (and every hot and cold end); all rows are scored.
+- The stress is not stated. At one stress its value is absorbed by the transformation temperatures; 300 MPa and 6 MPa/K are taken, so
+  these temperatures mean nothing in themselves.
+- There is no clock. Where an effect needs one, a row stands for a second, and its time constant is one of rows.
+
+Effects are added one after the other by ``_forward``. Which ones cannot show here is said in ``WITHOUT``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+from _common import ROOT, Row, agreement, finish, from_elsewhere, refuse, say
+from _figures import Chart, Curve, draw
+from _forward import Part, Search, chain, chosen, estimate_rows, residual, rms, round_rows
+
+from smajax.fit.fit import Fit
+from smajax.recording import Recording
+
+FILE = "Example Test Data.txt"
+FIRST, TRAINED, FITTED, LAST = 2, 40, 60, 100  # the first cycle used, and the last of training, fitted and held-out part
+SMOOTHED, THINNED = 9, 3  # rows
+HOT = 200.0  # degC, passed once up and once down in each cycle
+PLATEAU = (80.0, 200.0)  # degC: rows outside
+TARGETS = (0.065, 0.125)  # % of strain, plateau rows and all rows
+STRESS = 300e6
+WITHOUT = {
+    "clausius-asymmetry": "one stress", "stress-dependent-strain": "one stress", "slip": "one stress",
+    "encoder-gain": "absorbed by the transformation strain",
+    "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
+}  # fmt: skip
+RIG = """
+schema = 1
+[rig]
+kind = "path"
+[material]
+martensite_start = "80 degC"
+martensite_finish = "0 degC"
+austenite_start = "55 degC"
+austenite_finish = "85 degC"
+clausius_clapeyron_austenite = "6 MPa/K"
+clausius_clapeyron_martensite = "6 MPa/K"
+modulus_austenite = "60 GPa"
+modulus_martensite = "60 GPa"
+detwinning_start_stress = "0 MPa"
+detwinning_finish_stress = "250 MPa"
+max_strain = "3.7 %"
+[environment]
+ambient = "20 degC"
+[fit]
+free = ["material.martensite_start", "material.austenite_start", "material.austenite_finish", "material.detwinning_finish_stress",
+        "material.max_strain", "material.thermal_expansion_austenite", "material.thermal_expansion_martensite", "sensor.strain_offset"]
+observe = ["strain"]
+noise = { strain = "0.1 %" }
+starts = 4
+[fit.bounds]
+"material.austenite_start" = ["0 degC", "79 degC"]
+"material.austenite_finish" = ["79 degC", "250 degC"]
+"material.martensite_start" = ["1 degC", "130 degC"]
+"material.detwinning_finish_stress" = ["5 MPa", "300 MPa"]
+"material.max_strain" = ["1.5 %", "7 %"]
+"material.thermal_expansion_austenite" = ["-3e-4 1/K", "3e-4 1/K"]
+"material.thermal_expansion_martensite" = ["-3e-4 1/K", "3e-4 1/K"]
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Test:
+    """Smoothed temperature in degC and strain, shape ``(n,)``; first rows of the cycles, with the end behind them; rows of hot ends."""
+
+    temperature: np.ndarray
+    strain: np.ndarray
+    first: np.ndarray
+    hot: np.ndarray
+
+    def rows(self, start: int, stop: int, every: int = 1) -> np.ndarray:
+        """Row numbers of the cycles ``start`` to ``stop``: every so many, and all hot and cold ends."""
+        rows = np.arange(self.first[start - 1], self.first[stop])
+        ends = np.concatenate([self.hot, self.first])
+        return np.union1d(rows[::every], ends[(ends >= rows[0]) & (ends <= rows[-1])])
+
+    def recording(self, name: str, rows: np.ndarray) -> Recording:
+        """These rows as a path whose time is the row number."""
+        channels = {"temperature": self.temperature[rows], "stress": np.full(len(rows), STRESS), "strain": self.strain[rows]}
+        path = Recording.from_arrays(name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"})
+        return dataclasses.replace(path, time=rows.astype(float))
+
+    def part(self, name: str, scored: tuple[int, int], every: int = 1) -> Part:
+        """The cycles from the first one used to ``scored[1]``, of which those from ``scored[0]`` on count."""
+        rows = self.rows(FIRST, scored[1], every)
+        return Part([self.recording(name, rows)], [rows >= self.first[scored[0] - 1]])
+
+
+def read_test(path: Path) -> Test:
+    """The file's columns with the temperature smoothed, cut into cycles at the coldest row between two hot ends."""
+    if not path.is_file():
+        refuse(f"{path} is no file: give the folder of '{FILE}' by --data")
+    try:
+        columns = np.loadtxt(path, ndmin=2)
+    except (ValueError, UnicodeDecodeError) as error:
+        refuse(f"{path}: two columns of numbers are needed, temperature and strain: {str(error).splitlines()[0]}")
+    if columns.shape[1] != 2 or len(columns) < SMOOTHED or not np.all(np.isfinite(columns)):
+        refuse(f"{path}: {columns.shape[1]} columns and {len(columns)} rows: two columns of finite numbers are needed")
+    half = SMOOTHED // 2
+    temperature = np.convolve(np.pad(columns[:, 0], half, mode="edge"), np.full(SMOOTHED, 1.0 / SMOOTHED), "valid")
+    passes = np.flatnonzero(np.diff((temperature > HOT).astype(int))) + 1
+    hot = [a + int(np.argmax(temperature[a:b])) for a, b in zip(passes[::2], passes[1::2], strict=False)]
+    cold = [a + int(np.argmin(temperature[a:b])) for a, b in itertools.pairwise(hot)]
+    if len(hot) < LAST:
+        refuse(f"{path}: {len(hot)} cycles go above {HOT:g} degC and back: {LAST} are needed")
+    return Test(temperature, columns[:, 1], np.array([0, *cold, len(temperature)]), np.array(hot))
+
+
+def train(test: Test, every: int) -> Part:
+    """What models are fitted to while effects are chosen."""
+    return test.part("cycles 2 to 40", (FIRST, TRAINED), every)
+
+
+def select(test: Test, every: int) -> Part:
+    """What chooses between effects."""
+    return test.part("cycles 41 to 60", (TRAINED + 1, FITTED), every)
+
+
+def fitted(test: Test, every: int) -> Part:
+    """What the chosen models are fitted to in the end: training and selection part."""
+    return test.part("cycles 2 to 60", (FIRST, FITTED), every)
+
+
+def holdout(test: Test) -> Part:
+    """What is only predicted: all rows of its cycles."""
+    return test.part("cycles 61 to 100", (FITTED + 1, LAST))
+
+
+def on_plateau(part: Part) -> np.ndarray:
+    """Which of a part's scored rows lie on a plateau."""
+    temperature = np.concatenate([r.channels["temperature"][rows] for r, rows in zip(part.recordings, part.rows, strict=True)])
+    return (temperature < PLATEAU[0]) | (temperature > PLATEAU[1])
+
+
+def repeated(test: Test) -> np.ndarray:
+    """What is left of the held-out rows if cycle 60 is repeated: its strain at the same temperature, heating for heating."""
+
+    def branches(cycle: int) -> list[np.ndarray]:
+        return np.split(np.arange(test.first[cycle - 1], test.first[cycle]), [test.hot[cycle - 1] + 1 - test.first[cycle - 1]])
+
+    left = []
+    for cycle in range(FITTED + 1, LAST + 1):
+        for known, rows in zip(branches(FITTED), branches(cycle), strict=True):
+            order = known[np.argsort(test.temperature[known])]
+            left.append(test.strain[rows] - np.interp(test.temperature[rows], test.temperature[order], test.strain[order]))
+    return np.concatenate(left)
+
+
+def percent(left: np.ndarray, plateau: np.ndarray) -> tuple[float, float]:
+    """RMSE in % of strain over plateau rows and over all rows."""
+    return 100 * rms(left[plateau]), 100 * rms(left)
+
+
+def score_rows(what: str, scores: tuple[float, float], targets: bool = False) -> list[Row]:
+    """A line each for plateau rows and all rows."""
+    names = ("plateau rows", "all rows")
+    return [
+        Row(f"{what}, {name}", f"<= {t} %" if targets else "-", f"{s:.4f} %", s <= t if targets else None, {"percent": s})
+        for name, s, t in zip(names, scores, TARGETS, strict=True)
+    ]
+
+
+def pictures(folder: Path, test: Test, part: Part, fits: list[Fit], left: list[np.ndarray]) -> None:
+    """The drift of both plateaus over the cycles, and the last cycle, with what the base and the last model say."""
+    rows = test.rows(FITTED + 1, LAST)
+    cycle = np.searchsorted(test.first, rows, side="right")
+    for name, end in (("hot", test.temperature[rows] > PLATEAU[1]), ("cold", test.temperature[rows] < PLATEAU[0])):
+        cycles = np.arange(FITTED + 1, LAST + 1)
+        measured = np.array([100 * np.mean(test.strain[rows][end & (cycle == n)]) for n in cycles])
+        curves = [Curve("measured", cycles, measured)]
+        for label, r in (("without effects", left[0]), (f"with {len(fits) - 1} effects", left[-1])):
+            off = np.array([100 * np.mean(r[end & (cycle == n)]) for n in cycles])
+            curves.append(Curve(label, cycles, measured - off, dashed=True))
+        draw(Chart(f"Mean strain of the {name} plateau, held out", "cycle", "strain [%]", curves), folder, f"measured_cyclic_{name}")
+    last = cycle == LAST
+    temperature, measured = test.temperature[rows][last], 100 * test.strain[rows][last]
+    curves = [Curve("measured", temperature, measured)]
+    curves += [Curve("without effects", temperature, measured - 100 * left[0][last], dashed=True)]
+    curves += [Curve(f"with {len(fits) - 1} effects", temperature, measured - 100 * left[-1][last], dashed=True)]
+    draw(Chart(f"Cycle {LAST}, held out", "temperature [degC]", "strain [%]", curves), folder, "measured_cyclic_last")
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "asmada-cyclic")
+    parser.add_argument("--quick", action="store_true", help="every twelfth row, one effect, one round, two start points")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--out", type=Path, metavar="DIR")
+    args = parser.parse_args()
+    test = read_test(args.data / FILE)
+    every = 4 * THINNED if args.quick else THINNED
+    search = Search(RIG, "strain", train(test, every), select(test, every))
+    rig, final, held = search.rig(), fitted(test, every), holdout(test)
+    plateau = on_plateau(held)
+    settings = dataclasses.replace(rig.fit, starts=1) if args.quick else rig.fit
+    say("fitting the base model to the training part")
+    base = from_elsewhere(rig, search.train.recordings, settings, 1, max_steps=search.max_steps)[0]
+    candidates = [c for c in search.candidates(WITHOUT) if not args.quick or c.label == "ratcheting"]
+    rounds = search.rounds(base, candidates, 1 if args.quick else 6)
+    say("fitting the base model to training and selection part")
+    bases = from_elsewhere(rig, final.recordings, settings, 2 if args.quick else 10, max_steps=search.max_steps)
+    fits = chain(search, final, bases[0], chosen(rounds))
+    left = [residual(f.plant, held, "strain") for f in fits]
+    naive = percent(repeated(test), plateau)
+
+    rows = [
+        Row("parts", "-", f"train {FIRST} to {TRAINED}, select {TRAINED + 1} to {FITTED}, held out {FITTED + 1} to {LAST}", None),
+        Row(
+            "rows", "-", f"every {every}. fitted, {len(final.recordings[0])}; {held.count} scored, {int(np.sum(plateau))} on plateaus", None
+        ),
+        Row("temperature", "-", f"smoothed over {SMOOTHED} rows", None),
+        Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in WITHOUT.items()), None),
+        *round_rows(rounds, lambda error: f"{100 * error:.4f} %"),
+    ]
+    labels = ["base model", *(f"and {c[-1].label}" for c in chosen(rounds))]
+    for label, each, r in zip(labels, fits, left, strict=False):
+        rows.append(Row(f"{label}: RMSE fitted", "-", f"{100 * (each.rmse('strain') or np.nan):.4f} %", None))
+        rows += score_rows(f"{label}: held out", percent(r, plateau))
+    scores = percent(left[-1], plateau)
+    rows += score_rows("all effects: held out", scores, targets=True)
+    rows += score_rows(f"naive forecast, cycle {FITTED} repeated", naive)
+    for name, ours, theirs in zip(("plateau rows", "all rows"), scores, naive, strict=True):
+        rows.append(
+            Row(f"all effects against the naive forecast, {name}", "below it", f"{ours:.4f} % against {theirs:.4f} %", ours < theirs)
+        )
+    rows.append(dataclasses.replace(agreement(bases), what="base model: is it the best that it can do?"))
+    rows += estimate_rows(fits[-1])
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        pictures(args.out, test, held, fits, left)
+    finish("measured_cyclic", rows, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,265 @@
+"""Stress-strain loops of a superelastic wire at 0, 40 and 100 degC, measured by others: fit 0 and 100, predict 40.
+
+    python experiments/measured_superelastic.py [--data DIR] [--quick] [--json FILE] [--out DIR]
+
+DIR holds one workbook a temperature, ``pseudoelastic_...C.xlsx``. What is done with them:
+
+- Columns are found by their headers: those of the 40 degC workbook are shifted. Stress is load over area and strain extensometer over
+  gauge length, since the sheets' own columns of them are partly absolute values and partly zeroed.
+- A row whose extensometer reads more than 10 % is a dropout, and left out (one, in the workbook of 0 degC, of 41.76 %).
+- A loop starts where the wire is last under its preload (3 N) before it is stretched: warming and cooling before it are cut. The clock of
+  40 degC is reset twice; a row stands for a second, as in the other two.
+- The wire is slack where the load reads about -4 N (-30 MPa), because it cannot push. That is taken for the load cell's zero: the median
+  of the negative readings of the fitted loops is subtracted from all loads, and what is still negative is zero.
+- Every twelfth row is fitted; all rows are scored.
+
+Effects are chosen by the middle one of every three of twelve stretches of each fitted loop: models are fitted to the other stretches, both
+ends of the loop among them, and led through these.
+Neither loop can be spared as a whole, since it takes two temperatures to know what depends on temperature, and the last third of a loop
+cannot either, since only there the wire turns back. The loop at 40 degC is only predicted. Effects are added one after the other by
+``_forward``. Which ones cannot show here is said in ``WITHOUT``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import warnings
+from pathlib import Path
+
+import numpy as np
+from _common import ROOT, Row, agreement, finish, from_elsewhere, refuse, say
+from _figures import Chart, Curve, draw
+from _forward import Part, Search, chain, chosen, estimate_rows, residual, rms, round_rows
+
+from smajax.recording import Recording
+
+FITTED, HELD = (0, 100), 40  # degC
+DROPOUT = 0.10  # strain
+PRELOAD = 3.0  # N
+THINNED = 12  # rows
+STRETCHES = 12  # of a fitted loop's rows, the middle one of every three of which chooses between effects
+TARGET = 33.0  # MPa
+WITHOUT = {
+    "encoder-gain": "the strain is prescribed", "encoder-drift": "the strain is prescribed", "sensor-lag": "the strain is prescribed",
+    "functional-fatigue": "one cycle", "transformation-shift": "one cycle",
+    "time-skew": "the strain is prescribed", "backlash": "the strain is prescribed",
+    "clausius-asymmetry": "both slopes are free",
+    "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
+}  # fmt: skip
+RIG = """
+schema = 1
+[rig]
+kind = "path"
+[material]
+martensite_start = "-40 degC"
+martensite_finish = "-80 degC"
+austenite_start = "-20 degC"
+austenite_finish = "0 degC"
+clausius_clapeyron_austenite = "5.7 MPa/K"
+clausius_clapeyron_martensite = "5.7 MPa/K"
+modulus_austenite = "60 GPa"
+modulus_martensite = "30 GPa"
+detwinning_start_stress = "50 MPa"
+detwinning_finish_stress = "150 MPa"
+max_strain = "3.5 %"
+[fit]
+free = ["material.martensite_start", "material.austenite_start", "material.austenite_finish", "material.clausius_clapeyron_austenite",
+        "material.clausius_clapeyron_martensite", "material.modulus_austenite", "material.modulus_martensite",
+        "material.detwinning_finish_stress", "material.max_strain", "wire.prestrain"]
+observe = ["stress"]
+noise = { stress = "10 MPa" }
+starts = 4
+[fit.bounds]
+"material.austenite_start" = ["-100 degC", "-5 degC"]
+"material.austenite_finish" = ["-5 degC", "60 degC"]
+"material.martensite_start" = ["-79 degC", "20 degC"]
+"material.detwinning_finish_stress" = ["51 MPa", "600 MPa"]
+"material.modulus_austenite" = ["15 GPa", "120 GPa"]
+"material.modulus_martensite" = ["10 GPa", "100 GPa"]
+"material.clausius_clapeyron_austenite" = ["3 MPa/K", "12 MPa/K"]
+"material.clausius_clapeyron_martensite" = ["3 MPa/K", "12 MPa/K"]
+"material.max_strain" = ["1.5 %", "7 %"]
+"wire.prestrain" = ["-1 %", "1 %"]
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Loop:
+    """One loop's temperature (degC), load (N), and strain, each of shape ``(n,)``, the wire's area (m^2), and the dropouts left out."""
+
+    temperature: np.ndarray
+    load: np.ndarray
+    strain: np.ndarray
+    area: float
+    dropouts: int
+
+    def recording(self, name: str, zero: float, rows: np.ndarray) -> Recording:
+        """These rows as a path whose time is the row number, the load counted from ``zero`` (N)."""
+        stress = np.maximum(self.load[rows] - zero, 0.0) / self.area
+        channels = {"temperature": self.temperature[rows], "strain": self.strain[rows], "stress": stress}
+        path = Recording.from_arrays(name, None, channels, {"temperature": "degC", "strain": "%", "stress": "MPa"})
+        return dataclasses.replace(path, time=rows.astype(float))
+
+
+def read_loop(path: Path) -> Loop:
+    """The loop of a workbook."""
+    try:
+        import openpyxl
+    except ImportError:
+        refuse('reading a workbook needs openpyxl: pip install "smajax[io]"')
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Unknown extension")
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+            rows = list(book.worksheets[0].iter_rows(values_only=True))
+    except Exception as error:  # openpyxl raises whatever it stumbles over
+        refuse(f"{path} cannot be read as a workbook: {str(error).splitlines()[0]}")
+    heads = [k for k, row in enumerate(rows[:20]) if any(str(cell).strip().startswith("Laser") for cell in row)]
+    if not heads:
+        refuse(f"{path}: none of the first rows has a header 'Laser' with 'Load', 'Temperature', 'Area' and 'Lo' beside it")
+    header = [str(cell).split("(")[0].strip() for cell in rows[heads[0]]]
+    missing = [name for name in ("Load", "Temperature", "Area", "Lo") if name not in header]
+    if missing:
+        refuse(f"{path}: row {heads[0] + 1} has no header '{missing[0]}'; it has {', '.join(h for h in header if h != 'None')}")
+    at = {name: header.index(name) for name in ("Load", "Temperature", "Laser", "Area", "Lo")}
+    body = [row for row in rows[heads[0] + 1 :] if len(row) > max(at.values())]
+    once = {name: [row[at[name]] for row in body if isinstance(row[at[name]], int | float)] for name in ("Area", "Lo")}
+    cells = [[row[at[name]] for name in ("Temperature", "Load", "Laser")] for row in body]
+    table = np.array([c for c in cells if all(isinstance(v, int | float) for v in c)], float)
+    if len(table) < 100 or not once["Area"] or not once["Lo"]:
+        refuse(f"{path}: {len(table)} rows of numbers, {len(once['Area'])} areas, {len(once['Lo'])} gauge lengths: 100, 1 and 1 are needed")
+    table[:, 2] /= once["Lo"][0]
+    sound = table[:, 2] < DROPOUT
+    kept = table[sound]
+    before = np.flatnonzero(kept[: np.argmax(kept[:, 2]), 1] < PRELOAD)
+    loop = kept[before[-1] if len(before) else 0 :]
+    return Loop(loop[:, 0], loop[:, 1], loop[:, 2], once["Area"][0] * 1e-6, int(np.sum(~sound)))
+
+
+def load_zero(loops: dict[int, Loop]) -> float:
+    """What the load cell reads where the wire is slack, N: the median of the negative readings of the fitted loops."""
+    return float(np.median(np.concatenate([loops[t].load[loops[t].load < 0.0] for t in FITTED])))
+
+
+def chooses(loop: Loop, rows: np.ndarray) -> np.ndarray:
+    """Which rows of a fitted loop lie in the stretches that choose between effects."""
+    return (rows * STRETCHES // len(loop.load)) % 3 == 1
+
+
+def train(loops: dict[int, Loop], every: int) -> Part:
+    """What models are fitted to while effects are chosen; the row of the largest strain is among it, so that each turns where it did."""
+    zero, parts = load_zero(loops), []
+    for t in FITTED:
+        rows = np.arange(0, len(loops[t].load), every)
+        rows = np.union1d(rows[~chooses(loops[t], rows)], [int(np.argmax(loops[t].strain))])
+        parts.append(loops[t].recording(f"{t} degC", zero, rows))
+    return Part.whole(parts)
+
+
+def select(loops: dict[int, Loop], every: int) -> Part:
+    """What chooses between effects."""
+    whole = fitted(loops, every).recordings
+    return Part(whole, [chooses(loops[t], r.time.astype(int)) for t, r in zip(FITTED, whole, strict=True)])
+
+
+def fitted(loops: dict[int, Loop], every: int) -> Part:
+    """What the chosen models are fitted to in the end."""
+    zero = load_zero(loops)
+    return Part.whole([loops[t].recording(f"{t} degC", zero, np.arange(0, len(loops[t].load), every)) for t in FITTED])
+
+
+def holdout(loops: dict[int, Loop]) -> Part:
+    """What is only predicted: all rows of its loop."""
+    return Part.whole([loops[HELD].recording(f"{HELD} degC", load_zero(loops), np.arange(len(loops[HELD].load)))])
+
+
+def between(loops: dict[int, Loop]) -> np.ndarray:
+    """What is left in Pa of the held-out loop if its stress lay between those of the fitted ones as its temperature does.
+
+    Compared at the same strain, stretching for stretching.
+    """
+    zero, held = load_zero(loops), loops[HELD]
+    low, high = (loops[t] for t in FITTED)
+    share = (HELD - FITTED[0]) / (FITTED[1] - FITTED[0])
+
+    def branches(loop: Loop) -> list[np.ndarray]:
+        return np.split(np.arange(len(loop.strain)), [int(np.argmax(loop.strain)) + 1])
+
+    left = []
+    for k, rows in enumerate(branches(held)):
+        said = 0.0
+        for loop, weight in ((low, 1.0 - share), (high, share)):
+            known = branches(loop)[k]
+            known = known[np.argsort(loop.strain[known])]
+            said = said + weight * np.interp(held.strain[rows], loop.strain[known], np.maximum(loop.load[known] - zero, 0.0) / loop.area)
+        left.append(np.maximum(held.load[rows] - zero, 0.0) / held.area - said)
+    return np.concatenate(left)
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "tamu-muscle-superelastic")
+    parser.add_argument("--quick", action="store_true", help="every 24th row, one effect, one round, two start points")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--out", type=Path, metavar="DIR")
+    args = parser.parse_args()
+    paths = {t: args.data / f"pseudoelastic_{t}C.xlsx" for t in (*FITTED, HELD)}
+    for path in paths.values():
+        if not path.is_file():
+            refuse(f"{path} is no file: give the folder of pseudoelastic_...C.xlsx by --data")
+    loops = {t: read_loop(path) for t, path in paths.items()}
+    every = 2 * THINNED if args.quick else THINNED
+    search = Search(RIG, "stress", train(loops, every), select(loops, every), 30 if args.quick else 50)
+    rig, final, held = search.rig(), fitted(loops, every), holdout(loops)
+    settings = dataclasses.replace(rig.fit, starts=1) if args.quick else rig.fit
+    say("fitting the base model to the training part")
+    base = from_elsewhere(rig, search.train.recordings, settings, 1, max_steps=search.max_steps)[0]
+    candidates = [c for c in search.candidates(WITHOUT) if not args.quick or c.label == "slip"]
+    rounds = search.rounds(base, candidates, 1 if args.quick else 5)
+    say("fitting the base model to training and selection part")
+    bases = from_elsewhere(rig, final.recordings, settings, 2 if args.quick else 5, max_steps=search.max_steps)
+    fits = chain(search, final, bases[0], chosen(rounds))
+    left = [residual(f.plant, held, "stress") for f in fits]
+    zero = load_zero(loops)
+
+    parts = f"train eight twelfths of the loops at {FITTED[0]} and {FITTED[1]} degC, select the other four, held out {HELD} degC"
+    rows = [
+        Row("parts", "-", parts, None),
+        Row("rows fitted", "-", f"every {every}. row: {final.count}", None),
+        Row("rows scored", "-", f"all: {held.count}", None),
+        Row("rows left out as dropouts", "-", ", ".join(f"{loop.dropouts} at {t} degC" for t, loop in loops.items()), None),
+        Row("zero of the load cell, subtracted", "-", f"{zero:.2f} N, {zero / loops[HELD].area / 1e6:.1f} MPa", None),
+        Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in WITHOUT.items()), None),
+        *round_rows(rounds, lambda error: f"{error / 1e6:.1f} MPa"),
+    ]
+    labels = ["base model", *(f"and {c[-1].label}" for c in chosen(rounds))]
+    for label, each, r in zip(labels, fits, left, strict=False):
+        for response in each.responses:
+            rows.append(Row(f"{label}: RMSE fitted, {response.recording.name}", "-", f"{response.rmse('stress') / 1e6:.1f} MPa", None))
+        rows.append(Row(f"{label}: held out, {HELD} degC", "-", f"{rms(r) / 1e6:.1f} MPa", None, {"rmse_MPa": rms(r) / 1e6}))
+    ours, naive = rms(left[-1]) / 1e6, rms(between(loops)) / 1e6
+    rows.append(Row(f"all effects: held out, {HELD} degC", f"<= {TARGET:g} MPa", f"{ours:.1f} MPa", ours <= TARGET, {"rmse_MPa": ours}))
+    rows.append(Row("naive forecast, between the fitted loops", "-", f"{naive:.1f} MPa", None, {"rmse_MPa": naive}))
+    rows.append(Row("all effects against the naive forecast", "below it", f"{ours:.1f} MPa against {naive:.1f} MPa", ours < naive))
+    rows.append(dataclasses.replace(agreement(bases), what="base model: is it the best that it can do?"))
+    rows += estimate_rows(fits[-1])
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        strain, stress = (held.recordings[0].channels[c] * f for c, f in (("strain", 100.0), ("stress", 1e-6)))
+        curves = [Curve("measured", strain, stress)]
+        for label, r in (("without effects", left[0]), (f"with {len(fits) - 1} effects", left[-1])):
+            curves.append(Curve(label, strain, stress - r / 1e6, dashed=True))
+        draw(Chart(f"{HELD} degC, held out", "strain [%]", "stress [MPa]", curves), args.out, "measured_superelastic_held")
+        for response in fits[-1].responses:
+            strain, stress = (100 * response.recording.channels["strain"], response.recording.channels["stress"] / 1e6)
+            curves = [Curve("measured", strain, stress), Curve("model", strain, response.model["stress"] / 1e6, dashed=True)]
+            name = response.recording.name.split()[0]
+            chart = Chart(f"{response.recording.name}, fitted", "strain [%]", "stress [MPa]", curves)
+            draw(chart, args.out, f"measured_superelastic_{name}")
+    finish("measured_superelastic", rows, args)
+
+
+if __name__ == "__main__":
+    main()
