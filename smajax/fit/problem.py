@@ -163,7 +163,7 @@ def build(
 def difference_noise(values: np.ndarray) -> float:
     """Standard deviation of the fastest part of a column, from second differences, robustly; at least its rounding and 1e-5 of its range.
 
-    A recording needs no rest for it. Where the noise is slower than the sampling it comes out too small. Rows without a value are passed over.
+    A recording needs no rest for it. Where the noise is slower than the sampling it comes out too small. Rows without a value do not count.
     """
     values = values[np.isfinite(values)]
     second = np.diff(values, 2)
