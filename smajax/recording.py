@@ -49,6 +49,7 @@ class Recording:
     ``time`` (n,) is in s and strictly increasing, or the row number 0, 1, 2, ... if the recording is a path without a clock.
     ``channels`` maps names (``current``, ``current_2``) to read-only arrays (n,) in SI units, temperatures in degC.
     ``units`` are those of the columns in the file, in which results are reported; it has ``time`` too, if there is a clock.
+    A channel made of arrays may be NaN at rows at which it was not measured; a file that is read has a number in every row.
     ``sha256`` is that of the file's bytes (empty if there was no file), ``notes`` lists what was changed on request.
     """
 

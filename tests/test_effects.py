@@ -32,6 +32,7 @@ KEYS = [
     "wire-crosstalk",
     "heat-capacity",
     "thermocouple-lag",
+    "thermocouple-embedding",
     "thermocouple-attachment",
     "thermocouple-pickup",
     "time-skew",

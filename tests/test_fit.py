@@ -238,6 +238,22 @@ def test_noise_estimate_from_differences():
     assert difference_noise(np.round(time, 1)) >= 0.1 / np.sqrt(12) * 0.999
 
 
+def test_rows_at_which_a_channel_was_not_measured_weigh_nothing():
+    whole = recorded(TRUTH)
+    gaps = np.arange(len(whole)) % 3 != 0
+    seen = np.where(gaps, np.nan, whole.channels["displacement"])
+    sparse = dataclasses.replace(whole, channels=whole.channels | {"displacement": seen})
+    wrong = dataclasses.replace(whole, channels=whole.channels | {"displacement": np.where(gaps, 1.0, seen)})
+    built = build(plants.dead_weight(), [sparse], Settings(), step=0.04)
+    every = build(plants.dead_weight(), [wrong], Settings(noise={"displacement": NOISE}), step=0.04)
+    left, bad = (np.asarray(p.residual(jnp.asarray(p.nominal))) for p in (built, every))
+    assert np.all(left[: len(whole)][gaps] == 0.0)
+    assert difference_noise(seen) == pytest.approx(difference_noise(seen[~gaps]))
+    np.testing.assert_allclose(left[: len(whole)][~gaps] * difference_noise(seen), bad[: len(whole)][~gaps] * NOISE, rtol=1e-9)
+    found = fit(plants.dead_weight(), [sparse], Settings(), step=0.04)
+    assert found.rmse("displacement") == pytest.approx(NOISE, rel=0.15)
+
+
 def test_intervals_cover_the_truth_under_autocorrelated_noise():
     """Linear in the unknowns, so that 400 repetitions are cheap; the experiment interval_coverage.py does it on the wire itself."""
     draw = np.random.default_rng(1)

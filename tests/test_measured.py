@@ -25,7 +25,9 @@ def levels(folder: Path, *stresses: int) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["measured_isobaric", "measured_muscle_electric", "measured_cyclic", "measured_superelastic"])
+@pytest.mark.parametrize(
+    "name", ["measured_isobaric", "measured_muscle_electric", "measured_cyclic", "measured_superelastic", "measured_bu_softlimb"]
+)
 def test_a_folder_that_is_not_there_is_named(name, tmp_path):
     done = run(name, "--data", str(tmp_path / "nowhere"))
     assert done.returncode == 2
@@ -93,3 +95,56 @@ def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared,
     base = rows["base model: held out, 40 degC"]["numbers"]["rmse_MPa"]
     assert rows["all effects: held out, 40 degC"]["numbers"]["rmse_MPa"] < 0.7 * base
     assert rows["rows left out as dropouts"]["measured"] == "1 at 0 degC, 0 at 100 degC, 0 at 40 degC"
+
+
+def arm_log(folder: Path, pulses: tuple[float, ...] = (1.0, 91.0), tags: tuple[int, ...] = (1, 2, 3)) -> Path:
+    """A log of an arm that turns about its middle tag while its second thermocouple warms up."""
+    time = np.arange(0.0, 110.0, 0.2)
+    since = np.min([np.where(time >= p, time - p, np.inf) for p in pulses], axis=0) if pulses else np.full(len(time), np.inf)
+    duty = np.where(since < 8.0, 0.3, 0.0)
+    warm = np.where(np.isfinite(since), since, 0.0) * np.exp(-np.where(np.isfinite(since), since, 0.0) / 5.0)
+    columns = {
+        "stamp": 1e3 * time,
+        "pwm_duty_a": 0.0 * time,
+        "pwm_duty_b": duty,
+        "MCPtemp_0": 22.0 + 0.0 * time,
+        "MCPtemp_1": 22.0 + 20.0 * warm,
+    }
+    for k in tags:
+        angle = np.radians(5.0 * warm) if k == max(tags) else 0.0 * time
+        reach = 100.0 * (k - tags[0])
+        columns |= {f"tagid_x_{k}": 50.0 + reach * np.cos(angle), f"tagid_y_{k}": 50.0 + reach * np.sin(angle)}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="a log\n" + ",".join(columns), comments="", fmt="%.6f")
+    return folder
+
+
+def test_a_log_without_pulses_or_tags_is_refused(tmp_path):
+    done = run("measured_bu_softlimb", "--data", str(arm_log(tmp_path, pulses=())))
+    assert done.returncode == 2 and "0 pulses" in done.stderr
+    done = run("measured_bu_softlimb", "--data", str(arm_log(tmp_path, tags=())))
+    assert done.returncode == 2 and "0 tags" in done.stderr
+
+
+def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
+    import measured_bu_softlimb
+
+    log = measured_bu_softlimb.read_logs(arm_log(tmp_path))[0]
+    assert log.found == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
+    np.testing.assert_allclose(log.pulses, [1.0, 91.0])
+    assert (log.until, log.scored) == (80.0, 85.0)
+    assert np.nanmax(log.bend) > 5.0
+    parts = measured_bu_softlimb.parts(log)
+    train, select = (np.isfinite(parts[role].channels["displacement"]) for role in ("train", "select"))
+    assert not np.any(train & select)
+    np.testing.assert_array_equal(train | select, np.isfinite(parts["fitted"].channels["displacement"]))
+
+
+def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
+    target = tmp_path / "table.json"
+    done = run("measured_bu_softlimb", "--data", str(shared / "data" / "bu-softlimb"), "--quick", "--json", str(target))
+    assert done.returncode == 0, done.stderr
+    rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
+    assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]
+    assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]

@@ -45,12 +45,14 @@ class Response:
     code: simulate.Code
 
     def residual(self, channel: str) -> np.ndarray:
-        """Measured minus model."""
+        """Measured minus model; NaN where the channel was not measured."""
         return self.recording.channels[channel] - self.model[channel]
 
     def rmse(self, channel: str) -> float:
-        """Root mean square of the residual, SI."""
-        return float(np.sqrt(np.mean(self.residual(channel) ** 2)))
+        """Root mean square of the residual, SI; NaN where nothing was measured."""
+        residual = self.residual(channel)
+        measured = residual[np.isfinite(residual)]
+        return float(np.sqrt(np.mean(measured**2))) if len(measured) else math.nan
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,8 +91,9 @@ class Fit:
 
     def rmse(self, channel: str, role: str = "train") -> float | None:
         """Pooled RMSE of a channel over the recordings of a role, SI; ``None`` without any."""
-        squares = [r.residual(channel) ** 2 for r in self.responses if r.role == role]
-        return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
+        residuals = [r.residual(channel) for r in self.responses if r.role == role]
+        measured = np.concatenate([r[np.isfinite(r)] for r in residuals]) if residuals else np.zeros(0)
+        return float(np.sqrt(np.mean(measured**2))) if len(measured) else None
 
 
 def _residual(vector: jax.Array, problem: Problem) -> jax.Array:

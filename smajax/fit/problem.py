@@ -2,7 +2,8 @@
 
 The vector holds the shared parameters first and then, recording by recording, those that each recording has for itself. Its entries are the
 parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different length are laid out on grids of one
-length: the shorter ones run on under their last input, unobserved, and all are simulated as one batch.
+length: the shorter ones run on under their last input, unobserved, and all are simulated as one batch. A row at which a channel is NaN
+was not measured there and weighs nothing: so channels of different rates, and parts that are held back, stand in one recording.
 """
 
 import dataclasses
@@ -162,8 +163,9 @@ def build(
 def difference_noise(values: np.ndarray) -> float:
     """Standard deviation of the fastest part of a column, from second differences, robustly; at least its rounding and 1e-5 of its range.
 
-    A recording needs no rest for it. Where the noise is slower than the sampling it comes out too small.
+    A recording needs no rest for it. Where the noise is slower than the sampling it comes out too small. Rows without a value do not count.
     """
+    values = values[np.isfinite(values)]
     second = np.diff(values, 2)
     spread = 1.4826 * float(np.median(np.abs(second))) / math.sqrt(6.0) if len(second) else 0.0
     steps = np.diff(np.unique(values))
@@ -179,7 +181,7 @@ def _unknown(plant: Plant, name: str, recording: str | None, settings: Settings,
     lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))
     if name.startswith("sensor.") and name.endswith("_offset"):
         channel = sample.channels.get(name.removeprefix("sensor.").removesuffix("_offset"))
-        scale = float(np.ptp(channel)) if channel is not None else 1.0
+        scale = float(np.nanmax(channel) - np.nanmin(channel)) if channel is not None else 1.0
     else:
         scale = abs(nominal) or _TYPICAL.get(declared.unit) or min(abs(upper), abs(lower), 1.0) or 1.0
         if declared.unit in ("degC", "K"):
@@ -216,6 +218,7 @@ def _data(
     for k, recording in enumerate(recordings):
         for j, channel in enumerate(channels):
             values = recording.channels[channel]
-            measured[k, j, : len(values)] = values
-            weight[k, j, : len(values)] = 1.0 / noise[channel]
+            known = np.isfinite(values)
+            measured[k, j, : len(values)] = np.where(known, values, 0.0)
+            weight[k, j, : len(values)] = np.where(known, 1.0 / noise[channel], 0.0)
     return Data(inputs, jnp.asarray(measured), jnp.asarray(weight))

@@ -1,0 +1,519 @@
+"""A soft arm bent by one wire at a time, measured by others: fit a first heating pulse and its cooling, predict the second pulse.
+
+    python experiments/measured_bu_softlimb.py [--data DIR] [--quick] [--json FILE] [--out DIR]
+
+DIR holds one CSV file a log: a row of headers (``pwm_duty_...``, ``MCPtemp_...``, ``tagid_x_...``, ``tagid_y_...``, the first column a
+stamp in ms), numbers below. Which duty is driven, which thermocouple answers and which tags move is found in the data. The bend is the
+direction of the chord from the first tag, or from the middle one where the first half of the arm stays, to the last, relative to its mean
+in the last 30 s before the second pulse, positive as the wire shortens. The temperature is compared where any thermocouple was refreshed.
+
+The plant is one wire against an elastic arm: the arm is a bias spring, its bend the wire's displacement over a lever of nominal length.
+These data decide no stress, so preload, stiffness, the Clausius-Clapeyron coefficients and the moduli (as equal) are held. The wire is
+always under tension: the twinned branch is held out of the way, and slack is no candidate. Of supply, resistance and heat capacity, which
+scale the same heat, the supply is fitted. Each log has its own parameters, all have the same effects.
+
+One pulse is fitted, and all that tells of most effects happens in its first 40 s. A selection part that is the last third in time would
+see a wire at rest. So it is every third of the blocks of 2 s. An effect is accepted if it lowers the error there, pooled over the logs and
+both channels over their noise, by more than 5 %. Then all is fitted once more to the whole of the first part. In the fitted part the slow
+tail is thinned to a row a second or so; the scored part keeps all rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import itertools
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _common import ROOT, Row, finish, say
+from _figures import Chart, Curve, draw
+
+from smajax import parameters
+from smajax.diagnose.effects import catalogue
+from smajax.errors import InputError
+from smajax.fit import least_squares
+from smajax.fit.problem import Problem, build
+from smajax.recording import Recording
+from smajax.rig import parse_rig
+
+LEVER = 0.003  # m of wire per rad of bend: a nominal scale, which the largest strain makes up for
+RIG = """
+schema = 1
+[rig]
+kind = "bias-spring"
+control = "duty"
+[drive]
+supply = "2.5 V"
+[material]
+martensite_start = "60 degC"
+martensite_finish = "-190 degC"
+austenite_start = "60 degC"
+austenite_finish = "100 degC"
+clausius_clapeyron_austenite = "7 MPa/K"
+clausius_clapeyron_martensite = "7 MPa/K"
+modulus_austenite = "40 GPa"
+modulus_martensite = "40 GPa"
+detwinning_start_stress = "0 MPa"
+detwinning_finish_stress = "100 MPa"
+max_strain = "1.5 %"
+[heat]
+h0 = "60 W/m^2/K"
+capacity = "3 MJ/m^3/K"
+[wire]
+diameter = "0.25 mm"
+length = "100 mm"
+[spring]
+preload = "5 N"
+stiffness = "6.7 N/mm"
+[environment]
+ambient = "22 degC"
+[fit]
+free = ["drive.supply", "heat.h0", "environment.ambient", "material.austenite_shift", "material.austenite_finish",
+        "material.martensite_start", "material.detwinning_finish_stress", "material.max_strain", "sensor.displacement_offset"]
+initial = ["detwinned"]
+observe = ["temperature", "displacement"]
+noise = { temperature = "1 K", displacement = "0.015 mm" }
+starts = 1
+[fit.bounds]
+"drive.supply" = ["0.1 V", "10 V"]
+"heat.h0" = ["3 W/m^2/K", "400 W/m^2/K"]
+"environment.ambient" = ["15 degC", "30 degC"]
+"material.austenite_shift" = ["-80 K", "100 K"]
+"material.austenite_finish" = ["62 degC", "200 degC"]
+"material.martensite_start" = ["0 degC", "150 degC"]
+"material.detwinning_finish_stress" = ["5 MPa", "400 MPa"]
+"material.max_strain" = ["0.5 %", "10 %"]
+"""
+BASE_K, BASE_DEG = 7.3, 0.80  # small model fitted by plain least squares
+REACH_K, REACH_DEG = 1.6, 0.37  # the same with effects added
+CANDIDATES = (
+    "thermocouple-embedding", "coating", "creep", "thermocouple-lag", "end-conduction", "latent-heat", "convection-temperature",
+    "heat-capacity", "ratcheting", "transformation-shift", "temperature-distribution", "minor-loop-shape", "sensor-lag",
+)  # fmt: skip
+CUT = 0.05
+SLOTS = 14
+GAP, BEFORE, REST = 5.0, 10.0, 30.0
+DENSE, TAIL = 40.0, 1.1
+BLOCK = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """One log: time (s), duty of the wire that is driven, its thermocouple (degC) at refreshes, its bend (deg) where the tags are seen.
+
+    Both are NaN elsewhere. ``pulses`` are the times at which heating begins; ``until`` (s) ends the fitted part, from ``scored`` (s) on
+    the rest is scored. ``found`` says which columns these are.
+    """
+
+    name: str
+    time: np.ndarray
+    duty: np.ndarray
+    temperature: np.ndarray
+    bend: np.ndarray
+    pulses: np.ndarray
+    until: float
+    scored: float
+    found: str
+
+
+def read_log(path: Path) -> Log:
+    """Reads a log, and finds in it which duty is driven, which thermocouple answers and which tags move. Raises ``InputError``."""
+    table, time = read_table(path)
+    duties = {n: np.abs(c) for n, c in table.items() if n.startswith("pwm_duty_")}
+    driven = max(duties, key=lambda n: float(np.sum(duties[n])))
+    on = time[duties[driven] > 0]
+    pulses = on[np.append(True, np.diff(on) > GAP)] if len(on) else on
+    if len(pulses) < 2 or pulses[1] < BEFORE + REST:
+        raise InputError(
+            f"{path}: {len(pulses)} pulses of duty are in it: one to fit and, at least {BEFORE + REST:g} s on, one to score are needed"
+        )
+    thermocouples = {n: c for n, c in table.items() if n.startswith("MCPtemp_")}
+    if not thermocouples:
+        raise InputError(f"{path}: no column MCPtemp_... is in it: the temperature of the wire is needed")
+    answering = max(thermocouples, key=lambda n: float(np.ptp(thermocouples[n])))
+    fresh = np.append(True, np.any([np.diff(c) != 0 for c in thermocouples.values()], axis=0))
+    base, last = moving_tags(path, table)
+    bend = chord(table, base, last)
+    rest = (time >= pulses[1] - REST) & (time < pulses[1]) & np.isfinite(bend)
+    if not np.any(rest):
+        raise InputError(f"{path}: the tags {base} and {last} are not seen in the {REST:g} s before the second pulse: the bend has no zero")
+    bend = bend - np.mean(bend[rest])
+    heated = (time > pulses[0] + 2.0) & (time < pulses[1]) & np.isfinite(bend)
+    bend = bend * np.sign(bend[heated][np.argmax(np.abs(bend[heated]))])
+    until = float(np.floor((pulses[1] - BEFORE) / 5.0) * 5.0)
+    temperature = np.where(fresh, thermocouples[answering], np.nan)
+    found = f"{driven}, {answering}, tags {base} to {last}"
+    return Log(path.stem, time, duties[driven], temperature, bend, pulses, until, until + 5.0, found)
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The columns of a log by header, and its time from the stamp in s; rows at which time stands still are left out."""
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        lines = [row for row in csv.reader(file) if row]
+    head = next((k for k, row in enumerate(lines) if any(c.strip().startswith("pwm_duty_") for c in row)), None)
+    if head is None:
+        raise InputError(f"{path}: no row of headers has a column pwm_duty_...: this is no log of an arm")
+    names = [c.strip() for c in lines[head]]
+    try:
+        values = np.array([[float(c) for c in row] for row in lines[head + 1 :] if len(row) == len(names)], float)
+    except ValueError as error:
+        raise InputError(f"{path}: a row holds something that is no number ({error})") from None
+    if len(values) < 50:
+        raise InputError(f"{path}: {len(values)} whole rows are in it: two pulses need more")
+    stamp = (values[:, 0] - values[0, 0]) / 1e3
+    runs = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
+    return {n: values[runs, i] for i, n in enumerate(names)}, stamp[runs]
+
+
+def moving_tags(path: Path, table: dict[str, np.ndarray]) -> tuple[int, int]:
+    """The tags between which the bend is measured: from the middle one if the first half of the arm stays, else from the first."""
+    tags = sorted(int(n.rsplit("_", 1)[1]) for n in table if n.startswith("tagid_x_") and n.rsplit("_", 1)[1].isdigit())
+    tags = [t for t in tags if f"tagid_y_{t}" in table and np.mean(table[f"tagid_x_{t}"] != 0) > 0.5]
+    if len(tags) < 3:
+        raise InputError(f"{path}: {len(tags)} tags are seen in it: three are needed, at the arm's root, middle and tip")
+    first, middle, last = tags[0], tags[len(tags) // 2], tags[-1]
+    lower, upper = (float(np.nanmax(c) - np.nanmin(c)) for c in (chord(table, first, middle), chord(table, middle, last)))
+    return (first if lower > 0.25 * upper else middle), last
+
+
+def chord(table: dict[str, np.ndarray], start: int, end: int) -> np.ndarray:
+    """Direction of the chord from one tag to another in deg, NaN where either was not seen."""
+    x, y = (table[f"tagid_{c}_{end}"] - table[f"tagid_{c}_{start}"] for c in "xy")
+    seen = np.all([table[f"tagid_{c}_{k}"] != 0 for c in "xy" for k in (start, end)], axis=0)
+    angle = np.full(len(x), np.nan)
+    angle[seen] = np.degrees(np.unwrap(np.arctan2(y[seen], x[seen])))
+    return angle
+
+
+def parts(log: Log) -> dict[str, Recording]:
+    """The log as recordings, each from its first row to its last, whose channels are NaN but in their own part.
+
+    ``train`` and ``select`` make up ``fitted``; ``held`` is scored.
+    """
+    keep = [0]
+    for k, now in enumerate(log.time):
+        dense = now < log.pulses[0] + DENSE or now >= log.scored
+        if k and (dense or (now - log.time[keep[-1]] >= TAIL and np.isfinite(log.temperature[k]))):
+            keep.append(k)
+    time = log.time[keep]
+    channels = {"temperature": log.temperature[keep], "displacement": np.radians(log.bend[keep]) * LEVER}
+    units = {"duty": "1", "temperature": "degC", "displacement": "mm"}
+    fitted = time < log.until
+    chosen = np.floor((time - log.pulses[0]) / BLOCK) % 3 == 2
+    rows = {"train": fitted & ~chosen, "select": fitted & chosen, "fitted": fitted, "held": time > log.scored}
+    duty = {"duty": log.duty[keep]}
+    return {
+        role: Recording.from_arrays(log.name, time, duty | {c: np.where(own, v, np.nan) for c, v in channels.items()}, units)
+        for role, own in rows.items()
+    }
+
+
+def naive(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (K, deg) in the scored part of the forecast that the first pulse repeats itself."""
+    then = log.time - (log.pulses[1] - log.pulses[0])
+    scored = log.time > log.scored
+    residuals = []
+    for series in (log.temperature, log.bend):
+        known = np.isfinite(series)
+        residuals.append((series - np.interp(then, log.time[known], series[known]))[scored])
+    return residuals[0], residuals[1]
+
+
+class Model(eqx.Module):
+    """A problem whose plant has all candidates: ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, say what the slots move."""
+
+    problem: Problem
+    fixed: jax.Array
+    moved: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``Problem.predict``."""
+        return self._at(vector).predict(vector[: len(self.problem.unknowns)])
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """See ``Problem.residual``."""
+        return self._at(vector).residual(vector[: len(self.problem.unknowns)])
+
+    def _at(self, vector: jax.Array) -> Problem:
+        values = self.fixed + self.moved @ vector[len(self.problem.unknowns) :]
+        plant = parameters.replace(self.problem.plant, {n: values[i] for i, n in enumerate(self.names)})
+        return dataclasses.replace(self.problem, plant=plant)
+
+
+def _residual(vector: jax.Array, model: Model) -> jax.Array:
+    return model.residual(vector)
+
+
+@eqx.filter_jit
+def _predict(model: Model, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return model.predict(vector)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fitted:
+    """One log's fit: the rig's vector, the effects' parameters by name (internal units), the cost and why it stopped."""
+
+    base: np.ndarray
+    effects: Mapping[str, float]
+    cost: float
+    stop: least_squares.Stop
+
+
+class Bench:
+    """All logs on one compiled program, in which every candidate stands at strength 0 until a slot moves it."""
+
+    def __init__(self, logs: Sequence[Log], candidates: Sequence[str]):
+        rig = parse_rig(RIG, "softlimb.toml")
+        traits = rig.plant.traits(tuple(rig.fit.observe))
+        self.kinds = {k: catalogue()[k] for k in candidates if not catalogue()[k].obstacle(traits)}
+        plant = dataclasses.replace(rig.plant, effects=tuple(kind() for kind in self.kinds.values()))
+        self.names = tuple(f"effects.{k}.{n}" for k, kind in self.kinds.items() for n in parameters.declarations(kind))
+        self.declared = {n: parameters.declaration(plant, n) for n in self.names}
+        self.nominal = np.array([float(parameters.get(plant, n)) for n in self.names])
+        self.parts = [parts(log) for log in logs]
+        self.problems: list[dict[str, Problem]] = []
+        first: Problem | None = None
+        for own in self.parts:
+            built = {role: build(plant, [r], rig.fit, step=2.0, multiple=128) for role, r in own.items()}
+            first = first or built["train"]
+            self.problems.append({role: dataclasses.replace(first, data=p.data) for role, p in built.items()})
+        assert first is not None
+        self.first, self.noise = first, rig.fit.noise
+
+    def scale(self, name: str) -> float:
+        """What a slot that moves a parameter counts in."""
+        key = name.split(".")[1]
+        return self.kinds[key].typical if name.endswith(".strength") else abs(float(self.nominal[self.names.index(name)]))
+
+    def model(self, log: int, role: str, effects: Mapping[str, float]) -> tuple[Model, np.ndarray]:
+        """The model in which the slots move these effects' parameters, and the slots' values."""
+        fixed, moved, slots = self.nominal.copy(), np.zeros((len(self.names), SLOTS)), np.zeros(SLOTS)
+        for j, (name, value) in enumerate(effects.items()):
+            i = self.names.index(name)
+            fixed[i], moved[i, j], slots[j] = 0.0, self.scale(name), value / self.scale(name)
+        return Model(self.problems[log][role], jnp.asarray(fixed), jnp.asarray(moved), self.names), slots
+
+    def fit(self, log: int, role: str, effects: Mapping[str, float], base: np.ndarray, steps: int) -> Fitted:
+        """Fits one log's part from a start point."""
+        model, slots = self.model(log, role, effects)
+        lower, upper = self.first.box
+        ends = np.zeros((2, SLOTS))
+        for j, name in enumerate(effects):
+            ends[:, j] = self.declared[name].lower / self.scale(name), self.declared[name].upper / self.scale(name)
+        start = np.concatenate([base, slots])[None]
+        search = least_squares.Search(
+            _residual, model, start, np.concatenate([lower, ends[0]]), np.concatenate([upper, ends[1]]), rtol=1e-5
+        )
+        solved = search.advance(steps).result()
+        point = solved.points[0]
+        found = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}
+        return Fitted(point[: len(base)], found, float(solved.costs[0]), solved.stops[0])
+
+    def each(self, role: str, before: Sequence[Fitted], added: Mapping[str, float], steps: int) -> list[Fitted]:
+        """Fits all logs, each from where it stood, with what is added."""
+        with ThreadPoolExecutor(2) as pool:
+            return list(pool.map(lambda i: self.fit(i, role, {**before[i].effects, **added}, before[i].base, steps), range(len(before))))
+
+    def drawn(self, log: int, role: str, effects: Mapping[str, float], times: int, steps: int, seed: int = 0) -> list[Fitted]:
+        """Fits one log from the rig's own values and from ``times - 1`` points drawn over the search box, the best first."""
+        lower, upper = self.first.search_box()
+        points = np.random.default_rng(seed).uniform(lower, upper, (times - 1, len(lower)))
+        with ThreadPoolExecutor(2) as pool:
+            fits = list(pool.map(lambda p: self.fit(log, role, effects, p, steps), [self.first.nominal, *points]))
+        return sorted(fits, key=lambda f: f.cost if np.isfinite(f.cost) else np.inf)
+
+    def residuals(self, log: int, role: str, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+        """Measured minus model of a part, K and deg, NaN where nothing was measured."""
+        model, slots = self.model(log, role, fitted.effects)
+        predicted, _ = _predict(model, jnp.asarray(np.concatenate([fitted.base, slots])))
+        data, count = self.problems[log][role].data, len(self.parts[log][role])
+        left = np.where(np.asarray(data.weight[0]) > 0, np.asarray(data.measured[0] - predicted[0]), np.nan)[:, :count]
+        return left[0], np.degrees(left[1] / LEVER)
+
+    def score(self, role: str, fits: Sequence[Fitted]) -> float:
+        """RMS of a part's residuals over their noise, pooled over logs and channels."""
+        noise = self.noise["temperature"], float(np.degrees(self.noise["displacement"] / LEVER))
+        left = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        return rms([r[c] / noise[c] for r in left for c in (0, 1)])
+
+    def errors(self, role: str, fits: Sequence[Fitted]) -> tuple[float, float]:
+        """Pooled RMSE of a part in K and deg."""
+        left = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        return rms([r[0] for r in left]), rms([r[1] for r in left])
+
+
+def rms(series: Sequence[np.ndarray]) -> float:
+    """Root mean square over all samples that are none of them NaN."""
+    return float(np.sqrt(np.nanmean(np.concatenate(series) ** 2)))
+
+
+def with_effect(bench: Bench, key: str) -> list[dict[str, float]]:
+    """Start values of an effect's parameters: a part of its typical strength, at each of the shapes that it is tried at."""
+    kind = bench.kinds[key]
+    start = {n: float(v) for n, v in zip(bench.names, bench.nominal, strict=True) if n.startswith(f"effects.{key}.")}
+    start[f"effects.{key}.strength"] = 0.3 * kind.typical
+    grids = [[(f"effects.{key}.{name}", value) for value in values] for name, values in kind.shapes]
+    return [start | dict(chosen) for chosen in itertools.product(*grids)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """One round of the search: its scores on the selection part by effect, which one was accepted (or none), and which did as well."""
+
+    before: float
+    scores: Mapping[str, float]
+    accepted: str
+    equivalent: tuple[str, ...]
+    fits: list[Fitted]
+
+
+def search(bench: Bench, first: list[Fitted], rounds: int, finalists: int) -> list[Round]:
+    """Adds effects one by one, as long as one lowers the error on the selection part by more than ``CUT``."""
+    history, fits, score = [], first, bench.score("select", first)
+    while len(history) < rounds:
+        tried: dict[str, list[Fitted]] = {}
+        for key in bench.kinds:
+            starts = with_effect(bench, key)
+            if f"effects.{key}.strength" in fits[0].effects or len(fits[0].effects) + len(starts[0]) > SLOTS:
+                continue
+            # From where the smaller model stands, whose parameters made up for the effect, and from the rig's own values.
+            anew = [dataclasses.replace(f, base=bench.first.nominal) for f in fits]
+            trials = [bench.each("train", before, start, 25) for start in starts for before in (fits, anew)]
+            tried[key] = [min(own, key=lambda f: f.cost) for own in zip(*trials, strict=True)]
+        scores = {key: bench.score("select", trial) for key, trial in tried.items()}
+        for key in sorted(scores, key=lambda k: scores[k])[:finalists]:
+            tried[key] = bench.each("train", tried[key], {}, 80)
+            scores[key] = bench.score("select", tried[key])
+        scores = dict(sorted(scores.items(), key=lambda kv: kv[1]))
+        best = next(iter(scores), "")
+        good = bool(best) and scores[best] < (1 - CUT) * score
+        alike = tuple(k for k, v in scores.items() if k != best and v < (1 - CUT) * score and v <= (1 + CUT) * scores[best])
+        history.append(Round(score, scores, best if good else "", alike if good else (), tried[best] if good else fits))
+        what = "accepted" if good else "not accepted"
+        say(f"round {len(history)}: {best or 'nothing'} {what}, selection part from {score:.3f} to {scores.get(best, score):.3f}")
+        if not good:
+            break
+        fits, score = tried[best], scores[best]
+    return history
+
+
+def compared(what: str, errors: tuple[float, float], targets: tuple[float, float] | None, **numbers: float) -> Row:
+    """One row of errors in K and deg."""
+    goal = f"<= {targets[0]:g} K, <= {targets[1]:g} deg" if targets else "-"
+    met = errors[0] <= targets[0] and errors[1] <= targets[1] if targets else None
+    return Row(what, goal, f"{errors[0]:.2f} K, {errors[1]:.2f} deg", met, {"rmse_K": errors[0], "rmse_deg": errors[1], **numbers})
+
+
+def report(bench: Bench, logs: Sequence[Log], base: list[Fitted], history: list[Round], final: list[Fitted], known: bool) -> list[Row]:
+    """The table but for the agreement of start points."""
+    rows = [Row(f"{log.name}: found", "-", f"{log.found}; fitted to {log.until:g} s, scored from {log.scored:g} s", None) for log in logs]
+    guess = [naive(log) for log in logs]
+    repeated = rms([g[0] for g in guess]), rms([g[1] for g in guess])
+    whole = bench.each("fitted", base, {}, 80)
+    for part in ("train", "select"):
+        last = history[-1].fits if history else base
+        rows.append(compared(f"{part} part, before", bench.errors(part, base), None))
+        rows.append(compared(f"{part} part, with effects", bench.errors(part, last), None))
+    for k, one in enumerate(history):
+        best = [f"{key} {value:.3f}" for key, value in one.scores.items()]
+        text = f"{one.before:.3f} before; with {', '.join(best)}"
+        rows.append(Row(f"round {k + 1}: error over noise on the selection part", "-", text, None, dict(one.scores)))
+        verdict = f"{one.accepted} accepted" if one.accepted else f"none cuts it by more than {100 * CUT:.0f} %"
+        verdict += f"; as good within {100 * CUT:.0f} %: {', '.join(one.equivalent)}" if one.equivalent else ""
+        rows.append(Row(f"round {k + 1}: verdict", "-", verdict, None))
+    rows.append(compared("held out: repeating pulse 1 (naive)", repeated, None))
+    rows.append(compared("held out: base model", bench.errors("held", whole), (BASE_K, BASE_DEG) if known else None))
+    rows.append(compared("held out: with effects", bench.errors("held", final), (REACH_K, REACH_DEG) if known else None))
+    for i, (log, fitted) in enumerate(zip(logs, final, strict=True)):
+        rows.append(compared(f"held out: {log.name}", tuple(rms([r]) for r in bench.residuals(i, "held", fitted)), None))  # pyright: ignore[reportArgumentType]
+    better = [a < b for a, b in zip(bench.errors("held", final), repeated, strict=True)]
+    text = ", ".join(f"{c}: {'yes' if b else 'no'}" for c, b in zip(("temperature", "bend"), better, strict=True))
+    rows.append(Row("held out: better than the naive forecast?", "-", text, None))
+    for i, unknown in enumerate(bench.first.unknowns):
+        values = [float(f.base[i] * unknown.scale) for f in final]
+        rows.append(Row(unknown.name, "-", f"{', '.join(f'{v:.4g}' for v in values)} {unknown.unit}", None))
+    for name in final[0].effects:
+        values = [f.effects[name] for f in final]
+        rows.append(Row(name, "-", f"{', '.join(f'{v:.4g}' for v in values)} {bench.declared[name].unit}", None))
+    return rows
+
+
+def agreement(bench: Bench, final: list[Fitted], times: int) -> tuple[list[Row], list[Fitted]]:
+    """How many start points end at each log's lowest cost, and the best fit of each."""
+    rows, best = [], []
+    for i, fitted in enumerate(final):
+        fits = [fitted, *bench.drawn(i, "fitted", fitted.effects, times, 150, seed=1 + i)]
+        lowest = min(fits, key=lambda f: f.cost)
+        same = sum(f.cost <= 1.001 * lowest.cost for f in fits)
+        near = sum(f.cost <= 1.05 * lowest.cost for f in fits)
+        text = f"{same} of {len(fits)} end within 0.1 %, {near} within 5 % of the lowest cost, {lowest.cost:.1f}; {lowest.stop.text}"
+        name = bench.parts[i]["fitted"].name
+        rows.append(Row(f"{name}: is it the best that this model can do?", "one optimum", text, same == len(fits), {"cost": lowest.cost}))
+        best.append(lowest)
+    return rows, best
+
+
+def pictures(bench: Bench, logs: Sequence[Log], final: list[Fitted], folder: Path) -> None:
+    """The scored part of each log, measured and modelled."""
+    for i, (log, fitted) in enumerate(zip(logs, final, strict=True)):
+        part = bench.parts[i]["held"]
+        measured = part.channels["temperature"], np.degrees(part.channels["displacement"] / LEVER)
+        pairs = zip(("temperature [degC]", "bend [deg]"), measured, bench.residuals(i, "held", fitted), strict=True)
+        for what, values, left in pairs:
+            seen = np.isfinite(left)
+            time = part.time[seen]
+            curves = [Curve("measured", time, values[seen]), Curve("model", time, (values - left)[seen], dashed=True)]
+            draw(Chart(f"{log.name}, held out", "time [s]", what, curves), folder, f"measured_softlimb_{log.name}_{what.split()[0]}")
+
+
+def read_logs(folder: Path) -> list[Log]:
+    """All logs of a folder. Raises ``InputError``."""
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder: give one with logs of an arm, as CSV files, by --data")
+    paths = sorted(folder.glob("*.csv"))
+    if not paths:
+        raise InputError(f"{folder} holds no CSV file: give a folder with logs of an arm by --data")
+    return [read_log(path) for path in paths]
+
+
+def main() -> None:
+    """Prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "bu-softlimb")
+    parser.add_argument("--quick", action="store_true", help="the first log only, three candidates, one round")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--out", type=Path, metavar="DIR")
+    args = parser.parse_args()
+    try:
+        logs = read_logs(args.data)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    known = args.data.name == "bu-softlimb" and not args.quick
+    logs = logs[:1] if args.quick else logs
+    bench = Bench(logs, CANDIDATES[:3] if args.quick else CANDIDATES)
+    times = 3 if args.quick else 8
+    say(f"fitting the base model to {len(logs)} logs from {times} start points each")
+    base = [bench.drawn(i, "train", {}, times, 25 if args.quick else 60)[0] for i in range(len(logs))]
+    history = search(bench, base, 1 if args.quick else 8, 1 if args.quick else 4)
+    say("fitting all once more to the whole of the first part")
+    final = bench.each("fitted", history[-1].fits if history else base, {}, 40 if args.quick else 200)
+    agreed, final = agreement(bench, final, 2 if args.quick else 10)
+    rows = [*report(bench, logs, base, history, final, known), *agreed]
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        pictures(bench, logs, final, args.out)
+    finish("measured_bu_softlimb", rows, args)
+
+
+if __name__ == "__main__":
+    main()
