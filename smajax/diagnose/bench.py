@@ -123,6 +123,10 @@ class Bench:
         if settings.initial:
             raise InputError("a diagnosis takes no free start values: leave out fit.initial")
         self.parts = [Part((p,)) if isinstance(p, Recording) else p for p in parts]
+        for recording in (r for part in self.parts for r in part.recordings):
+            gaps = [c for c in settings.observe if not np.all(np.isfinite(recording.channels.get(c, 0.0)))]
+            if gaps:
+                raise InputError(f"{recording.name}: a diagnosis needs {gaps[0]} at every row: leave out the rows without a value")
         train = self.parts[0].recordings
         self.traits = plant.traits(tuple(settings.observe)) - (set() if all(r.has_clock for r in train) else {"clock"})
         self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
