@@ -42,7 +42,7 @@ STRETCHES = 12  # of a fitted loop's rows, the middle one of every three of whic
 TARGET = 33.0  # MPa
 WITHOUT = {
     "encoder-gain": "the strain is prescribed", "encoder-drift": "the strain is prescribed", "sensor-lag": "the strain is prescribed",
-    "functional-fatigue": "one cycle", "transformation-shift": "one cycle",
+    "ratcheting": "one cycle", "functional-fatigue": "one cycle", "transformation-shift": "one cycle",
     "time-skew": "the strain is prescribed", "backlash": "the strain is prescribed",
     "clausius-asymmetry": "both slopes are free",
     "resistivity-strain": "no resistance", "resistivity-temperature": "no resistance",
