@@ -235,7 +235,8 @@ def main() -> None:
             draw(Chart(f"{level} MPa, held out", "temperature [degC]", "strain [%]", curves), args.out, f"measured_isobaric_{level}")
             lines = [Curve(f"{level} MPa", np.arange(len(residual)), 100 * residual)]
             draw(Chart("Held-out residual", "row", "measured - model [%]", lines), args.out, f"measured_isobaric_{level}_residual")
-    finish("measured_isobaric", rows, args)
+    usual = (args.data, args.holdout) == (parser.get_default("data"), parser.get_default("holdout"))
+    finish("measured_isobaric", rows, args, words="" if usual else f" --data {args.data.resolve().name} --holdout {args.holdout}")
 
 
 def _reached(what: str, target: float | None, train: float, held: float) -> Row:

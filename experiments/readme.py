@@ -18,7 +18,8 @@ def block(document: dict) -> str:
     """The table of one experiment as Markdown, under its command."""
     measured = document["experiment"].startswith("measured_")
     shown = [r for r in document["rows"] if r["met"] is not None or not measured]
-    command = f"`python experiments/{document['experiment']}.py{' --quick' if document['quick'] else ''}`"
+    words = document.get("words", "") + (" --quick" if document["quick"] else "")
+    command = f"`python experiments/{document['experiment']}.py{words}`"
     rows = [(r["what"], r["target"], r["measured"], {True: "yes", False: "no", None: "-"}[r["met"]]) for r in shown]
     return f"{command}:\n\n{table(['what', 'target', 'measured', 'met'], rows)}"
 
@@ -29,7 +30,7 @@ def main() -> None:
     text = readme.read_text(encoding="utf-8")
     for path in sys.argv[1:]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
-        name = document["experiment"]
+        name = document["experiment"] + document.get("words", "")
         marked = re.compile(f"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
         found = marked.search(text)
         if found is None:

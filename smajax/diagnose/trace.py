@@ -165,12 +165,13 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     best = tracer.settled(best)
     fall = (current.train - best.train) * samples
     cut = 1.0 - math.sqrt(best.select / current.select)
+    added = next((k for k in best.keys if k not in current.keys), best.key)
     if fall < _FALL * max(1.0, best.train):
-        story.rejected.append((best.key, "fits the training recording no better than chance would"))
+        story.rejected.append((added, "fits the training recording no better than chance would"))
         return []
     if cut < CUT:
         told = f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
-        story.rejected.append((best.key, told))
+        story.rejected.append((added, told))
         return []
     say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")
     story.last = best
