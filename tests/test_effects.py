@@ -54,6 +54,7 @@ KEYS = [
     "stress-dependent-strain",
     "clausius-asymmetry",
     "ratcheting",
+    "initial-set",
     "functional-fatigue",
     "transformation-shift",
     "minor-loop-shape",
