@@ -309,6 +309,7 @@ class Plant(eqx.Module):
         words = {"clock", self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
         words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
+        words |= {"prescribed strain or stress"} if self.mechanism.prescribed else set()
         quiet = self.mechanism.prescribed or (self.mechanism.wires == 2 and self.mechanism.unknowns > 1)
         return frozenset(words if quiet else words | {"drag"})
 

@@ -21,6 +21,7 @@ class GradualTransformation(MaterialEffect):
     typical = 0.3
     source = "isobaric cycles of actuator wire, rounded at all four corners: tails of 20 to 40 K"
     confused_with = ("temperature-distribution", "minor-loop-shape", "stress-dependent-strain")
+    needs = ("prescribed strain or stress",)  # its grains cost as much as all other effects, and a free motion shows them badly
     shapes = (("width", (5.0, 12.0)),)
 
     def start(self, instant: Instant, where: Where) -> Fractions:
