@@ -134,8 +134,10 @@ def test_derivatives_at_zero_strength(kind, seconds, observe):
             continue
         off = min(np.linalg.norm(change - column) for change in (*changes, 0.5 * (changes[0] + changes[1])))
         assert off < 2e-2 * np.linalg.norm(column), key
-    unheated = {key for key, effect in made.effects.items() if effect.stage in ("drive", "heat")} if kind == "isobaric" else set()
-    assert silent <= {"compliance", "slip", "stress-dependent-strain", *unheated}, silent
+    if kind == "isobaric":  # without heating, motion and a load that moves, the strain is left
+        assert not silent & {"gradual-transformation", "r-phase", "ratcheting", "transformation-shift", "temperature-distribution"}
+    else:
+        assert silent <= {"compliance", "slip", "stress-dependent-strain"}, silent
 
 
 def test_what_is_planted_is_recovered():
