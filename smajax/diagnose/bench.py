@@ -141,7 +141,7 @@ class Bench:
         everything = [r for part in self.parts for r in part.recordings]
         whole = build(augmented, everything, settings, **self._layout, multiple=_MULTIPLE)
         self.noise = dict(zip(self.channels, 1.0 / np.max(np.asarray(whole.data.weight), axis=(0, 2)), strict=True))
-        self.shared, self._own = len(whole.shared), len(whole.own)
+        self.shared, self.own = len(whole.shared), len(whole.own)
         self._split(whole)
         self.nominal, self.box = self._ends[0][0], self._ends[0][1:]
         self.plain = self._weighted(build(plant, train, settings, **self._layout), self._rows[0])
@@ -162,13 +162,13 @@ class Bench:
         for part in self.parts:
             count = len(part.recordings)
             recordings = first + np.minimum(np.arange(size), count - 1)
-            own = self.shared + (recordings[:, None] * self._own + np.arange(self._own)).ravel()
+            own = self.shared + (recordings[:, None] * self.own + np.arange(self.own)).ravel()
             places = np.concatenate([np.arange(self.shared), own]).astype(int)
             unknowns = unknowns or tuple(whole.unknowns[i] for i in places)  # the same for all, so that they run on one program
             data = jax.tree.map(lambda leaf: leaf[recordings], whole.data)  # noqa: B023
             self.problems.append(dataclasses.replace(whole, data=data, scales=whole.scales[places], unknowns=unknowns))
             nominal, (lower, upper) = whole.nominal[places], (side[places] for side in whole.box)
-            held = np.arange(len(places)) >= self.shared + self._own * count
+            held = np.arange(len(places)) >= self.shared + self.own * count
             self._ends.append((nominal, np.where(held, nominal, lower), np.where(held, nominal, upper)))
             first += count
 
@@ -284,6 +284,13 @@ class Bench:
         shapes = [f"effects.{key}.{shape}" for key in hypothesis.keys for shape, _ in self.effects[key].shapes]
         return [*strengths, *shapes][:SLOTS]
 
+    def ends(self, moved: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the base vector followed by the parameters ``moved``."""
+        declared = [declarations(self.effects[name.split(".")[1]])[name.split(".")[2]] for name in moved]
+        lower = [d.lower / self.scale(name) for d, name in zip(declared, moved, strict=True)]
+        upper = [d.upper / self.scale(name) for d, name in zip(declared, moved, strict=True)]
+        return np.append(self.box[0], lower), np.append(self.box[1], upper)
+
     def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5, form: Form | None = None) -> Refit:
         """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one."""
         return self.reached(self.search(hypothesis, base, rtol=rtol, form=form).advance(max_steps))
@@ -291,10 +298,7 @@ class Bench:
     def search(self, hypothesis: Hypothesis, base: np.ndarray, *, rtol: float = 1e-6, form: Form | None = None) -> Running:
         """The search of ``fit`` before its first step."""
         moved, nodes = self.moved(hypothesis), form.matrix.shape[1] if form else 0
-        lower, upper = (np.concatenate([side, np.zeros(SLOTS)]) for side in self.box)
-        for j, name in enumerate(moved):
-            declared = declarations(self.effects[name.split(".")[1]])[name.split(".")[2]]
-            lower[self.size + j], upper[self.size + j] = declared.lower / self.scale(name), declared.upper / self.scale(name)
+        lower, upper = (np.append(side, np.zeros(SLOTS - len(moved))) for side in self.ends(moved))
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
         model = self.model(hypothesis, moved, self.problems[0], form)
         start = self._start(hypothesis, base, moved)
@@ -321,7 +325,7 @@ class Bench:
         nodes: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residual on part ``k`` and its derivatives by the free parameters, by ``moved`` and by a free term's nodes."""
-        if k and self._own:
+        if k and self.own:
             base = self._anchored(hypothesis, base, k)
         return self.evaluate_at(self.problems[k], hypothesis, base, moved, form, nodes)
 

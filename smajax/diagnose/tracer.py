@@ -15,6 +15,7 @@ from smajax.fit.least_squares import Stop
 _HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
 _HOPELESS = 30.0
+_JOINED = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,6 +176,50 @@ class Tracer:
         starts = [trial.refit.base, self.bench.nominal]
         ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
         return self.judged(min(ended, key=lambda r: r.chi2))
+
+    def joined(self, refit: Refit) -> Refit:
+        """A refit's parameters, fitted to the training and the selection part together by damped Gauss-Newton steps from where they are.
+
+        What one recording leaves open, the other may know; the holdout is predicted with these. A refit with parameters that each recording
+        has of its own stays what it is.
+        """
+        bench, moved = self.bench, self.bench.moved(refit.hypothesis)
+        if bench.own:
+            return refit
+        lower, upper = bench.ends(moved)
+        scales = np.array([bench.scale(name) for name in moved])
+
+        def at(point: np.ndarray) -> Hypothesis:
+            found = dict(zip(moved, (point[bench.size :] * scales).tolist(), strict=True))
+            return Hypothesis(refit.hypothesis.keys, tuple({**refit.values, **found}.items()))
+
+        def both(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+            parts = in_pairs(lambda k: bench.evaluate(at(point), point[: bench.size], k, moved), (0, 1))
+            residual = np.concatenate([bench.flat(r, k) for k, (r, _) in enumerate(parts)])
+            jacobian = np.column_stack(
+                [np.concatenate([bench.flat(p[1][:, j], k) for k, p in enumerate(parts)]) for j in range(len(point))]
+            )
+            return residual, jacobian, parts[0]
+
+        point = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)])
+        residual, jacobian, train = both(point)
+        damping = 1e-4
+        for _ in range(_JOINED):
+            gradient, normal = jacobian.T @ residual, jacobian.T @ jacobian
+            free = (np.diag(normal) > 0) & ~((point <= lower) & (gradient > 0)) & ~((point >= upper) & (gradient < 0))
+            steep = normal[np.ix_(free, free)]
+            step = np.zeros(len(point))
+            step[free] = -np.linalg.solve(steep + damping * np.diag(np.diag(steep)), gradient[free])
+            trial = np.clip(point + step, lower, upper)
+            there = both(trial)
+            fall = residual @ residual - there[0] @ there[0]
+            if not fall > 0.0:
+                damping *= 10.0
+                continue
+            point, (residual, jacobian, train), damping = trial, there, damping / 10.0
+            if fall < 1e-6 * (residual @ residual):
+                break
+        return Refit(at(point), point[: bench.size], *train, refit.stop)
 
     def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""

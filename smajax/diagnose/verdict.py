@@ -23,7 +23,7 @@ _NOISY = 1.2
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """The whole of it. RMSEs in SI by channel.
+    """The whole of it. RMSEs in SI by channel; ``before`` and ``after`` are fitted to training and selection part together.
 
     ``predictions`` hold model minus measurement, SI, by before / after, recording and channel; ``looks`` the residuals of the training
     recording by before / after and channel.
@@ -105,7 +105,9 @@ def _rivals(story: Story) -> dict[str, dict[str, float]]:
 
 
 def _conclude(tracer: Tracer, story: Story, verdict: str, stage: str | None, shape: Shape | None, designed: Next | None) -> Diagnosis:
-    bench, first, last = tracer.bench, story.first.refit, story.last.refit
+    bench = tracer.bench
+    first = tracer.joined(story.first.refit)
+    last = tracer.joined(story.last.refit) if story.accepted else first
     noise = bench.noise
     residuals = {
         "before": [first.residual, *(bench.evaluate(Hypothesis(), first.base, k)[0] for k in (1, 2))],
@@ -132,7 +134,7 @@ def _conclude(tracer: Tracer, story: Story, verdict: str, stage: str | None, sha
         noise=story.noise,
         before=first,
         after=last,
-        fitness=(story.first.train, story.last.train, story.limit),
+        fitness=(bench.fitness(first.residual, 0), bench.fitness(last.residual, 0), story.limit),
         rmse=rmse,
         cut95=cut95,
         rejected=tuple(story.rejected),
@@ -150,10 +152,14 @@ def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
     if not moved:
         return {}
     free = tracer.free(refit)
-    columns = [bench.series(c) for c in refit.jacobian[:, free].T]
-    series = bench.series(refit.residual)
-    jacobians = [np.column_stack([c[name] for c in columns]) for name in series]
-    covariance = uncertainty.covariance(jacobians, list(series.values()), int(np.sum(free)))
+    jacobians, residuals = [], []
+    for k in (0, 1)[: 1 if bench.own else 2]:
+        left, jacobian = bench.evaluate(refit.hypothesis, refit.base, k, moved)
+        columns = [bench.series(c, k) for c in jacobian[:, free].T]
+        for name, series in bench.series(left, k).items():
+            jacobians.append(np.column_stack([c[name] for c in columns]))
+            residuals.append(series)
+    covariance = uncertainty.covariance(jacobians, residuals, int(np.sum(free)))
     spread = np.sqrt(np.diag(covariance))[-len(moved) :] * 1.96
     return {
         name: (refit.values[name] - s * bench.scale(name), refit.values[name] + s * bench.scale(name))
