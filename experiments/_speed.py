@@ -113,7 +113,7 @@ def loop_rows(quick: bool) -> list[Row]:
         {"loop": loops}
         | {
             f"{size} on {threads}": _in_chunks(rig.plant, values, inputs, rig.fit.observe, size, threads)
-            for size in ((16, 64, 256) if quick else (8, 16, 32, 64, 128, 256, 512))
+            for size in ((256,) if quick else (8, 16, 32, 64, 128, 256, 512))
             for threads in (1, THREADS)
         },
     )

@@ -204,7 +204,7 @@ METHODS: dict[str, Callable[[Rig, list, str], tuple[str, float]]] = {
 def main() -> None:
     """Runs all methods on all cases and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="two hidden effects and one case without")
+    parser.add_argument("--quick", action="store_true", help="one hidden effect")
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--out", type=Path, metavar="DIR")
@@ -214,7 +214,7 @@ def main() -> None:
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
     answers: dict[str, list[tuple[str, Answer]]] = {name: [] for name in METHODS}
     for seed in range(1 if args.quick else args.seeds):
-        for key in ("latent-heat", "backlash", "") if args.quick else CASES:
+        for key in CASES[:1] if args.quick else CASES:
             rng = np.random.default_rng([seed, 7, *key.encode()])
             recordings = record(rig, draw(rng, (key,)) if key else {}, rng)
             for name, method in METHODS.items():
