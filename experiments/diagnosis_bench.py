@@ -5,7 +5,8 @@
 Every case draws the rig's free parameters near their nominal values, the strength log-uniformly from 0.3 to 1.5 of a usual one, and three
 inputs of 80 s. Counted are: the right effect alone or as first (exact, or in the class that the verdict declares), alarms where nothing is
 hidden, effects named too many, what is said of effects that no catalogue lists, whether the interval of the strength holds the true one,
-and the held-out error over the noise. A seed takes a quarter of an hour on two cores; ``--quick`` runs one hidden effect and one case without.
+and the held-out error over the noise. A seed takes a quarter of an hour on two cores; ``--quick`` runs one hidden effect and one case
+without.
 """
 
 from __future__ import annotations
