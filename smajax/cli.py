@@ -156,10 +156,9 @@ def diagnose(
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
 ) -> None:
     """Say what a rig has that its file does not: trace the residual to an effect, add it, and compare before and after."""
-    from smajax.report.diagnosis import text
-
     with _progress(quiet) as progress:
         from smajax.jobs.diagnose import DiagnoseJob, run_diagnose
+        from smajax.report.diagnosis import text
 
         outcome = run_diagnose(DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows), progress, _argv())
     _finish(outcome, "diagnosis.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
@@ -173,11 +172,11 @@ def demo(
 ) -> None:
     """Find out what a shipped rig has that its file does not know: fit, trace, add, compare before and after, and open the report."""
     from smajax.datasets import shipped
-    from smajax.report.diagnosis import text
 
     folder = shipped("recordings", "dead-weight-unexplained")
     with _progress(quiet) as progress:
         from smajax.jobs.diagnose import DiagnoseJob, run_diagnose
+        from smajax.report.diagnosis import text
 
         train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))
         outcome = run_diagnose(DiagnoseJob(folder / "rig.toml", train, select, holdout, out), progress, _argv())

@@ -20,7 +20,12 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
-OLD_EMITTERS = "--xla_cpu_use_fusion_emitters=false"  # they compile our programs faster; known to jax < 0.11
+# Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs five to eight times as fast if all of
+# it, however large its arrays are, is one function of machine code.
+XLA_FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
+)
 
 
 class Progress:
@@ -138,12 +143,15 @@ def prepare_jax() -> None:
     """Have compiled programs kept between runs, in the user's cache folder or where ``JAX_COMPILATION_CACHE_DIR`` says.
 
     Equinox's run-time checks are switched off first: they bring calls from the compiled program into Python, with which it could not be
-    kept, and smajax's simulations carry result codes instead. Where no folder can be written, nothing is kept, and all else works.
+    kept, and smajax's simulations carry result codes instead. Where no folder can be written, nothing is kept, and all else works. Raises
+    ``RuntimeError`` if Equinox has been loaded before, since the checks are then there to stay.
     """
+    if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
+        raise RuntimeError("prepare_jax has to be called before anything imports equinox")
     os.environ.setdefault("EQX_ON_ERROR", "off")
-    flags = os.environ.get("XLA_FLAGS", "")
-    if "xla_cpu_use_fusion_emitters" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {OLD_EMITTERS}".strip()
+    given = os.environ.get("XLA_FLAGS", "")
+    ours = [flag for flag in XLA_FLAGS if flag.split("=")[0] not in given]
+    os.environ["XLA_FLAGS"] = " ".join([given, *ours]).strip()
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):

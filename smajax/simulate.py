@@ -238,45 +238,37 @@ def _unflatten(plant: Plant, inputs: Inputs) -> Callable[[jax.Array], State]:
 
 @_trajectory.def_jvp
 def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
-    """All steps are linearised at once, since their states are known by now; what is left in sequence is y_k+1 = A_k y_k + b_k.
+    """Pushes the tangent from step to step, the states being known by now.
 
-    Being linear, the recurrence has a transpose, so reverse mode comes with it; the states are its only tape.
+    What comes out is linear in the tangents, so that reverse mode comes with it; the states are its tape.
     """
-    plant, inputs = primals
+    (plant, inputs), (moved, _) = primals, tangents
     flat, code = _trajectory(plant, inputs)
     unflatten = _unflatten(plant, inputs)
 
-    def arrive(end: jax.Array, y: jax.Array, plant: Plant, *step: Any) -> tuple[jax.Array, jax.Array]:
-        before, after, duration = step
-        left, state = _arrive(plant, unflatten(y), before, after, duration, end)
-        return left, ravel_pytree(state)[0]
-
-    def push(of_plant: Callable[[Plant], Any]) -> Any:
-        value, tangent = eqx.filter_jvp(of_plant, (plant,), (tangents[0],))
+    def push(function: Callable, at: tuple, along: tuple) -> Any:
+        value, tangent = eqx.filter_jvp(function, at, along)
         return jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, value, tangent, is_leaf=lambda x: x is None)
 
-    def linearise(y: jax.Array, end: jax.Array, *step: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The implicit function theorem: left(end, y, plant) = 0 gives what the end moves by."""
-        known = unflatten(end)
-        z = jnp.concatenate([known.temperature, known.unknown])
-        left, state = jax.jacfwd(lambda zy: arrive(zy[: len(z)], zy[len(z) :], plant, *step))(jnp.concatenate([z, y]))
-        left_added, state_added = push(lambda p: arrive(z, y, p, *step))
-        slope, per_end = left[:, : len(z)], state[:, : len(z)]
+    def recur(tangent: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        """The implicit function theorem: left(end, start, plant) = 0 gives what the end moves by."""
+        start, known, *step = row
+        end = unflatten(known)
+        z = jnp.concatenate([end.temperature, end.unknown])
 
-        def through(left: jax.Array, state: jax.Array) -> jax.Array:
-            moved = linear(slope, left)
-            return state - sum(per_end[:, i] * moved[i] for i in range(len(z)))
+        def arrive(z: jax.Array, start: jax.Array, plant: Plant) -> tuple[jax.Array, jax.Array]:
+            left, state = _arrive(plant, unflatten(start), *step, z)
+            return left, ravel_pytree(state)[0]
 
-        return jax.vmap(through, in_axes=-1, out_axes=-1)(left[:, len(z) :], state[:, len(z) :]), through(left_added, state_added)
-
-    def recur(tangent: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
-        slope, added = step
-        new = jnp.sum(slope * tangent[None, :], axis=-1) + added
+        slope, per_end = jax.jacfwd(lambda z: arrive(z, start, plant))(z)
+        left, state = push(lambda start, plant: arrive(z, start, plant), (start, plant), (tangent, moved))
+        by = linear(slope, left)
+        new = state - sum(per_end[:, i] * by[i] for i in range(len(z)))
         return new, new
 
-    steps = jax.vmap(linearise)(flat[:-1], flat[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
-    first = push(lambda p: ravel_pytree(p.start(inputs.sampled[0]))[0])
-    _, rest = jax.lax.scan(recur, first, steps)
+    first = push(lambda plant: ravel_pytree(plant.start(inputs.sampled[0]))[0], (plant,), (moved,))
+    rows = (flat[:-1], flat[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
+    _, rest = jax.lax.scan(recur, first, rows)
     return (flat, code), (jnp.concatenate([first[None], rest]), None)
 
 

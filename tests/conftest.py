@@ -5,18 +5,14 @@ import pathlib
 
 import pytest
 
-from smajax.console import OLD_EMITTERS
+from smajax.console import prepare_jax
 
 ROOT = pathlib.Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"
 
-# Equinox's run-time checks put host callbacks into compiled programs, which JAX then refuses to keep in its cache.
-os.environ.setdefault("EQX_ON_ERROR", "off")
-os.environ.setdefault("XLA_FLAGS", OLD_EMITTERS)
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".jax_cache" / "numba"))
+prepare_jax()
 
 import jax  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402

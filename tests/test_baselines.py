@@ -112,7 +112,8 @@ def test_gradient_finds_the_truth_with_far_fewer_simulations(problem):
 
 
 def test_gradient_counts_starts_and_recordings(two_recordings, monkeypatch):
-    monkeypatch.setattr(baselines, "_residual", lambda vector, problem: vector - jnp.asarray([1.3, 0.8]))
+    padded = jnp.zeros(two_recordings.size - 2)
+    monkeypatch.setattr(baselines, "_residual", lambda vector, problem: jnp.append(vector - jnp.asarray([1.3, 0.8]), padded))
     monkeypatch.setattr(baselines, "draw_starts", lambda problem, starts, seed: (np.array([[1.0, 1.0], [0.5, 2.0]]), 96))
     found = gradient(two_recordings, seed=1, starts=2, max_steps=4)
     assert found.name == "gradient, 2 starts" and found.cost < 1e-9

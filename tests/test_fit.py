@@ -192,9 +192,8 @@ def test_levenberg_marquardt_on_known_problems():
         return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
 
     def solve(starts, lower, upper, steps=100):
-        return (
-            least_squares.Search(rosenbrock, None, np.array(starts), np.array(lower), np.array(upper), rtol=1e-14).advance(steps).result()
-        )
+        box = np.array(lower), np.array(upper)
+        return least_squares.Search(rosenbrock, None, np.array(starts), *box, size=2, rtol=1e-14).advance(steps).result()
 
     free = solve([[-1.2, 1.0], [3.0, -2.0]], [-10.0, -10.0], [10.0, 10.0])
     assert free.points == pytest.approx(np.ones((2, 2)), abs=1e-6)
@@ -212,7 +211,7 @@ def test_a_search_that_is_resumed_ends_where_one_run_does():
         return jnp.array([10.0 * (v[1] - v[0] ** 2), 1.0 - v[0]])
 
     def search():
-        return least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), rtol=1e-14)
+        return least_squares.Search(rosenbrock, None, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.full(2, 10.0), size=2, rtol=1e-14)
 
     whole, parts = search().advance(40), search()
     for steps in (1, 2, 3, 5, 8, 21):

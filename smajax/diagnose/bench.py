@@ -302,7 +302,9 @@ class Bench:
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
         model = self.model(hypothesis, moved, self.problems[0], form)
         start = self._start(hypothesis, base, moved)
-        return Running(least_squares.Search(_residual, model, start[None], lower, upper, rtol=rtol), hypothesis, nodes)
+        return Running(
+            least_squares.Search(_residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol), hypothesis, nodes
+        )
 
     def reached(self, running: Running) -> Refit:
         """Where a search ends."""
@@ -342,7 +344,7 @@ class Bench:
         columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
         start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
         model = self.model(hypothesis, moved, problem, form)
-        solved = least_squares.Search(_residual, model, start[None], -free, free).advance(1).result()
+        solved = least_squares.Search(_residual, model, start[None], -free, free, size=problem.size).advance(1).result()
         self.simulations += solved.simulations
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
@@ -359,7 +361,7 @@ class Bench:
         start, lower, upper = (np.concatenate([base[: self.shared], own[self.shared :], np.zeros(SLOTS)]) for own in (nominal, *ends))
         problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
         model = self.model(hypothesis, (), problem)
-        solved = least_squares.Search(_residual, model, start[None], lower, upper).advance(15).result()
+        solved = least_squares.Search(_residual, model, start[None], lower, upper, size=problem.size).advance(15).result()
         self.simulations += solved.simulations
         return solved.points[0][: self.size]
 

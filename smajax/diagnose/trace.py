@@ -117,7 +117,8 @@ def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, 
     nominal = np.clip(plain.nominal, lower, upper)
     aside = 0.1 * np.random.default_rng(seed).uniform(-1, 1, (starts - 1, len(nominal))) * (upper - lower)
     points = [nominal, *np.clip(nominal + aside, lower, upper)]
-    solved = [least_squares.Search(plain_residual, plain, p[None], *plain.box, rtol=1e-8).advance().result() for p in points]
+    searches = [least_squares.Search(plain_residual, plain, p[None], *plain.box, size=plain.size, rtol=1e-8) for p in points]
+    solved = [search.advance().result() for search in searches]
     bench.simulations += sum(s.simulations for s in solved)
     best = min(solved, key=lambda s: s.costs[0] if math.isfinite(s.costs[0]) else math.inf)
     if best.stops[0] is Stop.failed:

@@ -159,11 +159,11 @@ def gradient(problem: Problem, *, seed: int, starts: int = 1, max_steps: int = 1
     the best cost so far.
     """
     created = time.perf_counter()
-    least_squares.Search(_residual, problem, draw_starts(problem, starts, seed)[0], *problem.box).advance(1)
+    least_squares.Search(_residual, problem, draw_starts(problem, starts, seed)[0], *problem.box, size=problem.size).advance(1)
     began = time.perf_counter()
     points, screened = draw_starts(problem, starts, seed)
     spent = time.perf_counter() - began
-    solved = least_squares.Search(_residual, problem, points, *problem.box).advance(max_steps, progress).result()
+    solved = least_squares.Search(_residual, problem, points, *problem.box, size=problem.size).advance(max_steps, progress).result()
     each = problem.data.measured.shape[0]
     costs = np.where(np.isfinite(solved.costs), solved.costs, np.inf)
     best = int(np.argmin(costs))

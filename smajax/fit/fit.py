@@ -140,7 +140,7 @@ def fit(
     problem = build(plant, recordings, settings, interpolation=interpolation, step=step)
     starts, screened = draw_starts(problem, settings.starts, settings.seed)
     compiled = time.perf_counter()
-    solved = least_squares.Search(_residual, problem, starts, *problem.box).advance(max_steps, progress).result()
+    solved = least_squares.Search(_residual, problem, starts, *problem.box, size=problem.size).advance(max_steps, progress).result()
     first = solved.history[0][1] if solved.history else 0.0
     later = (solved.wall - first) / max(len(solved.history) - 1, 1)
     if all(s is Stop.failed for s in solved.stops):
@@ -275,7 +275,7 @@ def profile(result: Fit, name: str, *, points: int = 9, width: float = 3.0) -> d
     slope = result.covariance[:, i] / result.covariance[i, i]
     scales = np.array([u.scale for u in result.problem.unknowns])
     starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
-    solved = least_squares.Search(_residual, result.problem, starts, lower, upper, rtol=1e-9).advance().result()
+    solved = least_squares.Search(_residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=1e-9).advance().result()
     rise = solved.costs - result.cost
     # Near the estimate the profile is a parabola; the noise's autocorrelation widens it as it widens the interval.
     curvature = np.sum(rise * (values - estimate.estimate) ** 2) / np.sum((values - estimate.estimate) ** 4)

@@ -150,11 +150,10 @@ def _propose(y: jax.Array, residual: jax.Array, jacobian: jax.Array, damping: ja
     return y + change, predicted
 
 
-# Compiled, so that the residual's shape is traced once and not again for each search.
 @eqx.filter_jit
-def _begin(solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, rest: Any) -> LMState:
-    struct = jax.eval_shape(fn, points[0], rest)
-    return jax.vmap(lambda y: solver.init(fn, y, None, {}, struct, None, frozenset()))(points)
+def _begin(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
+    struct = jax.ShapeDtypeStruct((size,), jnp.float64)
+    return jax.vmap(lambda y: solver.init(lambda y, args: y, y, None, {}, struct, None, frozenset()))(points)
 
 
 class Solved(NamedTuple):
@@ -189,7 +188,8 @@ def _advance(
 class Search:
     """Searches from each row of ``starts``, shape ``(s, p)``, that can be taken up again where they stood.
 
-    Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``rtol`` as in ``BoundedLevenbergMarquardt``.
+    Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``fn`` gives ``size`` residuals; ``rtol`` as in
+    ``BoundedLevenbergMarquardt``.
     """
 
     def __init__(
@@ -200,12 +200,13 @@ class Search:
         lower: np.ndarray,
         upper: np.ndarray,
         *,
+        size: int,
         rtol: float = 1e-7,
     ):
         self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol))
         self._low, self._high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
         self._points = jnp.clip(jnp.asarray(starts), self._low, self._high)
-        self._states = _begin(self._solver, fn, self._points, rest)
+        self._states = _begin(self._solver, self._points, size)
         self._wall, self._history = 0.0, []
         self.steps = self.simulations = 0
         self._interrupted = False

@@ -77,6 +77,11 @@ class Problem(eqx.Module):
     own: tuple[str, ...] = eqx.field(static=True)
 
     @property
+    def size(self) -> int:
+        """Length of the residual, ``r * c * n``."""
+        return self.data.measured.size
+
+    @property
     def nominal(self) -> np.ndarray:
         """The vector of the rig's own values, shape ``(p,)``."""
         return np.array([u.nominal / u.scale for u in self.unknowns])

@@ -334,7 +334,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
 
     def unsolved(carry: tuple) -> jax.Array:
         _, _, change, count, *_ = carry
-        return (norm(change) > 1.0) & (count < _ITERATIONS)
+        return (count == 0) | ((norm(change) > 1.0) & (count < _ITERATIONS))
 
     def iterate(carry: tuple) -> tuple:
         z, error, change, count, fraction, ends = carry
@@ -370,7 +370,7 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
         return guess + change, ~jnp.all(jnp.isfinite(change))
     ends = (jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf))
     start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), 0, jnp.asarray(1.0), ends)
-    z, _, change, count, *_ = jax.lax.while_loop(unsolved, iterate, iterate(start))
+    z, _, change, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
     return z + change, (count >= _ITERATIONS) | ~jnp.all(jnp.isfinite(change))
 
 
