@@ -130,7 +130,8 @@ def schema() -> dict:
 
 
 def test_the_contract_example_is_as_the_schema_says(schema, shared):
-    jsonschema.validate(json.loads((shared / "design" / "examples" / "diagnosis.json").read_text("utf-8")), schema)
+    example = json.loads((shared / "design" / "examples" / "diagnosis.json").read_text("utf-8"))
+    assert not list(jsonschema.Draft202012Validator(schema).iter_errors(example))
 
 
 def test_the_document_is_as_its_schema_says(demo, schema):

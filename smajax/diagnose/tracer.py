@@ -1,11 +1,13 @@
 """What is done at a fit again and again: scores of what could be missing, refits with one effect more, and how they predict."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.optimize
 
 from smajax.diagnose import localise, score
 from smajax.diagnose.bench import Bench, in_pairs
@@ -15,7 +17,7 @@ from smajax.fit.least_squares import Stop
 _HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
 _HOPELESS = 30.0
-_JOINED = 12
+_JOINED = 12  # evaluations of the joint fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,7 +180,7 @@ class Tracer:
         return self.judged(min(ended, key=lambda r: r.chi2))
 
     def joined(self, refit: Refit) -> Refit:
-        """A refit's parameters, fitted to the training and the selection part together by damped Gauss-Newton steps from where they are.
+        """A refit's parameters, fitted to the training and the selection part together from where they are.
 
         What one recording leaves open, the other may know; the holdout is predicted with these. A refit with parameters that each recording
         has of its own stays what it is.
@@ -193,33 +195,34 @@ class Tracer:
             found = dict(zip(moved, (point[bench.size :] * scales).tolist(), strict=True))
             return Hypothesis(refit.hypothesis.keys, tuple({**refit.values, **found}.items()))
 
-        def both(point: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        @functools.lru_cache(maxsize=2)  # SciPy asks for the residual and for its derivative one after the other
+        def both(packed: bytes) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+            point = np.frombuffer(packed)
             parts = in_pairs(lambda k: bench.evaluate(at(point), point[: bench.size], k, moved), (0, 1))
             residual = np.concatenate([bench.flat(r, k) for k, (r, _) in enumerate(parts)])
-            jacobian = np.column_stack(
-                [np.concatenate([bench.flat(p[1][:, j], k) for k, p in enumerate(parts)]) for j in range(len(point))]
-            )
+            jacobian = np.concatenate([np.column_stack([bench.flat(c, k) for c in j.T]) for k, (_, j) in enumerate(parts)])
             return residual, jacobian, parts[0]
 
-        point = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)])
-        residual, jacobian, train = both(point)
-        damping = 1e-4
-        for _ in range(_JOINED):
-            gradient, normal = jacobian.T @ residual, jacobian.T @ jacobian
-            free = (np.diag(normal) > 0) & ~((point <= lower) & (gradient > 0)) & ~((point >= upper) & (gradient < 0))
-            steep = normal[np.ix_(free, free)]
-            step = np.zeros(len(point))
-            step[free] = -np.linalg.solve(steep + damping * np.diag(np.diag(steep)), gradient[free])
-            trial = np.clip(point + step, lower, upper)
-            there = both(trial)
-            fall = residual @ residual - there[0] @ there[0]
-            if not fall > 0.0:
-                damping *= 10.0
-                continue
-            point, (residual, jacobian, train), damping = trial, there, damping / 10.0
-            if fall < 1e-6 * (residual @ residual):
-                break
-        return Refit(at(point), point[: bench.size], *train, refit.stop)
+        start = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)]).clip(lower, upper)
+        free = lower < upper
+        if not np.all(np.isfinite(both(start.tobytes())[0])):
+            return refit
+
+        def whole(x: np.ndarray) -> bytes:
+            point = start.copy()
+            point[free] = x
+            return point.tobytes()
+
+        found = scipy.optimize.least_squares(
+            lambda x: both(whole(x))[0],
+            start[free],
+            lambda x: both(whole(x))[1][:, free],  # pyright: ignore[reportArgumentType]
+            (lower[free], upper[free]),
+            x_scale="jac",
+            max_nfev=_JOINED,
+        )
+        point = np.frombuffer(whole(found.x))
+        return Refit(at(point), point[: bench.size], *both(whole(found.x))[2], refit.stop)
 
     def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""

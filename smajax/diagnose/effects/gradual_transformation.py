@@ -19,9 +19,9 @@ class GradualTransformation(MaterialEffect):
     width: jax.Array = parameter("K", "width of the logistic distribution of the grains' temperatures", 1.0, 40.0, 8.0)
     key = "gradual-transformation"
     typical = 0.3
-    source = "isobaric cycles of actuator wire, rounded at all four corners: tails of 20 to 40 K"
+    source = "isobaric cycles of actuator wire, rounded at all four corners (experiments/measured_isobaric.py)"
     confused_with = ("temperature-distribution", "minor-loop-shape", "stress-dependent-strain")
-    needs = ("prescribed strain or stress",)  # its grains cost as much as all other effects, and a free motion shows them badly
+    needs = ("prescribed strain or stress",)  # its grains make every step dearer, and a free motion shows them badly
     shapes = (("width", (5.0, 12.0)),)
 
     def start(self, instant: Instant, where: Where) -> Fractions:

@@ -16,7 +16,7 @@ class StressDependentStrain(MaterialEffect):
     saturation: jax.Array = parameter("Pa", "stress over which the transformation strain saturates", 10e6, 600e6, 50e6)
     key = "stress-dependent-strain"
     typical = 1.0
-    source = "estimate: saturation within 30 to 100 MPa, 200 MPa and more in NiTiHf (Bigelow et al. 2022, fig. 2a)"
+    source = "estimate: saturation within 30 to 100 MPa, more in NiTiHf (experiments/measured_isobaric.py)"
     confused_with = ()
     shapes = (("saturation", (50e6, 200e6)),)
 
