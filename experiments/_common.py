@@ -9,25 +9,29 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"  # recordings by others
 sys.path.insert(0, str(ROOT))  # the checkout's own smajax, and its tests/reference
 
-from smajax import parameters  # noqa: E402
 from smajax.console import prepare_jax  # noqa: E402
+
+prepare_jax()
+
+from smajax import parameters  # noqa: E402
 from smajax.fit.fit import Fit, fit  # noqa: E402
 from smajax.fit.problem import build  # noqa: E402
 from smajax.recording import Recording  # noqa: E402
 from smajax.rig import Rig, read_rig  # noqa: E402
-
-prepare_jax()
 
 
 @dataclass(frozen=True)
@@ -44,10 +48,23 @@ class Row:
     numbers: dict[str, Any] = field(default_factory=dict)
 
 
-def arguments(description: str) -> argparse.Namespace:
-    """``quick`` (bool), ``json`` and ``out`` (paths or ``None``) from the command line; makes the folder ``out``."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true", help="end within two minutes on two cores, with the same columns")
+def arguments(
+    description: str,
+    *,
+    data: str = "",
+    quick: str = "end within two minutes on two cores, with the same columns",
+    more: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> argparse.Namespace:
+    """``quick`` (bool), ``json`` and ``out`` (paths or ``None``) from the command line; makes the folder ``out``.
+
+    With ``data``, the usual folder of recordings by others, also ``data`` (path); ``more`` are further options.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if data:
+        parser.add_argument("--data", type=Path, default=DATA / data, metavar="DIR", help="folder of the recordings")
+    for name, options in more.items():
+        parser.add_argument(name, **options)
+    parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the pictures to DIR")
     given = parser.parse_args()
@@ -90,6 +107,33 @@ def agreement(fits: Sequence[Fit]) -> Row:
     text = f"{same} of {len(fits)} end within 0.1 % of the lowest cost, the worst {apart:.2f} % above; {fits[0].starts} starts each; "
     text += fits[0].stop.text
     return Row("is it the best that this model can do?", "one optimum from all start points", text, same == len(fits), {"costs": costs})
+
+
+def estimate_rows(result: Fit, prefix: str = "") -> list[Row]:
+    """One line for each shared parameter of a fit with its 95 % interval, and one for each group that cannot be told apart."""
+    rows = []
+    for e in (e for e in result.estimates if "@" not in e.name):
+        known = f"{e.lower95:.5g} .. {e.upper95:.5g}" if e.lower95 is not None else "-"
+        rows.append(Row(f"{prefix}{e.name}", "-", f"{e.estimate:.5g} {e.unit} ({'held at its bound' if e.at_bound else known})", None))
+    for group in result.indistinct:
+        what = f"{', '.join(group.parameters)} together leave {100 * group.shrink:.1f} % of their effect"
+        rows.append(Row(f"{prefix}cannot be told apart", "-", what, None))
+    return rows
+
+
+def workbook(path: Path) -> dict[str, list[tuple]]:
+    """The rows of a workbook by sheet, cells as they are stored. Refuses a file that is none."""
+    try:
+        import openpyxl
+    except ImportError:
+        refuse('reading a workbook needs openpyxl: pip install "smajax[io]"')
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Unknown extension")
+            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+            return {name: list(book[name].iter_rows(values_only=True)) for name in book.sheetnames}
+    except Exception as error:  # openpyxl raises whatever it stumbles over
+        refuse(f"{path} cannot be read as a workbook: {str(error).splitlines()[0]}")
 
 
 def refuse(sentence: str) -> NoReturn:

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from _common import Row, say
+from _common import Row, from_elsewhere, say
 
 from smajax import parameters
+from smajax.diagnose.bench import Part
 from smajax.diagnose.effects import catalogue
 from smajax.errors import NumericsError
 from smajax.fit.fit import Fit, fit, respond
@@ -26,24 +27,6 @@ from smajax.rig import Rig, parse_rig
 
 CUT = 0.05  # share of the selection part's RMSE that an effect has to take away
 FIRST_STRENGTH = 0.2  # of the typical one, at which a fit with an effect starts
-
-
-@dataclass(frozen=True)
-class Part:
-    """Recordings, and the rows of each that count: what lies before leads the model to its state there."""
-
-    recordings: list[Recording]
-    rows: list[np.ndarray]
-
-    @classmethod
-    def whole(cls, recordings: Sequence[Recording]) -> Part:
-        """All rows of all recordings count."""
-        return cls(list(recordings), [np.full(len(r), True) for r in recordings])
-
-    @property
-    def count(self) -> int:
-        """Number of rows that count."""
-        return int(sum(np.sum(rows) for rows in self.rows))
 
 
 @dataclass(frozen=True)
@@ -143,7 +126,7 @@ class Search:
                 begin |= {f"effects.{last.key}.{name}": value for name, value in start.items()}
             try:
                 settings = dataclasses.replace(rig.fit, starts=1)
-                fits.append(fit(parameters.replace(rig.plant, begin), part.recordings, settings, max_steps=self.max_steps))
+                fits.append(fit(parameters.replace(rig.plant, begin), list(part.recordings), settings, max_steps=self.max_steps))
             except NumericsError as error:
                 say(f"{last.label if last else 'base'}: {error}")
         return min(fits, key=lambda f: f.cost) if fits else None
@@ -174,6 +157,49 @@ class Search:
         return rounds
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """The rounds, the base model's fits from elsewhere, and the fits of the growing sets with their residuals on the held-out part."""
+
+    rounds: list[Round]
+    bases: list[Fit]
+    fits: list[Fit]
+    left: list[np.ndarray]
+
+    def labels(self) -> list[str]:
+        """What each fit adds."""
+        return ["base model", *(f"and {c[-1].label}" for c in chosen(self.rounds))][: len(self.fits)]
+
+
+def close_loop(
+    search: Search, fitted: Part, held: Part, candidates: Sequence[Candidate], *, rounds: int, starts: int, times: int
+) -> Outcome:
+    """Chooses effects in so many ``rounds``, fits the base model and the chosen sets to ``fitted``, and predicts ``held``.
+
+    Base models are fitted from ``starts`` points each; that to ``fitted`` so many ``times`` from elsewhere.
+    """
+    rig = search.rig()
+    settings = dataclasses.replace(rig.fit, starts=starts)
+    say("fitting the base model to the training part")
+    base = from_elsewhere(rig, search.train.recordings, settings, 1, max_steps=search.max_steps)[0]
+    tried = search.rounds(base, candidates, rounds)
+    say("fitting the base model to training and selection part")
+    bases = from_elsewhere(rig, fitted.recordings, settings, times, max_steps=search.max_steps)
+    fits = chain(search, fitted, bases[0], chosen(tried))
+    return Outcome(tried, bases, fits, [residual(f.plant, held, search.channel) for f in fits])
+
+
+def path_of(name: str, rows: np.ndarray, channels: Mapping[str, np.ndarray]) -> Recording:
+    """Rows of a recording without a clock as a path whose time is the row number: temperature in degC, stress in Pa, strain."""
+    path = Recording.from_arrays(name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"})
+    return dataclasses.replace(path, time=rows.astype(float))
+
+
+def scored(part: Part) -> int:
+    """Number of rows that count."""
+    return sum(map(len, part.rows()))
+
+
 def estimates(result: Fit) -> dict[str, float]:
     """A fit's shared parameters by name."""
     return {e.name: e.estimate for e in result.estimates if "@" not in e.name}
@@ -182,8 +208,8 @@ def estimates(result: Fit) -> dict[str, float]:
 def residual(plant: Plant, part: Part, channel: str) -> np.ndarray:
     """Measured minus modelled in the rows of a part that count, SI, one recording after the other."""
     count = len(part.recordings)
-    responses, _ = respond([plant] * count, part.recordings, ["holdout"] * count, (channel,), "hold", None)
-    return np.concatenate([r.residual(channel)[rows] for r, rows in zip(responses, part.rows, strict=True)])
+    responses, _ = respond([plant] * count, list(part.recordings), ["holdout"] * count, (channel,), "hold", None)
+    return np.concatenate([r.residual(channel)[rows] for r, rows in zip(responses, part.rows(), strict=True)])
 
 
 def rms(values: np.ndarray) -> float:
@@ -220,16 +246,4 @@ def round_rows(rounds: Sequence[Round], show: Callable[[float], str]) -> list[Ro
             rows.append(Row(f"round {k}: accepted is {each.tried[0].effects[-1].label}; as good within 5 %", "-", same, None))
         else:
             rows.append(Row(f"round {k}: nothing is accepted", "-", "no effect cuts the selection part's RMSE by more than 5 %", None))
-    return rows
-
-
-def estimate_rows(result: Fit) -> list[Row]:
-    """One line for each parameter of a fit with its 95 % interval, and one for each group that cannot be told apart."""
-    rows = []
-    for e in result.estimates:
-        known = f"{e.lower95:.5g} .. {e.upper95:.5g}" if e.lower95 is not None else "-"
-        rows.append(Row(e.name, "-", f"{e.estimate:.5g} {e.unit} ({'held at its bound' if e.at_bound else known})", None))
-    for group in result.indistinct:
-        what = f"{', '.join(group.parameters)} together leave {100 * group.shrink:.1f} % of their effect"
-        rows.append(Row("cannot be told apart", "-", what, None))
     return rows

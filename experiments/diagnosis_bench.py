@@ -5,21 +5,18 @@
 Every case draws the rig's free parameters near their nominal values, the strength log-uniformly from 0.3 to 1.5 of a usual one, and three
 inputs of 80 s. Counted are: the right effect alone or as first (exact, or in the class that the verdict declares), alarms where nothing is
 hidden, effects named too many, what is said of effects that no catalogue lists, whether the interval of the strength holds the true one,
-and the held-out error over the noise. A seed takes a quarter of an hour on two cores; ``--quick`` runs one hidden effect and one case
-without.
+and the held-out error over the noise. ``--quick`` runs one hidden effect and one case without.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, finish, say
+from _common import ROOT, Row, arguments, finish, say
 
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.verdict import Diagnosis, diagnose
@@ -124,12 +121,7 @@ def covered(case: Case) -> bool | None:
 
 def main() -> None:
     """Runs all cases and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one hidden effect and one case without")
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
+    args = arguments(__doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 10}})
     seeds = range(1 if args.quick else args.seeds)
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
     singles, nulls, pairs, outside, bent = [], [], [], [], []

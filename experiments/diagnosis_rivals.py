@@ -7,7 +7,7 @@
 - Sparse regression on estimated states (SINDy, by pysindy): the rate of the error of the fitted model as a sparse linear function of the
   error, the model's temperature and martensite fraction, their rates, the input and the time; its threshold is chosen on the selection
   recording. Its largest term counts as a name where it is that of the hidden effect.
-- Universal differential equation: a small network of temperature, martensite fraction and current adds heat to the balance, fitted
+- Universal differential equation: a small network of temperature, martensite fraction and stress adds heat to the balance, fitted
   together with the rig's parameters from two draws of weights, of which the selection recording chooses. It names nothing.
 
 Cases, truth and noise are those of diagnosis_bench.py. Needs pysindy: ``pip install "smajax[rivals]"``.
@@ -15,7 +15,6 @@ Cases, truth and noise are those of diagnosis_bench.py. Needs pysindy: ``pip ins
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import importlib.util
 import math
@@ -24,13 +23,12 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import ROOT, Row, finish, say
+from _common import ROOT, Row, arguments, finish, say
 from diagnosis_bench import NOISE, draw, record
 
 from smajax.diagnose.bench import Bench, in_pairs
@@ -152,7 +150,7 @@ def _linear(weights: np.ndarray, columns: np.ndarray, seconds: np.ndarray, first
 
 
 class NeuralHeat(HeatEffect):
-    """Heat added by a network of temperature, martensite fraction and heating rate; ``weights`` of shape ``(5 HIDDEN + 1,)``."""
+    """Heat added by a network of temperature, martensite fraction and stress; ``weights`` of shape ``(5 HIDDEN + 1,)``."""
 
     weights: jax.Array
     strength: jax.Array = parameter("W/m^3", "heat of one unit of the network", 0.0, math.inf, 0.0)
@@ -187,8 +185,9 @@ def universal(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
     for seed in (0, 1):
         weights = 0.5 * np.random.default_rng(seed).standard_normal(size) * np.append(np.ones(4 * HIDDEN), np.full(HIDDEN + 1, 0.02))
         start = np.append(whole.nominal, weights)
-        point = least_squares.Search(residual, parts[0], start[None], lower, upper).advance(60).result().points[0]
-        tested = [least_squares.Search(residual, parts[k], point[None], lower, upper).advance(1).result() for k in (1, 2)]
+        point = least_squares.Search(residual, parts[0], start[None], lower, upper, size=whole.size).advance(60).result().points[0]
+        searches = [least_squares.Search(residual, parts[k], point[None], lower, upper, size=whole.size) for k in (1, 2)]
+        tested = [search.advance(1).result() for search in searches]
         scale = 1.0 / float(np.max(whole.data.weight)) / NOISE
         rms = [float(np.sqrt(np.mean(t.residuals[0] ** 2))) * scale for t in tested]
         best = min(best, (rms[0], rms[1]))
@@ -203,12 +202,7 @@ METHODS: dict[str, Callable[[Rig, list, str], tuple[str, float]]] = {
 
 def main() -> None:
     """Runs all methods on all cases and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one hidden effect")
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
+    args = arguments(__doc__, quick="one hidden effect", more={"--seeds": {"type": int, "default": 2}})
     if importlib.util.find_spec("pysindy") is None:
         sys.exit('sparse regression needs pysindy: pip install "smajax[rivals]"')
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")

@@ -311,9 +311,8 @@ class Bench:
         for j, name in enumerate(effects):
             ends[:, j] = self.declared[name].lower / self.scale(name), self.declared[name].upper / self.scale(name)
         start = np.concatenate([base, slots])[None]
-        search = least_squares.Search(
-            _residual, model, start, np.concatenate([lower, ends[0]]), np.concatenate([upper, ends[1]]), rtol=1e-5
-        )
+        lower, upper = np.concatenate([lower, ends[0]]), np.concatenate([upper, ends[1]])
+        search = least_squares.Search(_residual, model, start, lower, upper, size=model.problem.size, rtol=1e-5)
         solved = search.advance(steps).result()
         point = solved.points[0]
         found = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}

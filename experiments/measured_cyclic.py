@@ -19,16 +19,16 @@ Effects are added one after the other by ``_forward``. Which ones cannot show he
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
 from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, agreement, finish, from_elsewhere, refuse, say
+from _common import Row, agreement, arguments, estimate_rows, finish, refuse
 from _figures import Chart, Curve, draw
-from _forward import Part, Search, chain, chosen, estimate_rows, residual, rms, round_rows
+from _forward import Search, close_loop, path_of, rms, round_rows, scored
 
+from smajax.diagnose.bench import Part
 from smajax.fit.fit import Fit
 from smajax.recording import Recording
 
@@ -97,13 +97,12 @@ class Test:
     def recording(self, name: str, rows: np.ndarray) -> Recording:
         """These rows as a path whose time is the row number."""
         channels = {"temperature": self.temperature[rows], "stress": np.full(len(rows), STRESS), "strain": self.strain[rows]}
-        path = Recording.from_arrays(name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"})
-        return dataclasses.replace(path, time=rows.astype(float))
+        return path_of(name, rows, channels)
 
-    def part(self, name: str, scored: tuple[int, int], every: int = 1) -> Part:
-        """The cycles from the first one used to ``scored[1]``, of which those from ``scored[0]`` on count."""
-        rows = self.rows(FIRST, scored[1], every)
-        return Part([self.recording(name, rows)], [rows >= self.first[scored[0] - 1]])
+    def part(self, name: str, counting: tuple[int, int], every: int = 1) -> Part:
+        """The cycles from the first one used to ``counting[1]``, of which those from ``counting[0]`` on count."""
+        rows = self.rows(FIRST, counting[1], every)
+        return Part((self.recording(name, rows),), (rows >= self.first[counting[0] - 1],))
 
 
 def read_test(path: Path) -> Test:
@@ -148,7 +147,7 @@ def holdout(test: Test) -> Part:
 
 def on_plateau(part: Part) -> np.ndarray:
     """Which of a part's scored rows lie on a plateau."""
-    temperature = np.concatenate([r.channels["temperature"][rows] for r, rows in zip(part.recordings, part.rows, strict=True)])
+    temperature = np.concatenate([r.channels["temperature"][rows] for r, rows in zip(part.recordings, part.rows(), strict=True)])
     return (temperature < PLATEAU[0]) | (temperature > PLATEAU[1])
 
 
@@ -180,7 +179,7 @@ def score_rows(what: str, scores: tuple[float, float], targets: bool = False) ->
     ]
 
 
-def pictures(folder: Path, test: Test, part: Part, fits: list[Fit], left: list[np.ndarray]) -> None:
+def pictures(folder: Path, test: Test, fits: list[Fit], left: list[np.ndarray]) -> None:
     """The drift of both plateaus over the cycles, and the last cycle, with what the base and the last model say."""
     rows = test.rows(FITTED + 1, LAST)
     cycle = np.searchsorted(test.first, rows, side="right")
@@ -202,53 +201,43 @@ def pictures(folder: Path, test: Test, part: Part, fits: list[Fit], left: list[n
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "asmada-cyclic")
-    parser.add_argument("--quick", action="store_true", help="every twelfth row, one effect, one round, two start points")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
+    args = arguments(__doc__, data="asmada-cyclic", quick="every twelfth row, one effect, one round, two start points")
     test = read_test(args.data / FILE)
     every = 4 * THINNED if args.quick else THINNED
     search = Search(RIG, "strain", train(test, every), select(test, every))
-    rig, final, held = search.rig(), fitted(test, every), holdout(test)
+    final, held = fitted(test, every), holdout(test)
     plateau = on_plateau(held)
-    settings = dataclasses.replace(rig.fit, starts=1) if args.quick else rig.fit
-    say("fitting the base model to the training part")
-    base = from_elsewhere(rig, search.train.recordings, settings, 1, max_steps=search.max_steps)[0]
     candidates = [c for c in search.candidates(WITHOUT) if not args.quick or c.label == "ratcheting"]
-    rounds = search.rounds(base, candidates, 1 if args.quick else 6)
-    say("fitting the base model to training and selection part")
-    bases = from_elsewhere(rig, final.recordings, settings, 2 if args.quick else 10, max_steps=search.max_steps)
-    fits = chain(search, final, bases[0], chosen(rounds))
-    left = [residual(f.plant, held, "strain") for f in fits]
+    rounds, starts, times = (1, 1, 2) if args.quick else (6, 4, 10)
+    found = close_loop(search, final, held, candidates, rounds=rounds, starts=starts, times=times)
     naive = percent(repeated(test), plateau)
 
     rows = [
         Row("parts", "-", f"train {FIRST} to {TRAINED}, select {TRAINED + 1} to {FITTED}, held out {FITTED + 1} to {LAST}", None),
         Row(
-            "rows", "-", f"every {every}. fitted, {len(final.recordings[0])}; {held.count} scored, {int(np.sum(plateau))} on plateaus", None
+            "rows",
+            "-",
+            f"every {every}. fitted, {len(final.recordings[0])}; {scored(held)} scored, {int(np.sum(plateau))} on plateaus",
+            None,
         ),
         Row("temperature", "-", f"smoothed over {SMOOTHED} rows", None),
         Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in WITHOUT.items()), None),
-        *round_rows(rounds, lambda error: f"{100 * error:.4f} %"),
+        *round_rows(found.rounds, lambda error: f"{100 * error:.4f} %"),
     ]
-    labels = ["base model", *(f"and {c[-1].label}" for c in chosen(rounds))]
-    for label, each, r in zip(labels, fits, left, strict=False):
+    for label, each, r in zip(found.labels(), found.fits, found.left, strict=True):
         rows.append(Row(f"{label}: RMSE fitted", "-", f"{100 * (each.rmse('strain') or np.nan):.4f} %", None))
         rows += score_rows(f"{label}: held out", percent(r, plateau))
-    scores = percent(left[-1], plateau)
+    scores = percent(found.left[-1], plateau)
     rows += score_rows("all effects: held out", scores, targets=True)
     rows += score_rows(f"naive forecast, cycle {FITTED} repeated", naive)
     for name, ours, theirs in zip(("plateau rows", "all rows"), scores, naive, strict=True):
         rows.append(
             Row(f"all effects against the naive forecast, {name}", "below it", f"{ours:.4f} % against {theirs:.4f} %", ours < theirs)
         )
-    rows.append(dataclasses.replace(agreement(bases), what="base model: is it the best that it can do?"))
-    rows += estimate_rows(fits[-1])
+    rows.append(dataclasses.replace(agreement(found.bases), what="base model: is it the best that it can do?"))
+    rows += estimate_rows(found.fits[-1])
     if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        pictures(args.out, test, held, fits, left)
+        pictures(args.out, test, found.fits, found.left)
     finish("measured_cyclic", rows, args)
 
 

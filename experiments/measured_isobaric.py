@@ -11,15 +11,13 @@ on all fitted levels but the one next to the held-out one, which selects, and al
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, agreement, finish, from_elsewhere, say
+from _common import DATA, Row, agreement, arguments, estimate_rows, finish, from_elsewhere, refuse, say
 from _figures import Chart, Curve, draw
 from _trace import Closed, close_loop, effect_rows
 
@@ -67,7 +65,8 @@ starts = 10
 "material.thermal_expansion_martensite" = ["-3e-4 1/K", "3e-4 1/K"]
 """
 # Held-out RMSE in percent that others' small models reach, without and with effects, by folder and level held out.
-PEERS = {("tamu-flexinol-isobaric", 150): (0.20, 0.075), ("nasa-bigelow-nitihf", 200): (0.112, 0.062)}
+USUAL = ("tamu-flexinol-isobaric", 150)
+PEERS = {USUAL: (0.20, 0.075), ("nasa-bigelow-nitihf", 200): (0.112, 0.062)}
 
 
 def rig_text(levels: Sequence[Recording]) -> str:
@@ -115,7 +114,7 @@ def read_levels(folder: Path) -> dict[int, Recording]:
             continue
         columns = np.loadtxt(path, ndmin=2)
         if columns.shape[1] < 2 or len(columns) < 20:
-            sys.exit(f"{path}: {columns.shape[1]} columns and {len(columns)} rows: temperature, strain and stress are needed")
+            refuse(f"{path}: {columns.shape[1]} columns and {len(columns)} rows: temperature, strain and stress are needed")
         tables[int(found[1])] = (path.name, columns)
     percent = max((np.ptp(columns[:, 1]) for _, columns in tables.values()), default=0.0) > 0.3  # of all together: some hardly strain
     levels = {}
@@ -168,24 +167,17 @@ def repeated(levels: dict[int, Recording], level: int) -> tuple[int, float]:
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "tamu-flexinol-isobaric")
-    parser.add_argument("--holdout", type=int, default=150, metavar="MPA")
-    parser.add_argument("--each", action="store_true", help="hold out each level in turn")
-    parser.add_argument("--quick", action="store_true", help="one level only, whatever --each says, and no search for effects")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
+    more = {
+        "--holdout": {"type": int, "default": USUAL[1], "metavar": "MPA"},
+        "--each": {"action": "store_true", "help": "hold out each level in turn"},
+    }
+    quick = "one level only, whatever --each says, and no search for effects"
+    args = arguments(__doc__, data=USUAL[0], quick=quick, more=more)
     if not args.data.is_dir():
-        print(f"{args.data} is no folder: give one with ...MPa.txt files by --data", file=sys.stderr)
-        sys.exit(2)
+        refuse(f"{args.data} is no folder: give one with ...MPa.txt files by --data")
     levels = read_levels(args.data)
     if args.holdout not in levels or len(levels) < 3:
-        print(
-            f"{args.data} has the levels {', '.join(map(str, levels)) or 'none'} MPa: --holdout needs one of at least three",
-            file=sys.stderr,
-        )
-        sys.exit(2)
+        refuse(f"{args.data} has the levels {', '.join(map(str, levels)) or 'none'} MPa: --holdout needs one of at least three")
     rows = []
     for level in [args.holdout] if args.quick or not args.each else list(levels):
         say(f"holding out {level} MPa")
@@ -205,19 +197,7 @@ def main() -> None:
             rows += effect_rows(closed, f"{level} MPa held out, {select} MPa selecting: ")
         same = agreement(fits)
         rows.append(dataclasses.replace(same, what=f"{level} MPa held out: {same.what}"))
-        for estimate in result.estimates:
-            if "@" not in estimate.name:
-                ends = (
-                    "held at its bound"
-                    if estimate.at_bound
-                    else f"{estimate.lower95:.5g} .. {estimate.upper95:.5g}"
-                    if estimate.lower95
-                    else "-"
-                )
-                rows.append(Row(f"{level} MPa held out: {estimate.name}", "-", f"{estimate.estimate:.5g} {estimate.unit} ({ends})", None))
-        for group in result.indistinct:
-            what = f"{', '.join(group.parameters)} together leave {100 * group.shrink:.1f} % of their effect"
-            rows.append(Row(f"{level} MPa held out: cannot be told apart", "-", what, None))
+        rows += estimate_rows(result, f"{level} MPa held out: ")
         temperature = levels[level].channels["temperature"]
         warm = temperature > np.median(temperature)
         heating = np.arange(len(temperature)) <= np.argmax(temperature)
@@ -229,13 +209,12 @@ def main() -> None:
         lives = ", ".join(f"{100 * v:.0f} % {k}" for k, v in sorted(shares.items(), key=lambda kv: -kv[1]))
         rows.append(Row(f"{level} MPa held out: where the residual lives", "-", lives, None, shares))
         if args.out:
-            args.out.mkdir(parents=True, exist_ok=True)
             measured = 100 * levels[level].channels["strain"]
             curves = [Curve("measured", temperature, measured), Curve("model", temperature, measured - 100 * residual, dashed=True)]
             draw(Chart(f"{level} MPa, held out", "temperature [degC]", "strain [%]", curves), args.out, f"measured_isobaric_{level}")
             lines = [Curve(f"{level} MPa", np.arange(len(residual)), 100 * residual)]
             draw(Chart("Held-out residual", "row", "measured - model [%]", lines), args.out, f"measured_isobaric_{level}_residual")
-    usual = (args.data, args.holdout) == (parser.get_default("data"), parser.get_default("holdout"))
+    usual = (args.data, args.holdout) == (DATA / USUAL[0], USUAL[1])
     finish("measured_isobaric", rows, args, words="" if usual else f" --data {args.data.resolve().name} --holdout {args.holdout}")
 
 

@@ -1,10 +1,12 @@
-"""A Joule-heated wire under sinusoidal strain, measured by others: fit four runs of a workbook, predict the other four.
+"""A Joule-heated wire under sinusoidal strain, measured by others: fit half the runs of a workbook, predict the others.
 
     python experiments/measured_muscle_electric.py [--data DIR] [--workbook NAME] [--quick] [--json FILE] [--out DIR]
 
-Each sheet is one run, named "<duty of the heating>%, <its phase>%". The temperature was not measured, and the column of power is a
-nominal schedule: it is laid out anew here on the heater's own clock of 21.0 s a period. One constant of each run is fitted, the strain at
-which the wire comes taut; for a held-out run it is set by its first cycle, and the score counts the later cycles only.
+DIR holds a workbook; of several, --workbook names one. Each sheet is one run, named "<duty of the heating>%, <its phase>%". The temperature
+was not measured, and the column of power is a nominal schedule pasted in with edges up to a second off: it is laid out anew here on the
+heater's own clock, whose period is that of the schedule's edges in whole seconds. A run whose edges keep another period is left out.
+One constant of each run is fitted, the strain at which the wire comes taut; for a held-out run it is set by its first cycle, and the score
+counts the later cycles only.
 
 Without a temperature these data cannot decide every parameter. The Clausius-Clapeyron coefficients are held, since temperature has no scale
 but theirs, and so is the modulus of austenite, which otherwise runs to its bound along a valley where different starts end apart.
@@ -12,14 +14,12 @@ but theirs, and so is the modulus of austenite, which otherwise runs to its boun
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import sys
-import warnings
+import re
 from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, agreement, finish, from_elsewhere, say
+from _common import DATA, Row, agreement, arguments, estimate_rows, finish, from_elsewhere, refuse, say, workbook
 from _figures import Chart, Curve, draw
 from _trace import Closed, close_loop, effect_rows
 
@@ -28,10 +28,10 @@ from smajax.fit.fit import Response, fit, respond
 from smajax.recording import Recording
 from smajax.rig import parse_rig
 
-TRAIN = ("69%, -25%", "69%, 25%", "50%, 0%", "50%, 50%")
-STRAIN_PERIOD, HEAT_PERIOD, POWER = 21.18, 21.0, 2.08
-SELECT = "50%, 50%"
-BASE_MPA, REACH_MPA = 57.0, 35.0  # small models fitted by plain least squares, without and with effects
+USUAL = "Period_21.xlsx"
+TRAIN = ("69%, -25%", "69%, 25%", "50%, 0%", "50%, 50%")  # where a workbook has these; else every second run. The last one selects.
+REACH = {USUAL: (57.0, 35.0)}  # MPa of small models fitted by plain least squares, without and with effects
+OFF = 0.02  # share of the period by which a schedule's edges may be off
 RIG = """
 schema = 1
 [rig]
@@ -85,120 +85,159 @@ starts = 10
 """
 
 
-def heating(run: str, time: np.ndarray) -> np.ndarray:
-    """Nominal power of a run from its name, W, as the mean over each sample's interval."""
-    duty, phase = (float(part.strip(" %")) / 100 for part in run.split(","))
-    ends = np.append(time, time[-1] + 0.1)
-    fine = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(20) + 0.5) / 20
-    turn = (fine - HEAT_PERIOD * (0.25 + phase)) / HEAT_PERIOD
-    return POWER * np.mean(turn - np.floor(turn) < duty, axis=1)
+@dataclasses.dataclass(frozen=True)
+class Workbook:
+    """The runs of a workbook by sheet, the period of the strain in s, that of the heating, and the runs left out with the reason."""
+
+    runs: dict[str, Recording]
+    strain_period: float
+    heat_period: float
+    left_out: dict[str, str]
 
 
-def read_runs(path: Path) -> dict[str, Recording]:
-    """The runs of a workbook by sheet; what lies before a reset of the clock is cut, rows in which time stands still are left out."""
-    try:
-        import openpyxl
-    except ImportError:
-        sys.exit('reading a workbook needs openpyxl: pip install "smajax[io]"')
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Unknown extension")
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheets = {name: list(book[name].iter_rows(values_only=True)) for name in book.sheetnames if "%" in name}
+def read_workbook(path: Path) -> Workbook:
+    """Reads the sheets that are runs. What lies before a reset of the clock is cut, rows in which time stands still are left out."""
+    tables = {name: _table(rows) for name, rows in workbook(path).items() if re.fullmatch(r"\s*[\d.]+%,\s*-?[\d.]+%\s*", name)}
+    tables = {name: table for name, table in tables.items() if len(table) > 50}
+    if len(tables) < 4:
+        refuse(f'{path} has {len(tables)} sheets of runs, named as "69%, -25%": at least four are needed')
+    spacing = {name: _spacing(table) for name, table in tables.items()}
+    heat_period = float(np.round(np.nanmedian(list(spacing.values()))))
+    if not heat_period > 0:
+        refuse(f"{path}: column I holds no power that goes on and off, so the heater's period is not known")
+    left_out = {name: f"its power comes on every {each:.1f} s" for name, each in spacing.items() if not abs(each / heat_period - 1) < OFF}
+    strain_period = float(np.median([_sine(table[:, 0], table[:, 1], heat_period) for table in tables.values()]))
     runs = {}
-    for name, rows in sheets.items():
-        cells = [[row[1], row[3], row[6]] for row in rows[6:] if len(row) > 6]
-        table = np.array([c for c in cells if all(isinstance(v, int | float) for v in c)], float)
-        resets = np.flatnonzero(np.diff(table[:, 0]) < 0)
-        table = table[resets[-1] + 1 :] if len(resets) else table
-        table = table[np.append(True, np.diff(table[:, 0]) > 0)]
-        channels = {"power": heating(name, table[:, 0]), "strain": table[:, 1] / 100, "stress": table[:, 2] * 1e6}
-        runs[name] = Recording.from_arrays(name, table[:, 0], channels, {"power": "W", "strain": "%", "stress": "MPa"})
-    return runs
+    for name, table in tables.items():
+        if name not in left_out:
+            power = float(np.nanmax(table[:, 3])) * heating(name, table[:, 0], heat_period)
+            channels = {"power": power, "strain": table[:, 1] / 100, "stress": table[:, 2] * 1e6}
+            runs[name] = Recording.from_arrays(name, table[:, 0], channels, {"power": "W", "strain": "%", "stress": "MPa"})
+    return Workbook(runs, strain_period, heat_period, left_out)
 
 
-def late(response: Response) -> np.ndarray:
-    """Residual in MPa from the second cycle on."""
-    return response.residual("stress")[response.recording.time >= STRAIN_PERIOD] / 1e6
+def heating(run: str, time: np.ndarray, period: float) -> np.ndarray:
+    """Share of each sample's interval in which a run is heated, from its name."""
+    duty, phase = (float(part.strip(" %")) / 100 for part in run.split(","))
+    ends = np.append(time, time[-1] + np.median(np.diff(time)))
+    fine = ends[:-1, None] + np.diff(ends)[:, None] * (np.arange(20) + 0.5) / 20
+    turn = (fine - period * (0.25 + phase)) / period
+    return np.mean(turn - np.floor(turn) < duty, axis=1)
 
 
-def traced(train: list[Recording], held: list[Recording]) -> Closed:
-    """The loop closed: effects are searched for on all runs fitted but one, which selects; then all of them are fitted again."""
+def _table(rows: list[tuple]) -> np.ndarray:
+    """Time (s), strain (%), stress (MPa) and nominal power of a sheet's rows: columns B, D, G and I, from row 6 on."""
+    cells = [[row[i] if isinstance(row[i], int | float) else np.nan for i in (1, 3, 6, 8)] for row in rows[5:] if len(row) > 8]
+    table = np.array(cells, float).reshape(-1, 4)
+    table = table[np.all(np.isfinite(table[:, :3]), axis=1)]
+    resets = np.flatnonzero(np.diff(table[:, 0]) < 0)
+    table = table[resets[-1] + 1 :] if len(resets) else table
+    return table[np.append(True, np.diff(table[:, 0]) > 0)] if len(table) else table
+
+
+def _spacing(table: np.ndarray) -> float:
+    """Mean time from one switching on of the nominal power to the next, s; NaN with fewer than two."""
+    on = np.nan_to_num(table[:, 3]) > 0
+    edges = table[1:, 0][on[1:] & ~on[:-1]]
+    return float(np.mean(np.diff(edges))) if len(edges) > 1 else np.nan
+
+
+def _sine(time: np.ndarray, strain: np.ndarray, near: float) -> float:
+    """The period of the sine that fits the strain best, within a tenth of ``near``, s."""
+
+    def left(period: float) -> float:
+        turn = 2 * np.pi * time / period
+        columns = np.column_stack([np.sin(turn), np.cos(turn), np.ones_like(turn)])
+        return float(np.sum((columns @ np.linalg.lstsq(columns, strain, rcond=None)[0] - strain) ** 2))
+
+    return min(np.linspace(0.9 * near, 1.1 * near, 401), key=left)
+
+
+def late(response: Response, period: float) -> np.ndarray:
+    """Residual in MPa from the second cycle of strain on."""
+    return response.residual("stress")[response.recording.time >= period] / 1e6
+
+
+def repeated(recording: Recording, period: float) -> np.ndarray:
+    """Residual in MPa, from the second cycle on, of the naive forecast: the first cycle again and again."""
+    time, stress = recording.time, recording.channels["stress"] / 1e6
+    later = time >= period
+    again = np.interp(time[later] % period, time[~later], stress[~later])
+    return stress[later] - again
+
+
+def traced(train: list[Recording], held: list[Recording], period: float) -> Closed:
+    """The loop closed: effects are searched for on all runs fitted but the last, which selects; then all of them are fitted again."""
 
     def part(runs: list[Recording]) -> Part:
-        first = [r.time < STRAIN_PERIOD for r in runs]
+        first = [r.time < period for r in runs]
         return Part(tuple(runs), tuple(~f for f in first), tuple(first))
 
-    parts = [Part(tuple(r for r in train if r.name != SELECT)), part([r for r in train if r.name == SELECT]), part(held)]
+    parts = [Part(tuple(train[:-1])), part(train[-1:]), part(held)]
     return close_loop(parse_rig(RIG, "muscle.toml"), parts, Part(tuple(train)), say, starts=6, step=0.11)
+
+
+def chosen_workbook(folder: Path, name: str | None) -> Path:
+    """The workbook that is named, or the usual one, or the only one of a folder. Refuses what leaves a choice open."""
+    found = sorted(p.name for p in folder.glob("*.xlsx") if not p.name.startswith("~"))
+    name = name or (USUAL if USUAL in found else found[0] if len(found) == 1 else None)
+    if name not in found:
+        there = f"it holds {', '.join(found)}" if found else "it holds no .xlsx file"
+        refuse(
+            f"{folder / (name or '*.xlsx')}: no workbook, or no choice of one; {there}: give the folder by --data, the name by --workbook"
+        )
+    return folder / name
 
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "tamu-muscle-electric")
-    parser.add_argument("--workbook", default="Period_21.xlsx")
-    parser.add_argument("--quick", action="store_true", help="four starts, sixty steps, and no search for effects")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
-    path = args.data / args.workbook
-    if not path.is_file():
-        print(f"{path} is no file: give the folder of the workbook by --data and its name by --workbook", file=sys.stderr)
-        sys.exit(2)
-    runs = read_runs(path)
-    missing = [name for name in TRAIN if name not in runs]
-    if missing:
-        print(f"{path} has no sheet '{missing[0]}'; it has {', '.join(runs)}", file=sys.stderr)
-        sys.exit(2)
+    quick = "four starts, sixty steps, and no search for effects"
+    args = arguments(__doc__, data="tamu-muscle-electric", quick=quick, more={"--workbook": {"metavar": "NAME"}})
+    path = chosen_workbook(args.data, args.workbook)
+    book = read_workbook(path)
+    runs, period = book.runs, book.strain_period
+    names = TRAIN if all(name in runs for name in TRAIN) else tuple(runs)[::2]
+    if len(runs) < 4:
+        refuse(f"{path} has {len(runs)} runs with the schedule's period: at least four are needed")
     rig = parse_rig(RIG, "muscle.toml")
     settings = dataclasses.replace(rig.fit, starts=4) if args.quick else rig.fit
-    train, held = [runs[n] for n in TRAIN], [r for n, r in runs.items() if n not in TRAIN]
+    train, held = [runs[n] for n in names], [r for n, r in runs.items() if n not in names]
+    base_mpa, reach_mpa = REACH.get(path.name, (None, None))
     say(f"fitting {len(train)} runs from {settings.starts} starts")
     fits = from_elsewhere(rig, train, settings, 1 if args.quick else 10, step=0.11, max_steps=60 if args.quick else 200)
     result = fits[0]
     say("setting the constants of the held-out runs by their first cycles")
-    first = [r.slice(0.0, STRAIN_PERIOD) for r in held]
+    first = [r.slice(0.0, period) for r in held]
     tuned = fit(result.plant, first, dataclasses.replace(rig.fit, free=(), starts=1), step=0.11)
     responses, _ = respond(tuned.plants, held, ["holdout"] * len(held), ("stress",), "hold", 0.11)
-    rows = []
+    rows = [
+        Row("runs fitted, the last one selecting", "-", "; ".join(names), None),
+        Row("period of the strain, of the heating", "-", f"{period:.2f} s, {book.heat_period:.0f} s", None),
+        *(Row(f"left out: {name}", "-", why, None) for name, why in book.left_out.items()),
+    ]
     for role, group in (("train", result.responses), ("held out", responses)):
         for response in group:
-            rmse = float(np.sqrt(np.mean(late(response) ** 2)))
+            rmse = float(np.sqrt(np.mean(late(response, period) ** 2)))
             rows.append(
                 Row(f"{role}: {response.recording.name}, cycles from the second on", "-", f"{rmse:.1f} MPa", None, {"rmse_MPa": rmse})
             )
-        pooled = float(np.sqrt(np.mean(np.concatenate([late(r) for r in group]) ** 2)))
-        target, met = (f"<= {BASE_MPA:.0f} MPa", pooled <= BASE_MPA) if role == "held out" else ("-", None)
-        rows.append(Row(f"{role}: all together", target, f"{pooled:.1f} MPa", met, {"rmse_MPa": pooled}))
+        pooled = float(np.sqrt(np.mean(np.concatenate([late(r, period) for r in group]) ** 2)))
+        goal = _goal(base_mpa if role == "held out" else None, pooled)
+        rows.append(Row(f"{role}: all together", goal[0], f"{pooled:.1f} MPa", goal[1], {"rmse_MPa": pooled}))
+    naive = float(np.sqrt(np.mean(np.concatenate([repeated(r, period) for r in held]) ** 2)))
+    rows.append(Row("held out: each run's first cycle repeated", "-", f"{naive:.1f} MPa", None, {"rmse_MPa": naive}))
     if not args.quick:
         say("tracing the residual")
-        closed = traced(train, held)
+        closed = traced(train, held, period)
         _, _, fitted, predicted = (v / 1e6 for v in closed.rmse("stress"))
         what = f"held out, with {' + '.join(closed.refit.hypothesis.keys) or 'no effect'}: all together"
         reached = {"train_MPa": fitted, "rmse_MPa": predicted}
-        rows.append(Row(what, f"<= {REACH_MPA:.0f} MPa", f"{predicted:.1f} MPa ({fitted:.1f} fitted)", predicted <= REACH_MPA, reached))
-        rows += effect_rows(closed, f"{SELECT} selecting: ")
+        goal = _goal(reach_mpa, predicted)
+        rows.append(Row(what, goal[0], f"{predicted:.1f} MPa ({fitted:.1f} fitted)", goal[1], reached))
+        rows += effect_rows(closed, f"{names[-1]} selecting: ")
     rows.append(agreement(fits))
-    for estimate in result.estimates:
-        ends = (
-            "held at its bound"
-            if estimate.at_bound
-            else f"{estimate.lower95:.5g} .. {estimate.upper95:.5g}"
-            if estimate.lower95 is not None
-            else "-"
-        )
-        rows.append(Row(estimate.name, "-", f"{estimate.estimate:.5g} {estimate.unit} ({ends})", None))
-    for group in result.indistinct:
-        rows.append(
-            Row(
-                "cannot be told apart",
-                "-",
-                f"{', '.join(group.parameters)} together leave {100 * group.shrink:.1f} % of their effect",
-                None,
-            )
-        )
+    rows += estimate_rows(result)
     if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
         for response in (*result.responses, *responses):
             time, measured = response.recording.time, response.recording.channels["stress"] / 1e6
             curves = [Curve("measured", time, measured), Curve("model", time, response.model["stress"] / 1e6, dashed=True)]
@@ -208,7 +247,12 @@ def main() -> None:
                 args.out,
                 f"measured_muscle_{name}",
             )
-    finish("measured_muscle_electric", rows, args)
+    usual = (args.data, path.name) == (DATA / "tamu-muscle-electric", USUAL)
+    finish("measured_muscle_electric", rows, args, words="" if usual else f" --data {args.data.resolve().name} --workbook {path.name}")
+
+
+def _goal(figure: float | None, reached: float) -> tuple[str, bool | None]:
+    return ("-", None) if figure is None else (f"<= {figure:.0f} MPa", reached <= figure)
 
 
 if __name__ == "__main__":

@@ -22,16 +22,15 @@ cannot either, since only there the wire turns back. The loop at 40 degC is only
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import warnings
 from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, agreement, finish, from_elsewhere, refuse, say
+from _common import Row, agreement, arguments, estimate_rows, finish, refuse, workbook
 from _figures import Chart, Curve, draw
-from _forward import Part, Search, chain, chosen, estimate_rows, residual, rms, round_rows
+from _forward import Search, close_loop, path_of, rms, round_rows, scored
 
+from smajax.diagnose.bench import Part
 from smajax.recording import Recording
 
 FITTED, HELD = (0, 100), 40  # degC
@@ -98,23 +97,12 @@ class Loop:
         """These rows as a path whose time is the row number, the load counted from ``zero`` (N)."""
         stress = np.maximum(self.load[rows] - zero, 0.0) / self.area
         channels = {"temperature": self.temperature[rows], "strain": self.strain[rows], "stress": stress}
-        path = Recording.from_arrays(name, None, channels, {"temperature": "degC", "strain": "%", "stress": "MPa"})
-        return dataclasses.replace(path, time=rows.astype(float))
+        return path_of(name, rows, channels)
 
 
 def read_loop(path: Path) -> Loop:
     """The loop of a workbook."""
-    try:
-        import openpyxl
-    except ImportError:
-        refuse('reading a workbook needs openpyxl: pip install "smajax[io]"')
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Unknown extension")
-            book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-            rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception as error:  # openpyxl raises whatever it stumbles over
-        refuse(f"{path} cannot be read as a workbook: {str(error).splitlines()[0]}")
+    rows = next(iter(workbook(path).values()))
     heads = [k for k, row in enumerate(rows[:20]) if any(str(cell).strip().startswith("Laser") for cell in row)]
     if not heads:
         refuse(f"{path}: none of the first rows has a header 'Laser' with 'Load', 'Temperature', 'Area' and 'Lo' beside it")
@@ -154,24 +142,24 @@ def train(loops: dict[int, Loop], every: int) -> Part:
         rows = np.arange(0, len(loops[t].load), every)
         rows = np.union1d(rows[~chooses(loops[t], rows)], [int(np.argmax(loops[t].strain))])
         parts.append(loops[t].recording(f"{t} degC", zero, rows))
-    return Part.whole(parts)
+    return Part(tuple(parts))
 
 
 def select(loops: dict[int, Loop], every: int) -> Part:
     """What chooses between effects."""
     whole = fitted(loops, every).recordings
-    return Part(whole, [chooses(loops[t], r.time.astype(int)) for t, r in zip(FITTED, whole, strict=True)])
+    return Part(whole, tuple(chooses(loops[t], r.time.astype(int)) for t, r in zip(FITTED, whole, strict=True)))
 
 
 def fitted(loops: dict[int, Loop], every: int) -> Part:
     """What the chosen models are fitted to in the end."""
     zero = load_zero(loops)
-    return Part.whole([loops[t].recording(f"{t} degC", zero, np.arange(0, len(loops[t].load), every)) for t in FITTED])
+    return Part(tuple(loops[t].recording(f"{t} degC", zero, np.arange(0, len(loops[t].load), every)) for t in FITTED))
 
 
 def holdout(loops: dict[int, Loop]) -> Part:
     """What is only predicted: all rows of its loop."""
-    return Part.whole([loops[HELD].recording(f"{HELD} degC", load_zero(loops), np.arange(len(loops[HELD].load)))])
+    return Part((loops[HELD].recording(f"{HELD} degC", load_zero(loops), np.arange(len(loops[HELD].load))),))
 
 
 def between(loops: dict[int, Loop]) -> np.ndarray:
@@ -199,12 +187,7 @@ def between(loops: dict[int, Loop]) -> np.ndarray:
 
 def main() -> None:
     """Prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data" / "tamu-muscle-superelastic")
-    parser.add_argument("--quick", action="store_true", help="every 24th row, one effect, one round, two start points")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--out", type=Path, metavar="DIR")
-    args = parser.parse_args()
+    args = arguments(__doc__, data="tamu-muscle-superelastic", quick="every 24th row, one effect, one round, two start points")
     paths = {t: args.data / f"pseudoelastic_{t}C.xlsx" for t in (*FITTED, HELD)}
     for path in paths.values():
         if not path.is_file():
@@ -212,30 +195,24 @@ def main() -> None:
     loops = {t: read_loop(path) for t, path in paths.items()}
     every = 2 * THINNED if args.quick else THINNED
     search = Search(RIG, "stress", train(loops, every), select(loops, every), 30 if args.quick else 50)
-    rig, final, held = search.rig(), fitted(loops, every), holdout(loops)
-    settings = dataclasses.replace(rig.fit, starts=1) if args.quick else rig.fit
-    say("fitting the base model to the training part")
-    base = from_elsewhere(rig, search.train.recordings, settings, 1, max_steps=search.max_steps)[0]
+    final, held = fitted(loops, every), holdout(loops)
     candidates = [c for c in search.candidates(WITHOUT) if not args.quick or c.label == "slip"]
-    rounds = search.rounds(base, candidates, 1 if args.quick else 5)
-    say("fitting the base model to training and selection part")
-    bases = from_elsewhere(rig, final.recordings, settings, 2 if args.quick else 5, max_steps=search.max_steps)
-    fits = chain(search, final, bases[0], chosen(rounds))
-    left = [residual(f.plant, held, "stress") for f in fits]
+    rounds, starts, times = (1, 1, 2) if args.quick else (5, 4, 5)
+    found = close_loop(search, final, held, candidates, rounds=rounds, starts=starts, times=times)
+    fits, left = found.fits, found.left
     zero = load_zero(loops)
 
     parts = f"train eight twelfths of the loops at {FITTED[0]} and {FITTED[1]} degC, select the other four, held out {HELD} degC"
     rows = [
         Row("parts", "-", parts, None),
-        Row("rows fitted", "-", f"every {every}. row: {final.count}", None),
-        Row("rows scored", "-", f"all: {held.count}", None),
+        Row("rows fitted", "-", f"every {every}. row: {scored(final)}", None),
+        Row("rows scored", "-", f"all: {scored(held)}", None),
         Row("rows left out as dropouts", "-", ", ".join(f"{loop.dropouts} at {t} degC" for t, loop in loops.items()), None),
         Row("zero of the load cell, subtracted", "-", f"{zero:.2f} N, {zero / loops[HELD].area / 1e6:.1f} MPa", None),
         Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in WITHOUT.items()), None),
-        *round_rows(rounds, lambda error: f"{error / 1e6:.1f} MPa"),
+        *round_rows(found.rounds, lambda error: f"{error / 1e6:.1f} MPa"),
     ]
-    labels = ["base model", *(f"and {c[-1].label}" for c in chosen(rounds))]
-    for label, each, r in zip(labels, fits, left, strict=False):
+    for label, each, r in zip(found.labels(), fits, left, strict=True):
         for response in each.responses:
             rows.append(Row(f"{label}: RMSE fitted, {response.recording.name}", "-", f"{response.rmse('stress') / 1e6:.1f} MPa", None))
         rows.append(Row(f"{label}: held out, {HELD} degC", "-", f"{rms(r) / 1e6:.1f} MPa", None, {"rmse_MPa": rms(r) / 1e6}))
@@ -243,10 +220,9 @@ def main() -> None:
     rows.append(Row(f"all effects: held out, {HELD} degC", f"<= {TARGET:g} MPa", f"{ours:.1f} MPa", ours <= TARGET, {"rmse_MPa": ours}))
     rows.append(Row("naive forecast, between the fitted loops", "-", f"{naive:.1f} MPa", None, {"rmse_MPa": naive}))
     rows.append(Row("all effects against the naive forecast", "below it", f"{ours:.1f} MPa against {naive:.1f} MPa", ours < naive))
-    rows.append(dataclasses.replace(agreement(bases), what="base model: is it the best that it can do?"))
+    rows.append(dataclasses.replace(agreement(found.bases), what="base model: is it the best that it can do?"))
     rows += estimate_rows(fits[-1])
     if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
         strain, stress = (held.recordings[0].channels[c] * f for c, f in (("strain", 100.0), ("stress", 1e-6)))
         curves = [Curve("measured", strain, stress)]
         for label, r in (("without effects", left[0]), (f"with {len(fits) - 1} effects", left[-1])):
