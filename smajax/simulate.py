@@ -7,6 +7,7 @@ error; what remains is the second-order error of the heat balance, which ``discr
 """
 
 import enum
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -62,17 +63,20 @@ class Inputs(eqx.Module):
 
     def padded(self, grid: int, samples: int) -> "Inputs":
         """The same inputs on a longer grid: the plant runs on under its last input, and the last sample is repeated."""
-        more, later = grid - self.time.shape[0], samples - self.rows.shape[0]
-        last, step = self.after[-1:], self.time[-1] - self.time[-2]
-        # In NumPy: each of these would be a program to compile.
-        longer = (
-            np.append(self.time, self.time[-1] + step * np.arange(1, more + 1)),
-            np.concatenate([self.before, np.repeat(last, more, axis=0)]),
-            np.concatenate([self.after, np.repeat(last, more, axis=0)]),
-            np.append(self.rows, np.full(later, self.rows[-1])),
-            np.concatenate([self.sampled, np.repeat(self.sampled[-1:], later, axis=0)]),
+        time, before, after, rows, sampled = map(np.asarray, (self.time, self.before, self.after, self.rows, self.sampled))
+        more, later = grid - len(time), samples - len(rows)
+        last, step = after[-1:], time[-1] - time[-2]
+        return _inputs(
+            np.append(time, time[-1] + step * np.arange(1, more + 1)),
+            np.concatenate([before, np.repeat(last, more, axis=0)]),
+            np.concatenate([after, np.repeat(last, more, axis=0)]),
+            np.append(rows, np.full(later, rows[-1])),
+            np.concatenate([sampled, np.repeat(sampled[-1:], later, axis=0)]),
         )
-        return Inputs(*(jnp.asarray(a) for a in longer))
+
+
+def _inputs(*arrays: np.ndarray) -> Inputs:
+    return Inputs(*map(jax.device_put, arrays))  # jnp.asarray would compile a program for each shape
 
 
 class Simulation(eqx.Module):
@@ -119,7 +123,7 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
         else:
             at_grid = np.interp(grid, time, sampled[:, i])
             before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
-    return Inputs(*(jnp.asarray(a) for a in (grid, before, after, rows, sampled)))
+    return _inputs(grid, before, after, rows, sampled)
 
 
 # Traced once for all programs: their step is the same, and tracing it takes longer than compiling some of them.
@@ -320,7 +324,8 @@ def simulate(
     return result
 
 
-@eqx.filter_jit
+# Wide vectors are what a batch is made of; single simulations are slower with them.
+@functools.partial(eqx.filter_jit, compiler_options={"xla_cpu_prefer_vector_width": 512})  # pyright: ignore[reportCallIssue]
 def simulate_batch(plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]) -> tuple[dict, jax.Array]:
     """Simulates ``m`` plants that differ in the named parameters (each of shape ``(m,)``) under the same inputs.
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from smajax import cli, datasets, recording
+from smajax import cli, console, datasets, recording
 from smajax.console import Progress
 from smajax.errors import InputError
 from smajax.parameter_file import read_header, read_parameters
@@ -67,9 +67,10 @@ def bench(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def fitted(bench) -> Result:
-    return smajax(
-        "fit", bench / "rig.toml", bench / "train.csv", "--holdout", bench / "holdout.csv", "--out", bench / "out", "--profile", "heat.h0"
-    )
+    files = (bench / "rig.toml", bench / "train.csv", "--holdout", bench / "holdout.csv")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "_EVERY", 0.0)  # of all steps, however fast they are
+        return smajax("fit", *files, "--out", bench / "out", "--profile", "heat.h0")
 
 
 def test_asking_for_help_loads_nothing_heavy():
@@ -78,6 +79,23 @@ def test_asking_for_help_loads_nothing_heavy():
     )
     found = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("simulate", "{0}", "{1}"), ("fit", "{0}", "{1}"), ("diagnose", "{0}", "{1}", "--select", "{1}", "--holdout", "{1}"), ("demo",)],
+)
+def test_equinox_is_loaded_after_its_checks_are_off(words, tmp_path):
+    """Its run-time checks call from compiled programs into Python: such programs cannot be kept between runs."""
+    probe = (
+        "import sys, smajax.console\n"
+        "def stop():\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
+        "smajax.console.prepare_jax = stop\nimport smajax.cli\nsmajax.cli.main()"
+    )
+    files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
+    given = [word.format(*files) for word in words]
+    found = subprocess.run([sys.executable, "-c", probe, *given, "--out", str(tmp_path / "out")], cwd=ROOT, capture_output=True, text=True)
+    assert (found.returncode, found.stdout.strip()) == (7, "False"), found.stderr
 
 
 def test_help_names_every_command_and_its_options():

@@ -204,8 +204,8 @@ class Search:
         rtol: float = 1e-7,
     ):
         self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol))
-        self._low, self._high = (jnp.broadcast_to(jnp.asarray(b), starts.shape) for b in (lower, upper))
-        self._points = jnp.clip(jnp.asarray(starts), self._low, self._high)
+        low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
+        self._points, self._low, self._high = map(jax.device_put, (np.clip(starts, low, high), low, high))
         self._states = _begin(self._solver, self._points, size)
         self._wall, self._history = 0.0, []
         self.steps = self.simulations = 0
@@ -218,13 +218,13 @@ class Search:
         """
         began, last = time.perf_counter() - self._wall, self.steps + steps
         try:
-            while self.steps < last and bool(jnp.any(self._states.stop == Stop.running)):
-                self.simulations += int(jnp.sum(self._states.stop == Stop.running)) * (1 + self._points.shape[1])
+            while self.steps < last and (running := int(np.sum(np.asarray(self._states.stop) == Stop.running))):
+                self.simulations += running * (1 + self._points.shape[1])
                 moved = _advance(self._solver, self._fn, self._points, self._states, self._low, self._high, self._rest)
                 self._points, self._states = jax.block_until_ready(moved)
                 self.steps += 1
                 self._wall = time.perf_counter() - began
-                best = float(jnp.min(self._states.cost))
+                best = self.cost
                 self._history.append((self.simulations, self._wall, best))
                 progress(self.steps, best)
         except KeyboardInterrupt:
@@ -234,12 +234,12 @@ class Search:
     @property
     def cost(self) -> float:
         """The best cost so far."""
-        return float(jnp.min(self._states.cost))
+        return float(np.min(self._states.cost))
 
     def result(self) -> Solved:
         """Where the searches stand."""
         unfinished = Stop.interrupted if self._interrupted else Stop.steps
-        stops = [Stop(int(s)) for s in self._states.stop]
+        stops = [Stop(int(s)) for s in np.asarray(self._states.stop)]
         return Solved(
             points=np.asarray(self._points),
             residuals=np.asarray(self._states.residual),

@@ -217,7 +217,7 @@ def _data(
     laid = [simulate.lay_out(plant, r, interpolation=interpolation, step=step) for r in recordings]
     grid = -(-max(i.time.shape[0] for i in laid) // multiple) * multiple
     samples = -(-max(i.rows.shape[0] for i in laid) // multiple) * multiple
-    inputs = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *[i.padded(grid, samples) for i in laid])
+    inputs = jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *[i.padded(grid, samples) for i in laid])
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)
     for k, recording in enumerate(recordings):
@@ -226,4 +226,4 @@ def _data(
             known = np.isfinite(values)
             measured[k, j, : len(values)] = np.where(known, values, 0.0)
             weight[k, j, : len(values)] = np.where(known, 1.0 / noise[channel], 0.0)
-    return Data(inputs, jnp.asarray(measured), jnp.asarray(weight))
+    return Data(inputs, jax.device_put(measured), jax.device_put(weight))
