@@ -5,20 +5,33 @@
 Every case draws the rig's free parameters near their nominal values, the strength log-uniformly from 0.3 to 1.5 of a usual one, and three
 inputs of 80 s. Counted are: the right effect alone or as first (exact, or in the class that the verdict declares), alarms where nothing is
 hidden, effects named too many, what is said of effects that no catalogue lists, whether the interval of the strength holds the true one,
-and the held-out error over the noise. ``--quick`` runs one hidden effect and one case without.
+and the held-out error over the noise.
+
+Ablations: what the score at the first fit would name, without clipping to what is plausible, without taking out what the free parameters
+absorb, and if of each class of alike effects only the best-scored one were refitted; alarms if the residual were taken for white; and
+second effects where the kinetics is off if the selection recording had the training recording's input.
+
+With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick`` runs one hidden effect
+and one case without.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from _common import ROOT, Row, arguments, finish, say
 
+from smajax.diagnose import score
 from smajax.diagnose.bench import Bench
+from smajax.diagnose.hypothesis import Hypothesis
+from smajax.diagnose.tracer import Tracer
 from smajax.diagnose.verdict import Diagnosis, diagnose
 from smajax.recording import Recording
 from smajax.rig import Rig, read_rig
@@ -47,20 +60,10 @@ SINGLES: dict[str, tuple[str, float, float | None, dict[str, float]]] = {
 SAME = {"ratcheting": {"functional-fatigue"}, "functional-fatigue": {"ratcheting"}}
 PAIRS = (("latent-heat", "sensor-lag"), ("ambient-drift", "backlash"), ("coulomb-friction", "latent-heat"), ("creep", "airflow-change"))
 UNLISTED = {"kinetics exponent": {"exponent": 1.35}, "load step": {"load_step": 0.12, "load_instant": 28.0}, "bent sensor": {"cubic": 0.05}}
+BENT = ("latent-heat", "ambient-drift", "backlash")
 NOISE = 2e-5
 
-
-@dataclass
-class Case:
-    """What is hidden, and what was found."""
-
-    name: str
-    hidden: dict[str, float]
-    keys: tuple[str, ...]
-    found: Diagnosis | None = None
-    seconds: float = 0.0
-    ratio: float = math.nan
-    facts: dict = field(default_factory=dict)
+Facts = dict[str, Any]  # of one case, as they are written
 
 
 def draw(rng: np.random.Generator, keys: tuple[str, ...]) -> dict[str, float]:
@@ -72,8 +75,8 @@ def draw(rng: np.random.Generator, keys: tuple[str, ...]) -> dict[str, float]:
     return fields
 
 
-def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator) -> list[Recording]:
-    """Three recordings of one wire under three inputs."""
+def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator, *, same_input: bool = False) -> list[Recording]:
+    """Three recordings of one wire under three inputs; with ``same_input`` the second one has the first one's."""
     truth = reference_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").changed(
         h0=rng.uniform(0.92, 1.08), h2=rng.uniform(0.8, 1.2), capacity=rng.uniform(0.95, 1.05), max_strain=rng.uniform(0.97, 1.03),
         austenite_shift=rng.uniform(-2.5, 2.5), martensite_shift=rng.uniform(-2.5, 2.5),
@@ -81,69 +84,119 @@ def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator) -> list
     recordings, seconds, bands = [], clock(80.0), np.array([[46.0, 62.0], [84.0, 100.0]])
     for part in ("train", "select", "holdout"):
         current = turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), bands).round(4)
+        if part == "select" and same_input:
+            current = recordings[0].channels["current"]
         lifted = displacement(truth, Hidden(**hidden), seconds, current) + NOISE * rng.standard_normal(len(seconds))
         recordings.append(Recording.from_arrays(part, seconds, {"current": current, "displacement": lifted}, {"displacement": "mm"}))
     return recordings
 
 
-def run(case: Case, rig: Rig, seed: int) -> Case:
+def run(rig: Rig, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
     """Diagnoses a case."""
     began = time.perf_counter()
-    rng = np.random.default_rng([seed, *case.name.encode()])
-    bench = Bench(rig.plant, record(rig, case.hidden, rng), rig.fit, interpolation=rig.interpolation)
-    case.found = diagnose(bench, seed=seed)
-    case.seconds = time.perf_counter() - began
-    case.ratio = case.found.rmse["displacement"]["holdout_after"] / NOISE
-    case.facts = {
-        "case": case.name, "seed": seed, "verdict": case.found.verdict, "effects": case.found.effects,
-        "equivalent": case.found.equivalent, "unresolved_stage": case.found.unresolved_stage, "holdout_over_noise": case.ratio,
-        "first_by_score": max(case.found.ranking, key=lambda r: r.gain or 0.0).sight.key, "seconds": case.seconds,
+    rng = np.random.default_rng([seed, *name.encode()])
+    bench = Bench(rig.plant, record(rig, hidden, rng, same_input=group == "same input"), rig.fit, interpolation=rig.interpolation)
+    found = diagnose(bench, seed=seed)
+    seconds = time.perf_counter() - began
+    ratio = found.rmse["displacement"]["holdout_after"] / NOISE
+    say(f"{name} ({seed}): {found.verdict} {', '.join(found.effects)}; {ratio:.2f} of the noise, {seconds:.0f} s")
+    return {
+        "group": group, "case": name, "seed": seed, "keys": keys, "hidden": hidden, "verdict": found.verdict, "effects": found.effects,
+        "equivalent": found.equivalent, "unresolved_stage": found.unresolved_stage, "holdout_over_noise": ratio, "seconds": seconds,
+        "interval_holds": held(found, keys[0], hidden) if group == "one effect" else None, **ablated(bench, found, seed),
     }  # fmt: skip
-    say(f"{case.name} ({seed}): {case.found.verdict} {', '.join(case.found.effects)}; {case.ratio:.2f} of the noise, {case.seconds:.0f} s")
-    return case
 
 
-def named(case: Case, key: str) -> bool:
-    """Whether a diagnosis names an effect, or a class that holds it."""
-    found = case.found
-    assert found is not None
-    return any(key == e or key in found.equivalent.get(e, ()) or e in SAME.get(key, ()) for e in found.effects)
-
-
-def covered(case: Case) -> bool | None:
+def held(found: Diagnosis, key: str, hidden: dict[str, float]) -> bool | None:
     """Whether the interval holds the true strength; ``None`` where the two forms have no strength in common."""
-    found = case.found
-    assert found is not None
-    name, _, factor, _ = SINGLES[case.keys[0]]
-    interval = found.intervals.get(f"effects.{case.keys[0]}.strength")
-    return None if factor is None or interval is None else interval[0] <= factor * case.hidden[name] <= interval[1]
+    name, _, factor, _ = SINGLES[key]
+    interval = found.intervals.get(f"effects.{key}.strength")
+    return None if factor is None or interval is None else interval[0] <= factor * hidden[name] <= interval[1]
+
+
+def ablated(bench: Bench, found: Diagnosis, seed: int) -> Facts:
+    """What a lesser diagnosis would say at the first fit: the effect named first, and the alarm if the residual were white."""
+    tracer = Tracer(bench, seed)
+    base = bench.fit(Hypothesis(), found.before.base)
+    scores = tracer.scores(base)
+
+    def first(one: Callable[[str, np.ndarray], score.Score]) -> str:
+        gains = [(one(key, column).gain, key) for (key, _), column in scores.columns.items()]
+        return max(gains)[1]
+
+    raw, nothing = bench.flat(base.residual), np.zeros((len(scores.left), 0))
+    alike = score.classes({k: s.column for k, s in scores.found.items() if s.gain > 0.0})
+    refitted = {r.sight.key: r.refit_rmse_select for r in found.ranking if r.refit_rmse_select is not None}
+    heads = [max(group, key=lambda k: scores.found[k].gain) for group in alike]
+    seen = {k: s for k, s in scores.found.items() if math.isfinite(s.smallest)}
+    largest = max((s.gain for s in seen.values()), default=0.0)
+    white = score.p_value({k: s.column for k, s in seen.items()}, {k: bench.plausible(k) for k in seen}, largest, seed)
+    return {
+        "by_score": first(lambda k, c: bench.scored(k, scores.q, scores.left, c)),
+        "by_score_unclipped": first(
+            lambda k, c: score.score(scores.q, scores.left, c, (-math.inf, math.inf), bench.effects[k].absorbed_from)
+        ),
+        "by_score_unprojected": first(lambda k, c: bench.scored(k, nothing, raw, c)),
+        "by_heads_of_classes": min((h for h in heads if h in refitted), key=lambda h: refitted[h], default=""),
+        "chance": scores.chance,
+        "chance_if_white": white,
+    }
+
+
+def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...], dict[str, float], int]]:
+    """Group, name, hidden keys, their fields and seed of every case."""
+    for seed in seeds:
+        rng = np.random.default_rng([seed, 1])
+        for key in list(SINGLES)[: 1 if quick else None]:
+            yield "one effect", key, (key,), draw(rng, (key,)), seed
+        for k in range(1 if quick else 2):
+            yield "nothing", f"nothing {k}", (), {}, seed
+        if quick:
+            return
+        for keys in PAIRS:
+            yield "two effects", " + ".join(keys), keys, draw(rng, keys), seed
+        for name, fields in UNLISTED.items():
+            yield "in no catalogue", name, (), fields, seed
+        for key in BENT:
+            fields = draw(rng, (key,)) | {"exponent": 1.07}
+            yield "kinetics off", f"{key}, kinetics off", (key,), fields, seed
+            yield "same input", f"{key}, kinetics off", (key,), fields, seed
 
 
 def main() -> None:
     """Runs all cases and prints the table."""
     args = arguments(__doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 10}})
-    seeds = range(1 if args.quick else args.seeds)
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
-    singles, nulls, pairs, outside, bent = [], [], [], [], []
-    for seed in seeds:
-        rng = np.random.default_rng([seed, 1])
-        singles += [run(Case(key, draw(rng, (key,)), (key,)), rig, seed) for key in list(SINGLES)[: 1 if args.quick else None]]
-        nulls += [run(Case(f"nothing {k}", {}, ()), rig, seed) for k in range(1 if args.quick else 2)]
-        if args.quick:
-            break
-        pairs += [run(Case(" + ".join(keys), draw(rng, keys), keys), rig, seed) for keys in PAIRS]
-        outside += [run(Case(name, fields, ()), rig, seed) for name, fields in UNLISTED.items()]
-        keys = ("latent-heat", "ambient-drift", "backlash")
-        bent += [run(Case(f"{k}, kinetics off", draw(rng, (k,)) | {"exponent": 1.07}, (k,)), rig, seed) for k in keys]
-    finish(
-        "diagnosis_bench",
-        rows(singles, nulls, pairs, outside, bent),
-        args,
-        cases=[c.facts for c in singles + nulls + pairs + outside + bent],
-    )
+    kept = args.out / "cases.jsonl" if args.out else None
+    done = {(c["group"], c["case"], c["seed"]): c for c in read(kept)}
+    facts = []
+    for group, name, keys, hidden, seed in cases(range(1 if args.quick else args.seeds), args.quick):
+        one = done.get((group, name, seed)) or run(rig, group, name, keys, hidden, seed)
+        if kept and (group, name, seed) not in done:
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(one) + "\n")
+        facts.append(one)
+    words = "" if args.quick or args.seeds == 10 else f" --seeds {args.seeds}"
+    finish("diagnosis_bench", rows(facts), args, cases=facts, words=words)
 
 
-def rows(singles: list[Case], nulls: list[Case], pairs: list[Case], outside: list[Case], bent: list[Case]) -> list[Row]:
+def read(path: Path | None) -> list[Facts]:
+    """The cases of a file that has them line by line; a line that a killed run left unfinished is none."""
+    lines = path.read_text("utf-8").splitlines(keepends=True) if path and path.is_file() else []
+    return [json.loads(line) for line in lines if line.endswith("}\n")]
+
+
+def named(case: Facts, key: str) -> bool:
+    """Whether a diagnosis names an effect, or a class that holds it."""
+    return any(key == e or key in case["equivalent"].get(e, ()) or e in SAME.get(key, ()) for e in case["effects"])
+
+
+def first(case: Facts) -> bool:
+    """Whether the effect named first is the hidden one."""
+    return bool(case["effects"]) and case["effects"][0] == case["keys"][0]
+
+
+def rows(facts: list[Facts]) -> list[Row]:
     """The table."""
 
     def share(what: str, hits: list[bool], target: float | None, at_most: bool = False) -> Row:
@@ -153,40 +206,48 @@ def rows(singles: list[Case], nulls: list[Case], pairs: list[Case], outside: lis
         goal = "-" if target is None else f"{sign} {100 * target:.0f} %"
         return Row(what, goal, f"{sum(hits)} of {len(hits)}", met, {"share": rate})
 
-    def first(case: Case) -> bool:
-        return bool(case.found and case.found.effects) and case.found.effects[0] == case.keys[0]  # pyright: ignore
-
-    table = [
-        share("one effect: first, or in the class declared", [named(c, c.keys[0]) for c in singles], 0.90),
-        share("one effect: exactly and first", [first(c) for c in singles], 0.80),
-        share("one effect: first by its score alone, without refits", [c.facts["first_by_score"] == c.keys[0] for c in singles], None),
-        share("one effect: others named beside it", [len(c.found.effects) > 1 for c in singles if c.found], 0.10, True),
-        share("one effect: held-out error within 1.2 of the noise", [c.ratio <= 1.2 for c in singles], 0.90),
-        share("one effect: its interval holds the truth", [v for v in map(covered, singles) if v is not None], 0.90),
-        share("nothing hidden: an effect named", [bool(c.found.effects) for c in nulls if c.found], 0.02, True),
-        share("two effects: both named", [all(named(c, k) for k in c.keys) for c in pairs], 0.80),
-        share("in no catalogue: partial or unresolved", [c.found.verdict in ("partial", "unresolved") for c in outside if c.found], 0.95),
-        share("kinetics off by 7 %: the right effect first", [first(c) for c in bent], 0.80),
-        share("kinetics off by 7 %: others named beside it", [len(c.found.effects) > 1 for c in bent if c.found], 0.10, True),
-    ]
-    seconds = [c.seconds for c in singles]
-    table.append(
-        Row(
-            "seconds a case, median and longest (one effect)",
-            "<= 60 s",
-            f"{np.median(seconds):.0f}, {max(seconds):.0f}",
-            max(seconds) <= 60.0,
-        )
+    of: dict[str, list[Facts]] = {}
+    for case in facts:
+        of.setdefault(case["group"], []).append(case)
+    singles, nulls, pairs, outside, bent, same = (
+        of.get(g, []) for g in ("one effect", "nothing", "two effects", "in no catalogue", "kinetics off", "same input")
     )
-    confusion = {
-        key: Counter(c.found.effects[0] if c.found and c.found.effects else "none" for c in singles if c.keys[0] == key) for key in SINGLES
-    }
-    for key, counts in confusion.items():
-        table.append(Row(f"hidden {key}, named first", "-", ", ".join(f"{k} {n}" for k, n in counts.most_common()), None, dict(counts)))
-    for case in outside:
-        if case.found:
-            told = f"{case.found.verdict}, {case.found.unresolved_stage or '-'} ({', '.join(case.found.effects) or 'no effect'})"
-            table.append(Row(f"in no catalogue: {case.name}", "-", told, None))
+    table = [
+        share("one effect: first, or in the class declared", [named(c, c["keys"][0]) for c in singles], 0.90),
+        share("one effect: exactly and first", [first(c) for c in singles], 0.80),
+        share("one effect: others named beside it", [len(c["effects"]) > 1 for c in singles], 0.10, True),
+        share("one effect: held-out error within 1.2 of the noise", [c["holdout_over_noise"] <= 1.2 for c in singles], 0.90),
+        share("one effect: its interval holds the truth", [c["interval_holds"] for c in singles if c["interval_holds"] is not None], 0.90),
+        share("nothing hidden: an effect named", [bool(c["effects"]) for c in nulls], 0.02, True),
+        share("two effects: both named", [all(named(c, k) for k in c["keys"]) for c in pairs], 0.80),
+        share("in no catalogue: partial or unresolved", [c["verdict"] in ("partial", "unresolved") for c in outside], 0.95),
+        share("kinetics off by 7 %: the right effect first", [first(c) for c in bent], 0.80),
+        share("kinetics off by 7 %: others named beside it", [len(c["effects"]) > 1 for c in bent], 0.10, True),
+        *(
+            share(f"ablation: {what}, the right effect first", [c[field] == c["keys"][0] for c in singles], None)
+            for what, field in (
+                ("no refit, the largest score", "by_score"), ("no refit, strengths not clipped", "by_score_unclipped"),
+                ("no refit, nothing projected out", "by_score_unprojected"), ("one refit a class", "by_heads_of_classes"),
+            )
+        ),
+        share("ablation: residual taken for white, an alarm at 1 %", [c["chance_if_white"] < 0.01 for c in nulls], None),
+        share("the same, autocorrelation taken out as shipped", [c["chance"] < 0.01 for c in nulls], None),
+        share("ablation: selection by the same input, others named beside it", [len(c["effects"]) > 1 for c in same], None),
+    ]  # fmt: skip
+    seconds = [c["seconds"] for c in singles]
+    told = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
+    table.append(Row("seconds a case, median and longest (one effect)", "<= 60 s", told, max(seconds) <= 60.0))
+    for key in SINGLES:
+        counts = Counter(c["effects"][0] if c["effects"] else "none" for c in singles if c["keys"][0] == key)
+        if counts:
+            table.append(Row(f"hidden {key}, named first", "-", ", ".join(f"{k} {n}" for k, n in counts.most_common()), None, dict(counts)))
+    for name in dict.fromkeys(c["case"] for c in outside):
+        told = Counter(
+            f"{c['verdict']}, {c['unresolved_stage'] or '-'} ({', '.join(c['effects']) or 'no effect'})"
+            for c in outside
+            if c["case"] == name
+        )
+        table.append(Row(f"in no catalogue: {name}", "-", "; ".join(f"{k}: {n}" for k, n in told.most_common()), None))
     return table
 
 

@@ -86,8 +86,12 @@ def critical(samples: int) -> float:
     return 1.0 + 4.0 * math.sqrt(2.0 / (0.8 * samples))
 
 
-def trace(bench: Bench, *, seed: int = 0, starts: int = 2, say: Callable[[str], None] = lambda text: None) -> tuple[Tracer, Story]:
+def trace(
+    bench: Bench, *, seed: int = 0, starts: int = 2, worth: float = EXPLAINED, say: Callable[[str], None] = lambda text: None
+) -> tuple[Tracer, Story]:
     """Traces the residual of the bench's training part, helped by the selection part; the first fit has so many ``starts``.
+
+    A third effect is looked for if two explain the share ``worth`` of what exceeds the noise: less speaks for a cause that is not listed.
 
     Raises NumericsError if the first fit does not come to rest; its ``state`` holds the point where it ended.
     """
@@ -103,6 +107,8 @@ def trace(bench: Bench, *, seed: int = 0, starts: int = 2, say: Callable[[str], 
     story = Story(seen, noise, first, first, critical(len(bench.flat(first.refit.residual))), gains)
     beam = [first]
     for turn in range(ROUNDS):
+        if turn > 1 and story.explained < worth:
+            break
         beam = _round(tracer, story, beam, turn, say)
         if not beam:
             break
@@ -146,7 +152,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     bench, current = tracer.bench, story.last
     samples = len(bench.flat(current.refit.residual))
     beam = [t for t in beam if len(bench.moved(t.refit.hypothesis)) < SLOTS]
-    if not beam or (turn and current.train < max(story.limit, 1.02)) or (turn > 1 and story.explained < EXPLAINED):
+    if not beam or (turn and current.train < max(story.limit, 1.02)):
         return []
     say(f"round {turn + 1}: scoring {len(bench.effects) - turn} effects")
     if turn == 0:
