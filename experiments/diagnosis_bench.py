@@ -11,8 +11,8 @@ Ablations: what the score at the first fit would name, without clipping to what 
 absorb, and if of each class of alike effects only the best-scored one were refitted; alarms if the residual were taken for white; and
 second effects where the kinetics is off if the selection recording had the training recording's input.
 
-With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick`` runs one hidden effect
-and one case without.
+With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick`` runs one hidden
+effect and one case without.
 """
 
 from __future__ import annotations

@@ -56,6 +56,7 @@ KEYS = [
     "r-phase",
     "stress-dependent-strain",
     "clausius-asymmetry",
+    "clausius-curvature",
     "ratcheting",
     "initial-set",
     "functional-fatigue",

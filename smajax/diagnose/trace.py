@@ -29,7 +29,7 @@ DETECTED = 0.01
 CUT = 0.05
 EXPLAINED = 0.5
 ROUNDS = 3
-_NEAR, _AFAR = 5, 4  # effects refitted first: by their scores at the fit, and at the rig's nominal values
+_AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _STATIONARY = 2e-2
 _FALL = 25.0  # least fall of the sum of squares over the noise that counts
@@ -162,14 +162,21 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
         if scores.chance > DETECTED and current.train < story.limit:
             return []
         trials = _singles(tracer, story, scores, say)
-        for t in trials:
-            story.ranking[t.key] = dataclasses.replace(story.ranking[t.key], refit_rmse_select=t.rmse_select)
     else:
         trials = _more(tracer, story, beam, turn, say)
     best = min(trials, key=lambda t: t.total, default=None)
     if best is None:
         return []
     best = tracer.settled(best)
+    by: dict[frozenset, Trial] = {}
+    for trial in sorted([best, *trials, *tracer.kin(best)], key=lambda t: t.total):
+        by.setdefault(frozenset(trial.keys), trial)
+    trials = list(by.values())
+    if trials[0].total < best.total - _FALL / samples:
+        best = tracer.settled(trials[0])
+    if turn == 0:
+        for t in trials:
+            story.ranking[t.key] = dataclasses.replace(story.ranking[t.key], refit_rmse_select=t.rmse_select)
     fall = (current.train - best.train) * samples
     cut = 1.0 - math.sqrt(best.select / current.select)
     added = next((k for k in best.keys if k not in current.keys), best.key)
@@ -192,27 +199,13 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
 
 
 def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], None]) -> list[Trial]:
-    """Refits of the effects that promise most, and of all others if none of these explains the residual."""
-    refit, bench = story.last.refit, tracer.bench
-    hopeful = [k for k, s in sorted(scores.found.items(), key=lambda item: -item[1].gain) if s.gain > 0.0]
-    afar = [k for k in sorted(story.promise, key=lambda k: -story.promise[k]) if story.promise[k] > 0.0 and k in hopeful]
-    groups = score.classes({k: scores.found[k].column for k in hopeful})
-    chosen = list(dict.fromkeys([*hopeful[:_NEAR], *afar[:_AFAR]]))
-    for key in chosen[:2]:  # all that look like the best ones
-        chosen += [k for k in next((g for g in groups if key in g), ()) if k not in chosen]
-
-    def refits(keys: list[str], parent: Refit, also: np.ndarray | None) -> list[Trial]:
-        say(f"round 1: refitting {len(keys)} effects")
-        extensions = [Extension(parent, k, scores.found[k].strength, scores.shapes[k]) for k in keys]
-        return tracer.race(extensions, also)
-
-    nominal = bench.nominal
-    trials = refits(chosen, refit, nominal)
-    rest = [k for k in hopeful if k not in chosen]
-    if rest and min((t.train for t in trials), default=math.inf) > max(story.limit, 1.15):
-        # Where the fit stands they promise little: from the nominal values only.
-        trials += refits(rest, dataclasses.replace(refit, base=nominal), None)
-    return trials
+    """Refits of every effect that the recording can show: at a biased fit even the cause may promise nothing to first order."""
+    bench, refit = tracer.bench, story.last.refit
+    near = [k for k, s in scores.found.items() if math.isfinite(s.smallest)]
+    afar = sorted((k for k in near if story.promise[k] > 0.0), key=lambda k: -story.promise[k])[:_AFAR]
+    say(f"round 1: refitting {len(near)} effects")
+    extensions = [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near]
+    return tracer.race(extensions, {k: bench.nominal for k in afar})
 
 
 def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:

@@ -3,7 +3,8 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,9 @@ from smajax.diagnose import localise, score
 from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.fit.least_squares import Stop
+from smajax.parameters import declarations
 
-_HEATS = ((99, 5), (6, 4), (4, 8), (2, 30))  # how many go on, and for how many steps, the first of which only looks at the start
+_HEATS = ((99, 5), (8, 4), (5, 8), (3, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
 _HOPELESS = 30.0
 _JOINED = 12  # evaluations of the joint fit
@@ -135,11 +137,11 @@ class Tracer:
         asked = np.column_stack([bench.flat(c, 1) for c in np.where(foreign, 0.0, jacobian)[:, free].T])
         return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
 
-    def race(self, extensions: Sequence[Extension], also: np.ndarray | None = None) -> list[Trial]:
+    def race(self, extensions: Sequence[Extension], also: Mapping[str, np.ndarray] = MappingProxyType({})) -> list[Trial]:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
-        They start at their parent's point with a small strength, so that all parameters go together from there, and at the point ``also``
-        with the expected one: what a large effect has done to the other parameters may lie in the way.
+        They start at their parent's point with a small strength, so that all parameters go together from there, and the effects ``also`` at
+        other points with the expected one: what a large effect has done to the other parameters may lie in the way.
         """
         starts = []
         for parent, key, strength, shape in extensions:
@@ -149,8 +151,8 @@ class Tracer:
             size = float(np.clip(strength, max(low, -2.0), min(high, 2.0))) or 0.1
             small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
             starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
-            if also is not None:
-                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also, True))
+            if key in also:
+                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also[key], True))
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
         everyone = [s for f in fields for s in f]
@@ -166,6 +168,28 @@ class Tracer:
             best.setdefault(frozenset(found.hypothesis.keys), found)
         trials = in_pairs(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
+
+    def kin(self, trial: Trial) -> list[Trial]:
+        """Fits in which an effect that is known to be confused with a trial's last one stands in its place, each to its end.
+
+        They start at the trial's own point, with its shape where theirs is called the same.
+        """
+        effects, key, refit = self.bench.effects, trial.key, trial.refit
+        rest = refit.hypothesis.without(key)
+        known = [k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in trial.keys]
+        starts = []
+        for other in known:
+            values = {f"effects.{other}.strength": 0.3 * effects[other].typical, **self._shape(other, key, refit)}
+            starts.append(rest.extended(other, values))
+        found = in_pairs(lambda h: self.judged(self.bench.fit(h, refit.base, max_steps=40, rtol=1e-7)), starts)
+        return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
+
+    def _shape(self, other: str, key: str, refit: Refit) -> dict[str, float]:
+        values = {}
+        for name, grid in self.bench.grid(other)[0]:
+            known = declarations(self.bench.effects[other])[name]
+            values[f"effects.{other}.{name}"] = float(np.clip(refit.values.get(f"effects.{key}.{name}", grid), known.lower, known.upper))
+        return values
 
     def nothing(self, trial: Trial) -> bool:
         """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""

@@ -59,7 +59,7 @@ class AbstractEffect(eqx.Module):
     needs: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[tuple[tuple[str, tuple[float, ...]], ...]] = ()
     no_mean_effect: ClassVar[str] = ""
-    absorbed_from: ClassVar[float] = 1.0 - 1e-5
+    absorbed_from: ClassVar[float] = 1.0 - 1e-7
     strength: eqx.AbstractVar[jax.Array]
 
     @classmethod
