@@ -125,7 +125,7 @@ def held(found: Diagnosis, key: str, hidden: dict[str, float]) -> bool | None:
     """Whether the interval holds the true strength; ``None`` where the two forms have no strength in common."""
     name, _, factor, _ = SINGLES[key]
     interval = found.intervals.get(f"effects.{key}.strength")
-    return None if factor is None or interval is None else interval[0] <= factor * hidden[name] <= interval[1]
+    return None if factor is None or interval is None else bool(interval[0] <= factor * hidden[name] <= interval[1])
 
 
 def ablated(bench: Bench, found: Diagnosis, seed: int) -> Facts:
