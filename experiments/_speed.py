@@ -12,11 +12,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from _common import ROOT, Row, exponent, medians, say, shipped
+from equinox import filter_jit
 
 from smajax import parameters, simulate
 from smajax.fit.problem import Problem, build
@@ -27,12 +27,12 @@ DESIGNS = 1024
 EIGHT = ("material.clausius_clapeyron_austenite", "material.clausius_clapeyron_martensite")
 
 
-@eqx.filter_jit
+@filter_jit
 def _model(problem: Problem, vector: jax.Array) -> jax.Array:
     return problem.residual(vector)
 
 
-@eqx.filter_jit
+@filter_jit
 def _linearised(problem: Problem, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
     def twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
         residual = problem.residual(v)

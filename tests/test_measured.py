@@ -1,6 +1,7 @@
 """The experiments on recordings by others: what they read, and what they say of folders that they cannot use. Their fits are no tests."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,16 @@ from tests.conftest import ROOT
 
 
 def run(name: str, *words: str) -> subprocess.CompletedProcess:
+    """An experiment in a process that inherits nothing of how the tests set up JAX, as a user starts it."""
     command = [sys.executable, str(ROOT / "experiments" / f"{name}.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    environment = {k: v for k, v in os.environ.items() if k not in ("EQX_ON_ERROR", "XLA_FLAGS")}
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, env=environment)
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in (ROOT / "experiments").glob("[a-z]*.py") if p.stem != "readme"))
+def test_every_experiment_starts(name):
+    done = run(name, "--help")
+    assert done.returncode == 0 and "--json" in done.stdout, done.stderr
 
 
 def levels(folder: Path, *stresses: int) -> Path:
@@ -128,9 +137,10 @@ def test_a_log_without_pulses_or_tags_is_refused(tmp_path):
 
 def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "experiments"))
+    import _arm_log
     import measured_bu_softlimb
 
-    log = measured_bu_softlimb.read_logs(arm_log(tmp_path))[0]
+    log = _arm_log.read_logs(arm_log(tmp_path))[0]
     assert log.found == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
     np.testing.assert_allclose(log.pulses, [1.0, 91.0])
     assert (log.until, log.scored) == (80.0, 85.0)
