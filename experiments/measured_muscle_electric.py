@@ -3,7 +3,7 @@
     python experiments/measured_muscle_electric.py [--data DIR] [--workbook NAME] [--quick] [--json FILE] [--out DIR]
 
 DIR holds a workbook; of several, --workbook names one. Each sheet is one run, named "<duty of the heating>%, <its phase>%". The temperature
-was not measured, and the column of power is a nominal schedule pasted in with edges up to a second off: it is laid out anew here on the
+was not measured, and the column of power is a nominal schedule pasted in, whose edges are off: it is laid out anew here on the
 heater's own clock, whose period is that of the schedule's edges in whole seconds. A run whose edges keep another period is left out.
 One constant of each run is fitted, the strain at which the wire comes taut; for a held-out run it is set by its first cycle, and the score
 counts the later cycles only.

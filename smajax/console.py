@@ -20,8 +20,8 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
-# Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs five to eight times as fast if all of
-# it, however large its arrays are, is one function of machine code.
+# Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs much faster if all of it, however large
+# its arrays are, is one function of machine code.
 XLA_FLAGS = (
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",

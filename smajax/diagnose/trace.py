@@ -200,12 +200,12 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
 
 def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], None]) -> list[Trial]:
     """Refits of every effect that the recording can show: at a biased fit even the cause may promise nothing to first order."""
-    bench, refit = tracer.bench, story.last.refit
+    refit = story.last.refit
     near = [k for k, s in scores.found.items() if math.isfinite(s.smallest)]
     afar = sorted((k for k in near if story.promise[k] > 0.0), key=lambda k: -story.promise[k])[:_AFAR]
     say(f"round 1: refitting {len(near)} effects")
     extensions = [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near]
-    return tracer.race(extensions, {k: bench.nominal for k in afar})
+    return tracer.race(extensions, afar)
 
 
 def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:

@@ -3,8 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -137,11 +136,11 @@ class Tracer:
         asked = np.column_stack([bench.flat(c, 1) for c in np.where(foreign, 0.0, jacobian)[:, free].T])
         return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
 
-    def race(self, extensions: Sequence[Extension], also: Mapping[str, np.ndarray] = MappingProxyType({})) -> list[Trial]:
+    def race(self, extensions: Sequence[Extension], also: Collection[str] = ()) -> list[Trial]:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
         They start at their parent's point with a small strength, so that all parameters go together from there, and the effects ``also`` at
-        other points with the expected one: what a large effect has done to the other parameters may lie in the way.
+        the rig's nominal values with the expected one: what a large effect has done to the other parameters may lie in the way.
         """
         starts = []
         for parent, key, strength, shape in extensions:
@@ -152,7 +151,7 @@ class Tracer:
             small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
             starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
             if key in also:
-                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), also[key], True))
+                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), self.bench.nominal, True))
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
         everyone = [s for f in fields for s in f]
