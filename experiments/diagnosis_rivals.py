@@ -185,8 +185,8 @@ def universal(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
     for seed in (0, 1):
         weights = 0.5 * np.random.default_rng(seed).standard_normal(size) * np.append(np.ones(4 * HIDDEN), np.full(HIDDEN + 1, 0.02))
         start = np.append(whole.nominal, weights)
-        point = least_squares.Search(residual, parts[0], start[None], lower, upper, size=whole.size).advance(60).result().points[0]
-        searches = [least_squares.Search(residual, parts[k], point[None], lower, upper, size=whole.size) for k in (1, 2)]
+        point = least_squares.Search(residual, parts[0], start[None], lower, upper, size=parts[0].size).advance(60).result().points[0]
+        searches = [least_squares.Search(residual, parts[k], point[None], lower, upper, size=parts[0].size) for k in (1, 2)]
         tested = [search.advance(1).result() for search in searches]
         scale = 1.0 / float(np.max(whole.data.weight)) / NOISE
         rms = [float(np.sqrt(np.mean(t.residuals[0] ** 2))) * scale for t in tested]

@@ -28,6 +28,7 @@ from smajax.fit.problem import Problem
 DETECTED = 0.01
 CUT = 0.05
 EXPLAINED = 0.5
+WORTH = 0.75
 ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
@@ -87,7 +88,7 @@ def critical(samples: int) -> float:
 
 
 def trace(
-    bench: Bench, *, seed: int = 0, starts: int = 2, worth: float = EXPLAINED, say: Callable[[str], None] = lambda text: None
+    bench: Bench, *, seed: int = 0, starts: int = 2, worth: float = WORTH, say: Callable[[str], None] = lambda text: None
 ) -> tuple[Tracer, Story]:
     """Traces the residual of the bench's training part, helped by the selection part; the first fit has so many ``starts``.
 

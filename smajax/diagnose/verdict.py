@@ -19,6 +19,7 @@ from smajax.fit import uncertainty
 
 PARTS = ("train", "select", "holdout")
 _NOISY = 1.2
+AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,38 +57,56 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     Raises NumericsError if the first fit does not come to rest.
     """
     tracer, story = trace(bench, seed=seed, say=say)
-    verdict = judge(story, tracer.expected(story.last.refit))
+    take_back(story)
+    say("predicting the holdout")
+    first = tracer.joined(story.first.refit)
+    last = tracer.joined(story.last.refit) if story.accepted else first
+    held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
+    select = story.last.select / tracer.expected(story.last.refit, 1)
+    verdict = judge(story, select, held / tracer.expected(story.last.refit, 2))
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
-        scores = tracer.scores(story.last.refit)
-        left = tracer.shares(story.last.refit, scores) if story.accepted else story.stages
-        stage = localise.likeliest(left)
-        shape = localise.shape(bench, story.last.refit, scores.q, scores.left, stage)
+        stage, shape = _rest(tracer, story)
     designed = None
     if verdict != "named" and verdict != "nothing-missing":
         say("designing the next experiment")
         designed = experiment.design(bench, story.last.refit, _rivals(story), seed)
-    say("predicting the holdout")
-    return _conclude(tracer, story, verdict, stage, shape, designed)
+    return _conclude(tracer, story, (first, last), verdict, stage, shape, designed)
 
 
-def judge(story: Story, expected: float = 1.0) -> str:
-    """The verdict's word; takes back effects that leave most of the excess unexplained.
-
-    ``expected`` is what a perfect fit would leave on the selection recording, as mean square over the noise.
-    """
-    first, last = story.first, story.last
-    if story.accepted and story.explained < EXPLAINED and last.train > max(story.limit, 1.25):
+def take_back(story: Story) -> None:
+    """Takes back effects that leave most of the excess unexplained."""
+    if story.accepted and story.explained < EXPLAINED and story.last.train > max(story.limit, AT_NOISE):
         why = f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause"
         story.rejected += [(key, why) for key in story.accepted]
-        story.equivalent, story.last = {}, first
+        story.equivalent, story.last = {}, story.first
+
+
+def judge(story: Story, select: float, held: float) -> str:
+    """The verdict's word.
+
+    ``select`` and ``held`` are the last fit's mean squares on the selection and the holdout part over those that noise and the parameters'
+    own uncertainty would leave: what is named has to predict both.
+    """
+    last = story.last
     if not story.accepted:
-        missing = first.train > max(story.limit, 1.1) or first.select > _NOISY
+        missing = last.train > max(story.limit, 1.1) or select > _NOISY or held > _NOISY**2
         return "unresolved" if missing else "nothing-missing"
-    if math.sqrt(story.last.select / expected) < _NOISY and story.last.train < max(story.limit, 1.25):
+    if max(select, held) < _NOISY**2 and last.train < max(story.limit, AT_NOISE):
         return "named-up-to-class" if any(story.equivalent.get(k) for k in story.accepted) else "named"
     return "partial"
+
+
+def _rest(tracer: Tracer, story: Story) -> tuple[str, Shape | None]:
+    """The stage where what is left unexplained lives, and its shape; if only another input shows it, the stage of what stands in for it."""
+    refit = story.last.refit
+    if story.accepted and story.last.train < max(story.limit, AT_NOISE):
+        return tracer.bench.effects[story.last.key].stage, None
+    scores = tracer.scores(refit)
+    left = tracer.shares(refit, scores) if story.accepted else story.stages
+    stage = localise.likeliest(left)
+    return stage, localise.shape(tracer.bench, refit, scores.q, scores.left, stage)
 
 
 def _rivals(story: Story) -> dict[str, dict[str, float]]:
@@ -104,10 +123,10 @@ def _rivals(story: Story) -> dict[str, dict[str, float]]:
     return found
 
 
-def _conclude(tracer: Tracer, story: Story, verdict: str, stage: str | None, shape: Shape | None, designed: Next | None) -> Diagnosis:
-    bench = tracer.bench
-    first = tracer.joined(story.first.refit)
-    last = tracer.joined(story.last.refit) if story.accepted else first
+def _conclude(
+    tracer: Tracer, story: Story, fits: tuple[Refit, Refit], verdict: str, stage: str | None, shape: Shape | None, designed: Next | None
+) -> Diagnosis:
+    bench, (first, last) = tracer.bench, fits
     noise = bench.noise
     residuals = {
         "before": [first.residual, *(bench.evaluate(Hypothesis(), first.base, k)[0] for k in (1, 2))],

@@ -9,7 +9,7 @@ from typing import Any
 from smajax import __version__
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look
-from smajax.diagnose.verdict import PARTS, Diagnosis
+from smajax.diagnose.verdict import AT_NOISE, PARTS, Diagnosis
 from smajax.recording import Recording
 from smajax.report import html, plots
 from smajax.report.document import difference_unit, number
@@ -128,6 +128,8 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
     stage = doc["unresolved_stage"]
     if doc["verdict"] == "nothing-missing":
         told.append("The model explains the recordings down to their noise: nothing is missing that they could show.")
+    elif doc["verdict"] == "partial" and doc["goodness_of_fit"]["after"] < max(doc["goodness_of_fit"]["critical"], AT_NOISE):
+        told.append(f"It does not predict another input down to the noise: it may stand in for something else in the {stage} stage.")
     elif doc["verdict"] == "partial":
         told.append(f"That is not all: more than noise is left, and it looks most like something in the {stage} stage.")
     elif doc["verdict"] == "unresolved":
