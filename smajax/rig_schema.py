@@ -19,6 +19,7 @@ from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
 from smajax.plant.heat import AbstractHeat, PolynomialHeat, PowerHeat, PrescribedTemperature
 from smajax.plant.material.base import AbstractMaterial
 from smajax.plant.material.brinson import Brinson
+from smajax.plant.material.lagoudas import Lagoudas
 from smajax.plant.mechanism import AbstractMechanism, BiasSpring, DeadWeight, StressPath, TestingMachine
 from smajax.plant.rotary import Rotary
 from smajax.plant.sensor import Sensor
@@ -34,7 +35,7 @@ KINDS: Mapping[str, type[AbstractMechanism]] = {
     "testing-machine": TestingMachine,
     "path": StressPath,
 }
-MATERIALS: Mapping[str, type[AbstractMaterial]] = {"brinson": Brinson}
+MATERIALS: Mapping[str, type[AbstractMaterial]] = {"brinson": Brinson, "lagoudas": Lagoudas}
 HEATS: Mapping[str, type[AbstractHeat]] = {"h(T) as a polynomial": PolynomialHeat, "an exponent in h(T)": PowerHeat}
 INTERPOLATIONS = ("hold", "linear")
 # A path is followed by a material point: the wire's size then scales nothing but force and resistance.

@@ -38,14 +38,17 @@ class Settings(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Unknown:
-    """One entry of the vector: a parameter, of one recording or (``recording`` = ``None``) of all."""
+    """One entry of the vector: a parameter, of one recording or (``recording`` = ``None``) of all.
+
+    Only its name and unit make it another one: what differs in the rest needs no compilation of its own.
+    """
 
     name: str
-    recording: str | None
-    nominal: float
-    lower: float
-    upper: float
-    scale: float
+    recording: str | None = dataclasses.field(compare=False)
+    nominal: float = dataclasses.field(compare=False)
+    lower: float = dataclasses.field(compare=False)
+    upper: float = dataclasses.field(compare=False)
+    scale: float = dataclasses.field(compare=False)
     unit: str
 
     @property

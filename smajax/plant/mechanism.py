@@ -99,7 +99,7 @@ class AbstractMechanism(eqx.Module):
         raise NotImplementedError
 
 
-def _detwinned(material: AbstractMaterial, temperature: jax.Array, strain: jax.Array) -> Fractions:
+def detwinned(material: AbstractMaterial, temperature: jax.Array, strain: jax.Array) -> Fractions:
     """Cold, stress-free and drawn out to ``strain``, then brought to ``temperature``."""
     cold, slack = jnp.full_like(temperature, -1e4), jnp.zeros_like(temperature)
     return material.evolve(material.installed(strain), (cold, temperature), (slack, slack))
@@ -112,8 +112,8 @@ class DeadWeight(AbstractMechanism):
     wires, unknowns, prescribed, coordinate = 1, 0, (), "displacement"
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
-        """See ``AbstractMechanism``: all detwinned, as under its load."""
-        return _detwinned(material, temperature, jnp.ones_like(temperature))
+        """See ``AbstractMechanism``: as grown under its load."""
+        return detwinned(material, temperature, material.grown_strain(self.stress(temperature, prescribed, around)))
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
@@ -149,8 +149,8 @@ class BiasSpring(AbstractMechanism):
     wires, unknowns, prescribed, coordinate = 1, 1, (), "displacement"
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
-        """See ``AbstractMechanism``: all detwinned, as under the preload."""
-        return _detwinned(material, temperature, jnp.ones_like(temperature))
+        """See ``AbstractMechanism``: as grown under the preload."""
+        return detwinned(material, temperature, material.grown_strain(self.unloaded(prescribed, around)))
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``: the preload over the cross-section."""
@@ -188,7 +188,7 @@ class TestingMachine(AbstractMechanism):
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``."""
-        return _detwinned(material, temperature, around.wire.prestrain + prescribed["strain"][None])
+        return detwinned(material, temperature, around.wire.prestrain + prescribed["strain"][None])
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.plant.material.base import AbstractMaterial, Fractions
-from smajax.plant.mechanism import AbstractMechanism, Pulley, Surroundings, _detwinned
+from smajax.plant.mechanism import AbstractMechanism, Pulley, Surroundings, detwinned
 
 
 class LightRotary(AbstractMechanism):
@@ -29,7 +29,7 @@ class LightRotary(AbstractMechanism):
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``: detwinned by the prestrain, else twinned."""
-        return _detwinned(material, temperature, jnp.broadcast_to(around.wire.prestrain, temperature.shape))
+        return detwinned(material, temperature, jnp.broadcast_to(around.wire.prestrain, temperature.shape))
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
@@ -78,7 +78,7 @@ class Rotary(AbstractMechanism):
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``: detwinned by the prestrain, else twinned."""
-        return _detwinned(material, temperature, jnp.broadcast_to(around.wire.prestrain, temperature.shape))
+        return detwinned(material, temperature, jnp.broadcast_to(around.wire.prestrain, temperature.shape))
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""

@@ -31,6 +31,10 @@ class AbstractMaterial(eqx.Module):
         """The fractions after a step in which temperature and stress go from the first to the second of each pair, monotonically."""
         raise NotImplementedError
 
+    def grown_strain(self, stress: jax.Array) -> jax.Array:
+        """Transformation strain of martensite that grows under a stress."""
+        raise NotImplementedError
+
     @property
     def forward_start(self) -> jax.Array:
         """Temperature at which the forward transformation starts at zero stress, degC."""
@@ -55,3 +59,8 @@ class AbstractMaterial(eqx.Module):
     def installed(self, strain: jax.Array) -> Fractions:
         """The fractions of a cold, stress-free wire that was drawn out to ``strain``: detwinned as far as needed, the rest twinned."""
         raise NotImplementedError
+
+
+def mix(martensite: jax.Array, austenite_value: jax.Array, martensite_value: jax.Array) -> jax.Array:
+    """A property of the phases, linear in the martensite fraction."""
+    return austenite_value + martensite * (martensite_value - austenite_value)

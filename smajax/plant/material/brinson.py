@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.parameters import parameter
-from smajax.plant.material.base import AbstractMaterial, Fractions
+from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 
 # sin(pi/2 m) = m * P(m^2) on [0, 1], interpolated at the Chebyshev points of m^2, relative error below 5e-16. The library's cosine does not
 # vectorise on a CPU: batches would take six times as long.
@@ -119,6 +119,10 @@ class Brinson(AbstractMaterial):
             -above * (1.0 / (self.martensite_start - self.martensite_finish)),
         )
 
+    def grown_strain(self, stress: jax.Array) -> jax.Array:
+        """See ``AbstractMaterial.grown_strain``: eps_L, since what grows under a load is detwinned by it."""
+        return jnp.broadcast_to(self.max_strain, jnp.shape(stress))
+
     @property
     def forward_start(self) -> jax.Array:
         """See ``AbstractMaterial.forward_start``."""
@@ -130,22 +134,18 @@ class Brinson(AbstractMaterial):
 
     def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
         """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi_s + alpha(xi) (T - reference)."""
-        expansion = _mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
+        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
         return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
 
     def modulus(self, fractions: Fractions) -> jax.Array:
         """Young's modulus, linear in the martensite fraction (Brinson 1993 eq. 8), Pa."""
-        return _mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
+        return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
 
     def resistivity(self, fractions: Fractions) -> jax.Array:
         """Resistivity, linear in the martensite fraction, Ohm m."""
-        return _mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
+        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
 
     def installed(self, strain: jax.Array) -> Fractions:
         """See ``AbstractMaterial.installed``: xi_s = strain / eps_L, clipped to 0..1."""
         detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
         return Fractions(detwinned, 1.0 - detwinned)
-
-
-def _mix(martensite: jax.Array, austenite_value: jax.Array, martensite_value: jax.Array) -> jax.Array:
-    return austenite_value + martensite * (martensite_value - austenite_value)

@@ -1,0 +1,65 @@
+"""The smooth hardening of Lagoudas' law, and its inverse.
+
+    h(xi; n, m) = (1 + xi^n - (1 - xi)^m) / 2        (Lagoudas et al. 2012, eq. 25 without its constants)
+
+rises from 0 to 1 with the martensite fraction; exponents of 1 make it a straight line (the polynomial hardening of Boyd and Lagoudas 1996),
+smaller ones let a transformation begin and end gradually. A material asks the other way round: which fraction has hardened by a share.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+# Enough for an error below 1e-9 at exponents of 0.01 and of rounding above 0.1.
+_STEPS = 6
+_LEAST = 1e-300
+
+
+def hardening(fraction: jax.Array, n: jax.Array, m: jax.Array) -> jax.Array:
+    """Share of its hardening that a transformation has gone through at a martensite fraction of 0..1."""
+    return 0.5 * (1.0 + fraction**n - (1.0 - fraction) ** m)
+
+
+@jax.custom_jvp
+def hardened(share: jax.Array, n: jax.Array, m: jax.Array) -> jax.Array:
+    """The martensite fraction at which ``hardening`` is ``share``; below 0 it is 0, above 1 it is 1. Elementwise; n and m in 0.01..1."""
+    lower, near, small = _solve(share, n, m)
+    return jnp.where(lower, small, 1.0 - small) * near + jnp.where(share >= 1.0, 1.0, 0.0)
+
+
+@hardened.defjvp
+def _hardened_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    """By the implicit function theorem."""
+    share, n, m = primals
+    lower, near, small = _solve(share, n, m)
+    small = jnp.maximum(small, _LEAST)
+    fraction, rest = jnp.where(lower, small, 1.0 - small), jnp.where(lower, 1.0 - small, small)
+    grown, left = fraction**n, rest**m
+    slope = 0.5 * (n * grown / fraction + m * left / rest)
+    moved = tangents[0] - 0.5 * (tangents[1] * grown * jnp.log(fraction) - tangents[2] * left * jnp.log(rest))
+    value = jnp.where(lower, small, 1.0 - small) * near + jnp.where(share >= 1.0, 1.0, 0.0)
+    return value, jnp.where(near, moved / slope, 0.0)
+
+
+def _solve(share: jax.Array, n: jax.Array, m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Whether the fraction is below a half, whether it is between 0 and 1, and its distance from the nearer of these.
+
+    The half above mirrors the half below: 1 - h(xi; n, m) = h(1 - xi; m, n). In w = x^n the function is convex and rising below a half, so
+    that Newton's method from above, w <= 2 share, comes down to the root and never passes it.
+    """
+    near = (share > 0.0) & (share < 1.0)
+    share = jnp.where(near, share, 0.5)
+    lower = share < hardening(jnp.asarray(0.5), n, m)
+    target, a, b = jnp.where(lower, share, 1.0 - share), jnp.where(lower, n, m), jnp.where(lower, m, n)
+    top = 0.5**a
+
+    def newton(_: Any, w: jax.Array) -> jax.Array:
+        x = w ** (1.0 / a)
+        rest = (1.0 - x) ** b
+        slope = 0.5 * (1.0 + b * rest / (1.0 - x) * x / (a * jnp.maximum(w, _LEAST)))
+        return jnp.clip(w - (0.5 * (1.0 + w - rest) - target) / slope, 0.0, top)
+
+    # A loop, not its unrolled steps: the compiler would write each step out in all places that use its result.
+    w = jax.lax.fori_loop(0, _STEPS, newton, jnp.minimum(2.0 * target, top))
+    return lower, near, w ** (1.0 / a)

@@ -1,0 +1,291 @@
+"""Lagoudas' law against published curves and vectors, the exact reference, and what thermodynamics asks of it."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smajax import parameters
+from smajax.diagnose.effects import catalogue
+from smajax.fit.fit import fit
+from smajax.parameters import declarations
+from smajax.plant.material.base import Fractions
+from smajax.plant.material.hardening import hardened, hardening
+from smajax.plant.material.lagoudas import Lagoudas
+from smajax.recording import Recording
+from smajax.rig import parse_rig
+from smajax.simulate import lay_out, simulate, simulate_batch, simulate_inputs
+from tests.reference import lagoudas as reference
+
+VALUES = {
+    "martensite_start": 45.0,
+    "martensite_finish": 30.0,
+    "austenite_start": 60.0,
+    "austenite_finish": 78.0,
+    "clausius_clapeyron_austenite": 7.5e6,
+    "clausius_clapeyron_martensite": 6.5e6,
+    "modulus_austenite": 60e9,
+    "modulus_martensite": 30e9,
+    "max_strain": 0.045,
+    "min_strain_share": 0.2,
+    "strain_saturation": 1.5e-8,
+    "critical_stress": 10e6,
+    "calibration_stress": 150e6,
+    "n1": 0.3,
+    "n2": 0.6,
+    "n3": 0.4,
+    "n4": 0.2,
+}
+LAW, EXACT = Lagoudas(**VALUES), reference.Law(**VALUES)
+ANCHORS = ("lin", "smooth05", "smoothmix")
+
+
+def advance(law: Lagoudas, state: reference.State, temperature: float, stress: tuple[float, float]) -> reference.State:
+    detwinned = state.strain / float(law.max_strain)
+    start = Fractions(jnp.asarray(detwinned), jnp.asarray(state.martensite - detwinned))
+    end = law.evolve(start, (jnp.asarray(0.0), jnp.asarray(temperature)), tuple(jnp.asarray(s) for s in stress))
+    return reference.State(float(end.martensite), float(law.strain_of(end)))
+
+
+def path_rig(observe: str, **values: str):
+    lines = "\n".join(f'{name} = "{value}"' for name, value in values.items())
+    return parse_rig(f'[rig]\nkind = "path"\n[material]\n{lines}\n[fit]\nmodel = "lagoudas"\nobserve = ["{observe}"]\n')
+
+
+def anchor(shared, name: str, observe: str):
+    """Plant, inputs and exact curve of a published case."""
+    folder = shared / "anchors" / "lagoudas-curves"
+    made = json.loads((folder / f"{name}.params.json").read_text())
+    p, warm = made["props"], made["T_init_K"]
+    plant = path_rig(
+        observe, martensite_start=f"{p['Ms0']} K", martensite_finish=f"{p['Mf0']} K", austenite_start=f"{p['As0']} K",
+        austenite_finish=f"{p['Af0']} K", clausius_clapeyron_austenite=f"{p['C_A']} MPa/K", clausius_clapeyron_martensite=f"{p['C_M']} MPa/K",
+        modulus_austenite=f"{p['E_A']} MPa", modulus_martensite=f"{p['E_M']} MPa", max_strain=str(p["Hmax"]),
+        min_strain_share=str(p["Hmin"] / p["Hmax"]), strain_saturation=f"{p['k1']} 1/MPa", critical_stress=f"{p['sigma_crit']} MPa",
+        calibration_stress=f"{p['sigma_caliber']} MPa", thermal_expansion=f"{p['alpha_A']} 1/K",
+        n1=str(p["n1"]), n2=str(p["n2"]), n3=str(p["n3"]), n4=str(p["n4"]),
+    ).plant  # fmt: skip
+    plant = parameters.replace(plant, {"environment.ambient": warm - 273.15})
+    return plant, warm, np.loadtxt(folder / f"{name}_exact.csv", delimiter=",", skiprows=1)
+
+
+@pytest.mark.parametrize("hardening_of", ANCHORS)
+@pytest.mark.parametrize("stress", [100, 200])
+def test_isobaric_cycles_are_the_published_ones(shared, stress, hardening_of):
+    plant, warm, exact = anchor(shared, f"iso{stress}_{hardening_of}", "strain")
+    channels = {"temperature": np.append(warm, exact[:, 0]) - 273.15, "stress": np.full(len(exact) + 1, stress * 1e6)}
+    found = simulate(plant, Recording.from_arrays("cycle", None, channels, {})).channels["strain"]
+    assert np.max(np.abs(np.asarray(found)[1:] - exact[:, 1])) < 1e-8  # asked for are 1e-5
+
+
+@pytest.mark.parametrize("hardening_of", ANCHORS)
+def test_superelastic_loops_are_the_published_ones(shared, hardening_of):
+    plant, warm, exact = anchor(shared, f"super_{hardening_of}", "stress")
+    strain = np.append(0.0, exact[:, 0])
+    channels = {"temperature": np.full(len(strain), warm - 273.15), "strain": strain}
+    found = simulate(plant, Recording.from_arrays("loop", None, channels, {})).channels["stress"]
+    assert np.max(np.abs(np.asarray(found)[1:] / 1e6 - exact[:, 1])) < 0.05  # asked for are 0.5 MPa
+
+
+@pytest.mark.parametrize(
+    ("temperature", "stress", "forward", "reverse"),
+    [(46.0, 0.0, 0.5, 0.571429), (60.0, 50e6, 0.257653, 0.329082), (70.0, 100e6, 0.163265, 0.234694), (50.0, 20e6, 0.459592, 0.531020)],
+)
+def test_exponents_of_one_give_the_older_law(temperature, stress, forward, reverse):
+    law = Lagoudas(
+        martensite_start=60.0, martensite_finish=32.0, austenite_start=34.0, austenite_finish=62.0, clausius_clapeyron_austenite=7e6,
+        clausius_clapeyron_martensite=7e6, modulus_austenite=75e9, modulus_martensite=30e9, max_strain=0.05,
+    )  # fmt: skip
+    assert advance(law, reference.State(0.0, 0.0), temperature, (stress, stress)).martensite == pytest.approx(forward, abs=1e-6)
+    assert advance(law, reference.State(1.0, 0.05), temperature, (stress, stress)).martensite == pytest.approx(reverse, abs=1e-6)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(st.floats(0.0, 1.0), st.floats(0.01, 1.0), st.floats(0.01, 1.0))
+def test_hardening_is_inverted(share, n, m):
+    fraction = float(hardened(*(jnp.asarray(v) for v in (share, n, m))))
+    low, high = 0.0, 1.0
+    for _ in range(1100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if float(np.asarray(0.5 * (1 + middle**n - (1 - middle) ** m))) < share else (low, middle)
+    assert fraction == pytest.approx(0.5 * (low + high), abs=2e-9)
+
+
+@pytest.mark.parametrize("share", [-0.2, 0.0, 1.0, 1.3])
+def test_before_and_after_its_band_nothing_transforms(share):
+    value, slope = jax.value_and_grad(hardened)(jnp.asarray(share), jnp.asarray(0.3), jnp.asarray(0.6))
+    assert (float(value), float(slope)) == (float(share >= 1.0), 0.0)
+
+
+@pytest.mark.parametrize("at", [(0.02, 0.3, 0.6), (0.4, 1.0, 1.0), (0.5, 0.05, 0.9), (0.97, 0.2, 0.15)])
+def test_derivatives_of_the_inverse_are_those_of_differences(at):
+    for k in range(3):
+        step = np.eye(3)[k] * 1e-6
+        ends = [float(hardened(*(jnp.asarray(v) for v in np.array(at) + side * step))) for side in (1, -1)]
+        slope = float(jax.grad(hardened, argnums=k)(*(jnp.asarray(v) for v in at)))
+        assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=2e-5, abs=1e-8)
+
+
+def test_the_inverse_is_one_of_hardening():
+    fractions = jnp.linspace(0.001, 0.999, 500)
+    n, m = jnp.full(500, 0.3), jnp.full(500, 0.45)
+    np.testing.assert_allclose(hardened(hardening(fractions, n, m), n, m), fractions, atol=1e-13)
+
+
+@pytest.mark.parametrize("stress", [0.0, 5e6, 80e6, 250e6])
+def test_a_walk_of_partial_loops_is_the_reference(stress):
+    rng = np.random.default_rng(0)
+    found = exact = reference.State(0.0, 0.0)
+    turned = 0
+    for temperature in rng.uniform(25.0, 70.0, 200) + stress / 7e6:
+        new = reference.advance(EXACT, exact, float(temperature), (stress, stress))
+        turned += 0.0 < new.martensite < 1.0 and new != exact
+        found, exact = advance(LAW, found, float(temperature), (stress, stress)), new
+        assert found == pytest.approx(exact, abs=1e-8)
+    assert turned > 20
+
+
+def test_steps_of_stress_converge_on_the_reference():
+    temperature, ends = 85.0, (10e6, 400e6)
+    exact = reference.advance(EXACT, reference.State(0.0, 0.0), temperature, ends, parts=20_000)
+    errors = []
+    for count in (10, 20, 40, 80):
+        state, levels = reference.State(0.0, 0.0), np.linspace(*ends, count + 1)
+        for before, after in zip(levels[:-1], levels[1:], strict=True):
+            state = advance(LAW, state, temperature, (float(before), float(after)))
+        errors.append(abs(state.strain - exact.strain))
+    assert errors[-1] < 1e-7 and np.log2(errors[0] / errors[-1]) / 3 > 1.8, errors
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.lists(st.tuples(st.floats(-20.0, 150.0), st.floats(0.0, 6e8)), min_size=2, max_size=8))
+def test_fractions_stay_possible(path):
+    state = Fractions(jnp.asarray(0.0), jnp.asarray(0.0))
+    before = 0.0
+    for temperature, after in path:
+        state = LAW.evolve(state, (jnp.asarray(0.0), jnp.asarray(temperature)), (jnp.asarray(before), jnp.asarray(after)))
+        before = after
+        assert float(state.detwinned) >= 0.0 and float(state.twinned) + 1e-15 >= 0.0 and float(state.martensite) <= 1.0 + 1e-15
+
+
+def test_a_closed_loop_costs_work():
+    plant = path_rig("stress", **{**TEXT, "n1": "0.3"}).plant
+    strain = np.concatenate([np.linspace(0.0, 0.05, 400), np.linspace(0.05, 0.0, 400)[1:]])
+    channels = {"temperature": np.full(len(strain), 95.0), "strain": strain}
+    stress = np.asarray(simulate(plant, Recording.from_arrays("loop", None, channels, {})).channels["stress"])
+    work = float(np.sum(0.5 * (stress[1:] + stress[:-1]) * np.diff(strain)))
+    assert stress[-1] == pytest.approx(0.0, abs=1e5) and work > 1e6  # J/m^3, all of it dissipated
+
+
+TEXT = {
+    "martensite_start": "45 degC", "martensite_finish": "30 degC", "austenite_start": "60 degC", "austenite_finish": "78 degC",
+    "clausius_clapeyron_austenite": "7.5 MPa/K", "clausius_clapeyron_martensite": "6.5 MPa/K", "modulus_austenite": "60 GPa",
+    "modulus_martensite": "30 GPa", "max_strain": "4.5 %", "min_strain_share": "20 %", "strain_saturation": "1.5e-8 1/Pa",
+    "critical_stress": "10 MPa", "calibration_stress": "150 MPa", "n1": "0.3", "n2": "0.6", "n3": "0.4", "n4": "0.2",
+}  # fmt: skip
+
+
+def dead_weight():
+    """A wire under a dead weight with Lagoudas' law, in time."""
+    lines = "\n".join(f'{k} = "{v}"' for k, v in TEXT.items())
+    text = '[rig]\nkind = "dead-weight"\ncontrol = "current"\n[wire]\ndiameter = "0.15 mm"\nlength = "230 mm"\n[load]\nmass = "200 g"\n'
+    heat = '[heat]\nh0 = "100.6 W/m^2/K"\nh2 = "0.001 W/m^2/K^3"\ncapacity = "2.046 MJ/m^3/K"\n'
+    return parse_rig(f'{text}{heat}[material]\n{lines}\n[fit]\nmodel = "lagoudas"\nfree = []\nobserve = ["displacement"]\n')
+
+
+def pulses(count: int = 600) -> Recording:
+    seconds = np.arange(count) * 0.05
+    current = np.where(seconds % 10.0 < 5.0, 0.33, 0.08) * (1.0 + 0.1 * np.sin(seconds))
+    return Recording.from_arrays("pulses", seconds, {"current": current}, {})
+
+
+def test_a_wire_in_time_is_the_reference():
+    """Heat by many small steps, fractions by bisection, both written anew."""
+    rig, recording = dead_weight(), pulses()
+    found = np.asarray(simulate(rig.plant, recording).channels["displacement"])
+    area = np.pi / 4 * 0.15e-3**2
+    stress = 0.2 * 9.81 / area
+    grown = reference.current_strain(EXACT, stress)
+    temperature, state = 20.0, reference.State(1.0, grown)
+    first, lifted = reference.strain(EXACT, state, stress), [0.0]
+    for before, after, current in zip(recording.time[:-1], recording.time[1:], recording.channels["current"][:-1], strict=True):
+        step = (after - before) / 40
+        for _ in range(40):
+            resistivity = 1e-6 - 0.2e-6 * state.martensite
+            heat = resistivity * (current / area) ** 2 - 4 / 0.15e-3 * (100.6 + 0.001 * temperature**2) * (temperature - 20.0)
+            temperature += step * heat / 2.046e6
+            state = reference.advance(EXACT, state, temperature, (stress, stress))
+        lifted.append(0.23 * (first - reference.strain(EXACT, state, stress)))
+    assert np.ptp(lifted) > 4e-3
+    assert np.sqrt(np.mean((found - lifted) ** 2)) < 0.01e-3
+
+
+def test_derivatives_and_batches_of_a_wire():
+    rig, recording = dead_weight(), pulses(300)
+    names = ("material.n1", "material.n4", "material.max_strain", "material.strain_saturation", "material.clausius_clapeyron_austenite")
+    at = {name: float(parameters.get(rig.plant, name)) for name in names}
+
+    def mean_square(values):
+        result = simulate(parameters.replace(rig.plant, values), recording, throw=False)
+        return jnp.mean((result.channels["displacement"] * 1e3) ** 2)
+
+    slopes = jax.jacfwd(mean_square)(at)
+    for name in names:
+        step = 1e-5 * at[name]
+        ends = [float(mean_square(at | {name: at[name] + side * step})) for side in (1, -1)]
+        assert float(slopes[name]) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=2e-3), name
+    values = {"material.n1": jnp.array([0.3, 0.5])}
+    batch, codes = simulate_batch(rig.plant, values, lay_out(rig.plant, recording), ("displacement",))
+    for k, n1 in enumerate((0.3, 0.5)):
+        alone = simulate(parameters.replace(rig.plant, {"material.n1": n1}), recording).channels["displacement"]
+        np.testing.assert_allclose(batch["displacement"][k], alone, atol=1e-12)
+    assert not np.any(codes)
+
+
+def test_every_effect_goes_with_it():
+    """Absent effects change nothing, and each has a derivative: the law answers whatever effects ask of a material."""
+    rig, recording = dead_weight(), pulses(120)
+    plain = np.asarray(simulate(rig.plant, recording).channels["displacement"])
+    kinds = {k: kind for k, kind in catalogue().items() if not kind.obstacle(rig.plant.traits(("displacement",)))}
+    made = tuple(
+        kind(**({"strength": 0.0} | ({"reference": 0.33} if "reference" in declarations(kind) else {}))) for kind in kinds.values()
+    )
+    plant = dataclasses.replace(rig.plant, effects=made)
+    np.testing.assert_allclose(simulate(plant, recording).channels["displacement"], plain, atol=1e-12)
+    names = [f"effects.{key}.strength" for key in kinds]
+    inputs = lay_out(plant, recording)
+
+    def response(values):
+        changed = parameters.replace(plant, dict(zip(names, values, strict=True)))
+        return simulate_inputs(changed, inputs).channels["displacement"]
+
+    slopes = np.asarray(jax.jacfwd(response)(jnp.zeros(len(names))))
+    assert np.all(np.isfinite(slopes)) and len(kinds) > 20
+
+
+def test_planted_parameters_are_found():
+    """Thermal cycles made by the reference, with noise; the strain's own parameters and the forward line are free."""
+    rng = np.random.default_rng(1)
+    temperature = np.concatenate([np.linspace(110.0, 10.0, 120), np.linspace(10.0, 110.0, 120)[1:]])
+    recordings = []
+    for stress in (30e6, 100e6, 250e6):
+        state, strains = reference.State(0.0, 0.0), []
+        for t in temperature:
+            state = reference.advance(EXACT, state, float(t), (stress, stress))
+            strains.append(reference.strain(EXACT, state, stress))
+        channels = {"temperature": temperature, "stress": np.full(len(temperature), stress)}
+        recordings.append(Recording.from_arrays(f"{stress}", None, channels | {"strain": strains + 2e-5 * rng.standard_normal(239)}, {}))
+    rig = path_rig("strain", **(TEXT | {"max_strain": "4 %", "strain_saturation": "2e-8 1/Pa", "n1": "0.5", "martensite_start": "50 degC"}))
+    free = ("material.max_strain", "material.strain_saturation", "material.n1", "material.martensite_start")
+    wanted = dataclasses.replace(rig.fit, free=free, noise={"strain": 2e-5}, starts=1)
+    found = {e.name: e for e in fit(rig.plant, recordings, wanted).estimates}
+    for name, truth in zip(free, (0.045, 1.5e-8, 0.3, 45.0), strict=True):
+        e = found[name]
+        assert e.lower95 is not None and e.upper95 is not None
+        assert e.lower95 - 0.5 * (e.upper95 - e.lower95) < truth < e.upper95 + 0.5 * (e.upper95 - e.lower95), name
+        assert e.estimate == pytest.approx(truth, rel=0.02)
