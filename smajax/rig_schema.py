@@ -20,6 +20,7 @@ from smajax.plant.heat import AbstractHeat, PolynomialHeat, PowerHeat, Prescribe
 from smajax.plant.material.base import AbstractMaterial
 from smajax.plant.material.brinson import Brinson
 from smajax.plant.material.lagoudas import Lagoudas
+from smajax.plant.material.tanaka import LiangRogers, Tanaka
 from smajax.plant.mechanism import AbstractMechanism, BiasSpring, DeadWeight, StressPath, TestingMachine
 from smajax.plant.rotary import Rotary
 from smajax.plant.sensor import Sensor
@@ -35,7 +36,12 @@ KINDS: Mapping[str, type[AbstractMechanism]] = {
     "testing-machine": TestingMachine,
     "path": StressPath,
 }
-MATERIALS: Mapping[str, type[AbstractMaterial]] = {"brinson": Brinson, "lagoudas": Lagoudas}
+MATERIALS: Mapping[str, type[AbstractMaterial]] = {
+    "brinson": Brinson,
+    "lagoudas": Lagoudas,
+    "tanaka": Tanaka,
+    "liang-rogers": LiangRogers,
+}
 HEATS: Mapping[str, type[AbstractHeat]] = {"h(T) as a polynomial": PolynomialHeat, "an exponent in h(T)": PowerHeat}
 INTERPOLATIONS = ("hold", "linear")
 # A path is followed by a material point: the wire's size then scales nothing but force and resistance.

@@ -1,0 +1,1 @@
+"""Hysteresis operators: input-output laws without physics."""

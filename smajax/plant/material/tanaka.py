@@ -1,0 +1,108 @@
+"""The one-fraction laws of Tanaka (1986) and of Liang and Rogers (1990): all martensite carries strain.
+
+    Tanaka          1 - xi = 0.01^p     xi = 0.01^q          (99 per cent transformed at the finish)
+    Liang, Rogers   1 - xi = cos^2(pi/2 p)   xi = cos^2(pi/2 q)
+
+with p = (M_s + sigma / C_M - T) / (M_s - M_f) on the way to martensite and q = (T - A_s - sigma / C_A) / (A_f - A_s) on the way back. As
+published, a transformation goes on while the temperature falls or rises, which is wrong where the stress changes, too. Here it goes on
+while p or q itself rises: the correction of Elahinia and Ahmadian (2005). What remains to transform is multiplied by its ratio over the
+step, so that partial loops need no memory, as in ``brinson.py``.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
+from smajax.plant.material.base import AbstractMaterial, Fractions, mix
+from smajax.plant.material.brinson import remaining
+
+_STILL = 1e-12
+_SMOOTHING = 1e-9
+
+
+class AbstractOneFraction(AbstractMaterial):
+    """A law in which martensite is of one kind; ``left`` says what remains to transform."""
+
+    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
+    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
+    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
+    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
+    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
+    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
+    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
+    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
+    max_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
+    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
+    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
+    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
+    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
+    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
+    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
+
+    def left(self, start: jax.Array, end: jax.Array) -> jax.Array:
+        """Share of what there is to transform that a step leaves, from progress ``start`` to a larger one ``end``."""
+        raise NotImplementedError
+
+    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+        """See ``AbstractMaterial.evolve``: reverse transformation first, then forward."""
+        before, after = (self._progress(t, s) for t, s in zip(temperature, stress, strict=True))
+        reverse, forward = (jnp.where(a > b + _STILL, self.left(b, a), 1.0) for b, a in zip(before, after, strict=True))
+        detwinned, twinned = fractions.detwinned * reverse, fractions.twinned * reverse
+        return Fractions(1.0 - twinned - (1.0 - detwinned - twinned) * forward, twinned)
+
+    def _progress(self, temperature: jax.Array, stress: jax.Array) -> tuple[jax.Array, jax.Array]:
+        reverse = temperature - self.austenite_start - self.austenite_shift - stress * (1.0 / self.clausius_clapeyron_austenite)
+        forward = self.forward_start + stress * (1.0 / self.clausius_clapeyron_martensite) - temperature
+        return (
+            reverse * (1.0 / (self.austenite_finish - self.austenite_start)),
+            forward * (1.0 / (self.martensite_start - self.martensite_finish)),
+        )
+
+    def grown_strain(self, stress: jax.Array) -> jax.Array:
+        """See ``AbstractMaterial.grown_strain``: eps_L."""
+        return jnp.broadcast_to(self.max_strain, jnp.shape(stress))
+
+    @property
+    def forward_start(self) -> jax.Array:
+        """See ``AbstractMaterial.forward_start``."""
+        return self.martensite_start + self.martensite_shift
+
+    def strain_of(self, fractions: Fractions) -> jax.Array:
+        """See ``AbstractMaterial.strain_of``: eps_L xi."""
+        return self.max_strain * fractions.detwinned
+
+    def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
+        """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi + alpha(xi) (T - reference)."""
+        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
+        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
+
+    def modulus(self, fractions: Fractions) -> jax.Array:
+        """Young's modulus, linear in the martensite fraction, Pa."""
+        return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
+
+    def resistivity(self, fractions: Fractions) -> jax.Array:
+        """Resistivity, linear in the martensite fraction, Ohm m."""
+        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
+
+    def installed(self, strain: jax.Array) -> Fractions:
+        """See ``AbstractMaterial.installed``; what is not drawn out is martensite without strain, which only ever shrinks."""
+        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
+        return Fractions(detwinned, 1.0 - detwinned)
+
+
+class Tanaka(AbstractOneFraction):
+    """Tanaka's law: exponential kinetics (Tanaka 1986)."""
+
+    def left(self, start: jax.Array, end: jax.Array) -> jax.Array:
+        """See ``AbstractOneFraction.left``: 0.01 to the power of the progress made behind the start."""
+        return jnp.exp(math.log(0.01) * (jnp.maximum(end, 0.0) - jnp.maximum(start, 0.0)))
+
+
+class LiangRogers(AbstractOneFraction):
+    """The law of Liang and Rogers: cosine kinetics (Liang, Rogers 1990)."""
+
+    def left(self, start: jax.Array, end: jax.Array) -> jax.Array:
+        """See ``AbstractOneFraction.left``: the ratio of two half cosines."""
+        return remaining(end, _SMOOTHING) / remaining(start, _SMOOTHING)

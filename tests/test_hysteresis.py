@@ -1,0 +1,141 @@
+"""Bouc-Wen and Prandtl-Ishlinskii operators: their maps, their memory, their inverse, and their derivatives."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from smajax.hysteresis.bouc_wen import BoucWen
+from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+from smajax.simulate import respond
+
+SEVEN = {"alpha": 0.3, "k": 2.0, "d": 1.5, "a": 1.2, "beta": 0.8, "gamma": -0.1, "n": 1.7}
+TIME = np.linspace(0.0, 20.0, 400)
+INPUT = np.sin(TIME) * (1.0 + 0.3 * np.sin(0.37 * TIME))
+follow = eqx.filter_jit(respond)
+
+
+def envelope(*values: float) -> Envelope:
+    return Envelope(*(jnp.asarray(v) for v in values))
+
+
+def operator(unloading: Envelope | None = None, count: int = 10) -> PrandtlIshlinskii:
+    thresholds, densities = jnp.linspace(0.1, 1.0, count), jnp.linspace(0.3, 0.05, count)
+    return PrandtlIshlinskii(jnp.asarray(0.5), thresholds, densities, envelope(1.0, 2.0, 0.2, 0.1), unloading)
+
+
+def original(seven: dict, values: np.ndarray) -> np.ndarray:
+    """The older form as printed, by an adaptive solver, leg by leg."""
+    p = seven
+    z, out = 0.0, []
+    for k, x in enumerate(values):
+        if k:
+            change = x - values[k - 1]
+
+            def rate(_, z, change=change):
+                size = np.abs(z)
+                lost = p["beta"] * abs(change) * size ** (p["n"] - 1) * z + p["gamma"] * change * size ** p["n"]
+                return (p["a"] * change - lost) / p["d"]
+
+            z = solve_ivp(rate, (0.0, 1.0), [z], rtol=1e-11, atol=1e-13).y[0, -1]
+        out.append(p["alpha"] * p["k"] * x + (1 - p["alpha"]) * p["d"] * p["k"] * z)
+    return np.array(out)
+
+
+def test_the_normalised_form_is_the_seven_parameter_one():
+    law = BoucWen.from_seven(**SEVEN)
+    exact = original(SEVEN, INPUT)
+    errors = [np.max(np.abs(np.asarray(follow(law, jnp.asarray(TIME), jnp.asarray(INPUT), pieces=p)) - exact)) for p in (1, 4)]
+    assert errors[1] < 1e-6 and errors[0] > 10 * errors[1]
+    back = BoucWen.from_seven(**{k: float(v) for k, v in law.to_seven(d=0.7, a=3.0).items()})
+    for one, other in zip(jax.tree.leaves(law), jax.tree.leaves(back), strict=True):
+        assert float(one) == pytest.approx(float(other), rel=1e-12)
+
+
+def test_bouc_wen_does_not_know_the_rate_and_stays_within_its_bound():
+    law = BoucWen.from_seven(**SEVEN)
+    slow = follow(law, jnp.asarray(TIME), jnp.asarray(INPUT))
+    fast = follow(law, jnp.asarray(TIME**2), jnp.asarray(INPUT))
+    np.testing.assert_array_equal(slow, fast)
+    w = (slow - law.kx * INPUT) / law.kw
+    assert float(jnp.max(jnp.abs(w))) <= 1.0 + 1e-9
+    far = follow(law, jnp.asarray(TIME), jnp.asarray(np.linspace(0.0, 40.0, 400)))
+    assert float((far[-1] - law.kx * 40.0) / law.kw) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.7, 3.0])
+def test_derivatives_of_bouc_wen(n):
+    law = BoucWen.from_seven(**(SEVEN | {"n": n}))
+    time, values = jnp.asarray(TIME[:120]), jnp.asarray(INPUT[:120])
+    leaves, form = jax.tree.flatten(law)
+
+    def mean(*leaves):
+        return jnp.mean(respond(jax.tree.unflatten(form, leaves), time, values) ** 2)
+
+    slopes = jax.jacfwd(mean, argnums=tuple(range(5)))(*leaves)
+    for k in range(5):
+        step = 1e-6
+        ends = [float(mean(*(v + side * step * (i == k) for i, v in enumerate(leaves)))) for side in ((1, -1) if n > 1.0 else (1, 0))]
+        assert float(slopes[k]) == pytest.approx((ends[0] - ends[1]) / (step * (2 if n > 1.0 else 1)), rel=1e-3, abs=1e-7)
+
+
+@pytest.mark.parametrize("count", [1, 10, 20])
+def test_the_inverse_gives_the_input_back(count):
+    law, time = operator(count=count), jnp.asarray(TIME)
+    wanted = follow(law, time, jnp.asarray(INPUT))
+    np.testing.assert_allclose(follow(law.inverse(), time, wanted), INPUT, atol=1e-9)
+
+
+def test_the_inverse_of_two_envelopes_is_near():
+    law = operator(envelope(1.0, 2.0, 0.3, 0.12))
+    wanted = follow(law, jnp.asarray(TIME), jnp.asarray(INPUT))
+    found = follow(law.inverse(), jnp.asarray(TIME), wanted)
+    assert 1e-6 < float(jnp.sqrt(jnp.mean((found - INPUT) ** 2))) < 0.1
+
+
+def plays(law: PrandtlIshlinskii, values: list[float]) -> np.ndarray:
+    state = law.start(jnp.asarray(values[0]))
+    for before, after in zip(values[:-1], values[1:], strict=True):
+        state = law.advance(state, jnp.asarray(before), jnp.asarray(after), jnp.asarray(1.0))
+    return np.asarray(state)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=8), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_return_points_are_remembered_and_small_loops_wiped_out(history, inner, outer):
+    law = operator()
+    last, before = history[-1], plays(law, history)
+    # A loop that returns to where it began leaves no trace; going beyond the last turn wipes out what was inside.
+    turn = min(max(inner, min(history[-2], last)), max(history[-2], last))
+    np.testing.assert_allclose(plays(law, [*history, turn, last]), before, atol=1e-12)
+    beyond = 1.5 if outer >= last else -1.5
+    np.testing.assert_allclose(plays(law, [*history, turn, last, beyond]), plays(law, [*history, beyond]), atol=1e-12)
+
+
+def test_one_operator_is_the_textbook_play():
+    law = PrandtlIshlinskii(jnp.asarray(0.0), jnp.asarray([0.3]), jnp.asarray([1.0]), envelope(1e6, 1e-6, 0.0, 0.0))
+    state, expected = 0.0, []
+    for value in INPUT:
+        state = max(value - 0.3, min(value + 0.3, state))
+        expected.append(state)
+    np.testing.assert_allclose(follow(law, jnp.asarray(TIME), jnp.asarray(INPUT)), expected, atol=1e-9)
+
+
+def test_batches_and_derivatives_of_the_operator():
+    law, time, values = operator(envelope(1.0, 1.8, 0.4, 0.1)), jnp.asarray(TIME[:150]), jnp.asarray(INPUT[:150])
+    batch = jax.vmap(lambda d: follow(eqx.tree_at(lambda o: o.direct, law, d), time, values))(jnp.array([0.4, 0.5]))
+    np.testing.assert_allclose(batch[1], follow(law, time, values), atol=1e-14)
+    leaves, form = jax.tree.flatten(law)
+
+    def mean(*leaves):
+        return jnp.mean(respond(jax.tree.unflatten(form, leaves), time, values) ** 2)
+
+    slopes = jax.grad(mean, argnums=tuple(range(len(leaves))))(*leaves)
+    for k, leaf in enumerate(leaves):
+        at = tuple(0 for _ in leaf.shape)
+        ends = [float(mean(*(v.at[at].add(side * 1e-6) if i == k else v for i, v in enumerate(leaves)))) for side in (1, -1)]
+        assert float(slopes[k][at]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-4, abs=1e-8)
