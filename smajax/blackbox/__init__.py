@@ -1,0 +1,1 @@
+"""Black boxes: input-output laws that know nothing of the wire."""

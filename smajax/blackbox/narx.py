@@ -1,0 +1,73 @@
+"""The NARX network: the next output from the last outputs and inputs, by two layers.
+
+    y(k) = b + v . y_past + c . tanh( W [y_past, u_past] + d ),     y_past = y(k-1)..y(k-n),  u_past = u(k-1)..u(k-n)
+
+(flexible-actuator paper eq. 10). The straight term v lets a small network begin as a linear model. Outputs and inputs are scaled to a size
+of about one inside. *Open loop* it predicts one row ahead from measured outputs; *closed loop*, which is what ``respond`` does, it feeds on
+its own. In between, ``ahead`` lets it run so many rows on its own before it is told again: a fit that goes from 1 row to all of them finds
+a network that does not run away.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from smajax.hysteresis.operator import AbstractOperator
+
+_FAR = 3.0  # times half the range of the outputs: where closed loop ends that runs away
+
+
+class Narx(AbstractOperator):
+    """``hidden`` W, shape ``(m, 2 n)``, ``shift`` d and ``outer`` c, shape ``(m,)``, ``straight`` v, shape ``(n,)``, ``constant`` b.
+
+    ``scale`` holds middle and size of the input and of the output, shape ``(4,)``; ``rest`` is the output before the first row.
+    """
+
+    hidden: jax.Array
+    shift: jax.Array
+    outer: jax.Array
+    straight: jax.Array
+    constant: jax.Array
+    rest: jax.Array
+    scale: jax.Array
+
+    def start(self, first: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractOperator.start``: past outputs and inputs, scaled, newest first, shape ``(n,)`` each."""
+        past = jnp.ones_like(self.straight)
+        return past * self._inside(self.rest), past * self._entering(first)
+
+    def advance(self, state: tuple, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractOperator.advance``."""
+        outputs, inputs = state
+        inputs = jnp.append(self._entering(before), inputs[:-1])
+        new = jnp.clip(self._next(outputs, inputs), -_FAR, _FAR)
+        return jnp.append(new, outputs[:-1]), inputs
+
+    def output(self, state: tuple, value: jax.Array) -> jax.Array:
+        """See ``AbstractOperator.output``."""
+        return self.scale[2] + self.scale[3] * state[0][0]
+
+    def ahead(self, values: jax.Array, measured: jax.Array, every: jax.Array) -> jax.Array:
+        """Outputs, shape ``(n,)``, where the past is set to the measured one every so many rows: 1 is open loop, ``n`` closed loop."""
+        order = len(self.straight)
+        inputs, outputs = self._entering(values), self._inside(measured)
+        rows = jnp.maximum(jnp.arange(len(values))[:, None] - 1 - jnp.arange(order)[None, :], 0)
+
+        def one(past: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+            number, known, driven = row
+            past = jnp.where(number % every == 0, known, past)
+            new = jnp.clip(self._next(past, driven), -_FAR, _FAR)
+            return jnp.append(new, past[:-1]), new
+
+        first = jnp.arange(len(values)) < order
+        _, found = jax.lax.scan(one, outputs[rows[0]], (jnp.arange(len(values)), outputs[rows], inputs[rows]))
+        return jnp.where(first, measured, self.scale[2] + self.scale[3] * found)
+
+    def _next(self, outputs: jax.Array, inputs: jax.Array) -> jax.Array:
+        seen = jnp.concatenate([outputs, inputs])
+        return self.constant + self.straight @ outputs + self.outer @ jnp.tanh(self.hidden @ seen + self.shift)
+
+    def _entering(self, value: jax.Array) -> jax.Array:
+        return (value - self.scale[0]) / self.scale[1]
+
+    def _inside(self, value: jax.Array) -> jax.Array:
+        return (value - self.scale[2]) / self.scale[3]

@@ -1,0 +1,67 @@
+"""Linear transfer functions with a delay, in the four structures of the hip paper.
+
+    one pole             K / (tau_1 s + 1)
+    two poles            K / ((tau_1 s + 1)(tau_2 s + 1))
+    underdamped          K / (tau^2 s^2 + 2 zeta tau s + 1)
+    underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
+
+each times exp(-delay s), from rest. The input is held between rows, for which the step from row to row is exact; rows are equally far
+apart. The delay is a number like the others: the response is computed without it and read that much earlier, between rows linearly.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.hysteresis.operator import AbstractOperator
+
+Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
+STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")
+
+
+class TransferFunction(AbstractOperator):
+    """A transfer function of one of the ``STRUCTURES``.
+
+    ``gain`` in output per input, ``rest`` the output at no input, ``first`` and ``second`` time constants in s (of an underdamped pair the
+    first is tau), ``damping`` its zeta, ``delay`` in s. What a structure has no use for is ignored.
+    """
+
+    gain: jax.Array
+    rest: jax.Array
+    first: jax.Array
+    second: jax.Array
+    damping: jax.Array
+    delay: jax.Array
+    structure: Structure = eqx.field(static=True)
+
+    def respond(self, time: jax.Array, values: jax.Array) -> jax.Array:
+        """See ``AbstractOperator.respond``; ``time`` is equally spaced."""
+        rates, drive = self._equations()
+        size = len(drive)
+        whole = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)
+        moved = jax.scipy.linalg.expm(whole * (time[1] - time[0]))
+        state = jnp.full(size, values[0]).at[1].set(0.0) if "underdamped" in self.structure else jnp.full(size, values[0])
+
+        def one(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+            state = moved[:size, :size] @ state + moved[:size, size] * value
+            return state, state[0]
+
+        _, rest = jax.lax.scan(one, state, values[:-1])
+        prompt = jnp.append(values[:1], rest)
+        return self.rest + self.gain * jnp.interp(time - self.delay, time, prompt)
+
+    def _equations(self) -> tuple[jax.Array, jax.Array]:
+        """x' = rates x + drive u with the output x[0], of unit gain; in an underdamped pair x[1] is the rate of x[0]."""
+        a, b = 1.0 / self.first, 1.0 / self.second
+        nothing = jnp.zeros_like(a)
+        if self.structure == "one-pole":
+            return jnp.array([[-a]]), jnp.array([a])
+        if self.structure == "two-poles":
+            return jnp.array([[-a, a], [nothing, -b]]), jnp.array([nothing, b])
+        oscillation = [[nothing, 1.0 + nothing], [-a * a, -2.0 * self.damping * a]]
+        if self.structure == "underdamped":
+            return jnp.array(oscillation), jnp.array([nothing, a * a])
+        (p, q), (r, s) = oscillation
+        return jnp.array([[p, q, nothing], [r, s, a * a], [nothing, nothing, -b]]), jnp.array([nothing, nothing, b])

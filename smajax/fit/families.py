@@ -1,0 +1,174 @@
+"""The input-output laws that can be fitted, with bounds that follow from the recordings: see ``smajax.fit.operators``.
+
+The bounds of the hysteresis operators are those under which the flexible-actuator paper's models can be searched at all: sizes relative to
+the ranges of input and output.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.blackbox.hammerstein_wiener import HammersteinWiener
+from smajax.blackbox.narx import Narx
+from smajax.blackbox.switched import Switched
+from smajax.blackbox.transfer_function import STRUCTURES, Structure, TransferFunction
+from smajax.fit.operators import Family, Series
+from smajax.hysteresis.bouc_wen import BoucWen
+from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+
+
+def _ranges(series: Sequence[Series]) -> tuple[float, float, float, float]:
+    """Lowest input, its range, lowest output, its range."""
+    inputs, outputs = np.concatenate([s.input for s in series]), np.concatenate([s.output for s in series])
+    return (
+        float(inputs.min()),
+        float(np.ptp(inputs)) or 1.0,
+        float(np.nanmin(outputs)),
+        float(np.nanmax(outputs) - np.nanmin(outputs)) or 1.0,
+    )
+
+
+def _duration(series: Sequence[Series]) -> float:
+    return max(float(s.time[-1] - s.time[0]) for s in series)
+
+
+def _arrays(tree: Any) -> Any:
+    return jax.tree.map(lambda v: jnp.asarray(v, jnp.float64), tree)
+
+
+def _shifted(parameters: dict) -> BoucWen:
+    return BoucWen(*(parameters[k] for k in ("kx", "kw", "rho", "sigma", "n")))
+
+
+def bouc_wen(series: Sequence[Series]) -> Family:
+    """The five parameters."""
+    _, span, _, swing = _ranges(series)
+    lower = {"kx": -10 * swing / span, "kw": -10 * swing / span, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0}
+    upper = {"kx": 10 * swing / span, "kw": 10 * swing / span, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0}
+    start = {"kx": 0.5 * swing / span, "kw": 0.5 * swing, "rho": 2.0 / span, "sigma": 1.0, "n": 1.5}
+    lower, upper = lower | {"kw": -10 * swing}, upper | {"kw": 10 * swing}
+    return Family("bouc-wen", _shifted, _arrays(lower), _arrays(upper), _arrays(start))
+
+
+def _spread(parameters: dict) -> PrandtlIshlinskii:
+    densities = parameters["densities"]
+    count = densities.shape[0]
+    thresholds = parameters["reach"] * jnp.arange(1, count + 1) / count
+    unloading = parameters.get("unloading")
+    return PrandtlIshlinskii(
+        parameters["direct"], thresholds, densities, Envelope(**parameters["loading"]), Envelope(**unloading) if unloading else None
+    )
+
+
+def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int = 2) -> Family:
+    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction."""
+    low, span, bottom, swing = _ranges(series)
+    middle = low + 0.5 * span
+
+    def envelope(height: float, slope: float, shift: float, level: float) -> dict[str, float]:
+        return {"height": height, "slope": slope / span, "shift": shift - slope / span * middle, "middle": level}
+
+    def sides(slope: float) -> dict[str, float]:
+        return envelope(0.5 * swing, slope, 0.0, bottom + 0.5 * swing)
+
+    far = 5.0 + 10.0 / span * abs(middle)
+    ends = {
+        "height": (0.1 * swing, swing),
+        "slope": (0.2 / span, 10.0 / span),
+        "shift": (-far, far),
+        "middle": (bottom - swing, bottom + 2 * swing),
+    }
+    lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
+    upper = {"direct": 2.0, "densities": np.full(count, 1.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
+    start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": sides(3.0)}
+    if envelopes == 2:
+        lower, upper, start = (side | {"unloading": side["loading"]} for side in (lower, upper, start))
+    return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
+
+
+def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:
+    """One of the four structures, with a delay of at most a twentieth of the recording."""
+    _, span, bottom, swing = _ranges(series)
+    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
+    names = ("gain", "rest", "first", "second", "damping", "delay")
+    lower = (-20 * swing / span, bottom - 5 * swing, 2 * step, 2 * step, 0.05, 0.0)
+    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, 1.5, duration / 20)
+    start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step)
+    used = {"one-pole": {"first"}, "two-poles": {"first", "second"}, "underdamped": {"first", "damping"}}.get(structure, set(names))
+    held = {k: s for k, s in zip(names, start, strict=True) if k not in used | {"gain", "rest", "delay"}}
+    ends = (dict(zip(names, side, strict=True)) | held for side in (lower, upper, start))
+    return Family(f"transfer-function-{structure}", _functions[structure], *map(_arrays, ends), even=True)
+
+
+def _function_of(structure: Structure) -> Callable[[dict], TransferFunction]:
+    return lambda parameters: TransferFunction(**parameters, structure=structure)
+
+
+_functions = {structure: _function_of(structure) for structure in STRUCTURES}  # one object each: it is what a program is known by
+
+
+def _wiener(parameters: dict) -> HammersteinWiener:
+    return HammersteinWiener(**parameters)
+
+
+def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
+    """Ten knots in each curve and two poles."""
+    low, span, bottom, swing = _ranges(series)
+    places, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
+    edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
+    lower = {
+        "knots": places,
+        "inlet": edges[0],
+        "reflections": (-1 + 1e-6, -0.999),
+        "split": -3.0,
+        "outlet": np.full(knots, bottom - swing),
+    }
+    upper = {"knots": places, "inlet": edges[1], "reflections": (1.0, 1 - 1e-6), "split": 4.0, "outlet": np.full(knots, bottom + 2 * swing)}
+    step = float(np.median(np.diff(series[0].time)))
+    pole = float(np.exp(-step * 50 / _duration(series)))
+    start = {
+        "knots": places,
+        "inlet": even,
+        "reflections": (-2 * pole / (1 + pole**2), pole**2),
+        "split": 0.5,
+        "outlet": bottom + swing * even,
+    }
+    lower, upper, start = ({**side, "reflections": np.array(side["reflections"])} for side in (lower, upper, start))
+    return Family("hammerstein-wiener", _wiener, *map(_arrays, (lower, upper, start)), even=True)
+
+
+def _narx(parameters: dict) -> Narx:
+    return Narx(**parameters)
+
+
+def _network(series: Sequence[Series], hidden: int, order: int) -> tuple[dict, dict, dict]:
+    low, span, bottom, swing = _ranges(series)
+    rest = float(np.mean([s.output[np.isfinite(s.output)][0] for s in series]))
+    scale = np.array([low + 0.5 * span, 0.5 * span, bottom + 0.5 * swing, 0.5 * swing])
+    shapes = {"hidden": (hidden, 2 * order), "shift": (hidden,), "outer": (hidden,), "straight": (order,), "constant": ()}
+    known = {"rest": rest, "scale": scale}
+    lower, upper = ({k: np.full(shape, end) for k, shape in shapes.items()} | known for end in (-5.0, 5.0))
+    start = {k: np.zeros(shape) for k, shape in shapes.items()} | known
+    start["straight"] = np.r_[1.8, -0.8, np.zeros(order - 2)] if order > 1 else np.ones(1)
+    return lower, upper, start
+
+
+def narx(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
+    """Ten neurons on the last two outputs and inputs, fitted in open and then in closed loop."""
+    return Family("narx", _narx, *map(_arrays, _network(series, hidden, order)), even=True, by_reverse=True)
+
+
+FAMILIES: Mapping[str, Callable[[Sequence[Series]], Family]] = {
+    "bouc-wen": bouc_wen,
+    "prandtl-ishlinskii": prandtl_ishlinskii,
+    "hammerstein-wiener": hammerstein_wiener,
+    "narx": narx,
+    **{f"transfer-function-{s}": (lambda series, s=s: transfer_function(series, s)) for s in STRUCTURES},
+}
+
+
+def _switched(parameters: dict) -> Switched:
+    return Switched(Narx(**parameters["heating"]), **{k: parameters[k] for k in ("share", "fast", "slow", "rest", "off")})

@@ -1,0 +1,258 @@
+"""Fits of input-output laws: hysteresis operators and black boxes, from one input channel to one output channel.
+
+A ``Family`` says how a law is made of its parameters and between which bounds these lie; both are pytrees of one structure. The search runs
+in the unit box between the bounds. Recordings of different length are filled up, unobserved, and run as one batch.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.flatten_util import ravel_pytree
+
+from smajax import simulate
+from smajax.errors import InputError, NumericsError
+from smajax.fit import least_squares
+from smajax.hysteresis.operator import AbstractOperator
+
+_UNEVEN = 0.01
+
+
+class Series(NamedTuple):
+    """One recording as an input-output law sees it: times in s, input and output, each of shape ``(n,)``; NaN where not measured."""
+
+    name: str
+    time: np.ndarray
+    input: np.ndarray
+    output: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Family:
+    """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
+
+    ``start`` is a first guess, if there is one. ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
+    parameters that they are fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and longer stretches.
+    """
+
+    name: str
+    make: Callable[[Any], AbstractOperator]
+    lower: Any
+    upper: Any
+    start: Any = None
+    even: bool = False
+    by_reverse: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of parameters that are free."""
+        lower, upper = (ravel_pytree(side)[0] for side in (self.lower, self.upper))
+        return int(np.sum(np.asarray(lower < upper)))
+
+
+class Measured(eqx.Module):
+    """Times, inputs, outputs and weights, each of shape ``(r, n)``."""
+
+    time: jax.Array
+    input: jax.Array
+    measured: jax.Array
+    weight: jax.Array
+
+
+class OperatorProblem(eqx.Module):
+    """The weighted residual of a law as a function of a vector in the unit box; ``baselines`` takes it like a ``Problem``."""
+
+    data: Measured
+    lower: jax.Array
+    width: jax.Array
+    first: jax.Array
+    every: jax.Array
+    make: Callable[[jax.Array], AbstractOperator] = eqx.field(static=True)
+    ahead: bool = eqx.field(static=True, default=False)
+
+    @property
+    def size(self) -> int:
+        """Length of the residual, ``r * n``."""
+        return self.data.measured.size
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """The first guess."""
+        return np.asarray(self.first)
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the vector; parameters that are held have no room."""
+        return np.zeros(len(self.lower)), np.where(np.asarray(self.width) > 0, 1.0, 0.0)
+
+    def search_box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same: starts are drawn and populations bred in all of it."""
+        return self.box
+
+    def law(self, vector: jax.Array) -> AbstractOperator:
+        """The law at a point."""
+        return self.make(self.lower + vector * self.width)
+
+    def predict(self, vector: jax.Array) -> jax.Array:
+        """Outputs, shape ``(r, n)``; with ``ahead``, set to the measured ones ``every`` so many rows."""
+        law: Any = self.law(vector)
+        if self.ahead:
+            return jax.vmap(lambda u, y: law.ahead(u, y, self.every))(self.data.input, self.data.measured)
+        return jax.vmap(lambda t, u: simulate.respond(law, t, u))(self.data.time, self.data.input)
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Model minus measurement, weighted, shape ``(r * n,)``."""
+        return jnp.where(self.data.weight > 0, (self.predict(vector) - self.data.measured) * self.data.weight, 0.0).ravel()
+
+
+@dataclasses.dataclass(frozen=True)
+class OperatorFit:
+    """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included)."""
+
+    family: Family
+    law: AbstractOperator
+    parameters: Any
+    rmse: float
+    samples: int
+    simulations: int
+    wall: float
+
+    def respond(self, series: Series) -> np.ndarray:
+        """The law's output on a series, shape ``(n,)``."""
+        return np.asarray(_respond(self.law, jnp.asarray(series.time), jnp.asarray(series.input)))
+
+
+_respond = eqx.filter_jit(simulate.respond)
+
+
+def _residual(vector: jax.Array, problem: OperatorProblem) -> jax.Array:
+    return problem.residual(vector)
+
+
+@eqx.filter_jit
+def _costs(vectors: jax.Array, problem: OperatorProblem) -> jax.Array:
+    return jax.lax.map(lambda v: jnp.sum(problem.residual(v) ** 2), vectors, batch_size=16)
+
+
+def build_operator(family: Family, series: Sequence[Series], weight: float | None = None) -> OperatorProblem:
+    """Puts a fit together; ``weight`` is one over the noise (default: over the spread of the output).
+
+    Raises ``InputError`` if the rows of a series are not as far apart as the law needs them.
+    """
+    for s in series:
+        gaps = np.diff(s.time)
+        if family.even and np.ptp(gaps) > _UNEVEN * float(np.median(gaps)):
+            raise InputError(
+                f"{s.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {family.name} needs equal steps: resample it"
+            )
+    steps = [float(np.median(np.diff(s.time))) for s in series]
+    if family.even and np.ptp(steps) > _UNEVEN * steps[0]:
+        raise InputError(f"{family.name} needs recordings of one time step, and these have {', '.join(f'{s:.4g}' for s in steps)} s")
+    count = max(len(s.time) for s in series)
+
+    def filled(values: np.ndarray, last: float = math.nan) -> np.ndarray:
+        end = values[-1] if math.isnan(last) else last
+        return np.append(values, np.full(count - len(values), end))
+
+    outputs = [np.where(np.isfinite(s.output), s.output, 0.0) for s in series]
+    spread = float(np.nanstd(np.concatenate([s.output for s in series])))
+    each = weight or 1.0 / (spread or 1.0)
+    further = [s.time[-1] + step * np.arange(1, count - len(s.time) + 1) for s, step in zip(series, steps, strict=True)]
+    data = Measured(
+        *(
+            jnp.asarray(np.stack(rows))
+            for rows in (
+                [np.append(s.time, more) for s, more in zip(series, further, strict=True)],
+                [filled(s.input) for s in series],
+                [filled(o) for o in outputs],
+                [filled(np.where(np.isfinite(s.output), each, 0.0), 0.0) for s in series],
+            )
+        )
+    )
+    lower, unravel = ravel_pytree(family.lower)
+    width = ravel_pytree(family.upper)[0] - lower
+    start = lower + 0.5 * width if family.start is None else ravel_pytree(family.start)[0]
+    first = jnp.where(width > 0, (start - lower) / jnp.where(width > 0, width, 1.0), 0.0)
+    return OperatorProblem(data, lower, width, first, jnp.asarray(count), _Maker(family.make, unravel))
+
+
+class _Maker(NamedTuple):
+    """Makes a law of a flat vector."""
+
+    make: Callable[[Any], AbstractOperator]
+    unravel: Callable[[jax.Array], Any]
+
+    def __call__(self, flat: jax.Array) -> AbstractOperator:
+        return self.make(self.unravel(flat))
+
+
+def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150) -> OperatorFit:
+    """Fits a family to series by least squares from several starts. Raises ``InputError`` and, if nothing fits, ``NumericsError``."""
+    began = time.perf_counter()
+    problem = build_operator(family, series)
+    fitted = _by_reverse if family.by_reverse else _by_forward
+    vector, simulations = fitted(problem, starts, seed, max_steps)
+    if vector is None:
+        raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
+    residual = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
+    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
+    flat = problem.lower + jnp.asarray(vector) * problem.width
+    maker: Any = problem.make
+    return OperatorFit(
+        family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(residual**2) / samples)), samples, simulations,
+        time.perf_counter() - began,
+    )  # fmt: skip
+
+
+_weighted = eqx.filter_jit(_residual)
+
+
+def _by_forward(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
+    """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
+    lower, upper = problem.box
+    drawn = np.random.default_rng(seed).uniform(lower, upper, (8 * starts, len(lower)))
+    costs = np.asarray(_costs(jnp.asarray(drawn), problem))
+    points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(costs), costs, np.inf))[: starts - 1]]])
+    simulations, best = len(drawn), (math.inf, None)
+    for point in points:
+        solved = least_squares.Search(_residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
+        simulations += solved.simulations
+        if solved.costs[0] < best[0]:
+            best = (float(solved.costs[0]), solved.points[0])
+    return best[1], simulations * problem.data.measured.shape[0]
+
+
+def _by_reverse(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
+    """Open loop by Levenberg-Marquardt from drawn weights, then longer and longer stretches, then closed loop by BFGS in reverse mode."""
+    lower, upper = problem.box
+    rng = np.random.default_rng(seed)
+    best, simulations = (math.inf, None), 0
+    for _ in range(starts):
+        point = np.clip(problem.nominal + (upper > lower) * 0.05 * rng.standard_normal(len(lower)), lower, upper)
+        for every in (1, 5, 25, 125, problem.data.time.shape[1]):
+            stage = dataclasses.replace(problem, ahead=True, every=jnp.asarray(every))
+            solved = least_squares.Search(_residual, stage, point[None], lower, upper, size=stage.size).advance(max_steps // 4).result()
+            simulations += solved.simulations
+            point = solved.points[0]
+        vector, cost, steps = _closed(jnp.asarray(point), problem)
+        simulations += 3 * int(steps)  # a gradient in reverse mode counts three
+        for found, value in ((np.asarray(vector), float(cost)), (point, float(_costs(jnp.asarray(point[None]), problem)[0]))):
+            if value < best[0]:
+                best = (value, found)
+    return best[1], simulations * problem.data.measured.shape[0]
+
+
+@eqx.filter_jit
+def _closed(point: jax.Array, problem: OperatorProblem) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def cost(vector: jax.Array, problem: OperatorProblem) -> jax.Array:
+        return jnp.mean(problem.residual(vector) ** 2)
+
+    solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=problem, max_steps=300, throw=False)
+    return solution.value, cost(solution.value, problem) * problem.size, solution.stats["num_steps"]
