@@ -165,6 +165,29 @@ def diagnose(
 
 
 @app.command()
+def compare(
+    rig: RigFile,
+    train: Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")],
+    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
+    out: Out,
+    models: Annotated[str, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")] = "",
+    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of the drawn starts (default: the rig's).")] = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+) -> None:
+    """Fit several models to one recording and say which predicts another one best: material laws, hysteresis operators, black boxes."""
+    with _progress(quiet) as progress:
+        from smajax.jobs.compare import USUAL, CompareJob, run_compare
+        from smajax.report.comparison import text
+
+        wanted = [word.strip() for word in models.split(",") if word.strip()] if models else list(USUAL)
+        outcome = run_compare(CompareJob(rig, train, holdout, wanted, out, seed, drop_bad_rows), progress, _argv())
+    _finish(outcome, "compare.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+@app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = True,

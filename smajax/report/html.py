@@ -24,14 +24,14 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
     sections = [_verdict(doc), _rmse(doc), "<h2>Parameters</h2>", _parameters(doc)]
-    sections.append(_list(summary.remarks(doc)))
+    sections.append(bullets(summary.remarks(doc)))
     sections.append("<h2>Measured against model</h2>")
     for one in series:
         sections += _recording(one, doc["observed"], doc["inputs"], floor, pictures)
     sections += _certainty(doc, pictures)
     sections += [
         "<h2>Where this comes from</h2>",
-        _recordings(doc["recordings"]),
+        recordings(doc["recordings"]),
         _fixed(doc),
         _solver(doc),
         provenance(run),
@@ -50,7 +50,7 @@ def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
     if rest:
         sections.append("<h2>The other channels</h2>")
         sections.append(draw(plots.time_picture(series, rest, [], {}), pictures))
-    sections += ["<h2>Where this comes from</h2>", _recordings(run["recordings"]), provenance(run), rig_text(rig)]
+    sections += ["<h2>Where this comes from</h2>", recordings(run["recordings"]), provenance(run), rig_text(rig)]
     return page(f"Simulation of {run['rig']}", f"{run['rig']} driven by {series.name}: {len(series.time):,} rows.", sections, pictures)
 
 
@@ -129,7 +129,8 @@ def _parameters(doc: Mapping[str, Any]) -> str:
     return table(("parameter", "estimate", "95 % from", "to", "unit", ""), rows, numbers=(1, 2, 3), remark=5)
 
 
-def _recordings(entries: Sequence[Mapping[str, Any]]) -> str:
+def recordings(entries: Sequence[Mapping[str, Any]]) -> str:
+    """A table of files with their roles."""
     rows = [(r["name"], r["role"], f"{r['rows']:,}", r["sha256"] or "-") for r in entries]
     return "<h3>Recordings</h3>" + table(("file", "role", "rows", "SHA-256"), rows, numbers=(2,), hash_column=3)
 
@@ -169,7 +170,8 @@ def _folded(title: str, inside: str) -> str:
     return f"<details><summary>{escape(title)}</summary>{inside}</details>"
 
 
-def _list(sentences: Sequence[str]) -> str:
+def bullets(sentences: Sequence[str]) -> str:
+    """Sentences as a list; nothing if there is none."""
     return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>" if sentences else ""
 
 

@@ -19,6 +19,7 @@ from smajax.units import channel_of
 
 MOST_POINTS = 20_000
 MEASURED, MODEL, RESIDUAL, INPUT = "#8b95a1", "#c8501e", "#23648c", "#4a7a3f"
+MANY = (MODEL, RESIDUAL, INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f", "#b0577f", "#5d6b2f", "#3c4f86", "#a3452c", "#6b6f76", "#1f7a5c")
 INPUTS = (INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f")
 _DIGITS = 7
 _PIXELS = 58  # of a panel of weight 1
@@ -80,6 +81,26 @@ def time_picture(series: Series, observed: Sequence[str], inputs: Sequence[str],
     if any(_compared(series, c) for c in observed):
         caption += " Below, measured minus model" + (", with two standard deviations of the noise either way dotted." if floor else ".")
     return Picture(f"{series.name} ({series.role})", caption + _thin_note(len(x), thinned), {"data": data, "layout": layout}, height)
+
+
+def comparison_picture(series: Mapping[str, Series], channel: str, role: str) -> Picture:
+    """One recording as several models predict it, best first, over time: the best three stand out, the others wait in the legend."""
+    first = next(iter(series.values()))
+    panels = [(channel, 6.0), ("model minus measured", 4.0)]
+    layout = _layout(panels, time_title(first), first)
+    data, thinned = [], False
+    trace, thinned = _line(first.time, first.measured[channel], "measured", MEASURED, _axis(0))
+    data.append(trace)
+    for k, (name, one) in enumerate(series.items()):
+        colour = MANY[k % len(MANY)]
+        for row, values in enumerate((one.model[channel], -one.residual(channel))):
+            trace, less = _line(one.time, values, name, colour, _axis(row), name_shown=row == 0)
+            data.append(trace | {"legendgroup": name, "visible": True if k < 3 else "legendonly"})
+            thinned |= less
+    _entitle(layout, 0, titled(channel, first.units), panels)
+    _entitle(layout, 1, "model - measured", panels)
+    caption = "Grey is measured. Click a name to show or hide a model; below, what each leaves." + _thin_note(len(first.time), thinned)
+    return Picture(f"{first.name.rpartition(' (')[0]} ({role})", caption, {"data": data, "layout": layout}, 760)
 
 
 def phase_picture(series: Series, channel: str) -> Picture | None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from smajax.errors import InputError
 from smajax.report import html, prediction
+from smajax.report.comparison import comparison_page
 from smajax.report.diagnosis import diagnosis_page
 from smajax.results import read_json, replace_file
 
@@ -18,6 +19,8 @@ def rebuild_report(folder: Path) -> Path:
             page = html.simulation_page(series[0], run, rig)
         elif run["command"] == "diagnose":
             page = diagnosis_page(read_json(folder, "diagnosis.json"), series, run["inputs"], run, rig)
+        elif run["command"] == "compare":
+            page = comparison_page(read_json(folder, "compare.json"), series, run, rig)
         else:
             page = html.fit_page(read_json(folder, "fit.json"), series, run, rig)
     except OSError as error:

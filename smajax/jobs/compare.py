@@ -1,0 +1,203 @@
+"""The job of ``smajax compare``: several models fitted to one recording, and what each predicts of another.
+
+Material laws are fitted as the rig says, with the rig's law replaced: what both laws call the same keeps its value and stays free if it
+was, and what only the new one has starts where ``_OWN`` says. Input-output laws see one input channel and the first observed channel.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import numpy as np
+
+from smajax import __version__, parameters
+from smajax.console import Progress
+from smajax.errors import InputError, NumericsError, nearest
+from smajax.fit.families import FAMILIES
+from smajax.fit.fit import fit
+from smajax.fit.operators import Series, fit_operator
+from smajax.jobs.fit import read_recordings
+from smajax.jobs.record import Clock, Outcome, rig_text, run_record
+from smajax.parameters import declarations
+from smajax.recording import Recording
+from smajax.report import prediction
+from smajax.report.comparison import SCHEMA, comparison_page, summary
+from smajax.report.document import difference_unit, number, recording_entry, to_json
+from smajax.results import check_out, write_folder
+from smajax.rig import Rig, read_rig
+from smajax.rig_schema import MATERIALS
+from smajax.simulate import Code
+
+TRANSFER = tuple(name for name in FAMILIES if name.startswith("transfer-function-"))
+MODELS = (*MATERIALS, *FAMILIES)
+USUAL = ("brinson", "lagoudas", "tanaka", "liang-rogers", "bouc-wen", "prandtl-ishlinskii", "hammerstein-wiener", "narx", *TRANSFER)
+# Start values of what one law has and another may not; those of the first set are fitted, too.
+_OWN = {
+    "lagoudas": ({"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}, {}),
+    "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
+}
+_STARTS, _STARTS_BY_REVERSE = 16, 3
+
+
+class CompareJob(NamedTuple):
+    """What a comparison is asked to do; ``seed`` replaces the rig's where it is given."""
+
+    rig: Path
+    train: Path
+    holdout: Path
+    models: Sequence[str]
+    out: Path
+    seed: int | None = None
+    drop_bad_rows: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none."""
+
+    name: str
+    kind: str
+    parameters: int = 0
+    predictions: tuple[np.ndarray, ...] = ()
+    wall: float = 0.0
+    why: str = ""
+
+
+def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Outcome:
+    """Reads, fits each model, predicts the holdout and writes the folder. Raises InputError; NumericsError if none can be fitted."""
+    out, clock = check_out(job.out), Clock()
+    names = _names(job.models)
+    progress.phase("reading")
+    with clock.time("read"):
+        rig, text = read_rig(job.rig), rig_text(job.rig)
+        recordings = [r for r, _ in read_recordings(rig, [job.train], [job.holdout], job.drop_bad_rows)]
+        if recordings[0].sha256 == recordings[1].sha256:
+            raise InputError(f"{recordings[1].name} has the same content as {recordings[0].name}: it tests nothing; give another recording")
+    seed = rig.fit.seed if job.seed is None else job.seed
+    channel, found = rig.fit.observe[0], []
+    with clock.time("fit"):
+        for name in names:
+            progress.phase(f"fitting {name}")
+            found.append(_compared(rig, name, recordings, channel, seed))
+    if all(one.why for one in found):
+        raise NumericsError("no model could be fitted: " + "; ".join(f"{one.name}: {one.why}" for one in found))
+    document = _document(rig, found, recordings, channel, seed)
+    run = run_record("compare", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
+    series = [
+        prediction.to_series(
+            f"{r.name} ({one.name})", role, r.time, {channel: r.channels[channel]}, {channel: values}, r.units, clock=r.has_clock
+        )
+        for one in found if not one.why
+        for r, role, values in zip(recordings, ("train", "holdout"), one.predictions, strict=True)
+    ]  # fmt: skip
+    progress.phase("writing the report")
+
+    def fill(folder: Path) -> None:
+        (folder / "rig.toml").write_text(text, "utf-8", newline="")
+        (folder / "compare.json").write_text(to_json(document), "utf-8")
+        prediction.write(folder / "prediction.csv", series)
+        page = comparison_page(document, prediction.read(folder / "prediction.csv"), run, text)
+        (folder / "report.html").write_text(page, "utf-8")
+
+    write_folder(out, run, fill)
+    return Outcome(out, document, 0)
+
+
+def _names(models: Sequence[str]) -> list[str]:
+    """The models asked for, each once; 'transfer-function' stands for its four structures."""
+    found: list[str] = []
+    for name in models:
+        if name == "transfer-function":
+            found += TRANSFER
+        elif name not in MODELS:
+            known = (*MODELS, "transfer-function")
+            raise InputError(f"--models: '{name}' is not known{nearest(name, known)}: the models are {', '.join(known)}")
+        else:
+            found.append(name)
+    if not found:
+        raise InputError(f"--models names no model: give some of {', '.join(MODELS)}, with commas between")
+    return list(dict.fromkeys(found))
+
+
+def _compared(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
+    """One model; what it cannot do is an answer, too, so that the others are still compared."""
+    began, kind = time.perf_counter(), "law" if name in MATERIALS else "input-output"
+    try:
+        count, predictions = (_law if kind == "law" else _operator)(rig, name, recordings, channel, seed)
+    except (InputError, NumericsError) as error:
+        return Compared(name, kind, why=str(error))
+    return Compared(name, kind, count, predictions, time.perf_counter() - began)
+
+
+def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
+    changed = with_law(rig, name)
+    settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
+    result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
+    failed = [r for r in result.responses if r.code is not Code.done]
+    if failed:
+        raise NumericsError(f"{failed[0].recording.name}: {failed[0].code.name}: {failed[0].code.cure}")
+    return len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses)
+
+
+def with_law(rig: Rig, name: str) -> Rig:
+    """The rig with another material law."""
+    kind, old = MATERIALS[name], rig.plant.material
+    if type(old) is kind:
+        return rig
+    free, given = _OWN.get(name, ({}, {}))
+    known = {key: float(getattr(old, key)) for key in declarations(kind) if key in declarations(old)}
+    plant = eqx.tree_at(lambda p: p.material, rig.plant, kind(**(given | free | known)))
+    there = parameters.declared(plant)
+    wanted = tuple(n for n in rig.fit.free if n in there) + tuple(f"material.{key}" for key in free)
+    bounds = {n: ends for n, ends in rig.fit.bounds.items() if n in there}
+    settings = dataclasses.replace(
+        rig.fit, model=name, free=wanted, bounds=bounds, per_recording=tuple(n for n in rig.fit.per_recording if n in there)
+    )
+    return dataclasses.replace(rig, plant=plant, fit=settings)
+
+
+def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
+    driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
+    if len(driving) != 1:
+        told = "no input changes" if not driving else f"{' and '.join(driving)} change"
+        raise InputError(f"{name} takes one input that changes, and here {told}")
+    series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings]
+    family = FAMILIES[name](series[:1])
+    starts = _STARTS_BY_REVERSE if family.by_reverse else _STARTS
+    result = fit_operator(family, series[:1], starts=starts, seed=seed)
+    return family.size, tuple(result.respond(s) for s in series)
+
+
+def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recording], channel: str, seed: int) -> dict[str, Any]:
+    unit, scale = difference_unit(recordings[0], channel)
+    models = []
+    for one in found:
+        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why}
+        rmse, percent, bic = [None, None], [None, None], None
+        if not one.why:
+            pairs = [(r.channels[channel], p) for r, p in zip(recordings, one.predictions, strict=True)]
+            errors = [np.sqrt(np.nanmean((m - p) ** 2)) for m, p in pairs]
+            rmse, percent = [number(e, scale) for e in errors], [number(fit_percent(m, p)) for m, p in pairs]
+            samples = int(np.sum(np.isfinite(pairs[0][0])))
+            bic = number(samples * math.log(max(float(errors[0]), 1e-300) ** 2) + one.parameters * math.log(samples))
+        entry |= {"parameters": one.parameters, "rmse_train": rmse[0], "rmse_holdout": rmse[1], "bic": bic}
+        entry |= {"fit_percent_train": percent[0], "fit_percent_holdout": percent[1], "wall_s": round(one.wall, 2)}
+        models.append(entry)
+    models.sort(key=lambda m: (m["rmse_holdout"] is None, m["rmse_holdout"]))
+    document = {
+        "schema": SCHEMA, "rig": rig.name, "channel": channel, "unit": unit, "summary": "", "models": models,
+        "recordings": [recording_entry(r, role) for r, role in zip(recordings, ("train", "holdout"), strict=True)],
+        "seed": seed, "smajax": __version__,
+    }  # fmt: skip
+    return document | {"summary": summary(document)}
+
+
+def fit_percent(measured: np.ndarray, model: np.ndarray) -> float:
+    """100 (1 - |y - model| / |y - mean(y)|), as MATLAB's ``compare`` gives it (NRMSE): 100 is perfect, 0 as good as the mean."""
+    seen = np.isfinite(measured)
+    away = float(np.linalg.norm(measured[seen] - np.mean(measured[seen])))
+    return 100.0 * (1.0 - float(np.linalg.norm(measured[seen] - model[seen])) / away) if away > 0.0 else math.nan

@@ -1,0 +1,61 @@
+"""What ``smajax compare`` prints and shows: models by their error on a recording that none of them was fitted to."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from smajax.report import html, plots
+from smajax.report import summary as texts
+from smajax.report.prediction import Series
+
+SCHEMA = "smajax.compare/1"
+_HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
+
+
+def summary(doc: Mapping[str, Any]) -> str:
+    """Which model predicts best, in words."""
+    good = [m for m in doc["models"] if not m["why"]]
+    best = good[0]
+    told = f"{best['name']} predicts the holdout best: {best['rmse_holdout']:.3g} {doc['unit']} with {best['parameters']} parameters."
+    lowest = min(good, key=lambda m: m["bic"])
+    if lowest is not best:
+        told += f" By BIC, which knows the training recording only, it would be {lowest['name']}."
+    return told
+
+
+def rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The table's rows, best first."""
+    shown = []
+    for m in doc["models"]:
+        if m["why"]:
+            shown.append((m["name"], "left out", "", "", "", "", "", ""))
+            continue
+        numbers = [f"{m[k]:.4g}" for k in ("rmse_holdout", "rmse_train")] + [
+            f"{m[k]:.1f}" for k in ("fit_percent_holdout", "fit_percent_train")
+        ]
+        shown.append((m["name"], *numbers, str(m["parameters"]), f"{m['bic']:.0f}", f"{m['wall_s']:.1f}"))
+    return shown
+
+
+def text(doc: Mapping[str, Any], folder: str) -> str:
+    """What the command prints."""
+    lines = [f"{doc['channel']} in {doc['unit']}:", *texts.table([_HEAD, *rows(doc)], right=range(1, len(_HEAD))), "", doc["summary"]]
+    lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
+    return "\n".join([*lines, f"All of it in {folder}"])
+
+
+def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
+    """The page: ``doc`` is compare.json, ``series`` the predictions, ``run`` run.json, ``rig`` the rig file's text."""
+    pictures: list[plots.Picture] = []
+    sections = [f'<div class="verdict"><p>{html.escape(doc["summary"])}</p></div>', "<h2>Models, best first</h2>"]
+    sections.append(html.table(_HEAD, rows(doc), numbers=tuple(range(1, len(_HEAD)))))
+    left_out = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
+    sections.append(html.bullets(left_out))
+    sections.append(
+        f"<p>RMSE in {html.escape(html.pretty_unit(doc['unit']))}. The fit is MATLAB's: 100 (1 - |y - model| / |y - mean|).</p>"
+    )
+    for role in ("holdout", "train"):
+        found = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
+        ordered = {m["name"]: found[m["name"]] for m in doc["models"] if m["name"] in found}
+        sections.append(html.draw(plots.comparison_picture(ordered, doc["channel"], role), pictures))
+    sections += ["<h2>Where this comes from</h2>", html.recordings(doc["recordings"]), html.provenance(run), html.rig_text(rig)]
+    return html.page(f"Comparison on {doc['rig']}", f"What several models make of {doc['channel']}.", sections, pictures)

@@ -1,0 +1,170 @@
+"""Black boxes against other people's linear systems and against themselves, and fits that find what was planted."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+from smajax.blackbox.hammerstein_wiener import HammersteinWiener
+from smajax.blackbox.narx import Narx
+from smajax.blackbox.switched import Switched
+from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
+from smajax.errors import InputError
+from smajax.fit.families import bouc_wen, hammerstein_wiener, narx, prandtl_ishlinskii, transfer_function
+from smajax.fit.operators import Series, fit_operator
+from smajax.hysteresis.bouc_wen import BoucWen
+from smajax.simulate import respond
+from tests.test_hysteresis import SEVEN, original
+
+TIME = np.arange(400) * 0.1
+RNG = np.random.default_rng(0)
+INPUT = np.repeat(RNG.uniform(0.0, 1.0, 20), 20)
+
+
+def function(structure, **changes: float) -> TransferFunction:
+    values = {"gain": 3.0, "rest": 0.5, "first": 1.7, "second": 0.6, "damping": 0.4, "delay": 0.0} | changes
+    return TransferFunction(**{k: jnp.asarray(v) for k, v in values.items()}, structure=structure)
+
+
+DENOMINATORS = {
+    "one-pole": [1.7, 1.0],
+    "two-poles": np.polymul([1.7, 1.0], [0.6, 1.0]),
+    "underdamped": [1.7**2, 2 * 0.4 * 1.7, 1.0],
+    "underdamped-and-pole": np.polymul([1.7**2, 2 * 0.4 * 1.7, 1.0], [0.6, 1.0]),
+}
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_transfer_functions_are_scipys(structure):
+    values = INPUT - INPUT[0]  # from rest at no input
+    found = np.asarray(respond(function(structure), jnp.asarray(TIME), jnp.asarray(values)))
+    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), values, TIME, interp=False)
+    np.testing.assert_allclose(found, 0.5 + exact, atol=1e-9)
+
+
+def test_the_hip_papers_flexion():
+    """Open-loop unit step of 648.2 / (348.8 s^2 + 37.35 s + 1) e^(-6.46 s)."""
+    tau = np.sqrt(348.8)
+    law = function("underdamped", gain=648.2, rest=0.0, first=tau, damping=37.35 / (2 * tau), delay=6.46)
+    time = np.arange(0.0, 220.0, 0.02)
+    found = np.asarray(respond(law, jnp.asarray(time), jnp.asarray(np.r_[0.0, np.ones(len(time) - 1)])))
+    at = np.interp([20.0, 50.0, 100.0, 200.0], time - 0.02, found)  # the step comes one row late
+    np.testing.assert_allclose(at, [106.6546, 438.3960, 622.1917, 647.9679], rtol=2e-5)
+
+
+def test_the_delay_is_a_number_like_the_others():
+    """Between rows the delayed response is read linearly, so that it has a derivative everywhere but at the rows."""
+
+    def mean(delay):
+        return jnp.mean(respond(function("two-poles", delay=delay), jnp.asarray(TIME), jnp.asarray(INPUT)) ** 2)
+
+    for delay in (0.03, 0.37):
+        slope = float(jax.grad(mean)(delay))
+        assert slope == pytest.approx(float(mean(delay + 1e-6) - mean(delay - 1e-6)) / 2e-6, rel=1e-5)
+
+
+def test_hammerstein_wiener_by_hand():
+    knots, inlet, outlet = np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([0.0, 1.0, 1.5])
+    law = HammersteinWiener(*map(jnp.asarray, (knots, inlet, np.array([-0.95, 0.6]), 0.3, outlet)))
+    second, first = 0.6, -0.95 * 1.6
+    w = np.interp(INPUT, knots, inlet)
+    x = np.full(len(INPUT), w[0])
+    for k in range(1, len(x)):
+        x[k] = -first * x[k - 1] - second * x[max(k - 2, 0)] + (1 + first + second) * (0.3 * w[k - 1] + 0.7 * w[max(k - 2, 0)])
+    inside = np.interp(x, np.linspace(0, 1, 3), outlet)
+    found = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(INPUT)))
+    between = (x >= 0.0) & (x <= 1.0)
+    np.testing.assert_allclose(found[between], inside[between], atol=1e-12)
+    assert np.sum(between) > 300
+
+
+def planted(family) -> dict:
+    """What to hide from a fit."""
+    return {
+        "transfer-function": lambda u: scipy.signal.lsim(([3.0], DENOMINATORS["two-poles"]), u - u[0], TIME, interp=False)[1],
+        "hammerstein-wiener": lambda u: np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]),
+        "narx": lambda u: np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]),
+        "bouc-wen": lambda u: original(SEVEN, u),
+    }[family]
+
+
+@pytest.mark.parametrize(
+    ("name", "family", "least"),
+    [
+        ("transfer-function", lambda s: transfer_function(s, "two-poles"), 99.0),
+        ("hammerstein-wiener", hammerstein_wiener, 95.0),
+        ("narx", lambda s: narx(s, hidden=5), 90.0),
+        ("bouc-wen", bouc_wen, 99.0),
+    ],
+)
+def test_what_is_planted_is_found_and_predicts_another_input(name, family, least):
+    truth = planted(name)
+    series = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        smooth = np.interp(TIME, TIME[::20], rng.uniform(0.0, 1.0, 20))
+        u = smooth if name == "bouc-wen" else np.repeat(np.append(0.0, rng.uniform(0.0, 1.0, 19)), 20)  # from rest
+        y = truth(u)
+        series.append(Series(str(seed), TIME, u, y + 0.002 * np.ptp(y) * rng.standard_normal(len(y))))
+    found = fit_operator(family(series[:1]), series[:1], starts=3)
+    held = series[1]
+    percent = 100 * (1 - np.linalg.norm(found.respond(held) - held.output) / np.linalg.norm(held.output - held.output.mean()))
+    assert percent > least
+    assert found.rmse < 0.05 * np.ptp(series[0].output) and found.simulations > 0
+
+
+def test_bouc_wens_own_parameters_are_found():
+    u = np.interp(TIME, TIME[::20], np.random.default_rng(3).uniform(-1.0, 1.0, 20))
+    y = original(SEVEN, u)
+    law = fit_operator(bouc_wen([Series("a", TIME, u, y)]), [Series("a", TIME, u, y)], starts=4).law
+    for one, other in zip(jax.tree.leaves(law), jax.tree.leaves(BoucWen.from_seven(**SEVEN)), strict=True):
+        assert float(one) == pytest.approx(float(other), rel=0.02)
+
+
+def test_a_saturated_loop_is_prandtl_ishlinskiis():
+    """The tanh envelopes saturate at the ends, where Bouc-Wen goes on straight: the paper's finding."""
+    u = np.concatenate([np.linspace(0, 1, 100), np.linspace(1, 0, 100), np.linspace(0, 0.8, 100), np.linspace(0.8, 0, 100)])
+    up, y = np.tanh(6 * (u - 0.6)), np.zeros(400)
+    down = np.tanh(6 * (u - 0.4))
+    y[0] = up[0]
+    for k in range(1, 400):
+        y[k] = max(up[k], min(down[k], y[k - 1]))  # a play between two saturated branches
+    series = [Series("loop", TIME, u, y)]
+    errors = {f(series).name: fit_operator(f(series), series, starts=6).rmse for f in (bouc_wen, prandtl_ishlinskii)}
+    assert errors["prandtl-ishlinskii"] < 0.3 * errors["bouc-wen"]
+
+
+def network() -> Narx:
+    rng = np.random.default_rng(0)
+    weights = (0.3 * rng.standard_normal((4, 4)), 0.1 * rng.standard_normal(4), 0.2 * rng.standard_normal(4), np.array([1.2, -0.4]))
+    return Narx(*map(jnp.asarray, (*weights, 0.0, 0.2, np.array([0.5, 0.5, 0.5, 0.5]))))
+
+
+def test_open_and_closed_loop_of_a_network():
+    law, u = network(), jnp.asarray(INPUT)
+    closed = respond(law, jnp.asarray(TIME), u)
+    np.testing.assert_allclose(law.ahead(u, closed, jnp.asarray(1))[2:], closed[2:], atol=1e-12)  # told its own outputs, it says them
+    slopes = jax.grad(lambda w: jnp.mean(respond(Narx(w, *jax.tree.leaves(law)[1:]), jnp.asarray(TIME), u) ** 2))(law.hidden)
+    step = jnp.zeros((4, 4)).at[1, 2].set(1e-6)
+    ends = [float(jnp.mean(respond(Narx(law.hidden + s * step, *jax.tree.leaves(law)[1:]), jnp.asarray(TIME), u) ** 2)) for s in (1, -1)]
+    assert float(slopes[1, 2]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-4, abs=1e-9)
+
+
+def test_heating_and_cooling_take_turns():
+    law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05)))
+    u = np.r_[np.full(100, 0.8), np.zeros(100), np.full(100, 0.6), np.zeros(100)]
+    y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u)))
+    heated = np.asarray(respond(network(), jnp.asarray(TIME[:100]), jnp.asarray(u[:100])))
+    np.testing.assert_allclose(y[:100], heated, atol=1e-12)
+    since = TIME[100:200] - TIME[100] + 0.1 - 0.1
+    away = y[100] - 0.1
+    np.testing.assert_allclose(y[100:200], 0.1 + away * (0.7 * np.exp(-since / 0.5) + 0.3 * np.exp(-since / 4.0)), rtol=0.2)
+    assert abs(y[200] - y[199]) < 0.2 and np.all(np.isfinite(y))
+
+
+def test_uneven_rows_are_refused():
+    time = np.append(TIME[:-1], TIME[-1] + 3.0)
+    series = [Series("uneven.csv", time, INPUT, INPUT)]
+    with pytest.raises(InputError, match="uneven.csv: its rows are 0.1 to 3.1 s apart, and transfer-function-one-pole needs equal steps"):
+        fit_operator(transfer_function(series, "one-pole"), series)

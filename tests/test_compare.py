@@ -1,0 +1,101 @@
+"""``smajax compare``: laws and input-output laws on one recording, by the command as a user types it."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smajax.cli import app
+from smajax.jobs.compare import fit_percent, with_law
+from smajax.recording import Recording
+from smajax.rig import read_rig
+from tests.conftest import ROOT
+
+FOLDER = ROOT / "data" / "recordings" / "dead-weight"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The shipped dead weight, a row in eight of its first 90 s, so that it fits fast."""
+    folder = tmp_path_factory.mktemp("short")
+    text = (FOLDER / "rig.toml").read_text().replace("starts = 4", "starts = 1")
+    (folder / "rig.toml").write_text(text)
+    rig = read_rig(folder / "rig.toml")
+    for part in ("train", "holdout"):
+        r = rig.read(FOLDER / f"{part}.csv")
+        channels = {c: v[:4500:8] for c, v in r.channels.items()}
+        Recording.from_arrays(part, r.time[:4500:8], channels, {"displacement": "mm"}).write(folder / f"{part}.csv")
+    return folder
+
+
+def run(folder, models, out, *more, rig="rig.toml"):
+    words = ["compare", str(folder / rig), str(folder / "train.csv"), "--holdout", str(folder / "holdout.csv"), "--models", models]
+    return CliRunner().invoke(app, [*words, "--out", str(out), *more])
+
+
+def test_models_are_ranked_by_what_they_predict(short, tmp_path):
+    done = run(short, "brinson,transfer-function-one-pole,bouc-wen", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    found = json.loads((tmp_path / "out" / "compare.json").read_text())
+    names = [m["name"] for m in found["models"]]
+    assert names[0] == "brinson" and set(names) == {"brinson", "transfer-function-one-pole", "bouc-wen"}
+    errors = [m["rmse_holdout"] for m in found["models"]]
+    assert errors == sorted(errors) and found["unit"] == "mm" and errors[0] < 0.3 * errors[1]
+    for m in found["models"]:
+        assert m["fit_percent_holdout"] < 100.0 and m["parameters"] > 3 and np.isfinite(m["bic"]) and m["wall_s"] > 0.0
+    assert "brinson predicts the holdout best" in done.output
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "transfer-function-one-pole" in page
+    again = CliRunner().invoke(app, ["report", str(tmp_path / "out")])
+    assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
+
+
+@pytest.mark.parametrize(
+    ("models", "sentence"),
+    [
+        ("brinsen", "'brinsen' is not known (did you mean 'brinson'?)"),
+        (" , ", "--models names no model"),
+    ],
+)
+def test_what_cannot_be_compared_is_said(short, tmp_path, models, sentence):
+    done = run(short, models, tmp_path / "out")
+    assert done.exit_code == 2 and sentence in done.output and not (tmp_path / "out").exists()
+
+
+def test_the_same_recording_twice_tests_nothing(short, tmp_path):
+    words = [str(short / name) for name in ("rig.toml", "train.csv")]
+    (tmp_path / "copy.csv").write_bytes((short / "train.csv").read_bytes())
+    done = CliRunner().invoke(
+        app, ["compare", *words, "--holdout", str(tmp_path / "copy.csv"), "--models", "brinson", "--out", str(tmp_path / "out")]
+    )
+    assert done.exit_code == 2 and "tests nothing" in done.output
+
+
+def test_a_rig_with_two_inputs_leaves_operators_out_and_says_why(tmp_path):
+    rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
+    part = next((ROOT / "data" / "recordings" / "rotary").glob("*.csv"))
+    recording = rig.read(part)
+    for name, rows in (("train", slice(0, 200)), ("holdout", slice(200, 400))):
+        channels = {c: v[rows] for c, v in recording.channels.items()}
+        Recording.from_arrays(name, recording.time[rows], channels, recording.units).write(tmp_path / f"{name}.csv")
+    (tmp_path / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
+    done = run(tmp_path, "bouc-wen", tmp_path / "out")
+    assert done.exit_code == 3 and "takes one input that changes" in done.output
+
+
+def test_a_law_takes_over_what_another_knows():
+    rig = read_rig(FOLDER / "rig.toml")
+    changed = with_law(rig, "lagoudas")
+    assert float(changed.plant.material.max_strain) == float(rig.plant.material.max_strain)
+    assert {"material.n1", "heat.h0"} <= set(changed.fit.free) and changed.fit.model == "lagoudas"
+    back = with_law(changed, "brinson")
+    assert "material.n1" not in back.fit.free and float(back.plant.material.detwinning_finish_stress) == 1e8
+    assert with_law(rig, "brinson") is rig
+
+
+def test_fit_percent_is_matlabs():
+    y = np.array([0.0, 1.0, 2.0, 3.0])
+    assert fit_percent(y, y) == 100.0
+    assert fit_percent(y, np.full(4, 1.5)) == pytest.approx(0.0)
+    assert fit_percent(np.append(y, np.nan), np.append(y, 7.0)) == 100.0
