@@ -23,6 +23,7 @@ from smajax.fit import least_squares
 from smajax.hysteresis.operator import AbstractOperator
 
 _UNEVEN = 0.01
+_WIDE = 30.0
 
 
 class Series(NamedTuple):
@@ -217,7 +218,7 @@ _weighted = eqx.filter_jit(_residual)
 def _by_forward(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
-    drawn = np.random.default_rng(seed).uniform(lower, upper, (8 * starts, len(lower)))
+    drawn = _draw(problem, 8 * starts, seed)
     costs = np.asarray(_costs(jnp.asarray(drawn), problem))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(costs), costs, np.inf))[: starts - 1]]])
     simulations, best = len(drawn), (math.inf, None)
@@ -227,6 +228,20 @@ def _by_forward(problem: OperatorProblem, starts: int, seed: int, max_steps: int
         if solved.costs[0] < best[0]:
             best = (float(solved.costs[0]), solved.points[0])
     return best[1], simulations * problem.data.measured.shape[0]
+
+
+def _draw(problem: OperatorProblem, count: int, seed: int) -> np.ndarray:
+    """Points in the box, shape ``(count, p)``: each number is the first guess's or drawn, half and half.
+
+    Numbers that may be of any size, such as time constants, are drawn by their logarithm.
+    """
+    low, width = np.asarray(problem.lower), np.asarray(problem.width)
+    rng = np.random.default_rng(seed)
+    share = rng.uniform(*problem.box, (count, len(low)))
+    wide = (low > 0.0) & (low + width > _WIDE * low)
+    safe = np.where(wide, low, 1.0)
+    drawn = np.where(wide, safe * (((safe + width) / safe) ** share - 1.0) / np.where(width > 0.0, width, 1.0), share)
+    return np.where(rng.random(drawn.shape) < 0.5, problem.nominal, drawn)
 
 
 def _by_reverse(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
