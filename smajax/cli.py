@@ -187,6 +187,36 @@ def compare(
     _finish(outcome, "compare.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+class StartModel(StrEnum):
+    """The laws that thermal cycles can start."""
+
+    brinson = "brinson"
+    lagoudas = "lagoudas"
+
+
+@app.command()
+def properties(
+    recordings: Annotated[list[Path], typer.Argument(metavar="CYCLES.csv [MORE.csv ...]", help="Thermal cycles: temperature and strain.")],
+    smooth: Annotated[
+        int | None, typer.Option("--smooth", min=1, metavar="ROWS", help="Smooth temperatures over so many rows (default: as noise asks).")
+    ] = None,
+    write_set: Annotated[
+        Path | None, typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set that starts a fit.")
+    ] = None,
+    model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
+    as_json: Json = False,
+) -> None:
+    """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
+    import json
+
+    from smajax.jobs.properties import PropertiesJob, run_properties, text
+
+    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value))
+    typer.echo(json.dumps(document, indent=1) if as_json else text(document))
+    if write_set is not None and not as_json:
+        typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')
+
+
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),

@@ -1,0 +1,159 @@
+"""The job of ``smajax properties``: ASTM E3097 temperatures and strains of thermal cycles, and a parameter set to start a fit from."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from smajax import __version__, recording
+from smajax.errors import InputError
+from smajax.fit.problem import difference_noise
+from smajax.parameter_file import Entry, write_parameters
+from smajax.recording import Recording
+from smajax.report.summary import table
+from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of
+
+SCHEMA = "smajax.properties/1"
+_NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
+_ROWS = 9
+_USUAL = 7e6  # Pa/K, where one stress does not tell
+_APART = 10e6  # Pa between stresses that tell the slope of the lines
+_LABELS = {
+    "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
+    "transformation_strain": "transformation strain", "actuation_strain": "actuation strain", "width": "hysteresis width",
+    "span": "span A_f - M_f",
+}  # fmt: skip
+_STRAINS = ("transformation_strain", "actuation_strain")
+
+
+class PropertiesJob(NamedTuple):
+    """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``."""
+
+    paths: Sequence[Path]
+    smooth: int | None = None
+    write_set: Path | None = None
+    model: str = "brinson"
+
+
+@dataclasses.dataclass(frozen=True)
+class Read:
+    """What was read of one recording."""
+
+    recording: Recording
+    smooth: int
+    cycles: list[Cycle]
+    refused: list[str]
+
+    @property
+    def stress(self) -> float | None:
+        """Mean stress in Pa where it was recorded."""
+        known = self.recording.channels.get("stress")
+        return None if known is None else float(np.mean(known))
+
+
+def run_properties(job: PropertiesJob) -> dict[str, Any]:
+    """Reads all recordings and gives the document that is printed. Raises ``InputError`` if no cycle of any of them can be read."""
+    read = [_read(path, job.smooth) for path in job.paths]
+    refused = [sentence for one in read for sentence in one.refused]
+    if not any(one.cycles for one in read):
+        raise InputError("; ".join(refused))
+    document = {
+        "schema": SCHEMA,
+        "recordings": [_entry(one) for one in read],
+        "refused": refused,
+        "smajax": __version__,
+    }
+    if job.write_set is not None:
+        entries = parameter_set([one for one in read if one.cycles], job.model)
+        names = ", ".join(one.recording.name for one in read if one.cycles)
+        write_parameters(job.write_set, entries, {"title": f"read by tangents from {names}", "source": "smajax properties"})
+    return document
+
+
+def _read(path: Path, smooth: int | None) -> Read:
+    one = recording.read(path, required=("temperature",), observed=("strain",), clock=False)
+    warm = one.channels["temperature"]
+    rows = smooth if smooth is not None else _ROWS if difference_noise(warm) > _NOISY else 1
+    try:
+        found, refused = analyse(one.name, warm, one.channels["strain"], one.channels.get("stress"), smooth=rows)
+    except InputError as error:
+        return Read(one, rows, [], [str(error)])
+    return Read(one, rows, found, refused)
+
+
+def _entry(one: Read) -> dict[str, Any]:
+    def shown(values: Mapping[str, Value]) -> dict[str, Any]:
+        return {
+            n: {"value": v.value, "lower95": v.lower95, "upper95": v.upper95, "unit": "1" if n in _STRAINS else _unit(n)}
+            for n, v in values.items()
+        }
+
+    return {
+        "name": one.recording.name,
+        "sha256": one.recording.sha256,
+        "stress_Pa": one.stress,
+        "smoothed_rows": one.smooth,
+        "mean": shown(mean_of(one.cycles)) if one.cycles else None,
+        "cycles": [{"number": c.number, "rows": [c.rows[0] + 1, c.rows[1] + 1], "values": shown(c.values)} for c in one.cycles],
+    }
+
+
+def _unit(name: str) -> str:
+    return "1" if name in _STRAINS else "K" if name in ("width", "span") else "degC"
+
+
+def text(document: Mapping[str, Any]) -> str:
+    """What the command prints: the mean of each recording's cycles with the interval of that mean."""
+    lines = []
+    for one in document["recordings"]:
+        if one["mean"] is None:
+            continue
+        count, stress = len(one["cycles"]), one["stress_Pa"]
+        told = f"{one['name']}: {count} cycle{'s' if count > 1 else ''}"
+        told += f" at {stress / 1e6:.4g} MPa" if stress is not None else ""
+        told += f", temperatures smoothed over {one['smoothed_rows']} rows" if one["smoothed_rows"] > 1 else ""
+        rows = []
+        for name, v in one["mean"].items():
+            scale, digits, unit = (100.0, 3, "%") if name in _STRAINS else (1.0, 2, _unit(name))
+            rows.append((_LABELS[name], *(f"{scale * v[k]:.{digits}f}" for k in ("value", "lower95", "upper95")), unit))
+        lines += [told, *table([("property", "mean", "95 % from", "to", "unit"), *rows], right=(1, 2, 3)), ""]
+    lines += [f"Not read: {sentence}." for sentence in document["refused"]]
+    return "\n".join(lines).rstrip()
+
+
+def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
+    """Start values for a law: temperatures at zero stress, slopes of the lines, and the largest transformation strain.
+
+    The lines' slopes follow from the recordings' stresses where these differ by 10 MPa or more; else they are 7 MPa/K, and said to be.
+    Raises ``InputError`` where the stress is not known.
+    """
+    unknown = [one.recording.name for one in read if one.stress is None]
+    if unknown:
+        raise InputError(
+            f"{unknown[0]} has no column stress, so its temperatures cannot be brought to zero stress: add one, as in 'stress [MPa]'"
+        )
+    stress = np.array([one.stress for one in read])
+    means = [mean_of(one.cycles) for one in read]
+    values = {n: np.array([m[n].value for m in means]) for n in (*NAMES, "transformation_strain")}
+    entries: dict[str, Entry] = {}
+    for phase, letter in (("martensite", "C_M"), ("austenite", "C_A")):
+        middle = 0.5 * (values[f"{phase}_start"] + values[f"{phase}_finish"])
+        slope, told = _USUAL, f"{letter} is a usual value: one stress does not tell it"
+        if np.ptp(stress) > _APART:
+            per_stress = float(np.polyfit(stress, middle, 1)[0])
+            if per_stress > 0.0:
+                slope, told = 1.0 / per_stress, f"{letter} by a straight line through {len(read)} stresses"
+        slope = float(np.clip(slope, 1e6, 3e7))
+        entries[f"material.clausius_clapeyron_{phase}"] = Entry(slope, "Pa/K", 0.3 * slope, 3.0 * slope, source=told)
+        for end in ("start", "finish"):
+            name = f"{phase}_{end}"
+            at_zero = float(np.mean(values[name] - stress / slope))
+            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - 40.0, at_zero + 40.0, source="tangents, brought to zero stress")
+    largest = float(np.clip(np.max(np.abs(values["transformation_strain"])), 1e-3, 0.1))
+    entries["material.max_strain"] = Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source="largest transformation strain")
+    if model == "lagoudas":
+        entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
+    return {n: e for n, e in entries.items() if math.isfinite(e.value)}

@@ -1,0 +1,148 @@
+"""ASTM E3097 properties of thermal cycles: made ones with known corners, measured ones, and files that have none."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from smajax.cli import app
+from smajax.errors import InputError
+from smajax.jobs.properties import PropertiesJob, run_properties
+from smajax.rig import read_rig
+from smajax.thermal_cycles import NAMES, analyse, mean_of, turns
+
+TRUE = {"martensite_start": 70.0, "martensite_finish": 40.0, "austenite_start": 85.0, "austenite_finish": 110.0}
+
+
+def strain_of(t: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Three straight lines: 3.5 % cold, 0.5 % hot, with slopes of the plateaus."""
+    return 0.035 - 0.03 * np.clip((t - low) / (high - low), 0.0, 1.0) - 1e-5 * (t - 20.0)
+
+
+def made(count: int = 3, noise: float = 1e-5, warm_noise: float = 0.0, seed: int = 0, rows: int = 160) -> tuple[np.ndarray, np.ndarray]:
+    """Cycles from hot to cold and back."""
+    rng = np.random.default_rng(seed)
+    cool, heat = np.linspace(150.0, 15.0, rows), np.linspace(15.0, 150.0, rows)
+    strain = np.tile(np.r_[strain_of(cool, 40.0, 70.0), strain_of(heat, 85.0, 110.0)], count)
+    temperature = np.tile(np.r_[cool, heat], count)
+    return temperature + warm_noise * rng.standard_normal(len(temperature)), strain + noise * rng.standard_normal(len(strain))
+
+
+def write(path, temperature, strain, stress: float | None = None):
+    columns, head = [temperature, 100 * strain], ["temperature [degC]", "strain [%]"]
+    if stress is not None:
+        columns, head = [*columns, np.full(len(strain), stress)], [*head, "stress [MPa]"]
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=",".join(head), comments="", fmt="%.9g")
+    return path
+
+
+def test_corners_are_found():
+    found, refused = analyse("made", *made())
+    assert len(found) == 3 and not refused
+    for cycle in found:
+        for name, true in TRUE.items():
+            assert cycle.values[name].value == pytest.approx(true, abs=0.2)
+        assert cycle.values["transformation_strain"].value == pytest.approx(0.03 + 1e-5 * 30, abs=5e-5)
+        assert cycle.values["actuation_strain"].value == pytest.approx(0.03 + 1e-5 * 135, abs=1e-4)
+        assert cycle.values["span"].value == pytest.approx(70.0, abs=0.3)
+        assert cycle.values["width"].value == pytest.approx(42.5, abs=0.3)
+
+
+def test_intervals_hold_the_truth():
+    held = []
+    for seed in range(60):
+        found, _ = analyse("made", *made(1, noise=4e-4, seed=seed, rows=80), seed=seed)
+        held += [found[0].values[n].lower95 <= t <= found[0].values[n].upper95 for n, t in TRUE.items()]
+    assert 0.85 <= np.mean(held) <= 0.995
+
+
+def test_a_noisy_thermocouple_is_smoothed():
+    temperature, strain = made(8, warm_noise=4.0)
+    means = mean_of(analyse("noisy", temperature, strain, smooth=9)[0])
+    for name, true in TRUE.items():
+        assert means[name].value == pytest.approx(true, abs=3.0)
+
+
+def test_turns_are_found_in_noise():
+    temperature, _ = made(4, warm_noise=3.0)
+    at = turns(temperature)
+    assert len(at) == 9 and all(abs(a - b) < 8 for a, b in zip(at, range(0, 1281, 160), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda t, e: (np.random.default_rng(0).permutation(t), e), "not in the order in which they were recorded"),
+        (lambda t, e: (np.full_like(t, 20.0), e), "these are no thermal cycles"),
+        (lambda t, e: (t[:100], e[:100]), "no whole cycle is in it"),
+        (lambda t, e: (t, 2e-3 * np.random.default_rng(1).standard_normal(len(e)) - 1e-5 * t), "no transformation is seen"),
+        (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
+        (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "heat and cool further"),
+    ],
+)
+def test_what_cannot_be_read_is_said(change, sentence):
+    temperature, strain = change(*made())
+    try:
+        found, refused = analyse("bad.csv", temperature, strain)
+    except InputError as error:
+        found, refused = [], [str(error)]
+    assert not found and sentence in refused[0] and refused[0].startswith("bad.csv")
+
+
+def test_the_command(tmp_path):
+    paths = [write(tmp_path / f"{s}.csv", t + s / 7.0, e, float(s)) for s, (t, e) in ((s, made(2)) for s in (50, 150, 300))]
+    done = CliRunner().invoke(app, ["properties", *map(str, paths), "--write-set", str(tmp_path / "set.toml")])
+    assert done.exit_code == 0 and "M_s" in done.output and "150.csv: 2 cycles at 150 MPa" in done.output
+    rig = tmp_path / "rig.toml"
+    rest = 'modulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\ndetwinning_start_stress = "0 MPa"\ndetwinning_finish_stress = "90 MPa"\n'
+    rig.write_text(f'[rig]\nkind = "path"\n[material]\nset = "set.toml"\n{rest}[fit]\nfree = []\nobserve = ["strain"]\n')
+    material = read_rig(rig).plant.material
+    assert float(material.martensite_start) == pytest.approx(70.0, abs=0.5)
+    assert float(material.clausius_clapeyron_martensite) == pytest.approx(7e6, rel=0.02)
+    document = json.loads(CliRunner().invoke(app, ["properties", str(paths[0]), "--json"]).output)
+    assert document["schema"] == "smajax.properties/1" and len(document["recordings"][0]["cycles"]) == 2
+
+
+def test_one_that_cannot_be_read_leaves_the_others(tmp_path):
+    good, flat = write(tmp_path / "good.csv", *made(1)), write(tmp_path / "flat.csv", made(1)[0], -1e-5 * made(1)[0])
+    done = CliRunner().invoke(app, ["properties", str(good), str(flat)])
+    assert done.exit_code == 0 and "Not read: flat.csv" in done.output and "nan" not in done.output.lower()
+    alone = CliRunner().invoke(app, ["properties", str(flat)])
+    assert alone.exit_code == 2 and "flat.csv" in alone.output
+    lacking = CliRunner().invoke(app, ["properties", str(good), "--write-set", str(tmp_path / "set.toml")])
+    assert lacking.exit_code == 2 and "has no column stress" in lacking.output and not (tmp_path / "set.toml").exists()
+
+
+def test_the_hundred_cycles_measured_by_others(shared):
+    """Means by another tool, its values as that tool prints them."""
+    columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")
+    found, refused = analyse("cycles", columns[:, 0], columns[:, 1], smooth=9)
+    means = mean_of(found)
+    assert len(found) + len(refused) == 100 and len(refused) < 5
+    for name, value in zip((*NAMES, "width", "span"), (122.90, 94.26, 113.09, 128.11, 12.02, 33.85), strict=True):
+        scatter = np.std([c.values[name].value for c in found])
+        assert abs(means[name].value - value) < scatter, name
+    assert means["transformation_strain"].value == pytest.approx(0.0344, abs=0.002)
+    assert means["actuation_strain"].value == pytest.approx(0.03791, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("stress", "values"),
+    [
+        (50, (182.6, 166.2, 202.9, 215.2)),
+        (200, (198.5, 175.1, 212.2, 225.8)),
+        (300, (212.1, 182.0, 218.7, 236.6)),
+        (400, (227.3, 188.8, 225.9, 255.1)),
+    ],
+)
+def test_nitihf_measured_by_others(shared, stress, values):
+    columns = np.loadtxt(shared / "data" / "nasa-bigelow-nitihf" / f"{stress} MPa.txt")
+    found, _ = analyse(f"{stress}", columns[:, 0], columns[:, 1] / 100)
+    for name, value in zip(NAMES, values, strict=True):
+        assert found[0].values[name].value == pytest.approx(value, abs=6.0), name
+
+
+def test_a_document_names_its_file(tmp_path):
+    document = run_properties(PropertiesJob([write(tmp_path / "a.csv", *made(1))]))
+    assert document["recordings"][0]["name"] == "a.csv" and document["recordings"][0]["smoothed_rows"] == 1
