@@ -24,6 +24,7 @@ _BLOCKS = 24
 _CORNERS = 24  # places where a corner is tried first
 _REFINED = 10
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
+_LEAST = 1e-6  # strain
 _BESIDE = 4  # rows on each plateau
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
 
@@ -182,7 +183,7 @@ def tangents(temperature: np.ndarray, strain: np.ndarray, branch: str, near: Seq
     scatter = float(np.std(e - lines @ along))
     middle = 0.5 * (low + high)
     jump = float(along[2] * (low - middle) + along[3] * (high - middle))  # of the cold line above the hot one
-    if not abs(jump) > _SEEN * scatter:
+    if not abs(jump) > _SEEN * scatter + _LEAST:
         told = f"on {branch} the strain moves by {abs(jump):.2g} between lines about which it scatters by {scatter:.2g}"
         raise InputError(f"{told}: no transformation is seen")
     slopes = np.abs(np.cumsum(along[1:]))

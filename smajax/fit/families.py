@@ -77,7 +77,7 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
     far = 5.0 + 10.0 / span * abs(middle)
     ends = {
         "height": (0.1 * swing, swing),
-        "slope": (0.2 / span, 10.0 / span),
+        "slope": (0.2 / span, 40.0 / span),
         "shift": (-far, far),
         "middle": (bottom - swing, bottom + 2 * swing),
     }
