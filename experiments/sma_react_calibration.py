@@ -1,11 +1,12 @@
 """Lagoudas' law calibrated to isobaric thermal cycles, where SMA-REACT's genetic algorithm and SciPy's least squares are the peers.
 
-    python experiments/sma_react_calibration.py [--data DIR] [--sample N] [--quick] [--json FILE] [--out DIR]
+    python experiments/sma_react_calibration.py [--data DIR] [--originals DIR] [--sample N] [--quick] [--json FILE] [--out DIR]
 
 DIR holds the cycles as they were prepared for SMA-REACT, ``fed_sample<N>_<stress>MPa.csv`` with columns T_K, stress_Pa and strain: sample 2
 is NiTiHf at six stresses, sample 1 another alloy at four. The 17 parameters and their bounds are SMA-REACT's, widened as its peers were.
 Each fit starts from a point drawn within the bounds, draws 48 more and goes on from the best of them: what is measured is the whole of
-that, from a fresh random point, in seconds of one process; compiling, which happens once for all, is told apart.
+that, from a fresh random point, in seconds of one process; compiling, which happens once for all, is told apart. On the originals of sample
+2 (``--originals``, a folder of ``*MPa.txt`` files) each stress is left out in turn and predicted.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from _common import ROOT, Row, arguments, estimate_rows, finish, refuse, say
+from _common import DATA, ROOT, Row, arguments, estimate_rows, finish, refuse, say
 from _figures import Chart, Curve, draw
+from measured_isobaric import read_levels
 
 from smajax import parameters
 from smajax.fit.fit import Fit, fit
@@ -183,6 +185,27 @@ def stiffness_rows(sample: int, rig: Rig, best: Fit, cycles: Sequence[Recording]
     return rows
 
 
+def left_out_rows(folder: Path, quick: bool) -> list[Row]:
+    """Each level of the originals predicted by a fit to the others; cycles begin at their coldest row, as martensite."""
+    cycles = {}
+    for level, r in read_levels(folder).items():
+        first = int(np.argmin(r.channels["temperature"]))
+        channels = {c: np.append(np.roll(v, -first), v[first]) for c, v in r.channels.items()}
+        cycles[level] = Recording.from_arrays(r.name, None, channels, {"stress": "MPa", "strain": "%"})
+    if len(cycles) < 3:
+        refuse(f"{folder} holds {len(cycles)} files *MPa.txt: at least three are needed to leave one out")
+    rows, rig, errors = [], rig_of(PEERS[2]), []
+    for level in list(cycles)[3:4] if quick else cycles:
+        train = [r for k, r in cycles.items() if k != level]
+        found = fit(rig.plant, train, rig.fit, holdout=[cycles[level]], max_steps=200)
+        held, fitted = (100 * float(found.rmse("strain", role) or np.inf) for role in ("holdout", "train"))
+        errors.append(held)
+        say(f"{level} MPa left out: {held:.4f} %")
+        told = f"{held:.4f} % strain; the others fitted to {fitted:.4f} %"
+        rows.append(Row(f"originals, {level} MPa predicted", "-", told, None, {"rmse": held}))
+    return [*rows, Row("originals, mean over those left out", "-", f"{np.mean(errors):.4f} %", None)]
+
+
 def pictures(sample: int, best: Fit, folder: Path) -> None:
     """Measured and fitted cycles."""
     for r in best.responses:
@@ -202,6 +225,7 @@ def main() -> None:
         quick="sample 2 only, three random starts",
         more={
             "--data": {"type": Path, "default": ROOT.parent / "shared" / "anchors" / "sma-react", "metavar": "DIR"},
+            "--originals": {"type": Path, "default": DATA / "nasa-bigelow-nitihf", "metavar": "DIR"},
             "--sample": {"type": int, "choices": sorted(PEERS), "help": "one sample only"},
         },
     )
@@ -215,6 +239,8 @@ def main() -> None:
         rows += estimate_rows(best, f"sample {sample}: ") + stiffness_rows(sample, rig, best, cycles)
         if args.out:
             pictures(sample, best, args.out)
+    if args.sample != 1 and args.originals.is_dir():
+        rows += left_out_rows(args.originals, args.quick)
     finish("sma_react_calibration", rows, args)
 
 
