@@ -9,6 +9,7 @@ from smajax.fit.problem import difference_noise
 LAGS = 25
 _BAND = 2.576  # 99 % of a normal distribution, as in MATLAB's resid
 _WINDOW = 60
+_WINDOWS, _AGREE = 6, 1.35
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,9 +61,10 @@ def noise(residual: np.ndarray, inputs: dict[str, np.ndarray]) -> tuple[float, s
     fit = np.column_stack([np.ones_like(x), x, x * x])
     project = np.eye(_WINDOW) - fit @ np.linalg.pinv(fit)
     windows = [residual[k : k + _WINDOW] for k in range(0, len(residual) - _WINDOW + 1, _WINDOW) if still[k : k + _WINDOW].all()]
-    if len(windows) < 4:
+    if len(windows) < _WINDOWS:
         return fast, "residual differences"
     spreads = [np.sqrt(np.sum((project @ w) ** 2) / (_WINDOW - 3)) for w in windows]
-    rest = float(np.quantile(spreads, 0.25))
-    # A parabola follows a decay badly, so a stretch that has not come to rest would pass for noise: more than double is not believed.
-    return (rest, "rest") if 1.1 * fast < rest < 2.0 * fast else (fast, "residual differences")
+    rest, louder = (float(q) for q in np.quantile(spreads, [0.25, 0.75]))
+    # A parabola follows a decay badly, so a stretch that has not come to rest would pass for noise: more than double is not believed, nor
+    # are stretches that do not agree, as noise alone would.
+    return (rest, "rest") if 1.1 * fast < rest < 2.0 * fast and louder < _AGREE * rest else (fast, "residual differences")

@@ -127,13 +127,20 @@ class Tracer:
         """Share of a fit's residual that can live in each stage."""
         return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
 
-    def expected(self, refit: Refit, k: int) -> float:
-        """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on part ``k``: at least 1."""
+    def expected(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
+        """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on part ``k``: at least 1.
+
+        ``fitted`` are the parts that the parameters were fitted to.
+        """
         bench, free = self.bench, self.free(refit)
-        known = np.column_stack([bench.flat(c) for c in refit.jacobian[:, free].T])
-        _, jacobian = bench.evaluate(refit.hypothesis, refit.base, k, bench.moved(refit.hypothesis))
         foreign = (np.arange(len(free)) >= bench.shared) & (np.arange(len(free)) < bench.size)  # another recording's own parameters
-        asked = np.column_stack([bench.flat(c, k) for c in np.where(foreign, 0.0, jacobian)[:, free].T])
+
+        def columns(part: int) -> np.ndarray:
+            _, jacobian = bench.evaluate(refit.hypothesis, refit.base, part, bench.moved(refit.hypothesis))
+            jacobian = np.where(foreign, 0.0, jacobian) if part else jacobian
+            return np.column_stack([bench.flat(c, part) for c in jacobian[:, free].T])
+
+        known, asked = np.concatenate([columns(part) for part in fitted]), columns(k)
         return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
 
     def race(self, extensions: Sequence[Extension], also: Collection[str] = ()) -> list[Trial]:

@@ -63,7 +63,8 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     last = tracer.joined(story.last.refit) if story.accepted else first
     held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
     select = story.last.select / tracer.expected(story.last.refit, 1)
-    verdict = judge(story, select, held / tracer.expected(story.last.refit, 2))
+    both = (0,) if bench.own else (0, 1)
+    verdict = judge(story, select, held / tracer.expected(last, 2, both))
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
