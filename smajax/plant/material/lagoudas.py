@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions, mix
-from smajax.plant.material.hardening import hardened
+from smajax.plant.material.hardening import hardened, hardening
 
 _NONE = 1e-12  # a fraction that is none
 
@@ -53,24 +53,26 @@ class Lagoudas(AbstractMaterial):
     martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
-        """See ``AbstractMaterial.evolve``: forward, then reverse, each as far as its driving force at the end reaches."""
+        """See ``AbstractMaterial.evolve``: as far as the driving force at the end reaches, forward or reverse."""
         (_, hot), (before, after) = temperature, stress
         entropy, gap = self._calibrated()
         elastic = 0.5 * self._compliance_difference * after**2
-        forward = (1.0 - gap) * after * self.grown_strain(after) + elastic + entropy * (hot - self.forward_start)
-        band = self.martensite_finish - self.martensite_start
         old = fractions.martensite
-        martensite = jnp.maximum(old, hardened(forward * (1.0 / (entropy * band)), self.n1, self.n2))
-        brought = self.grown_strain(0.5 * (before + after)) * (1.0 / self.max_strain) * (martensite - old)
-        detwinned = fractions.detwinned + brought
-        some = jnp.where(martensite > _NONE, martensite, 1.0)
-        taken = self.max_strain * detwinned / some
-        above = hot - self.austenite_finish - self.austenite_shift
-        reverse = (1.0 + gap) * after * taken + elastic + entropy * above
-        band = self.austenite_start - self.austenite_finish
-        kept = jnp.minimum(some, hardened(reverse * (1.0 / (entropy * band)), self.n3, self.n4)) / some
-        kept = jnp.where(martensite > _NONE, kept, 1.0)
-        return Fractions(detwinned * kept, (martensite - detwinned) * kept)
+        some = jnp.where(old > _NONE, old, 1.0)
+        taken = self.max_strain * fractions.detwinned / some
+        forward = (1.0 - gap) * after * self.grown_strain(after) + elastic + entropy * (hot - self.forward_start)
+        reverse = (1.0 + gap) * after * taken + elastic + entropy * (hot - self.austenite_finish - self.austenite_shift)
+        forward = forward * (1.0 / (entropy * (self.martensite_finish - self.martensite_start)))
+        reverse = reverse * (1.0 / (entropy * (self.austenite_start - self.austenite_finish)))
+        # One inverse serves both, since a step goes one way.
+        known = jnp.clip(jax.lax.stop_gradient(old), 0.0, 1.0)
+        grows = forward > hardening(known, self.n1, self.n2)
+        shrinks = ~grows & (reverse < hardening(known, self.n3, self.n4)) & (old > _NONE)
+        reached = hardened(jnp.where(grows, forward, reverse), jnp.where(grows, self.n1, self.n3), jnp.where(grows, self.n2, self.n4))
+        grown = jnp.where(grows, jnp.maximum(reached - old, 0.0), 0.0)
+        brought = self.grown_strain(0.5 * (before + after)) * (1.0 / self.max_strain) * grown
+        kept = jnp.where(shrinks, jnp.minimum(reached, some) / some, 1.0)
+        return Fractions((fractions.detwinned + brought) * kept, (fractions.twinned + grown - brought) * kept)
 
     def grown_strain(self, stress: jax.Array) -> jax.Array:
         """Transformation strain of martensite that grows under a stress, H_cur (Lagoudas et al. 2012 eq. 22)."""
