@@ -1,6 +1,6 @@
 """Puts the tables of experiments into the README: ``python experiments/readme.py FILE.json ...``, files written by experiments with --json.
 
-Of measured recordings only the rows with a target go in.
+Of recordings by others only the rows with a target go in.
 A table goes between ``<!-- NAME -->`` and ``<!-- end -->``, under the command that prints it. Numbers reach the README in no other way.
 """
 
@@ -16,8 +16,8 @@ from _common import ROOT, table
 
 def block(document: dict) -> str:
     """The table of one experiment as Markdown, under its command."""
-    measured = document["experiment"].startswith("measured_")
-    shown = [r for r in document["rows"] if r["met"] is not None or not measured]
+    brief = document["experiment"].startswith(("measured_", "sma_react"))
+    shown = [r for r in document["rows"] if r["met"] is not None or not brief]
     words = document.get("words", "") + (" --quick" if document["quick"] else "")
     command = f"`python experiments/{document['experiment']}.py{words}`"
     rows = [(r["what"], r["target"], r["measured"], {True: "yes", False: "no", None: "-"}[r["met"]]) for r in shown]
