@@ -179,10 +179,10 @@ def compare(
 ) -> None:
     """Fit several models to one recording and say which predicts another one best: material laws, hysteresis operators, black boxes."""
     with _progress(quiet) as progress:
-        from smajax.jobs.compare import USUAL, CompareJob, run_compare
+        from smajax.jobs.compare import MODELS, CompareJob, run_compare
         from smajax.report.comparison import text
 
-        wanted = [word.strip() for word in models.split(",") if word.strip()] if models else list(USUAL)
+        wanted = [word.strip() for word in models.split(",") if word.strip()] if models else list(MODELS)
         outcome = run_compare(CompareJob(rig, train, holdout, wanted, out, seed, drop_bad_rows), progress, _argv())
     _finish(outcome, "compare.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 

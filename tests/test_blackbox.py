@@ -11,7 +11,7 @@ from smajax.blackbox.narx import Narx
 from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
 from smajax.errors import InputError
-from smajax.fit.families import bouc_wen, hammerstein_wiener, narx, prandtl_ishlinskii, transfer_function
+from smajax.fit.families import bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
 from smajax.fit.operators import Series, fit_operator
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.simulate import respond
@@ -84,6 +84,7 @@ def planted(family) -> dict:
     return {
         "transfer-function": lambda u: scipy.signal.lsim(([3.0], DENOMINATORS["two-poles"]), u - u[0], TIME, interp=False)[1],
         "hammerstein-wiener": lambda u: np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]),
+        "heating-cooling": lambda u: np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]),
         "narx": lambda u: np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]),
         "bouc-wen": lambda u: original(SEVEN, u),
     }[family]
@@ -95,6 +96,7 @@ def planted(family) -> dict:
         ("transfer-function", lambda s: transfer_function(s, "two-poles"), 99.0),
         ("hammerstein-wiener", hammerstein_wiener, 95.0),
         ("narx", lambda s: narx(s, hidden=5), 90.0),
+        ("heating-cooling", lambda s: heating_cooling(s, hidden=5), 80.0),
         ("bouc-wen", bouc_wen, 99.0),
     ],
 )
@@ -152,15 +154,17 @@ def test_open_and_closed_loop_of_a_network():
 
 
 def test_heating_and_cooling_take_turns():
-    law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05)))
+    law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05, 0.1)))
     u = np.r_[np.full(100, 0.8), np.zeros(100), np.full(100, 0.6), np.zeros(100)]
     y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u)))
     heated = np.asarray(respond(network(), jnp.asarray(TIME[:100]), jnp.asarray(u[:100])))
     np.testing.assert_allclose(y[:100], heated, atol=1e-12)
-    since = TIME[100:200] - TIME[100] + 0.1 - 0.1
+    since = TIME[101:201] - TIME[100]  # the input is held, so the wire cools from the row after
     away = y[100] - 0.1
-    np.testing.assert_allclose(y[100:200], 0.1 + away * (0.7 * np.exp(-since / 0.5) + 0.3 * np.exp(-since / 4.0)), rtol=0.2)
-    assert abs(y[200] - y[199]) < 0.2 and np.all(np.isfinite(y))
+    np.testing.assert_allclose(y[101:201], 0.1 + away * (0.7 * np.exp(-since / 0.5) + 0.3 * np.exp(-since / 4.0)), rtol=1e-9)
+    assert abs(y[201] - y[200]) < 0.2 and np.all(np.isfinite(y))
+    told = np.asarray(law.ahead(jnp.asarray(u), jnp.asarray(y), jnp.asarray(1000)))
+    np.testing.assert_allclose(told, y, atol=1e-12)  # never told, it says what it says by itself
 
 
 def test_uneven_rows_are_refused():

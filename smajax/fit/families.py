@@ -161,14 +161,30 @@ def narx(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
     return Family("narx", _narx, *map(_arrays, _network(series, hidden, order)), even=True, by_reverse=True)
 
 
+def _switched(parameters: dict) -> Switched:
+    return Switched(Narx(**parameters["heating"]), **{k: v for k, v in parameters.items() if k != "heating"})
+
+
+def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
+    """A network while the input is above a twentieth of its range, two exponentials while it is not."""
+    low, span, bottom, swing = _ranges(series)
+    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
+    network = _network(series, hidden, order)
+    known = {"off": low + 0.05 * span, "step": step}
+    ends = (
+        {"share": 0.0, "fast": step, "slow": 2 * step, "rest": bottom - 0.3 * swing},
+        {"share": 1.0, "fast": 0.2 * duration, "slow": duration, "rest": bottom + 0.3 * swing},
+        {"share": 0.6, "fast": duration / 100, "slow": duration / 20, "rest": bottom},
+    )
+    sides = ({"heating": side} | end | known for side, end in zip(network, ends, strict=True))
+    return Family("heating-cooling", _switched, *map(_arrays, sides), even=True, by_reverse=True)
+
+
 FAMILIES: Mapping[str, Callable[[Sequence[Series]], Family]] = {
     "bouc-wen": bouc_wen,
     "prandtl-ishlinskii": prandtl_ishlinskii,
     "hammerstein-wiener": hammerstein_wiener,
     "narx": narx,
+    "heating-cooling": heating_cooling,
     **{f"transfer-function-{s}": (lambda series, s=s: transfer_function(series, s)) for s in STRUCTURES},
 }
-
-
-def _switched(parameters: dict) -> Switched:
-    return Switched(Narx(**parameters["heating"]), **{k: parameters[k] for k in ("share", "fast", "slow", "rest", "off")})

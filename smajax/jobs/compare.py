@@ -34,7 +34,6 @@ from smajax.simulate import Code
 
 TRANSFER = tuple(name for name in FAMILIES if name.startswith("transfer-function-"))
 MODELS = (*MATERIALS, *FAMILIES)
-USUAL = ("brinson", "lagoudas", "tanaka", "liang-rogers", "bouc-wen", "prandtl-ishlinskii", "hammerstein-wiener", "narx", *TRANSFER)
 # Start values of what one law has and another may not; those of the first set are fitted, too.
 _OWN = {
     "lagoudas": ({"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}, {}),
