@@ -2,7 +2,7 @@
 
     python experiments/hip_estimator.py [--data DIR] [--quick] [--json FILE] [--out DIR]
 
-The estimator predicts the wire's excess temperature from its electrical power, dT/dt = a_1 P + a_2 sgn(T) |T|^n (the paper's eq. 3-4, where
+The estimator predicts the wire's excess temperature from its electrical power, dT/dt = a_1 P + a_2 sgn(T) |T|^n (where
 n is 1, 2 or 3; with a third term, a_1 P + a_2 T + a_3 T^3, it nests n = 1 and 3). The paper solves for the coefficients by linear least
 squares on differences of the measured temperature; here they are also fitted to the simulated temperature itself, which is what the
 estimator is used for. Scored is the simulated temperature on a held-out recording: of two reference rigs (tests/reference, whose h(T) and

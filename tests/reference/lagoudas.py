@@ -60,7 +60,7 @@ def current_strain(law: Law, stress: float) -> float:
 
 
 def energy(law: Law) -> Energy:
-    """The constants from what a user gives (their section 3.3); the slope of H_cur by a central difference."""
+    """The constants from what a user gives; the slope of H_cur by a central difference."""
     at, warm, cold = law.calibration_stress, law.clausius_clapeyron_austenite, law.clausius_clapeyron_martensite
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     slope = (current_strain(law, at + 10.0) - current_strain(law, at - 10.0)) / 20.0 if at > 10.0 else 0.0

@@ -1,4 +1,4 @@
-"""What every constitutive law answers.
+"""What every constitutive law has and answers.
 
 A law is written in increments: given the state at the start of a step and temperature and stress at both ends, it gives the state at the
 end. Stress is the argument and strain the answer, so that a wire under a known load needs no solving, and the mechanism's balance is a
@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+
+from smajax.parameters import parameter
 
 
 class Fractions(NamedTuple):
@@ -25,7 +28,26 @@ class Fractions(NamedTuple):
 
 
 class AbstractMaterial(eqx.Module):
-    """Base class of the constitutive laws (temperatures in degC)."""
+    """Base class of the constitutive laws (temperatures in degC): the parameters that all of them have, and what follows from these alone.
+
+    A law of its own says how the fractions ``evolve``, which strain grows under a stress, and how the phases share the modulus.
+    """
+
+    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
+    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
+    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
+    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
+    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
+    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
+    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
+    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
+    max_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
+    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
+    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
+    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
+    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
+    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
+    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """The fractions after a step in which temperature and stress go from the first to the second of each pair, monotonically."""
@@ -38,27 +60,29 @@ class AbstractMaterial(eqx.Module):
     @property
     def forward_start(self) -> jax.Array:
         """Temperature at which the forward transformation starts at zero stress, degC."""
-        raise NotImplementedError
+        return self.martensite_start + self.martensite_shift
 
     def strain_of(self, fractions: Fractions) -> jax.Array:
-        """Transformation strain of the fractions alone."""
-        raise NotImplementedError
+        """Transformation strain of the fractions alone: eps_L xi_s."""
+        return self.max_strain * fractions.detwinned
 
     def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
-        """Total strain at a stress; thermal strain is counted from the temperature ``reference``."""
-        raise NotImplementedError
+        """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi_s + alpha(xi) (T - reference)."""
+        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
+        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
 
     def modulus(self, fractions: Fractions) -> jax.Array:
         """Young's modulus in Pa."""
         raise NotImplementedError
 
     def resistivity(self, fractions: Fractions) -> jax.Array:
-        """Electrical resistivity in Ohm m."""
-        raise NotImplementedError
+        """Electrical resistivity, linear in the martensite fraction, Ohm m."""
+        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
 
     def installed(self, strain: jax.Array) -> Fractions:
         """The fractions of a cold, stress-free wire that was drawn out to ``strain``: detwinned as far as needed, the rest twinned."""
-        raise NotImplementedError
+        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
+        return Fractions(detwinned, 1.0 - detwinned)
 
 
 def mix(martensite: jax.Array, austenite_value: jax.Array, martensite_value: jax.Array) -> jax.Array:

@@ -17,6 +17,7 @@ finish.
 """
 
 import math
+from dataclasses import KW_ONLY
 from functools import partial
 
 import equinox as eqx
@@ -76,23 +77,9 @@ class Brinson(AbstractMaterial):
     Source: Brinson 1993 eq. 1, 14-16; Chung, Heo, Lee 2007 for the twinned branch below M_s.
     """
 
-    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
-    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
-    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
-    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
-    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
-    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
-    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
-    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
+    _: KW_ONLY
     detwinning_start_stress: jax.Array = parameter("Pa", "stress at which detwinning starts at or below M_s", 0.0, 1e9)
     detwinning_finish_stress: jax.Array = parameter("Pa", "stress at which detwinning is complete at or below M_s", 0.0, 2e9)
-    max_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
-    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
-    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
-    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
-    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
-    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
-    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
     smoothing: float = eqx.field(static=True, default=1e-9)
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
@@ -123,29 +110,6 @@ class Brinson(AbstractMaterial):
         """See ``AbstractMaterial.grown_strain``: eps_L, since what grows under a load is detwinned by it."""
         return jnp.broadcast_to(self.max_strain, jnp.shape(stress))
 
-    @property
-    def forward_start(self) -> jax.Array:
-        """See ``AbstractMaterial.forward_start``."""
-        return self.martensite_start + self.martensite_shift
-
-    def strain_of(self, fractions: Fractions) -> jax.Array:
-        """See ``AbstractMaterial.strain_of``: eps_L xi_s."""
-        return self.max_strain * fractions.detwinned
-
-    def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
-        """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi_s + alpha(xi) (T - reference)."""
-        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
-        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
-
     def modulus(self, fractions: Fractions) -> jax.Array:
         """Young's modulus, linear in the martensite fraction (Brinson 1993 eq. 8), Pa."""
         return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
-
-    def resistivity(self, fractions: Fractions) -> jax.Array:
-        """Resistivity, linear in the martensite fraction, Ohm m."""
-        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
-
-    def installed(self, strain: jax.Array) -> Fractions:
-        """See ``AbstractMaterial.installed``: xi_s = strain / eps_L, clipped to 0..1."""
-        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
-        return Fractions(detwinned, 1.0 - detwinned)

@@ -1,7 +1,7 @@
 """Lagoudas' law in one dimension: thermodynamic driving forces with smooth hardening.
 
 Martensite grows while the forward driving force meets its threshold and shrinks while the reverse one does (Lagoudas, Hartl, Chemisky,
-Machado, Popov 2012). In one dimension, calibrated to transformation temperatures and slopes (their section 3.3), the two conditions are
+Machado, Popov 2012). In one dimension, calibrated to transformation temperatures and slopes, the two conditions are
 
     forward   h(xi; n1, n2) = [ (1 - D) sigma H(sigma) + dS sigma^2 / 2 + ds (T - M_s) ] / ( ds (M_f - M_s) )
     reverse   h(xi; n3, n4) = [ (1 + D) sigma L        + dS sigma^2 / 2 + ds (T - A_f) ] / ( ds (A_s - A_f) )
@@ -12,7 +12,7 @@ state is the fraction and the transformation strain; it needs no memory of rever
 
 The state is kept as fractions: eps_t = H_sat xi_s defines the detwinned share. Exponents of 1, H_min = H_sat and a calibration at no stress
 give the law of Boyd and Lagoudas (1996) with linear hardening. The expansions of the phases may differ in the strain; in the driving forces
-their difference, less than a hundredth of the entropy's part, is left out.
+their difference, small beside the entropy's part, is left out.
 """
 
 import jax
@@ -28,16 +28,7 @@ _NONE = 1e-12  # a fraction that is none
 class Lagoudas(AbstractMaterial):
     """Lagoudas' law with smooth hardening and a transformation strain that grows with the stress (see the module's text)."""
 
-    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
-    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
-    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
-    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
-    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
-    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
-    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
-    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
-    max_strain: jax.Array = parameter("1", "transformation strain that high stress makes, H_sat", 1e-4, 0.12)
-    min_strain_share: jax.Array = parameter("1", "share of it that low stress makes, H_min / H_sat", 0.0, 1.0, 1.0)
+    min_strain_share: jax.Array = parameter("1", "share of the largest strain that low stress makes, H_min / H_sat", 0.0, 1.0, 1.0)
     strain_saturation: jax.Array = parameter("1/Pa", "how fast transformation strain saturates with stress, k", 0.0, 1e-5, 1e-8)
     critical_stress: jax.Array = parameter("Pa", "stress above which transformation strain grows", 0.0, 1e9, 0.0)
     calibration_stress: jax.Array = parameter("Pa", "stress at which C_A and C_M are the slopes of the transformation lines", 0.0, 2e9, 0.0)
@@ -45,12 +36,6 @@ class Lagoudas(AbstractMaterial):
     n2: jax.Array = parameter("1", "exponent of hardening at the forward finish", 0.01, 1.0, 1.0)
     n3: jax.Array = parameter("1", "exponent of hardening at the reverse finish", 0.01, 1.0, 1.0)
     n4: jax.Array = parameter("1", "exponent of hardening at the reverse start", 0.01, 1.0, 1.0)
-    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
-    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
-    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
-    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
-    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
-    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """See ``AbstractMaterial.evolve``: as far as the driving force at the end reaches, forward or reverse."""
@@ -75,12 +60,12 @@ class Lagoudas(AbstractMaterial):
         return Fractions((fractions.detwinned + brought) * kept, (fractions.twinned + grown - brought) * kept)
 
     def grown_strain(self, stress: jax.Array) -> jax.Array:
-        """Transformation strain of martensite that grows under a stress, H_cur (Lagoudas et al. 2012 eq. 22)."""
+        """Transformation strain of martensite that grows under a stress, H_cur."""
         above = jnp.maximum(stress - self.critical_stress, 0.0)
         return self.max_strain * (1.0 - (1.0 - self.min_strain_share) * jnp.exp(-self.strain_saturation * above))
 
     def _calibrated(self) -> tuple[jax.Array, jax.Array]:
-        """Entropy difference per volume (Pa/K, negative) and the share D by which the threshold follows the stress (ibid. section 3.3)."""
+        """Entropy difference per volume (Pa/K, negative) and the share D by which the threshold follows the stress."""
         at, warm, cold = self.calibration_stress, self.clausius_clapeyron_austenite, self.clausius_clapeyron_martensite
         strain, slope = jax.jvp(self.grown_strain, (at,), (jnp.ones_like(at),))
         work = strain + at * slope
@@ -91,29 +76,6 @@ class Lagoudas(AbstractMaterial):
     def _compliance_difference(self) -> jax.Array:
         return 1.0 / self.modulus_martensite - 1.0 / self.modulus_austenite
 
-    @property
-    def forward_start(self) -> jax.Array:
-        """See ``AbstractMaterial.forward_start``."""
-        return self.martensite_start + self.martensite_shift
-
-    def strain_of(self, fractions: Fractions) -> jax.Array:
-        """See ``AbstractMaterial.strain_of``: eps_t."""
-        return self.max_strain * fractions.detwinned
-
-    def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
-        """Elastic, transformation and thermal strain: S(xi) sigma + eps_t + alpha(xi) (T - reference)."""
-        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
-        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
-
     def modulus(self, fractions: Fractions) -> jax.Array:
-        """Young's modulus, its reciprocal linear in the martensite fraction (Lagoudas et al. 2012 eq. 3), Pa."""
+        """Young's modulus, its reciprocal linear in the martensite fraction, Pa."""
         return 1.0 / mix(fractions.martensite, 1.0 / self.modulus_austenite, 1.0 / self.modulus_martensite)
-
-    def resistivity(self, fractions: Fractions) -> jax.Array:
-        """Resistivity, linear in the martensite fraction, Ohm m."""
-        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
-
-    def installed(self, strain: jax.Array) -> Fractions:
-        """See ``AbstractMaterial.installed``: xi_s = strain / H_sat, clipped to 0..1."""
-        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
-        return Fractions(detwinned, 1.0 - detwinned)

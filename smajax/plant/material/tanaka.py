@@ -14,7 +14,6 @@ import math
 import jax
 import jax.numpy as jnp
 
-from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 from smajax.plant.material.brinson import remaining
 
@@ -24,22 +23,6 @@ _SMOOTHING = 1e-9
 
 class AbstractOneFraction(AbstractMaterial):
     """A law in which martensite is of one kind; ``left`` says what remains to transform."""
-
-    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
-    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
-    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
-    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
-    clausius_clapeyron_austenite: jax.Array = parameter("Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7)
-    clausius_clapeyron_martensite: jax.Array = parameter("Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7)
-    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
-    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
-    max_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
-    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
-    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
-    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
-    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
-    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
-    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
 
     def left(self, start: jax.Array, end: jax.Array) -> jax.Array:
         """Share of what there is to transform that a step leaves, from progress ``start`` to a larger one ``end``."""
@@ -64,32 +47,9 @@ class AbstractOneFraction(AbstractMaterial):
         """See ``AbstractMaterial.grown_strain``: eps_L."""
         return jnp.broadcast_to(self.max_strain, jnp.shape(stress))
 
-    @property
-    def forward_start(self) -> jax.Array:
-        """See ``AbstractMaterial.forward_start``."""
-        return self.martensite_start + self.martensite_shift
-
-    def strain_of(self, fractions: Fractions) -> jax.Array:
-        """See ``AbstractMaterial.strain_of``: eps_L xi."""
-        return self.max_strain * fractions.detwinned
-
-    def strain(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array, reference: jax.Array) -> jax.Array:
-        """Elastic, transformation and thermal strain: sigma / E(xi) + eps_L xi + alpha(xi) (T - reference)."""
-        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
-        return stress / self.modulus(fractions) + self.strain_of(fractions) + expansion * (temperature - reference)
-
     def modulus(self, fractions: Fractions) -> jax.Array:
         """Young's modulus, linear in the martensite fraction, Pa."""
         return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
-
-    def resistivity(self, fractions: Fractions) -> jax.Array:
-        """Resistivity, linear in the martensite fraction, Ohm m."""
-        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
-
-    def installed(self, strain: jax.Array) -> Fractions:
-        """See ``AbstractMaterial.installed``; what is not drawn out is martensite without strain, which only ever shrinks."""
-        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
-        return Fractions(detwinned, 1.0 - detwinned)
 
 
 class Tanaka(AbstractOneFraction):
