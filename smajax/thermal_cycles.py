@@ -12,6 +12,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import find_peaks
 
 from smajax.errors import InputError
 
@@ -48,34 +50,18 @@ class Cycle:
 
     number: int
     rows: tuple[int, int]
-    stress: float | None
     values: dict[str, Value]
 
 
-def smoothed(values: np.ndarray, rows: int) -> np.ndarray:
-    """Running median over an odd number of rows; the ends are held."""
-    if rows < 3:
-        return values
-    half = rows // 2
-    padded = np.pad(values, half, mode="edge")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
-
-
 def turns(temperature: np.ndarray) -> list[int]:
-    """Rows at which the temperature turns, hottest and coldest by turns, the first and last row of the recording among them."""
+    """Rows at which the temperature turns, hottest and coldest by turns; the recording's ends, where it comes from or goes to, count."""
     enough = _TURN * float(np.ptp(temperature))
-    found, extreme, going = [0], 0, 0
-    for k, value in enumerate(temperature):
-        if (going >= 0 and value > temperature[extreme]) or (going <= 0 and value < temperature[extreme]):
-            if going == 0 and abs(value - temperature[0]) > enough:
-                going = 1 if value > temperature[0] else -1
-            if going:
-                extreme = k
-        elif going and abs(value - temperature[extreme]) > enough:
-            found.append(extreme)
-            going, extreme = -going, k
-    found.append(extreme if going else len(temperature) - 1)
-    return list(dict.fromkeys(found))
+    found = []
+    for sign in (1.0, -1.0):
+        framed = np.pad(sign * temperature, 1, constant_values=-np.inf)
+        found += [(int(k) - 1, sign) for k in find_peaks(framed, prominence=enough)[0]]
+    # Rows that are exactly as hot as each other with a dip between them are one turn.
+    return [next(same)[0] for _, same in itertools.groupby(sorted(found), key=lambda turn: turn[1])]
 
 
 def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -83,7 +69,7 @@ def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple
 
     Raises ``InputError`` if the rows are not in the order in which they were recorded, or hold no cycle.
     """
-    smooth_t = smoothed(temperature, smooth)
+    smooth_t = median_filter(temperature, smooth, mode="nearest")
     reach = float(np.ptp(smooth_t))
     if reach < 5.0:
         raise InputError(f"{name}: the temperature moves by {reach:.3g} K: these are no thermal cycles")
@@ -112,26 +98,24 @@ def analyse(
     name: str,
     temperature: np.ndarray,
     strain: np.ndarray,
-    stress: np.ndarray | None = None,
     *,
     smooth: int = 1,
     seed: int = 0,
 ) -> tuple[list[Cycle], list[str]]:
-    """The properties of every cycle of a recording (arrays ``(n,)``: degC, fraction, Pa), and a sentence for each that cannot be read.
+    """The properties of every cycle of a recording (arrays ``(n,)``: degC, fraction), and a sentence for each that cannot be read.
 
     Raises ``InputError`` if there is no cycle at all.
     """
     found, refused = [], []
-    warm = smoothed(temperature, smooth)
+    warm = median_filter(temperature, smooth, mode="nearest")
     for number, (cooling, heating) in enumerate(cycles(name, temperature, smooth=smooth), 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
-        level = None if stress is None else float(np.mean(stress[rows[0] : rows[1] + 1]))
         try:
             values = _properties(warm, strain, cooling, heating, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
             continue
-        found.append(Cycle(number, rows, level, values))
+        found.append(Cycle(number, rows, values))
     return found, refused
 
 

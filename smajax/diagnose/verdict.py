@@ -62,9 +62,8 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     first = tracer.joined(story.first.refit)
     last = tracer.joined(story.last.refit) if story.accepted else first
     held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
-    select = story.last.select / tracer.expected(story.last.refit, 1)
     both = (0,) if bench.own else (0, 1)
-    verdict = judge(story, select, held / tracer.expected(last, 2, both))
+    verdict = judge(story, held, (tracer.expected(story.last.refit, 1), tracer.expected(last, 2, both)))
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
@@ -84,13 +83,14 @@ def take_back(story: Story) -> None:
         story.equivalent, story.last = {}, story.first
 
 
-def judge(story: Story, select: float, held: float) -> str:
+def judge(story: Story, held: float, expected: tuple[float, float]) -> str:
     """The verdict's word.
 
-    ``select`` and ``held`` are the last fit's mean squares on the selection and the holdout part over those that noise and the parameters'
-    own uncertainty would leave: what is named has to predict both.
+    ``held`` is the last fit's mean square on the holdout; ``expected`` are those that noise and the parameters' own uncertainty would leave
+    on the selection part and on the holdout: what is named has to predict both as well as that.
     """
     last = story.last
+    select, held = last.select / expected[0], held / expected[1]
     if not story.accepted:
         missing = last.train > max(story.limit, 1.1) or select > _NOISY or held > _NOISY**2
         return "unresolved" if missing else "nothing-missing"

@@ -78,7 +78,7 @@ def _read(path: Path, smooth: int | None) -> Read:
     warm = one.channels["temperature"]
     rows = smooth if smooth is not None else _ROWS if difference_noise(warm) > _NOISY else 1
     try:
-        found, refused = analyse(one.name, warm, one.channels["strain"], one.channels.get("stress"), smooth=rows)
+        found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
     except InputError as error:
         return Read(one, rows, [], [str(error)])
     return Read(one, rows, found, refused)
