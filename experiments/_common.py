@@ -29,7 +29,8 @@ prepare_jax()
 
 from smajax import parameters  # noqa: E402
 from smajax.fit.fit import Fit, fit  # noqa: E402
-from smajax.fit.problem import build  # noqa: E402
+from smajax.fit.problem import Problem, build  # noqa: E402
+from smajax.plant.plant import Plant  # noqa: E402
 from smajax.recording import Recording  # noqa: E402
 from smajax.rig import Rig, read_rig  # noqa: E402
 
@@ -80,20 +81,21 @@ def shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
     return rig, rig.read(folder / f"{part}.csv")
 
 
+def drawn(plant: Plant, problem: Problem, box: tuple[np.ndarray, np.ndarray], seed: int) -> Plant:
+    """The plant with the shared parameters drawn uniformly between the ends of a box of the problem's vector."""
+    found = np.random.default_rng(1000 + seed).uniform(*box) * np.array([u.scale for u in problem.unknowns])
+    return parameters.replace(plant, {name: found[i] for i, name in enumerate(problem.shared)})
+
+
 def from_elsewhere(rig: Rig, recordings: Sequence[Recording], settings: Any, times: int, **options: Any) -> list[Fit]:
     """Fits from ``times`` points drawn over the search box, each with as many starts as ``settings`` has; the best fit first.
 
     The shared parameters are drawn, so that no fit but the first knows the rig file's values.
     """
     problem = build(rig.plant, recordings, settings, interpolation=rig.interpolation, step=options.get("step"))
-    lower, upper = problem.search_box()
-    scales = np.array([u.scale for u in problem.unknowns])
     fits = []
     for k in range(times):
-        plant, rng = rig.plant, np.random.default_rng(1000 + k)
-        if k:
-            drawn = rng.uniform(lower, upper) * scales
-            plant = parameters.replace(plant, {name: drawn[i] for i, name in enumerate(problem.shared)})
+        plant = drawn(rig.plant, problem, problem.search_box(), k) if k else rig.plant
         fits.append(fit(plant, recordings, replace(settings, seed=k), interpolation=rig.interpolation, **options))
         say(f"from start point {k + 1} of {times}: cost {fits[-1].cost:.6g}")
     return sorted(fits, key=lambda f: f.cost)

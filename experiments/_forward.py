@@ -16,8 +16,8 @@ import numpy as np
 from _common import Row, from_elsewhere, say
 
 from smajax import parameters
-from smajax.diagnose.bench import Part
 from smajax.diagnose.effects import catalogue
+from smajax.diagnose.part import Part
 from smajax.errors import NumericsError
 from smajax.fit.fit import Fit, fit, respond
 from smajax.parameters import declarations

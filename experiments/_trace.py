@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from _common import Row
 
-from smajax.diagnose.bench import Bench, Part
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.diagnose.part import Part
 from smajax.diagnose.trace import Story, trace
 from smajax.rig import Rig
 

@@ -2,8 +2,8 @@
 
     python experiments/hip_estimator.py [--data DIR] [--quick] [--json FILE] [--out DIR]
 
-The estimator predicts the wire's excess temperature from its electrical power, dT/dt = a_1 P + a_2 sgn(T) |T|^n (where
-n is 1, 2 or 3; with a third term, a_1 P + a_2 T + a_3 T^3, it nests n = 1 and 3). The paper solves for the coefficients by linear least
+The estimator predicts the wire's excess temperature from its electrical power, dT/dt = a_1 P + a_2 sgn(T) |T|^n (where n
+is 1, 2 or 3; with a third term, a_1 P + a_2 T + a_3 T^3, it nests n = 1 and 3). The paper solves for the coefficients by linear least
 squares on differences of the measured temperature; here they are also fitted to the simulated temperature itself, which is what the
 estimator is used for. Scored is the simulated temperature on a held-out recording: of two reference rigs (tests/reference, whose h(T) and
 phase-dependent resistance the estimator does not know), with 0.4 K of noise, and of a soft arm measured by others (DIR), whose thermocouple
@@ -135,6 +135,8 @@ def main() -> None:
     cases = {f"reference, {name}": reference_logs(name) for name in (("dead-weight",) if args.quick else ("dead-weight", "bias-spring"))}
     if not args.quick and (args.data.is_dir() or args.data != DATA / "bu-softlimb"):
         cases |= arm_logs(args.data)
+    elif not args.quick:
+        say(f"{args.data} is not there: the soft arm is left out")
     rows = []
     for name, (train, held) in cases.items():
         scores: dict[str, tuple[float, float]] = {}

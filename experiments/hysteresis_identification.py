@@ -22,7 +22,7 @@ from _figures import Chart, Curve, draw
 
 from smajax.fit import baselines
 from smajax.fit.families import bouc_wen, prandtl_ishlinskii
-from smajax.fit.operators import Family, Series, build_operator, fit_operator
+from smajax.fit.operators import Series, build_operator, fit_operator
 from tests.reference.rig_file import read_rig, simulate
 
 NOISE = 0.02  # mm
@@ -46,16 +46,6 @@ def loop(name: str) -> Series:
     return Series(name, seconds[last] - seconds[last][0], voltage[last], lifted[last] + noise)
 
 
-def searched(family: Family, series: Series, iterations: int, quick: bool) -> dict[str, baselines.Search]:
-    """Gradients, and differential evolution for so many iterations."""
-    problem = build_operator(family, [series], 1.0 / NOISE)
-    budget = iterations * 15 * family.size // (10 if quick else 1)
-    return {
-        "gradient": baselines.gradient(problem, seed=0, starts=STARTS, max_steps=150),
-        "differential evolution": baselines.differential_evolution(problem, seed=0, budget=budget, vectorized=True),
-    }
-
-
 def ends(series: Series, model: np.ndarray) -> float:
     """RMSE where the input is within a tenth of its range from either end."""
     share = (series.input - series.input.min()) / np.ptp(series.input)
@@ -71,10 +61,13 @@ def identification(quick: bool, out: Path | None) -> list[Row]:
         series = loop(name)
         drawn = [Curve("reference with noise", series.input, series.output)]
         for kind, make in MAKERS.items():
+            family = make([series])
+            problem = build_operator(family, [series], 1.0 / NOISE)
+            by_gradient = baselines.gradient(problem, seed=0, starts=STARTS, max_steps=150)
             for iterations in BUDGETS[kind]:
-                family = make([series])
-                problem = build_operator(family, [series], 1.0 / NOISE)
-                found = searched(family, series, iterations, quick)
+                budget = iterations * 15 * family.size // (10 if quick else 1)
+                evolved = baselines.differential_evolution(problem, seed=0, budget=budget, vectorized=True)
+                found = {"gradient": by_gradient, "differential evolution": evolved}
                 told, numbers, curves = [], {}, []
                 for how, one in found.items():
                     rmse = float(np.sqrt(one.cost / len(series.time))) * NOISE
@@ -139,7 +132,10 @@ def main() -> None:
     """Prints the table."""
     args = arguments(__doc__, data="morphing-forc", quick="the saturated loop, a tenth of the budgets, one direction of the curves")
     rows = identification(args.quick, args.out)
-    rows += first_order_curves(args.data, args.quick, args.out) if args.data.is_dir() or args.data != DATA / "morphing-forc" else []
+    if args.data.is_dir() or args.data != DATA / "morphing-forc":
+        rows += first_order_curves(args.data, args.quick, args.out)
+    else:
+        say(f"{args.data} is not there: the first-order curves are left out")
     finish("hysteresis_identification", rows, args)
 
 

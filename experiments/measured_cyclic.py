@@ -28,7 +28,7 @@ from _common import Row, agreement, arguments, estimate_rows, finish, refuse
 from _figures import Chart, Curve, draw
 from _forward import Search, close_loop, path_of, rms, round_rows, scored
 
-from smajax.diagnose.bench import Part
+from smajax.diagnose.part import Part
 from smajax.fit.fit import Fit
 from smajax.recording import Recording
 

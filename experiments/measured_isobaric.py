@@ -22,7 +22,7 @@ from _figures import Chart, Curve, draw
 from _trace import Closed, close_loop, effect_rows
 
 from smajax import parameters
-from smajax.diagnose.bench import Part
+from smajax.diagnose.part import Part
 from smajax.fit.fit import Fit, respond
 from smajax.recording import Recording
 from smajax.rig import parse_rig

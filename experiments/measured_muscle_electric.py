@@ -23,7 +23,7 @@ from _common import DATA, Row, agreement, arguments, estimate_rows, finish, from
 from _figures import Chart, Curve, draw
 from _trace import Closed, close_loop, effect_rows
 
-from smajax.diagnose.bench import Part
+from smajax.diagnose.part import Part
 from smajax.fit.fit import Response, fit, respond
 from smajax.recording import Recording
 from smajax.rig import parse_rig

@@ -80,6 +80,8 @@ RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.
 Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder; an earlier result there is replaced as a whole.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no summary.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
+Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of what is drawn (default: the rig's).")]
+Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")]
 DropBadRows = Annotated[bool, typer.Option("--drop-bad-rows", help="Leave out rows that cannot be read; they are counted in the result.")]
 
 
@@ -104,7 +106,7 @@ def simulate(
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
     as_json: Json = False,
-    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+    open_report: Open = False,
 ) -> None:
     """Simulate a rig under the inputs of a recording."""
     from smajax.report.summary import simulation_text
@@ -123,13 +125,13 @@ def fit(
     out: Out,
     holdout: Annotated[list[Path] | None, typer.Option("--holdout", metavar="H.csv ...", help="Recordings to predict, not fitted.")] = None,
     start: Annotated[Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")] = None,
-    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of the drawn starts (default: the rig's).")] = None,
+    seed: Seed = None,
     starts: Annotated[int | None, typer.Option("--starts", min=1, max=10_000, help="Points to start from (default: the rig's).")] = None,
     profile: Annotated[list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")] = None,
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
     as_json: Json = False,
-    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+    open_report: Open = False,
 ) -> None:
     """Fit a rig's free parameters to recordings, with intervals, and predict others."""
     from smajax.report.summary import text
@@ -149,11 +151,11 @@ def diagnose(
     select: Annotated[Path, typer.Option("--select", metavar="S.csv", help="Another input: what is named must cut its error.")],
     holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, looked at once, at the end.")],
     out: Out,
-    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed (default: the rig's).")] = None,
+    seed: Seed = None,
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
     as_json: Json = False,
-    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+    open_report: Open = False,
 ) -> None:
     """Say what a rig has that its file does not: trace the residual to an effect, add it, and compare before and after."""
     with _progress(quiet) as progress:
@@ -171,11 +173,11 @@ def compare(
     holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
     out: Out,
     models: Annotated[str, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")] = "",
-    seed: Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of the drawn starts (default: the rig's).")] = None,
+    seed: Seed = None,
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
     as_json: Json = False,
-    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = False,
+    open_report: Open = False,
 ) -> None:
     """Fit several models to one recording and say which predicts another one best: material laws, hysteresis operators, black boxes."""
     with _progress(quiet) as progress:
@@ -207,12 +209,11 @@ def properties(
     as_json: Json = False,
 ) -> None:
     """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
-    import json
-
     from smajax.jobs.properties import PropertiesJob, run_properties, text
+    from smajax.report.document import to_json
 
     document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value))
-    typer.echo(json.dumps(document, indent=1) if as_json else text(document))
+    typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')
 
@@ -220,7 +221,7 @@ def properties(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),
-    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")] = True,
+    open_report: Open = True,
     quiet: Quiet = False,
 ) -> None:
     """Find out what a shipped rig has that its file does not know: fit, trace, add, compare before and after, and open the report."""

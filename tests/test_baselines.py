@@ -85,7 +85,7 @@ def bowl(monkeypatch):
         seen.append(np.asarray(vectors))
         return np.sum((np.asarray(vectors) - [1.3, 0.8]) ** 2, axis=1)
 
-    monkeypatch.setattr(baselines, "_costs", costs)
+    monkeypatch.setattr(baselines, "costs", costs)
     return seen
 
 
@@ -113,7 +113,7 @@ def test_gradient_finds_the_truth_with_far_fewer_simulations(problem):
 
 def test_gradient_counts_starts_and_recordings(two_recordings, monkeypatch):
     padded = jnp.zeros(two_recordings.size - 2)
-    monkeypatch.setattr(baselines, "_residual", lambda vector, problem: jnp.append(vector - jnp.asarray([1.3, 0.8]), padded))
+    monkeypatch.setattr(baselines, "residual", lambda vector, problem: jnp.append(vector - jnp.asarray([1.3, 0.8]), padded))
     monkeypatch.setattr(baselines, "draw_starts", lambda problem, starts, seed: (np.array([[1.0, 1.0], [0.5, 2.0]]), 96))
     found = gradient(two_recordings, seed=1, starts=2, max_steps=4)
     assert found.name == "gradient, 2 starts" and found.cost < 1e-9
@@ -196,12 +196,12 @@ def test_evosax_counts_whole_generations(problem, bowl):
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_costs_that_are_no_numbers_are_counted_and_survived(problem, bowl, monkeypatch, search):
-    whole = baselines._costs
+    whole = baselines.costs
 
     def half(problem, vectors):
         return np.where(np.asarray(vectors)[:, 0] > 1.4, np.nan, whole(problem, vectors))
 
-    monkeypatch.setattr(baselines, "_costs", half)
+    monkeypatch.setattr(baselines, "costs", half)
     found = search(problem, seed=0, budget=900)
     assert 0 < found.failures < found.simulations
     assert found.cost < 0.01 and math.isfinite(found.cost)
@@ -209,7 +209,7 @@ def test_costs_that_are_no_numbers_are_counted_and_survived(problem, bowl, monke
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_nothing_but_failures(problem, bowl, monkeypatch, search):
-    monkeypatch.setattr(baselines, "_costs", lambda problem, vectors: np.full(len(vectors), np.inf))
+    monkeypatch.setattr(baselines, "costs", lambda problem, vectors: np.full(len(vectors), np.inf))
     found = search(problem, seed=0, budget=100)
     assert 0 < found.failures == found.simulations <= 100
     assert found.cost == math.inf and np.array_equal(found.vector, problem.nominal)

@@ -146,7 +146,9 @@ def network() -> Narx:
 def test_open_and_closed_loop_of_a_network():
     law, u = network(), jnp.asarray(INPUT)
     closed = respond(law, jnp.asarray(TIME), u)
-    np.testing.assert_allclose(law.ahead(u, closed, jnp.asarray(1))[2:], closed[2:], atol=1e-12)  # told its own outputs, it says them
+    np.testing.assert_allclose(
+        law.ahead(jnp.asarray(TIME), u, closed, jnp.asarray(1))[2:], closed[2:], atol=1e-12
+    )  # told its own outputs, it says them
     slopes = jax.grad(lambda w: jnp.mean(respond(Narx(w, *jax.tree.leaves(law)[1:]), jnp.asarray(TIME), u) ** 2))(law.hidden)
     step = jnp.zeros((4, 4)).at[1, 2].set(1e-6)
     ends = [float(jnp.mean(respond(Narx(law.hidden + s * step, *jax.tree.leaves(law)[1:]), jnp.asarray(TIME), u) ** 2)) for s in (1, -1)]
@@ -154,7 +156,7 @@ def test_open_and_closed_loop_of_a_network():
 
 
 def test_heating_and_cooling_take_turns():
-    law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05, 0.1)))
+    law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05)))
     u = np.r_[np.full(100, 0.8), np.zeros(100), np.full(100, 0.6), np.zeros(100)]
     y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u)))
     heated = np.asarray(respond(network(), jnp.asarray(TIME[:100]), jnp.asarray(u[:100])))
@@ -163,7 +165,7 @@ def test_heating_and_cooling_take_turns():
     away = y[100] - 0.1
     np.testing.assert_allclose(y[101:201], 0.1 + away * (0.7 * np.exp(-since / 0.5) + 0.3 * np.exp(-since / 4.0)), rtol=1e-9)
     assert abs(y[201] - y[200]) < 0.2 and np.all(np.isfinite(y))
-    told = np.asarray(law.ahead(jnp.asarray(u), jnp.asarray(y), jnp.asarray(1000)))
+    told = np.asarray(law.ahead(jnp.asarray(TIME), jnp.asarray(u), jnp.asarray(y), jnp.asarray(1000)))
     np.testing.assert_allclose(told, y, atol=1e-12)  # never told, it says what it says by itself
 
 

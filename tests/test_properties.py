@@ -90,14 +90,17 @@ def test_what_cannot_be_read_is_said(change, sentence):
     assert not found and sentence in refused[0] and refused[0].startswith("bad.csv")
 
 
-def test_the_command(tmp_path):
+@pytest.mark.parametrize("law", ["brinson", "lagoudas"])
+def test_the_command(tmp_path, law):
     paths = [write(tmp_path / f"{s}.csv", t + s / 7.0, e, float(s)) for s, (t, e) in ((s, made(2)) for s in (50, 150, 300))]
-    done = CliRunner().invoke(app, ["properties", *map(str, paths), "--write-set", str(tmp_path / "set.toml")])
+    done = CliRunner().invoke(app, ["properties", *map(str, paths), "--write-set", str(tmp_path / "set.toml"), "--model", law])
     assert done.exit_code == 0 and "M_s" in done.output and "150.csv: 2 cycles at 150 MPa" in done.output
     rig = tmp_path / "rig.toml"
-    rest = 'modulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\ndetwinning_start_stress = "0 MPa"\ndetwinning_finish_stress = "90 MPa"\n'
-    rig.write_text(f'[rig]\nkind = "path"\n[material]\nset = "set.toml"\n{rest}[fit]\nfree = []\nobserve = ["strain"]\n')
+    rest = 'modulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\n'
+    rest += 'detwinning_start_stress = "0 MPa"\ndetwinning_finish_stress = "90 MPa"\n' if law == "brinson" else ""
+    rig.write_text(f'[rig]\nkind = "path"\n[material]\nset = "set.toml"\n{rest}[fit]\nmodel = "{law}"\nfree = []\nobserve = ["strain"]\n')
     material = read_rig(rig).plant.material
+    assert type(material).__name__.lower() == law
     assert float(material.martensite_start) == pytest.approx(70.0, abs=0.5)
     assert float(material.clausius_clapeyron_martensite) == pytest.approx(7e6, rel=0.02)
     document = json.loads(CliRunner().invoke(app, ["properties", str(paths[0]), "--json"]).output)

@@ -33,7 +33,7 @@ class Narx(AbstractOperator):
     def start(self, first: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See ``AbstractOperator.start``: past outputs and inputs, scaled, newest first, shape ``(n,)`` each."""
         past = jnp.ones_like(self.straight)
-        return past * self._inside(self.rest), past * self._entering(first)
+        return self.told(((), past * self._entering(first)), past * self.rest)
 
     def advance(self, state: tuple, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See ``AbstractOperator.advance``."""
@@ -46,21 +46,14 @@ class Narx(AbstractOperator):
         """See ``AbstractOperator.output``."""
         return self.scale[2] + self.scale[3] * state[0][0]
 
-    def ahead(self, values: jax.Array, measured: jax.Array, every: jax.Array) -> jax.Array:
-        """Outputs, shape ``(n,)``, where the past is set to the measured one every so many rows: 1 is open loop, ``n`` closed loop."""
-        order = len(self.straight)
-        inputs, outputs = self._entering(values), self._inside(measured)
-        rows = jnp.maximum(jnp.arange(len(values))[:, None] - 1 - jnp.arange(order)[None, :], 0)
+    @property
+    def remembered(self) -> int:
+        """See ``AbstractOperator.remembered``."""
+        return len(self.straight)
 
-        def one(past: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
-            number, known, driven = row
-            past = jnp.where(number % every == 0, known, past)
-            new = jnp.clip(self._next(past, driven), -_FAR, _FAR)
-            return jnp.append(new, past[:-1]), new
-
-        first = jnp.arange(len(values)) < order
-        _, found = jax.lax.scan(one, outputs[rows[0]], (jnp.arange(len(values)), outputs[rows], inputs[rows]))
-        return jnp.where(first, measured, self.scale[2] + self.scale[3] * found)
+    def told(self, state: tuple, past: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractOperator.told``."""
+        return (past - self.scale[2]) / self.scale[3], state[1]
 
     def _next(self, outputs: jax.Array, inputs: jax.Array) -> jax.Array:
         seen = jnp.concatenate([outputs, inputs])
@@ -68,6 +61,3 @@ class Narx(AbstractOperator):
 
     def _entering(self, value: jax.Array) -> jax.Array:
         return (value - self.scale[0]) / self.scale[1]
-
-    def _inside(self, value: jax.Array) -> jax.Array:
-        return (value - self.scale[2]) / self.scale[3]

@@ -13,10 +13,7 @@ from smajax.hysteresis.operator import AbstractOperator
 
 
 class Switched(AbstractOperator):
-    """``heating`` network; ``share`` of the recovery with the time constant ``fast`` s, the rest of it with ``slow`` s.
-
-    Rows are ``step`` s apart.
-    """
+    """``heating`` network; ``share`` of the recovery with the time constant ``fast`` s, the rest of it with ``slow`` s."""
 
     heating: Narx
     share: jax.Array
@@ -24,7 +21,6 @@ class Switched(AbstractOperator):
     slow: jax.Array
     rest: jax.Array
     off: jax.Array
-    step: jax.Array
 
     def start(self, first: jax.Array) -> tuple:
         """See ``AbstractOperator.start``: the network's state, the two parts of the recovery, and whether the wire was driven."""
@@ -47,26 +43,16 @@ class Switched(AbstractOperator):
         fast, slow = (jnp.where(drives, part, c) for part, c in zip((fast, slow), cooled, strict=True))
         return network, fast, slow, drives
 
-    def ahead(self, values: jax.Array, measured: jax.Array, every: jax.Array) -> jax.Array:
-        """Outputs, shape ``(n,)``, where the past is set to the measured one every so many rows; see ``Narx.ahead``."""
-        order, count = len(self.heating.straight), len(values)
-        numbers = jnp.arange(1, count)
-        scaled = (measured - self.heating.scale[2]) / self.heating.scale[3]
-        past = scaled[jnp.maximum(numbers[:, None] - 1 - jnp.arange(order)[None, :], 0)]
+    @property
+    def remembered(self) -> int:
+        """See ``AbstractOperator.remembered``."""
+        return self.heating.remembered
 
-        def one(state: tuple, row: tuple) -> tuple[tuple, jax.Array]:
-            number, known, last, before, after, step = row
-            (outputs, inputs), fast, slow, driven = state
-            told = number % every == 0
-            away = last - self.rest
-            fast, slow = jnp.where(told, self.share * away, fast), jnp.where(told, (1.0 - self.share) * away, slow)
-            state = self.advance(((jnp.where(told, known, outputs), inputs), fast, slow, driven), before, after, step)
-            return state, self.output(state, after)
-
-        start = self.start(values[0])
-        rows = (numbers, past, measured[:-1], values[:-1], values[1:], jnp.broadcast_to(self.step, (count - 1,)))
-        _, found = jax.lax.scan(one, start, rows)
-        return jnp.append(measured[:1], found)
+    def told(self, state: tuple, past: jax.Array) -> tuple:
+        """See ``AbstractOperator.told``: the recovery, too, goes on from there."""
+        network, _, _, driven = state
+        away = past[0] - self.rest
+        return self.heating.told(network, past), self.share * away, (1.0 - self.share) * away, driven
 
     def output(self, state: tuple, value: jax.Array) -> jax.Array:
         """See ``AbstractOperator.output``."""

@@ -10,7 +10,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from smajax import parameters, simulate
 from smajax.diagnose import freeform, score
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Form, Hypothesis, Refit
+from smajax.diagnose.part import Part
 from smajax.errors import InputError
 from smajax.fit import least_squares
 from smajax.fit.least_squares import Stop
@@ -32,26 +33,6 @@ from smajax.recording import Recording
 
 SLOTS = 6
 _MULTIPLE = 512
-
-
-class Part(NamedTuple):
-    """Recordings that serve one purpose: training, selection or holdout.
-
-    ``scored`` says which rows of each count (boolean arrays; default: all). Where every recording has parameters of its own, those of a
-    recording that nothing else is fitted to are set on its rows ``anchor`` (default: those that count).
-    """
-
-    recordings: tuple[Recording, ...]
-    scored: tuple[np.ndarray, ...] = ()
-    anchor: tuple[np.ndarray, ...] = ()
-
-    def rows(self) -> list[np.ndarray]:
-        """Numbers of the rows of each recording that count."""
-        return [np.flatnonzero(mask) for mask in self.scored or (np.ones(len(r), bool) for r in self.recordings)]
-
-    def anchor_rows(self) -> list[np.ndarray]:
-        """Numbers of the rows of each recording on which its own parameters are set."""
-        return [np.flatnonzero(mask) for mask in self.anchor] or self.rows()
 
 
 class Model(eqx.Module):
@@ -78,11 +59,6 @@ class Model(eqx.Module):
 
 def _residual(vector: jax.Array, model: Model) -> jax.Array:
     return model.residual(vector)
-
-
-def plain_residual(vector: jax.Array, problem: Problem) -> jax.Array:
-    """The residual of a rig without effects."""
-    return problem.residual(vector)
 
 
 def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:

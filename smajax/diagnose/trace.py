@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.diagnose import residual, score
-from smajax.diagnose.bench import SLOTS, Bench, plain_residual
+from smajax.diagnose.bench import SLOTS, Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Sight, hidden, preflight, sight
 from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
-from smajax.fit import least_squares
+from smajax.fit import least_squares, searchable
 from smajax.fit.least_squares import Solved, Stop
 from smajax.fit.problem import Problem
 
@@ -129,8 +129,9 @@ def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, 
     nominal, rng = np.clip(plain.nominal, lower, upper), np.random.default_rng(seed)
     solved: list[tuple[float, bool, Solved]] = []
     for k in range(_TRIES):
-        point = np.clip(nominal + min(k, 1) * 0.1 * rng.uniform(-1, 1, len(nominal)) * (upper - lower), lower, upper)
-        one = least_squares.Search(plain_residual, plain, point[None], *plain.box, size=plain.size, rtol=1e-8).advance().result()
+        beside = 0.1 * rng.uniform(-1, 1, len(nominal)) * (upper - lower) if k else 0.0
+        point = np.clip(nominal + beside, lower, upper)
+        one = least_squares.Search(searchable.residual, plain, point[None], *plain.box, size=plain.size, rtol=1e-8).advance().result()
         bench.simulations += one.simulations
         solved.append((float(one.costs[0]) if one.stops[0] is not Stop.failed else math.inf, _at_rest(plain, one), one))
         solved.sort(key=lambda s: s[0])

@@ -1,6 +1,6 @@
 """The population searches that people fit with today, behind one interface, to compare the gradient with on the same compiled simulator.
 
-Each takes a ``Problem`` and gives a ``Search``. All search the box from which the fit draws its starts, all are compiled before their
+Each takes a problem and gives a ``Search``. All search the box from which the fit draws its starts, all are compiled before their
 clock starts, and all count simulations alike: the cost of a point with ``r`` recordings is ``r`` simulations, a residual with its Jacobian
 in ``p`` parameters ``r (1 + p)``. A cost that is not a number is none that these searches could use; it counts as a failure and is shown to
 them as ``UNUSABLE``.
@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from typing import Any, Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,7 +22,7 @@ import scipy.optimize
 from smajax.errors import InputError, nearest
 from smajax.fit import least_squares
 from smajax.fit.fit import draw_starts
-from smajax.fit.problem import Problem
+from smajax.fit.searchable import Searchable, costs, residual
 
 # Far above any cost of a simulation that ran, and its square is still a float.
 UNUSABLE = 1e30
@@ -57,20 +56,6 @@ class Search:
         return next(((simulations, wall) for simulations, wall, best in self.history if best <= cost), None)
 
 
-@eqx.filter_jit
-def _costs(problem: Problem, vectors: jax.Array) -> jax.Array:
-    def single(vector: jax.Array) -> jax.Array:
-        return jnp.sum(problem.residual(vector) ** 2)
-
-    if vectors.shape[0] == 1:  # the program that the fit runs, too
-        return single(vectors[0])[None]
-    return jax.vmap(single)(vectors)
-
-
-def _residual(vector: jax.Array, problem: Problem) -> jax.Array:
-    return problem.residual(vector)
-
-
 class _Enough(Exception):
     """Thrown out of a search when its target is met or its budget spent; carries which."""
 
@@ -78,7 +63,7 @@ class _Enough(Exception):
 class _Meter:
     """The cost of up to ``size`` points at once, which counts, clocks, keeps the best and ends the search."""
 
-    def __init__(self, problem: Problem, size: int, budget: int | None, target: float | None, progress: Progress) -> None:
+    def __init__(self, problem: Searchable, size: int, budget: int | None, target: float | None, progress: Progress) -> None:
         if budget is not None and budget < problem.data.measured.shape[0]:
             raise InputError(f"a budget of {budget} simulations allows not one look at all recordings: give a larger one")
         self._problem, self._size, self._progress = problem, size, progress
@@ -98,29 +83,29 @@ class _Meter:
 
     def _run(self, vectors: np.ndarray) -> np.ndarray:
         filled = np.resize(vectors, (self._size, vectors.shape[1]))  # repeats: one program serves every number of points
-        return np.array(_costs(self._problem, jnp.asarray(filled)))[: len(vectors)]
+        return np.array(costs(self._problem, jnp.asarray(filled)))[: len(vectors)]
 
     def __call__(self, vectors: np.ndarray) -> np.ndarray:
         """Costs, shape ``(m,)``, of points, shape ``(m, p)``; throws ``_Enough``."""
         allowed = int(min(len(vectors), (self._budget - self._simulations) // self._each))
         if allowed == 0:
             raise _Enough("budget")
-        costs = self._run(vectors[:allowed])
+        found = self._run(vectors[:allowed])
         self._calls += 1
         self._simulations += allowed * self._each
-        unusable = ~np.isfinite(costs)
+        unusable = ~np.isfinite(found)
         self._failures += int(np.sum(unusable)) * self._each
-        costs[unusable] = UNUSABLE
-        best = int(np.argmin(costs))
-        if costs[best] < min(self._cost, UNUSABLE):
-            self._vector, self._cost = np.array(vectors[best]), float(costs[best])
+        found[unusable] = UNUSABLE
+        best = int(np.argmin(found))
+        if found[best] < min(self._cost, UNUSABLE):
+            self._vector, self._cost = np.array(vectors[best]), float(found[best])
             self._note()
         self._progress(self._calls, self._cost)
         if self._cost <= self._target:
             raise _Enough("target")
         if allowed < len(vectors):
             raise _Enough("budget")
-        return costs
+        return found
 
     def _note(self) -> None:
         self._history.append((self._simulations, time.perf_counter() - self._began, self._cost))
@@ -152,26 +137,26 @@ def _nothing(calls: int, cost: float) -> None:
     pass
 
 
-def gradient(problem: Problem, *, seed: int, starts: int = 1, max_steps: int = 100, progress: Progress = _nothing) -> Search:
+def gradient(problem: Searchable, *, seed: int, starts: int = 1, max_steps: int = 100, progress: Progress = _nothing) -> Search:
     """The fit's own search: Levenberg-Marquardt from the nominal point and ``starts - 1`` screened ones.
 
     Ctrl-C keeps the best so far, and so do the searches below. ``progress`` is called with the number of calls of the compiled program and
     the best cost so far.
     """
     created = time.perf_counter()
-    least_squares.Search(_residual, problem, draw_starts(problem, starts, seed)[0], *problem.box, size=problem.size).advance(1)
+    least_squares.Search(residual, problem, draw_starts(problem, starts, seed)[0], *problem.box, size=problem.size).advance(1)
     began = time.perf_counter()
     points, screened = draw_starts(problem, starts, seed)
     spent = time.perf_counter() - began
-    solved = least_squares.Search(_residual, problem, points, *problem.box, size=problem.size).advance(max_steps, progress).result()
+    solved = least_squares.Search(residual, problem, points, *problem.box, size=problem.size).advance(max_steps, progress).result()
     each = problem.data.measured.shape[0]
-    costs = np.where(np.isfinite(solved.costs), solved.costs, np.inf)
-    best = int(np.argmin(costs))
+    ended = np.where(np.isfinite(solved.costs), solved.costs, np.inf)
+    best = int(np.argmin(ended))
     history = [(screened + each * simulations, spent + wall, cost) for simulations, wall, cost in solved.history]
     return Search(
         name="gradient" if starts == 1 else f"gradient, {starts} starts",
         vector=solved.points[best],
-        cost=float(costs[best]),
+        cost=float(ended[best]),
         simulations=screened + each * solved.simulations,
         wall=spent + solved.wall,
         compile=began - created,
@@ -182,7 +167,7 @@ def gradient(problem: Problem, *, seed: int, starts: int = 1, max_steps: int = 1
 
 
 def differential_evolution(
-    problem: Problem,
+    problem: Searchable,
     *,
     seed: int,
     budget: int | None = None,
@@ -219,7 +204,7 @@ def differential_evolution(
 
 
 def genetic_algorithm(
-    problem: Problem,
+    problem: Searchable,
     *,
     seed: int,
     budget: int | None = None,
@@ -284,7 +269,7 @@ _STRATEGIES = ("CMA_ES", "DifferentialEvolution")
 
 
 def evosax_search(
-    problem: Problem,
+    problem: Searchable,
     *,
     seed: int,
     strategy: str = "CMA_ES",

@@ -4,6 +4,7 @@ The bounds of the hysteresis operators are those under which the flexible-actuat
 the ranges of input and output.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -39,18 +40,17 @@ def _arrays(tree: Any) -> Any:
     return jax.tree.map(lambda v: jnp.asarray(v, jnp.float64), tree)
 
 
-def _shifted(parameters: dict) -> BoucWen:
-    return BoucWen(*(parameters[k] for k in ("kx", "kw", "rho", "sigma", "n")))
+def _bouc_wen(parameters: dict) -> BoucWen:
+    return BoucWen(**parameters)
 
 
 def bouc_wen(series: Sequence[Series]) -> Family:
     """The five parameters."""
     _, span, _, swing = _ranges(series)
-    lower = {"kx": -10 * swing / span, "kw": -10 * swing / span, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0}
-    upper = {"kx": 10 * swing / span, "kw": 10 * swing / span, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0}
+    lower = {"kx": -10 * swing / span, "kw": -10 * swing, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0}
+    upper = {"kx": 10 * swing / span, "kw": 10 * swing, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0}
     start = {"kx": 0.5 * swing / span, "kw": 0.5 * swing, "rho": 2.0 / span, "sigma": 1.0, "n": 1.5}
-    lower, upper = lower | {"kw": -10 * swing}, upper | {"kw": 10 * swing}
-    return Family("bouc-wen", _shifted, _arrays(lower), _arrays(upper), _arrays(start))
+    return Family("bouc-wen", _bouc_wen, _arrays(lower), _arrays(upper), _arrays(start))
 
 
 def _spread(parameters: dict) -> PrandtlIshlinskii:
@@ -68,12 +68,7 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
     low, span, bottom, swing = _ranges(series)
     middle = low + 0.5 * span
 
-    def envelope(height: float, slope: float, shift: float, level: float) -> dict[str, float]:
-        return {"height": height, "slope": slope / span, "shift": shift - slope / span * middle, "middle": level}
-
-    def sides(slope: float) -> dict[str, float]:
-        return envelope(0.5 * swing, slope, 0.0, bottom + 0.5 * swing)
-
+    envelope = {"height": 0.5 * swing, "slope": 3.0 / span, "shift": -3.0 / span * middle, "middle": bottom + 0.5 * swing}
     far = 5.0 + 10.0 / span * abs(middle)
     ends = {
         "height": (0.1 * swing, swing),
@@ -83,7 +78,7 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
     }
     lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
     upper = {"direct": 2.0, "densities": np.full(count, 1.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
-    start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": sides(3.0)}
+    start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": envelope}
     if envelopes == 2:
         lower, upper, start = (side | {"unloading": side["loading"]} for side in (lower, upper, start))
     return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
@@ -103,11 +98,11 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     return Family(f"transfer-function-{structure}", _functions[structure], *map(_arrays, ends), even=True)
 
 
-def _function_of(structure: Structure) -> Callable[[dict], TransferFunction]:
-    return lambda parameters: TransferFunction(**parameters, structure=structure)
+def _function(parameters: dict, structure: Structure) -> TransferFunction:
+    return TransferFunction(**parameters, structure=structure)
 
 
-_functions = {structure: _function_of(structure) for structure in STRUCTURES}  # one object each: it is what a program is known by
+_functions = {s: functools.partial(_function, structure=s) for s in STRUCTURES}  # one object each: it is what a program is known by
 
 
 def _wiener(parameters: dict) -> HammersteinWiener:
@@ -170,7 +165,7 @@ def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) 
     low, span, bottom, swing = _ranges(series)
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     network = _network(series, hidden, order)
-    known = {"off": low + 0.05 * span, "step": step}
+    known = {"off": low + 0.05 * span}
     ends = (
         {"share": 0.0, "fast": step, "slow": 2 * step, "rest": bottom - 0.3 * swing},
         {"share": 1.0, "fast": 0.2 * duration, "slow": duration, "rest": bottom + 0.3 * swing},
@@ -183,8 +178,9 @@ def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) 
 FAMILIES: Mapping[str, Callable[[Sequence[Series]], Family]] = {
     "bouc-wen": bouc_wen,
     "prandtl-ishlinskii": prandtl_ishlinskii,
+    "prandtl-ishlinskii-20": functools.partial(prandtl_ishlinskii, count=20),
     "hammerstein-wiener": hammerstein_wiener,
     "narx": narx,
     "heating-cooling": heating_cooling,
-    **{f"transfer-function-{s}": (lambda series, s=s: transfer_function(series, s)) for s in STRUCTURES},
+    **{f"transfer-function-{s}": functools.partial(transfer_function, structure=s) for s in STRUCTURES},
 }

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +15,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.fit import least_squares, uncertainty
 from smajax.fit.least_squares import Stop
 from smajax.fit.problem import Problem, Settings, build, difference_noise
+from smajax.fit.searchable import Searchable, costs, residual
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
@@ -96,16 +96,7 @@ class Fit:
         return float(np.sqrt(np.mean(measured**2))) if len(measured) else None
 
 
-def _residual(vector: jax.Array, problem: Problem) -> jax.Array:
-    return problem.residual(vector)
-
-
-@eqx.filter_jit
-def _costs(vectors: jax.Array, problem: Problem) -> jax.Array:
-    return jax.vmap(lambda v: jnp.sum(problem.residual(v) ** 2))(vectors)
-
-
-def draw_starts(problem: Problem, starts: int, seed: int) -> tuple[np.ndarray, int]:
+def draw_starts(problem: Searchable, starts: int, seed: int) -> tuple[np.ndarray, int]:
     """The nominal point and ``starts - 1`` drawn ones, shape ``(starts, p)``, and the number of simulations spent.
 
     Points drawn over the search box mostly never transform at all, where gradients say little. So many are drawn and simulated as one
@@ -115,8 +106,8 @@ def draw_starts(problem: Problem, starts: int, seed: int) -> tuple[np.ndarray, i
         return problem.nominal[None], 0
     lower, upper = problem.search_box()
     drawn = np.random.default_rng(seed).uniform(lower, upper, (max(_SCREENED, 4 * starts), len(lower)))
-    costs = np.asarray(_costs(jnp.asarray(drawn), problem))
-    order = np.argsort(np.where(np.isfinite(costs), costs, np.inf))
+    found = np.asarray(costs(problem, jnp.asarray(drawn)))
+    order = np.argsort(np.where(np.isfinite(found), found, np.inf))
     return np.vstack([problem.nominal, drawn[order[: starts - 1]]]), len(drawn) * problem.data.measured.shape[0]
 
 
@@ -140,7 +131,7 @@ def fit(
     problem = build(plant, recordings, settings, interpolation=interpolation, step=step)
     starts, screened = draw_starts(problem, settings.starts, settings.seed)
     compiled = time.perf_counter()
-    solved = least_squares.Search(_residual, problem, starts, *problem.box, size=problem.size).advance(max_steps, progress).result()
+    solved = least_squares.Search(residual, problem, starts, *problem.box, size=problem.size).advance(max_steps, progress).result()
     first = solved.history[0][1] if solved.history else 0.0
     later = (solved.wall - first) / max(len(solved.history) - 1, 1)
     if all(s is Stop.failed for s in solved.stops):
@@ -275,7 +266,7 @@ def profile(result: Fit, name: str, *, points: int = 9, width: float = 3.0) -> d
     slope = result.covariance[:, i] / result.covariance[i, i]
     scales = np.array([u.scale for u in result.problem.unknowns])
     starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
-    solved = least_squares.Search(_residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=1e-9).advance().result()
+    solved = least_squares.Search(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=1e-9).advance().result()
     rise = solved.costs - result.cost
     # Near the estimate the profile is a parabola; the noise's autocorrelation widens it as it widens the interval.
     curvature = np.sum(rise * (values - estimate.estimate) ** 2) / np.sum((values - estimate.estimate) ** 4)

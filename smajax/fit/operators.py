@@ -20,6 +20,7 @@ from jax.flatten_util import ravel_pytree
 from smajax import simulate
 from smajax.errors import InputError, NumericsError
 from smajax.fit import least_squares
+from smajax.fit.searchable import Searchable, costs, residual
 from smajax.hysteresis.operator import AbstractOperator
 
 _UNEVEN = 0.01
@@ -39,7 +40,7 @@ class Series(NamedTuple):
 class Family:
     """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
 
-    ``start`` is a first guess, if there is one. ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
+    ``start`` is a first guess. ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
     parameters that they are fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and longer stretches.
     """
 
@@ -47,7 +48,7 @@ class Family:
     make: Callable[[Any], AbstractOperator]
     lower: Any
     upper: Any
-    start: Any = None
+    start: Any
     even: bool = False
     by_reverse: bool = False
 
@@ -67,7 +68,7 @@ class Measured(eqx.Module):
     weight: jax.Array
 
 
-class OperatorProblem(eqx.Module):
+class OperatorProblem(Searchable):
     """The weighted residual of a law as a function of a vector in the unit box; ``baselines`` takes it like a ``Problem``."""
 
     data: Measured
@@ -79,11 +80,6 @@ class OperatorProblem(eqx.Module):
     ahead: bool = eqx.field(static=True, default=False)
 
     @property
-    def size(self) -> int:
-        """Length of the residual, ``r * n``."""
-        return self.data.measured.size
-
-    @property
     def nominal(self) -> np.ndarray:
         """The first guess."""
         return np.asarray(self.first)
@@ -93,10 +89,6 @@ class OperatorProblem(eqx.Module):
         """Lower and upper bounds of the vector; parameters that are held have no room."""
         return np.zeros(len(self.lower)), np.where(np.asarray(self.width) > 0, 1.0, 0.0)
 
-    def search_box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same: starts are drawn and populations bred in all of it."""
-        return self.box
-
     def law(self, vector: jax.Array) -> AbstractOperator:
         """The law at a point."""
         return self.make(self.lower + vector * self.width)
@@ -105,7 +97,7 @@ class OperatorProblem(eqx.Module):
         """Outputs, shape ``(r, n)``; with ``ahead``, set to the measured ones ``every`` so many rows."""
         law: Any = self.law(vector)
         if self.ahead:
-            return jax.vmap(lambda u, y: law.ahead(u, y, self.every))(self.data.input, self.data.measured)
+            return jax.vmap(lambda t, u, y: law.ahead(t, u, y, self.every))(self.data.time, self.data.input, self.data.measured)
         return jax.vmap(lambda t, u: simulate.respond(law, t, u))(self.data.time, self.data.input)
 
     def residual(self, vector: jax.Array) -> jax.Array:
@@ -133,15 +125,6 @@ class OperatorFit:
 _respond = eqx.filter_jit(simulate.respond)
 
 
-def _residual(vector: jax.Array, problem: OperatorProblem) -> jax.Array:
-    return problem.residual(vector)
-
-
-@eqx.filter_jit
-def _costs(vectors: jax.Array, problem: OperatorProblem) -> jax.Array:
-    return jax.lax.map(lambda v: jnp.sum(problem.residual(v) ** 2), vectors, batch_size=16)
-
-
 def build_operator(family: Family, series: Sequence[Series], weight: float | None = None) -> OperatorProblem:
     """Puts a fit together; ``weight`` is one over the noise (default: over the spread of the output).
 
@@ -162,7 +145,7 @@ def build_operator(family: Family, series: Sequence[Series], weight: float | Non
         end = values[-1] if math.isnan(last) else last
         return np.append(values, np.full(count - len(values), end))
 
-    outputs = [np.where(np.isfinite(s.output), s.output, 0.0) for s in series]
+    outputs = [np.interp(s.time, s.time[np.isfinite(s.output)], s.output[np.isfinite(s.output)]) for s in series]
     spread = float(np.nanstd(np.concatenate([s.output for s in series])))
     each = weight or 1.0 / (spread or 1.0)
     further = [s.time[-1] + step * np.arange(1, count - len(s.time) + 1) for s, step in zip(series, steps, strict=True)]
@@ -179,8 +162,7 @@ def build_operator(family: Family, series: Sequence[Series], weight: float | Non
     )
     lower, unravel = ravel_pytree(family.lower)
     width = ravel_pytree(family.upper)[0] - lower
-    start = lower + 0.5 * width if family.start is None else ravel_pytree(family.start)[0]
-    first = jnp.where(width > 0, (start - lower) / jnp.where(width > 0, width, 1.0), 0.0)
+    first = jnp.where(width > 0, (ravel_pytree(family.start)[0] - lower) / jnp.where(width > 0, width, 1.0), 0.0)
     return OperatorProblem(data, lower, width, first, jnp.asarray(count), _Maker(family.make, unravel))
 
 
@@ -202,28 +184,28 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     vector, simulations = fitted(problem, starts, seed, max_steps)
     if vector is None:
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
-    residual = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
+    left = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     flat = problem.lower + jnp.asarray(vector) * problem.width
     maker: Any = problem.make
     return OperatorFit(
-        family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(residual**2) / samples)), samples, simulations,
+        family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
         time.perf_counter() - began,
     )  # fmt: skip
 
 
-_weighted = eqx.filter_jit(_residual)
+_weighted = eqx.filter_jit(residual)
 
 
 def _by_forward(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
     drawn = _draw(problem, 8 * starts, seed)
-    costs = np.asarray(_costs(jnp.asarray(drawn), problem))
-    points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(costs), costs, np.inf))[: starts - 1]]])
+    found = np.asarray(costs(problem, jnp.asarray(drawn)))
+    points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
     simulations, best = len(drawn), (math.inf, None)
     for point in points:
-        solved = least_squares.Search(_residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
+        solved = least_squares.Search(residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
         simulations += solved.simulations
         if solved.costs[0] < best[0]:
             best = (float(solved.costs[0]), solved.points[0])
@@ -253,12 +235,12 @@ def _by_reverse(problem: OperatorProblem, starts: int, seed: int, max_steps: int
         point = np.clip(problem.nominal + (upper > lower) * 0.05 * rng.standard_normal(len(lower)), lower, upper)
         for every in (1, 5, 25, 125, problem.data.time.shape[1]):
             stage = dataclasses.replace(problem, ahead=True, every=jnp.asarray(every))
-            solved = least_squares.Search(_residual, stage, point[None], lower, upper, size=stage.size).advance(max_steps // 4).result()
+            solved = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size).advance(max_steps // 4).result()
             simulations += solved.simulations
             point = solved.points[0]
         vector, cost, steps = _closed(jnp.asarray(point), problem)
         simulations += 3 * int(steps)  # a gradient in reverse mode counts three
-        for found, value in ((np.asarray(vector), float(cost)), (point, float(_costs(jnp.asarray(point[None]), problem)[0]))):
+        for found, value in ((np.asarray(vector), float(cost)), (point, float(costs(problem, jnp.asarray(point[None]))[0]))):
             if value < best[0]:
                 best = (value, found)
     return best[1], simulations * problem.data.measured.shape[0]

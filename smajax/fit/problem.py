@@ -18,6 +18,7 @@ import numpy as np
 
 from smajax import parameters, simulate
 from smajax.errors import InputError
+from smajax.fit.searchable import Searchable
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
@@ -65,7 +66,7 @@ class Data(eqx.Module):
     weight: jax.Array
 
 
-class Problem(eqx.Module):
+class Problem(Searchable):
     """A plant, the data, and the free parameters; ``residual`` and ``predict`` are pure functions of the vector.
 
     ``scales``, shape ``(p,)``, are data, so that rigs of other values need no compilation of their own.
@@ -78,11 +79,6 @@ class Problem(eqx.Module):
     channels: tuple[str, ...] = eqx.field(static=True)
     shared: tuple[str, ...] = eqx.field(static=True)
     own: tuple[str, ...] = eqx.field(static=True)
-
-    @property
-    def size(self) -> int:
-        """Length of the residual, ``r * c * n``."""
-        return self.data.measured.size
 
     @property
     def nominal(self) -> np.ndarray:
@@ -165,7 +161,15 @@ def build(
         if name.startswith("initial."):
             plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
     data = _data(plant, recordings, tuple(settings.observe), noise, interpolation, step, multiple)
-    return Problem(plant, data, jnp.asarray([u.scale for u in unknowns]), tuple(unknowns), tuple(settings.observe), shared, own)
+    return Problem(
+        plant=plant,
+        data=data,
+        scales=jnp.asarray([u.scale for u in unknowns]),
+        unknowns=tuple(unknowns),
+        channels=tuple(settings.observe),
+        shared=shared,
+        own=own,
+    )
 
 
 def difference_noise(values: np.ndarray) -> float:
