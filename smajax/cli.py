@@ -189,6 +189,25 @@ def compare(
     _finish(outcome, "compare.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+@app.command()
+def tune(
+    rig: RigFile,
+    controller: Annotated[Path, typer.Argument(metavar="CONTROLLER.toml", help="The controller, its reference and its limits.")],
+    out: Out,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Tune a controller's gains by differentiating through its closed loop with the rig, and write them for a microcontroller."""
+    with _progress(quiet) as progress:
+        from smajax.jobs.tune import TuneJob, run_tune
+        from smajax.report.tuning import text
+
+        outcome = run_tune(TuneJob(rig, controller, out, seed), progress, _argv())
+    _finish(outcome, "tune.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
 class StartModel(StrEnum):
     """The laws that thermal cycles can start."""
 

@@ -22,7 +22,8 @@ from smajax import parameters
 from smajax.errors import NumericsError
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.operator import AbstractOperator
-from smajax.plant.plant import Plant, State, linear
+from smajax.plant.plant import Plant, State
+from smajax.plant.step import end_tangent, push
 from smajax.recording import Recording
 
 _HOTTEST = 1300.0
@@ -252,12 +253,8 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
     flat, code = _trajectory(plant, inputs)
     unflatten = _unflatten(plant, inputs)
 
-    def push(function: Callable, at: tuple, along: tuple) -> Any:
-        value, tangent = eqx.filter_jvp(function, at, along)
-        return jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, value, tangent, is_leaf=lambda x: x is None)
-
     def recur(tangent: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
-        """The implicit function theorem: left(end, start, plant) = 0 gives what the end moves by."""
+        """What the end moves by: see ``smajax.plant.step``."""
         start, known, *step = row
         end = unflatten(known)
         z = jnp.concatenate([end.temperature, end.unknown])
@@ -266,10 +263,7 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
             left, state = _arrive(plant, unflatten(start), *step, z)
             return left, ravel_pytree(state)[0]
 
-        slope, per_end = jax.jacfwd(lambda z: arrive(z, start, plant))(z)
-        left, state = push(lambda start, plant: arrive(z, start, plant), (start, plant), (tangent, moved))
-        by = linear(slope, left)
-        new = state - sum(per_end[:, i] * by[i] for i in range(len(z)))
+        new = end_tangent(arrive, z, (start, plant), (tangent, moved))
         return new, new
 
     first = push(lambda plant: ravel_pytree(plant.start(inputs.sampled[0]))[0], (plant,), (moved,))

@@ -38,19 +38,29 @@ class TransferFunction(AbstractOperator):
 
     def respond(self, time: jax.Array, values: jax.Array) -> jax.Array:
         """See ``AbstractOperator.respond``; ``time`` is equally spaced."""
-        rates, drive = self._equations()
-        size = len(drive)
-        whole = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)
-        moved = jax.scipy.linalg.expm(whole * (time[1] - time[0]))
-        state = jnp.full(size, values[0]).at[1].set(0.0) if "underdamped" in self.structure else jnp.full(size, values[0])
+        kept, entering = self.held(time[1] - time[0])
+        state = jnp.full(self.order, values[0]).at[1].set(0.0) if "underdamped" in self.structure else jnp.full(self.order, values[0])
 
         def one(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
-            state = moved[:size, :size] @ state + moved[:size, size] * value
+            state = kept @ state + entering * value
             return state, state[0]
 
         _, rest = jax.lax.scan(one, state, values[:-1])
         prompt = jnp.append(values[:1], rest)
         return self.rest + self.gain * jnp.interp(time - self.delay, time, prompt)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return {"one-pole": 1, "two-poles": 2, "underdamped": 2, "underdamped-and-pole": 3}[self.structure]
+
+    def held(self, duration: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """What is kept of the states, shape ``(k, k)``, and what enters of an input held for ``duration`` s, shape ``(k,)``: exact."""
+        rates, drive = self._equations()
+        size = self.order
+        whole = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)
+        moved = jax.scipy.linalg.expm(whole * duration)
+        return moved[:size, :size], moved[:size, size]
 
     def _equations(self) -> tuple[jax.Array, jax.Array]:
         """x' = rates x + drive u with the output x[0], of unit gain; in an underdamped pair x[1] is the rate of x[0]."""

@@ -103,6 +103,36 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     return Picture(f"{first.name.rpartition(' (')[0]} ({role})", caption, {"data": data, "layout": layout}, 760)
 
 
+def response_picture(series: Sequence[Series], channel: str) -> Picture:
+    """Closed-loop rollouts over time: the channel with its reference, and what else each of them gives, a panel for each kind."""
+    first = series[0]
+    kinds: dict[str, list[str]] = {}
+    for name in first.model:
+        if name != channel:
+            kinds.setdefault(channel_of(name) or name, []).append(name)
+    panels = [(channel, 5.0), *((kind, 2.2) for kind in kinds)]
+    layout = _layout(panels, time_title(first), first)
+    data = [_line(first.time, first.measured[channel], "reference", MEASURED, _axis(0))[0]]
+    thinned = False
+    for k, one in enumerate(series):
+        colour = (RESIDUAL, MODEL)[k % 2]
+        trace, less = _line(one.time, one.model[channel], one.name, colour, _axis(0))
+        data.append(trace | {"legendgroup": one.name})
+        thinned |= less
+        for row, names in enumerate(kinds.values(), 1):
+            for i, name in enumerate(names):
+                trace, _ = _line(one.time, one.model[name], f"{one.name}, {name}", colour, _axis(row), name_shown=False)
+                data.append(trace | {"legendgroup": one.name, "line": trace["line"] | {"dash": "solid" if i == 0 else "dot"}})
+    _entitle(layout, 0, titled(channel, first.units), panels)
+    for row, names in enumerate(kinds.values(), 1):
+        _entitle(layout, row, titled(names[0], first.units), panels)
+    caption = "Grey is the reference, blue the start gains, orange the tuned ones." + _thin_note(len(first.time), thinned)
+    if any(len(names) > 1 for names in kinds.values()):
+        caption += " Dotted is the second wire."
+    height = 144 + round(_PIXELS * sum(weight for _, weight in panels))
+    return Picture("Response", caption, {"data": data, "layout": layout}, height)
+
+
 def phase_picture(series: Series, channel: str) -> Picture | None:
     """The channel against temperature (stress and force against strain where there is one); ``None`` if the series has neither.
 

@@ -6,6 +6,7 @@ from smajax.errors import InputError
 from smajax.report import html, prediction
 from smajax.report.comparison import comparison_page
 from smajax.report.diagnosis import diagnosis_page
+from smajax.report.tuning import tuning_page
 from smajax.results import read_json, replace_file
 
 
@@ -19,6 +20,8 @@ def rebuild_report(folder: Path) -> Path:
             page = html.simulation_page(series[0], run, rig)
         elif run["command"] == "diagnose":
             page = diagnosis_page(read_json(folder, "diagnosis.json"), series, run["inputs"], run, rig)
+        elif run["command"] == "tune":
+            page = tuning_page(read_json(folder, "tune.json"), series, run, rig)
         elif run["command"] == "compare":
             page = comparison_page(read_json(folder, "compare.json"), series, run, rig)
         else:

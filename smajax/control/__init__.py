@@ -1,0 +1,1 @@
+"""Controllers, observers, closed-loop rollouts, and the tuning of gains through them."""

@@ -1,0 +1,37 @@
+"""From one command to the wires: one error, one or two wires, and how the drive pulses."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+class Allocation(eqx.Module):
+    """Gives a command to ``wires`` wires; one wire takes it as it is.
+
+    Of an antagonistic pair the first wire takes what is positive and the second what is negative, each up to ``upper``; ``bias`` heats both
+    (co-contraction).
+    """
+
+    upper: jax.Array
+    bias: jax.Array
+    wires: int = eqx.field(static=True)
+
+    def __call__(self, command: jax.Array) -> jax.Array:
+        """Commands of the wires, shape ``(wires,)``."""
+        if self.wires == 1:
+            return command[None]
+        return jnp.clip(self.bias + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.upper)
+
+
+def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -> jax.Array:
+    """Share of the time from ``start`` to ``start + step`` (s) in which a pulse-width modulator at ``carrier`` Hz is on, for a duty 0..1.
+
+    Each period begins switched on. Within a step the switch is averaged; steps shorter than a period resolve it.
+    """
+
+    def on_until(time: jax.Array) -> jax.Array:
+        periods = time * carrier
+        whole = jnp.floor(periods)
+        return (whole * duty + jnp.minimum(periods - whole, duty)) / carrier
+
+    return (on_until(start + step) - on_until(start)) / step

@@ -1,0 +1,150 @@
+"""Tuned controllers for other programs: a C header for a microcontroller, and the same numbers as JSON.
+
+The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
+which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap and no library; call ``smajax_step`` once a period.
+"""
+
+from typing import Any
+
+from smajax.control.adaptive import AdaptivePID
+from smajax.control.bpid import _LEAST, BPID
+from smajax.control.controller import AbstractController
+from smajax.control.feedforward import FeedforwardPID
+from smajax.control.gains import gain, gains
+from smajax.control.pid import PID
+from smajax.control.ppid import PPID
+from smajax.errors import InputError
+
+_TOP = """/* A {kind} controller tuned by smajax {version}: include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
+ *
+ *     smajax_state s;
+ *     smajax_reset(&s, reference, value);
+ *     each period:  command = smajax_step(&s, reference, value);
+ *
+ * Units: reference and value in {channel_unit}, command in {command_unit}. Define SMAJAX_REAL as float where doubles are slow.
+ */
+#ifndef SMAJAX_CONTROLLER_H
+#define SMAJAX_CONTROLLER_H
+
+#ifndef SMAJAX_REAL
+#define SMAJAX_REAL double
+#endif
+typedef SMAJAX_REAL smajax_real;
+
+#define SMAJAX_PERIOD ((smajax_real){period!r})
+#define SMAJAX_LOWER ((smajax_real){lower!r})
+#define SMAJAX_UPPER ((smajax_real){upper!r})
+{constants}
+
+typedef struct {{
+    smajax_real integral, last, slope;{more}
+}} smajax_state;
+
+static smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {seen} }}
+
+static smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upper) {{
+    return x < lower ? lower : x > upper ? upper : x;
+}}
+
+static smajax_real smajax_slope(const smajax_state *s, smajax_real reference, smajax_real value) {{
+    return (SMAJAX_FILTER_TIME * s->slope + smajax_seen(reference, value) - s->last) / (SMAJAX_FILTER_TIME + SMAJAX_PERIOD);
+}}
+
+static smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_real value, smajax_real kp, smajax_real ki, smajax_real kd,
+                              smajax_real lower, smajax_real upper) {{
+    smajax_real slope = smajax_slope(s, reference, value), error = reference - value;
+    smajax_real grown = s->integral + ki * error * SMAJAX_PERIOD;
+    smajax_real wanted = kp * error + grown + kd * slope;
+    int pushes = (wanted > upper && grown > s->integral) || (wanted < lower && grown < s->integral);
+    if (!pushes) s->integral = grown;
+    s->last = smajax_seen(reference, value);
+    s->slope = slope;
+    return smajax_clip(wanted, lower, upper);
+}}
+
+static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
+    s->integral = 0;
+    s->last = smajax_seen(reference, value);
+    s->slope = 0;{reset}
+}}
+
+static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+{step}
+}}
+
+#endif
+"""
+_KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
+_PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"
+_BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here = 1 + SMAJAX_KB * value, factor;
+    if (point < SMAJAX_LEAST) point = SMAJAX_LEAST;
+    if (here < SMAJAX_LEAST) here = SMAJAX_LEAST;
+    factor = point / here;
+    return factor * smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER / factor, SMAJAX_UPPER / factor);"""
+_SWITCHED = """    smajax_real error = reference - value, size = error < 0 ? -error : error;
+    int rests = size <= (s->rested ? SMAJAX_LEAVE * SMAJAX_BAND : SMAJAX_BAND);
+    if (rests != s->rested) s->integral = 0;
+    s->rested = rests;
+    if (rests) return smajax_pid(s, reference, value, SMAJAX_KP_REST, SMAJAX_KI, 0, SMAJAX_LOWER, SMAJAX_UPPER);
+    return smajax_pid(s, reference, value, SMAJAX_KP, 0, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"""
+_ADAPTIVE = """    smajax_real error = reference - value, slope = smajax_slope(s, reference, value);
+    s->summed += error * SMAJAX_PERIOD;
+    {{
+        smajax_real p = {p}, i = {i}, d = {d};
+        s->kp = smajax_clip(s->kp + SMAJAX_RATE_P * p * error, 0, SMAJAX_GROWTH * SMAJAX_KP);
+        s->ki = smajax_clip(s->ki + SMAJAX_RATE_I * i * s->summed, 0, SMAJAX_GROWTH * SMAJAX_KI);
+        s->kd = smajax_clip(s->kd + SMAJAX_RATE_D * d * slope, 0, SMAJAX_GROWTH * SMAJAX_KD);
+    }}
+    return smajax_pid(s, reference, value, s->kp, s->ki, s->kd, SMAJAX_LOWER, SMAJAX_UPPER);"""
+
+
+def c_header(controller: AbstractController, units: tuple[str, str], version: str) -> str:
+    """The header of a controller; ``units`` are those of command and channel. Raises ``InputError`` for a kind that has none."""
+    parts: dict[str, Any] = {"more": "", "reset": ""}
+    extra: dict[str, float] = {}
+    if isinstance(controller, PID):
+        kind, step = "PID", _PLAIN
+    elif isinstance(controller, BPID):
+        kind, step, extra = "BPID", _BILINEAR, {"least": _LEAST}
+    elif isinstance(controller, PPID) and controller.inverse is None:
+        kind, step, extra = "PPID", _SWITCHED, {"leave": controller.leave}
+        size = "(reference - value < 0 ? value - reference : reference - value)"
+        parts = {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
+    elif isinstance(controller, AdaptivePID):
+        printed = controller.law == "printed"
+        step = _ADAPTIVE.format(p="1" if printed else "error", i="s->ki" if printed else "error", d="s->kd" if printed else "error")
+        kind, extra = f"adaptive PID ({controller.law} law)", {"growth": controller.growth}
+        first = "".join(f"\n    s->{name} = SMAJAX_{name.upper()};" for name in ("kp", "ki", "kd"))
+        parts = {"more": "\n    smajax_real summed, kp, ki, kd;", "reset": "\n    s->summed = 0;" + first}
+    else:
+        raise InputError(
+            f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID without feedforward and adaptive PID can"
+        )
+    pid = controller.inner
+    values = {name: float(gain(controller, name)) for name in gains(controller)} | extra
+    return _TOP.format(
+        kind=kind,
+        version=version,
+        command_unit=units[0],
+        channel_unit=units[1],
+        period=pid.period,
+        lower=float(pid.lower),
+        upper=float(pid.upper),
+        constants="\n".join(f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()),
+        seen="return reference - value;" if pid.derivative_on == "error" else "(void)reference; return -value;",
+        step=step,
+        **parts,
+    )
+
+
+def as_document(controller: AbstractController, units: dict[str, str]) -> dict[str, Any]:
+    """The controller as a JSON document: kind, period, limits, and gains with their units."""
+    pid = controller.inner
+    return {
+        "schema": "smajax.controller/1",
+        "kind": _KINDS[type(controller)],
+        "period_s": pid.period,
+        "output": [float(pid.lower), float(pid.upper)],
+        "derivative_on": pid.derivative_on,
+        "gains": {name: {"value": float(gain(controller, name)), "unit": units[name]} for name in gains(controller)},
+    }

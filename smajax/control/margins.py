@@ -1,0 +1,131 @@
+"""Stability of a loop: margins of its linearisation along a rollout, and whether the rollout itself comes to rest.
+
+The loop is cut at the controller's output. At a sample of a rollout, plant and controller are linearised about their states, and their
+frequency responses multiplied: L = -K P. A shape-memory wire is another plant while it warms than while it cools, so that margins are taken
+at many samples. Where it does not transform, its expansion moves it a little the wrong way; a loop has no
+margin there, and needs none, since it leaves again: such samples do not count, nor do frequencies far below the crossover, at which the
+states have moved on before a period is over.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from smajax.control.driven import AbstractDriven
+from smajax.control.rollout import Loop, Scenario, march
+
+_FREQUENCIES = 400
+_RESTLESS = 0.02
+_FAR = 1e6  # where a response shows its first sample only
+_BELOW = 5.0  # below the crossover
+
+
+class Margins(NamedTuple):
+    """Gain margin (a factor), phase margin in degrees, and the largest sensitivity; infinite where nothing bounds them.
+
+    Of a plant that is not linear, medians over the samples of a rollout: single ones are far better and far worse for an instant.
+    """
+
+    gain: float
+    phase: float
+    sensitivity: float
+
+
+@eqx.filter_jit
+def _carries(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> tuple[jax.Array, jax.Array]:
+    done, (carries, _) = march(driven, loop, scenario)
+    return carries, done.command
+
+
+@eqx.filter_jit
+def _loop_gain(driven: AbstractDriven, loop: Loop, carry: Any, reference: jax.Array, draw: jax.Array, z: jax.Array) -> jax.Array:
+    """L(z) at a sample, linearised; complex, of the shape of ``z``."""
+    state, inner, before = carry
+    seen = driven.read(state, before)
+    controller, heard = inner[0], inner[1]
+    _, value = loop.sensing.step(heard, seen[loop.channel], draw)
+    flat, unflatten = ravel_pytree(controller)
+
+    def decide(flat: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+        later, command = loop.controller.step(unflatten(flat), reference, value)
+        return ravel_pytree(later)[0].astype(flat.dtype), command
+
+    (rates, out), (drive, direct) = (jax.jacfwd(decide, argnums=i)(flat, value) for i in (0, 1))
+    command = loop.controller.step(controller, reference, value)[1]
+    each, direction = loop.allocation(command), jax.jacfwd(loop.allocation)(command)
+    plant = driven.response(state, each, direction, loop.channel, z)
+
+    def controls(z: jax.Array) -> jax.Array:
+        return out @ jnp.linalg.solve(z * jnp.eye(len(flat)) - rates, drive.astype(z.dtype)) + direct
+
+    return -jax.vmap(controls)(z) * plant * z ** (-loop.sensing.delay)
+
+
+def margins(driven: AbstractDriven, loop: Loop, scenario: Scenario, *, samples: int = 300) -> Margins:
+    """The least margins at so many samples of the rollout, spread over those at which the command moves."""
+    period = loop.controller.inner.period
+    count = scenario.reference.shape[0]
+    frequencies = np.geomspace(0.2 * math.pi / (count * period), math.pi / period, _FREQUENCIES)
+    z = jnp.append(jnp.exp(1j * frequencies * period), _FAR)
+    start, idle = driven.start(), jnp.zeros(driven.wires)
+    first = (start, loop.reset(scenario.before, driven.read(start, idle)), idle)
+    if not driven.searches:  # linear: one state is as good as another
+        gains = np.asarray(_loop_gain(driven, loop, first, scenario.before, jnp.zeros(()), z))[None]
+    else:
+        carries, command = _carries(driven, loop, scenario)
+        moving = np.flatnonzero(np.any(np.abs(np.diff(np.asarray(command), axis=0)) > 0.0, axis=1)) + 1
+        if not len(moving):
+            return Margins(math.inf, math.inf, 0.0)
+        at = moving[np.linspace(0, len(moving) - 1, samples).astype(int)]
+        gains = np.asarray(_along(driven, loop, carries[at], scenario.reference[at], scenario.draws[at], z, first))
+        gains = gains[(np.real(gains[:, -1]) > 0.0) & np.all(np.isfinite(gains), axis=1)]  # by the first answer to a command
+    return _margins(gains[:, :-1], frequencies)
+
+
+@eqx.filter_jit
+def _along(driven: AbstractDriven, loop: Loop, carries: Any, references: Any, draws: Any, z: jax.Array, like: Any) -> jax.Array:
+    unflatten = ravel_pytree(like)[1]
+    return jax.lax.map(lambda row: _loop_gain(driven, loop, unflatten(row[0]), row[1], row[2], z), (carries, references, draws))
+
+
+def _margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
+    """Medians over the rows of ``gains``."""
+    found = []
+    for gain in gains:
+        size, angle = np.abs(gain), np.mod(np.angle(gain), -2.0 * math.pi)  # from -360 to 0 degrees
+        crossings = np.flatnonzero((size[:-1] > 1.0) & (size[1:] <= 1.0))
+        first = frequencies[crossings[-1]] if len(crossings) else frequencies[0]
+        near = frequencies >= first / _BELOW
+        least, phase = math.inf, math.inf
+        for k in crossings[-1:]:
+            phase = math.degrees(angle[k + 1] + math.pi)
+        for k in np.flatnonzero((angle[:-1] > -math.pi) & (angle[1:] <= -math.pi) & (angle[:-1] - angle[1:] < math.pi) & near[1:]):
+            part = (angle[k] + math.pi) / (angle[k] - angle[k + 1])
+            least = min(least, math.exp(-math.log(size[k]) - part * (math.log(size[k + 1]) - math.log(size[k]))))
+        found.append((least, phase, float(np.max(1.0 / np.abs(1.0 + gain[near])))))
+    return Margins(*(float(np.median(column)) for column in zip(*found, strict=True))) if found else Margins(math.inf, math.inf, 0.0)
+
+
+def restless(command: np.ndarray, reference: np.ndarray, value: np.ndarray, reach: float) -> str:
+    """Why a rollout counts as unstable, or nothing: it is no number, runs away, or its command jumps to and fro from sample to sample.
+
+    Arrays of shape ``(n, wires)``, ``(n,)`` and ``(n,)``; ``reach`` is the range of the command (infinite: the largest that it takes).
+    """
+    if not (np.all(np.isfinite(value)) and np.all(np.isfinite(command))):
+        return "the loop's numbers overflow"
+    span = float(np.ptp(np.append(reference, value[0]))) or 1.0
+    later = slice(3 * len(value) // 4, None)
+    if np.max(np.abs(value[later] - reference[later])) > 3.0 * span:
+        return "the loop runs away from its reference"
+    holds = np.flatnonzero(np.diff(reference, prepend=reference[0]) == 0.0)
+    quiet = holds[holds > len(value) // 8]
+    change = np.diff(command, axis=0, prepend=command[:1])[quiet]
+    turns = change[1:] * change[:-1] < 0.0
+    size = reach if math.isfinite(reach) else float(np.max(np.abs(command)))
+    to_and_fro = float(np.sqrt(np.mean(np.where(turns, change[1:], 0.0) ** 2))) / max(size, 1e-300) if len(change) > 1 else 0.0
+    return f"the command jumps to and fro by {100 * to_and_fro:.0f} % of its range" if to_and_fro > _RESTLESS else ""

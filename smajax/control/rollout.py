@@ -1,0 +1,173 @@
+"""Closed-loop rollouts: a plant and a sampled controller in one scan, differentiable in both.
+
+At each sample the controller is told what the sensor sees, and gives a command that is held for a period; meanwhile the plant takes its own
+steps. Derivatives are taken once all states are known, as those of a simulation are: nothing is searched for again. Forward mode costs
+little for a few gains; for reverse mode, ``Scenario.block`` samples at a time are remembered at their beginning only and done again on the
+way back.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from smajax.control.allocation import Allocation
+from smajax.control.controller import AbstractController
+from smajax.control.driven import AbstractDriven
+from smajax.control.guard import TemperatureGuard
+from smajax.control.pid import PIDState
+from smajax.control.sensing import Sensing
+from smajax.plant.step import push
+
+
+class Loop(eqx.Module):
+    """All that stands between the reference and the wires; ``channel`` is the one that is steered."""
+
+    controller: AbstractController
+    allocation: Allocation
+    sensing: Sensing
+    guard: TemperatureGuard | None = None
+    channel: str = eqx.field(static=True, kw_only=True)
+
+    def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
+        """The state at rest."""
+        guards: tuple[PIDState, ...] = ()
+        if self.guard is not None:
+            guards = tuple(self.guard.reset(t) for t in self._temperatures(seen))
+        value = seen[self.channel]
+        return self.controller.reset(reference, value), self.sensing.reset(value), guards
+
+    def step(self, state: Any, reference: jax.Array, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[Any, jax.Array]:
+        """The state after a sample and the wires' commands, shape ``(wires,)``."""
+        inner, heard, guards = state
+        heard, value = self.sensing.step(heard, seen[self.channel], draw)
+        inner, command = self.controller.step(inner, reference, value)
+        each = self.allocation(command)
+        if self.guard is not None:
+            cut = [self.guard.step(s, t, c) for s, t, c in zip(guards, self._temperatures(seen), each, strict=True)]
+            guards, each = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
+        return (inner, heard, guards), each
+
+    def _temperatures(self, seen: dict[str, jax.Array]) -> list[jax.Array]:
+        wires = self.allocation.wires
+        return [seen["temperature" if wires == 1 else f"temperature_{i + 1}"] for i in range(wires)]
+
+
+class Scenario(eqx.Module):
+    """What a rollout meets: the ``reference``, shape ``(n,)``, ``draws`` of the sensor's noise alike, and parameters that change with time.
+
+    ``before`` is the reference until the first sample. ``changes`` names parameters and gives their values, shape ``(n,)``.
+    """
+
+    reference: jax.Array
+    before: jax.Array
+    draws: jax.Array
+    changes: dict[str, jax.Array]
+    block: int = eqx.field(static=True, default=64)
+
+    @property
+    def rows(self) -> tuple:
+        """What changes from sample to sample."""
+        return self.reference, self.draws, self.changes
+
+    @classmethod
+    def quiet(cls, reference: Any, before: float = 0.0, changes: dict[str, Any] | None = None) -> "Scenario":
+        """Without noise."""
+        reference = jnp.asarray(reference, jnp.float64)
+        return cls(reference, jnp.asarray(before, jnp.float64), jnp.zeros_like(reference), changes or {})
+
+
+class Rollout(NamedTuple):
+    """``channels`` by name as they are (not as the sensor sees them) at the samples, shape ``(n,)``; ``command``, shape ``(n, wires)``, is
+    held from each; ``unsolved`` counts steps of the plant that could not be solved. ``ends`` are plant and loop at the end.
+    """
+
+    channels: dict[str, jax.Array]
+    command: jax.Array
+    unsolved: jax.Array
+    ends: Any
+
+
+def rollout(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> Rollout:
+    """The closed loop over a scenario; to be compiled and batched by the caller.
+
+    Differentiable in the plant's parameters, the gains and the changes, in forward and in reverse mode, once.
+    """
+    return _known(driven, loop, scenario) if driven.searches else march(driven, loop, scenario)[0]
+
+
+def _sample(driven: AbstractDriven, loop: Loop, carry: Any, row: tuple, move: Callable) -> tuple[Any, Any]:
+    """One sample: read, decide, and ``move`` on to the next; the carry there, and channels, command and what ``move`` adds."""
+    state, inner, command = carry
+    reference, draw, changed = row
+    now = driven.changed(changed) if changed else driven
+    inner, command = loop.step(inner, reference, now.read(state, command), draw)
+    channels = now.read(state, command)
+    state, added = move(now, state, command)
+    return (state, inner, command), (channels, command, added)
+
+
+def march(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> tuple[Rollout, Any]:
+    """The rollout, and of each sample the carry before it and the way of the plant."""
+
+    def sample(carry: Any, row: tuple) -> tuple[Any, Any]:
+        def move(now: AbstractDriven, state: Any, command: jax.Array) -> tuple[Any, Any]:
+            state, way, unsolved = now.advance(state, command)
+            return state, (way, unsolved)
+
+        later, (channels, command, (way, unsolved)) = _sample(driven, loop, carry, row, move)
+        kept = (ravel_pytree(carry)[0], way) if driven.searches else ()
+        return later, (channels, command, unsolved, kept)
+
+    end, (channels, command, unsolved, kept) = _scan(sample, _first(driven, loop, scenario), scenario.rows, scenario.block)
+    return Rollout(channels, command, jnp.sum(unsolved), end), kept
+
+
+def _first(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> Any:
+    start, idle = driven.start(), jnp.zeros(driven.wires)
+    return start, loop.reset(scenario.before, driven.read(start, idle)), idle
+
+
+@eqx.filter_custom_jvp
+def _known(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> Rollout:
+    """``march``, whose derivative is taken with all states known."""
+    return march(driven, loop, scenario)[0]
+
+
+@_known.def_jvp
+def _known_jvp(primals: tuple, tangents: tuple) -> tuple:
+    """Pushes the tangent from sample to sample; linear in the tangents, so that reverse mode comes with it."""
+    (driven, loop, scenario), (drivens, loops, scenarios) = primals, tangents
+    done, (carries, ways) = march(driven, loop, scenario)
+    unflatten = ravel_pytree(_first(driven, loop, scenario))[1]
+
+    def recur(tangent: Any, row: tuple) -> tuple[Any, Any]:
+        carry, way, rows, moved_rows = row
+
+        def landed(driven: AbstractDriven, loop: Loop, carry: jax.Array, rows: tuple) -> tuple[jax.Array, Any]:
+            later, (channels, command, _) = _sample(driven, loop, unflatten(carry), rows, lambda now, s, c: (now.land(s, c, way), ()))
+            return ravel_pytree(later)[0], (channels, command)
+
+        return push(landed, (driven, loop, carry, rows), (drivens, loops, tangent, moved_rows))
+
+    first = push(lambda *all_: ravel_pytree(_first(*all_))[0], primals, tangents)
+    moved_rows = jax.tree.map(lambda r, t: jnp.zeros_like(r) if t is None else t, scenario.rows, scenarios.rows, is_leaf=_none)
+    end, (channels, command) = _scan(recur, first, (carries, ways, scenario.rows, moved_rows), scenario.block)
+    return done, Rollout(channels, command, cast(Any, None), unflatten(end))
+
+
+def _none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def _scan(function: Any, first: Any, rows: Any, block: int) -> tuple[Any, Any]:
+    """``jax.lax.scan``, whose tape in reverse mode holds the carry at the beginning of each block only."""
+    count = jax.tree.leaves(rows)[0].shape[0]
+    blocks = count // block
+    head = jax.tree.map(lambda leaf: leaf[: blocks * block].reshape(blocks, block, *leaf.shape[1:]), rows)
+    carry, found = jax.lax.scan(jax.checkpoint(lambda c, r: jax.lax.scan(function, c, r), prevent_cse=False), first, head)
+    carry, rest = jax.lax.scan(function, carry, jax.tree.map(lambda leaf: leaf[blocks * block :], rows))
+    return carry, jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(blocks * block, *a.shape[2:]), b]), found, rest)

@@ -1,0 +1,370 @@
+"""Gains by gradients through the rollout.
+
+The gains are searched by their logarithms between bounds, by Levenberg-Marquardt on the residuals of ``objective`` with derivatives in
+forward mode. Several plants (draws of a fit's posterior, ambients, loads) are rolled out as one batch, and their residuals count alike.
+
+Settling, whose derivative jumps, has a search of its own: ``fastest``.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.control import metrics, objective
+from smajax.control.driven import AbstractDriven
+from smajax.control.fastest import Shape, fastest, shape_at
+from smajax.control.gains import gain, with_gains
+from smajax.control.objective import LIMITS, TERMS, Parts, Task, Wanted
+from smajax.control.rollout import Loop, Rollout, Scenario, rollout
+from smajax.errors import InputError, NumericsError
+from smajax.fit import least_squares
+from smajax.fit.least_squares import Search, Stop
+
+SETTLING = {"itae": 1.0}  # what is made small before the shortest settling time is looked for
+_LOOSE = 1e-3  # a violation that counts as none
+_FIRST = 10  # steps of a search for the terms
+_RAISES = 6
+_MOVE, _WIDE = 0.01, 1e6  # of the command's range, a move that counts as one; a range that is none
+_GROSS = 1.0  # a violation from which a search is not begun
+_EVALUATIONS = 32
+_RTOL = 1e-4
+_SCREENED = 16
+
+
+class Tuning(eqx.Module):
+    """What is tuned: a loop around something driven, over a scenario. ``members`` name parameters that differ, each of shape ``(m,)``.
+
+    ``scenario`` is the same for all members, but for draws of noise, shape ``(m, n)`` where they differ.
+    """
+
+    driven: AbstractDriven
+    loop: Loop
+    scenario: Scenario
+    task: Task
+    members: dict[str, jax.Array]
+    lower: jax.Array
+    upper: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(
+        cls,
+        driven: AbstractDriven,
+        loop: Loop,
+        scenario: Scenario,
+        bounds: Mapping[str, tuple[float, float]],
+        members: Mapping[str, Any] | None = None,
+    ) -> "Tuning":
+        """``bounds`` name the gains to be tuned and the positive ends between which they lie.
+
+        Raises ``InputError`` for a gain that the controller has not, or whose start value does not lie between its bounds.
+        """
+        for name, (low, high) in bounds.items():
+            value = float(gain(loop.controller, name))
+            if not 0.0 < low <= value <= high:
+                raise InputError(
+                    f"{name} starts at {value:.6g} and is to be tuned between {low:.6g} and {high:.6g}: the bounds have to be positive "
+                    "and hold the start value"
+                )
+        period = loop.controller.inner.period
+        reference, before = np.asarray(scenario.reference), float(scenario.before)
+        found = metrics.jumps(reference, before, period)
+        span = float(np.max(np.append(reference, before)) - np.min(np.append(reference, before))) or abs(before) or 1.0
+        task = Task(*map(jnp.asarray, (reference, found.since, found.size, span)), channel=loop.channel, period=period, wires=driven.wires)
+        ends = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
+        return cls(driven, loop, scenario, task, {k: jnp.asarray(v) for k, v in (members or {}).items()}, *ends, names=tuple(bounds))
+
+    @property
+    def count(self) -> int:
+        """Number of members: rollouts at each look at a point."""
+        return next((len(v) for v in self.members.values()), 1)
+
+    @property
+    def jumps(self) -> metrics.Jumps:
+        """The reference's jumps."""
+        return metrics.jumps(np.asarray(self.scenario.reference), float(self.scenario.before), self.task.period)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The start gains in the unit box, shape ``(p,)``."""
+        values = np.array([float(gain(self.loop.controller, name)) for name in self.names])
+        low, high = np.asarray(self.lower), np.asarray(self.upper)
+        return np.log(values / low) / np.where(high > low, np.log(high / low), 1.0)
+
+    def gains(self, point: Any) -> dict[str, jax.Array]:
+        """The gains at a point of the unit box, in internal units."""
+        values = self.lower * (self.upper / self.lower) ** jnp.asarray(point)
+        return {name: values[i] for i, name in enumerate(self.names)}
+
+    def roll(self, point: jax.Array) -> Rollout:
+        """The rollouts of all members at a point, leaves with a leading axis of ``m``."""
+        loop = eqx.tree_at(lambda one: one.controller, self.loop, with_gains(self.loop.controller, self.gains(point)))
+        draws = self.scenario.draws
+        if not self.members:
+            done = rollout(self.driven, loop, self.scenario)
+            return jax.tree.map(lambda leaf: leaf[None], done)
+
+        def single(values: dict, draws: jax.Array) -> Rollout:
+            scenario = eqx.tree_at(lambda s: s.draws, self.scenario, draws)
+            return rollout(self.driven.changed(values), loop, scenario)
+
+        return jax.vmap(single, in_axes=(0, 0 if draws.ndim == 2 else None))(self.members, draws)
+
+    def parts(self, point: jax.Array, wanted: Wanted) -> Parts:
+        """Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``."""
+        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(point)._replace(ends=None))
+
+
+class _Aim(NamedTuple):
+    """What a search takes beside the point; arrays, so that none of it asks for another program."""
+
+    tuning: Tuning
+    wanted: Wanted
+    scale: jax.Array
+    multipliers: jax.Array
+    mu: jax.Array
+
+
+def _residual(point: jax.Array, aim: _Aim) -> jax.Array:
+    found = aim.tuning.parts(point, aim.wanted)
+    each = jax.vmap(lambda f, m: objective.residual(f, aim.scale, aim.wanted, m, aim.mu))(found, aim.multipliers)
+    return each.ravel() / jnp.sqrt(each.shape[0])
+
+
+@eqx.filter_jit
+def look(tuning: Tuning, points: jax.Array, wanted: Wanted) -> tuple[jax.Array, jax.Array]:
+    """Sums of squares of the terms, mean over the members, shape ``(k, 4)``, and the largest violation of each limit, ``(k, 5)``."""
+
+    def single(point: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = tuning.parts(point, wanted)
+        return jnp.mean(jnp.sum(found.terms**2, axis=2), axis=0), jnp.max(found.violated, axis=(0, 2))
+
+    return jax.vmap(single)(points)
+
+
+@eqx.filter_jit
+def roll(tuning: Tuning, point: jax.Array) -> Rollout:
+    """``Tuning.roll``, compiled."""
+    return tuning.roll(point)
+
+
+@eqx.filter_jit
+def _violations(tuning: Tuning, point: jax.Array, wanted: Wanted) -> jax.Array:
+    return tuning.parts(point, wanted).violated
+
+
+class Tuned(NamedTuple):
+    """The best gains found: ``point`` in the unit box, ``gains`` in internal units, ``terms`` over those at the start, the largest
+    violation of each limit (at most 0 where it is kept), whether all are kept, the settling time that is kept, and the rollouts spent.
+
+    ``history`` has a row (rollouts, settling time or sum of the weighted terms) for each improvement that keeps all limits.
+    """
+
+    point: np.ndarray
+    gains: dict[str, float]
+    terms: dict[str, float]
+    violated: dict[str, float]
+    feasible: bool
+    settling: float
+    rollouts: int
+    history: tuple[tuple[int, float], ...]
+
+
+class _Candidate(NamedTuple):
+    """A point with its largest violation (0: none) and its weighted terms."""
+
+    worst: float
+    cost: float
+    point: np.ndarray
+
+
+class _Tuner:
+    """Counts rollouts and keeps the best point."""
+
+    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None]) -> None:
+        self.tuning, self.wanted, self.progress = tuning, wanted, progress
+        self.rollouts, self.history = 0, []
+        terms, _ = self.look(tuning.start[None])
+        usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
+        self.scale = np.where(usable, terms[0], 1.0)
+        pid = tuning.loop.controller.inner
+        reach = float(pid.upper) - float(pid.lower)
+        if reach < _WIDE:
+            self.scale[TERMS.index("effort")] = len(tuning.task.reference) * (_MOVE * reach) ** 2
+        n = tuning.task.reference.shape[0]
+        self.none = jnp.zeros((tuning.count, len(LIMITS), n))
+        self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
+
+    def look(self, points: np.ndarray, wanted: Wanted | None = None) -> tuple[np.ndarray, np.ndarray]:
+        self.rollouts += len(points) * self.tuning.count
+        terms, violated = look(self.tuning, jnp.asarray(points), wanted or self.wanted)
+        return np.asarray(terms), np.nan_to_num(np.asarray(violated), nan=np.inf)
+
+    def candidates(self, points: np.ndarray) -> list[_Candidate]:
+        terms, violated = self.look(points)
+        costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
+        worst = [float(np.max(v)) for v in violated]
+        return [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
+
+    def search(self, points: np.ndarray, wanted: Wanted, multipliers: jax.Array, mu: float, steps: int) -> least_squares.Solved:
+        n = self.tuning.task.reference.shape[0]
+        aim = _Aim(self.tuning, wanted, jnp.asarray(self.scale), multipliers, jnp.asarray(mu))
+        size = self.tuning.count * (len(TERMS) + len(LIMITS)) * n
+        lower, upper = np.zeros(points.shape[1]), np.ones(points.shape[1])
+        upper = np.where(np.asarray(self.tuning.upper > self.tuning.lower), upper, lower)
+        solved = Search(_residual, aim, points, lower, upper, size=size, rtol=_RTOL).advance(steps, self.progress).result()
+        self.rollouts += solved.simulations * self.tuning.count
+        return solved
+
+
+def tune(
+    tuning: Tuning,
+    weights: Mapping[str, float],
+    limits: Mapping[str, float],
+    *,
+    settle: bool = False,
+    starts: int = 1,
+    seed: int = 0,
+    band: float = metrics.BAND,
+    progress: Callable[[int, float], None] = lambda steps, cost: None,
+) -> Tuned:
+    """Tunes from the loop's own gains and from ``starts - 1`` drawn ones that look best.
+
+    ``weights`` are of ``objective.TERMS``, ``limits`` of ``objective.LIMITS``; ``settle`` makes the settling time as small as it goes
+    within the other limits, from where the terms are small. Raises ``InputError`` if nothing is wanted, ``NumericsError`` if no point can
+    be rolled out.
+    """
+    if not weights and not settle:
+        raise InputError(f"nothing is wanted of the loop: give a weight to one of {', '.join(TERMS)}, or ask for the fastest settling")
+    if settle and not np.any(np.asarray(tuning.task.size)):
+        raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
+    wanted = Wanted(
+        jnp.asarray([float((weights or SETTLING).get(t, 0.0)) for t in TERMS]),
+        jnp.asarray([float(limits.get(k, math.inf)) for k in LIMITS]),
+        band,
+    )
+    tuner = _Tuner(tuning, wanted, progress)
+    points = _starts(tuner, starts, seed)
+    found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
+    terms, violated = tuner.look(found[None])
+    kept = float(np.max(violated[0])) <= _LOOSE
+    value = {name: float(v) for name, v in tuning.gains(found).items()}
+    return Tuned(
+        point=found,
+        gains=value,
+        terms={t: float(v) for t, v in zip(TERMS, terms[0] / tuner.scale, strict=True)},
+        violated={k: float(v) for k, v in zip(LIMITS, violated[0], strict=True) if k in limits},
+        feasible=kept,
+        settling=_settling(tuning, found, band),
+        rollouts=tuner.rollouts,
+        history=tuple(tuner.history),
+    )
+
+
+def _starts(tuner: _Tuner, starts: int, seed: int) -> np.ndarray:
+    """The loop's own gains, and the best of many drawn ones: by violations first, then by terms."""
+    own = tuner.tuning.start[None]
+    if starts <= 1:
+        return own
+    drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, 4 * starts), own.shape[1]))
+    terms, violated = tuner.look(drawn)
+    weighted = np.nan_to_num(terms @ (np.asarray(tuner.wanted.weights) / tuner.scale), nan=np.inf)
+    order = np.lexsort((weighted, np.maximum(np.max(violated, axis=1), 0.0)))
+    return np.vstack([own, drawn[order[: starts - 1]]])
+
+
+def _near(tuner: _Tuner, points: np.ndarray, steps: int = _FIRST) -> np.ndarray:
+    """The terms made small without regard to limits: the best point."""
+    solved = tuner.search(points, tuner.unlimited, tuner.none, 1.0, steps)
+    if all(stop is Stop.failed for stop in solved.stops):
+        raise NumericsError(
+            "the closed loop does not give numbers from the start gains, nor from any that was drawn: start from smaller gains",
+            {name: float(v) for name, v in tuner.tuning.gains(points[0]).items()},
+        )
+    return solved.points[int(np.nanargmin(np.where(np.isfinite(solved.costs), solved.costs, np.inf)))]
+
+
+def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
+    """The terms made small within the limits by an augmented Lagrangian, from where they are small without.
+
+    If that is far beyond a limit, from the point that violates the limits least.
+    """
+    limited = bool(np.any(np.isfinite(np.asarray(tuner.wanted.limits))))
+    point = _near(tuner, points, _FIRST if limited else 3 * _FIRST)
+    if not limited:
+        return point
+    tried = tuner.candidates(np.vstack([point, points]))
+    best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
+    if tried[0].worst > _GROSS:
+        point = best.point
+    for _ in range(_RAISES):
+        now = tuner.candidates(point[None])[0]
+        if _order(now) < _order(best):
+            best = now
+            if now.worst == 0.0:
+                tuner.history.append((tuner.rollouts, now.cost))
+        if now.worst == 0.0 and not bool(jnp.any(multipliers > 0.0)):
+            break
+        if now.worst > 0.3 * before:
+            mu *= 10.0
+        before = now.worst
+        multipliers = jnp.maximum(multipliers + mu * _violations(tuner.tuning, jnp.asarray(point), tuner.wanted), 0.0)
+        tuner.rollouts += tuner.tuning.count
+        point = tuner.search(point[None], tuner.wanted, multipliers, mu, _FIRST).points[0]
+    return best.point
+
+
+def _order(candidate: _Candidate) -> tuple[float, float]:
+    return candidate.worst, candidate.cost
+
+
+def _faster(tuner: _Tuner, start: np.ndarray) -> np.ndarray:
+    """The point that settles first: see ``fastest``."""
+    tuning = tuner.tuning
+    found = tuning.jumps
+    shaped = _Shaped(tuning, tuner.wanted)
+
+    def shape(point: np.ndarray) -> Shape:
+        tuner.rollouts += tuning.count * (1 + len(point))
+        return shape_at(shaped, point)
+
+    def note(point: np.ndarray, late: float, worst: float) -> None:
+        tuner.progress(tuner.rollouts, late)
+        if worst <= _LOOSE:
+            tuner.history.append((tuner.rollouts, late))
+
+    span = np.log(np.asarray(tuning.upper / tuning.lower))
+    return fastest(shape, start, span, found, tuner.wanted, tuning.task.period, note, evaluations=_EVALUATIONS)
+
+
+class _Shaped(eqx.Module):
+    """Error over the jump, shape ``(m, n)``, and violations, ``(m, 5, n)``, of a point."""
+
+    tuning: Tuning
+    wanted: Wanted
+
+    def __call__(self, point: jax.Array) -> tuple[jax.Array, jax.Array]:
+        tuning, task = self.tuning, self.tuning.task
+        done = tuning.roll(point)._replace(ends=None)
+        jumped = task.size != 0.0
+        error = done.channels[task.channel] - task.reference
+        share = jnp.where(jumped, error / jnp.where(jumped, task.size, 1.0), 0.0)
+        return share, jax.vmap(lambda one: objective.parts(one, task, self.wanted).violated)(done)
+
+
+def _settling(tuning: Tuning, point: np.ndarray, band: float) -> float:
+    """The longest settling time of all jumps and members at a point, s; 0 without any jump."""
+    values = np.asarray(roll(tuning, jnp.asarray(point)).channels[tuning.task.channel])
+    reference = np.asarray(tuning.task.reference)
+    times = [a.settling for v in values for a in metrics.answers(v, reference, tuning.jumps, tuning.task.period, band)]
+    return max(times, default=0.0)
+
+
+def describe(names: Sequence[str], values: Mapping[str, float]) -> str:
+    """Gains as one line of text, in internal units."""
+    return ", ".join(f"{name} = {values[name]:.6g}" for name in names)

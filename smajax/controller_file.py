@@ -1,0 +1,383 @@
+"""controller.toml: which controller steers which channel, what it should do there, and what is tuned.
+
+    [controller]
+    kind = "pid"                      # pid, bpid, ppid, adaptive-pid
+    period = "20 ms"
+    output = ["0 A", "0.5 A"]         # limits of the command
+    [gains]                           # where the search starts
+    kp = "30 A/m"
+    [reference]
+    kind = "staircase"                # step, staircase, sine, recorded
+    ...
+    [tune]
+    objective = "tracking"            # tracking, itae, settling, or weights of several
+    [limits]
+    temperature = "110 degC"
+
+Quantities carry units; the gains' follow from the drive and the channel. Every mistake is one sentence that names file and key.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, cast
+
+import jax.numpy as jnp
+import numpy as np
+from pydantic import BaseModel, Field
+
+from smajax import parameters, recording
+from smajax.control import references
+from smajax.control.adaptive import AdaptivePID
+from smajax.control.allocation import Allocation
+from smajax.control.bpid import BPID
+from smajax.control.controller import AbstractController
+from smajax.control.driven import DrivenPlant
+from smajax.control.gains import gain, unit_of, with_gains
+from smajax.control.gains import gains as gains_of
+from smajax.control.guard import TemperatureGuard
+from smajax.control.objective import TERMS
+from smajax.control.pid import PID
+from smajax.control.ppid import PPID
+from smajax.control.rollout import Loop, Scenario
+from smajax.control.sensing import Sensing
+from smajax.errors import InputError
+from smajax.rig import Rig
+from smajax.rig_schema import one_of, quantity
+from smajax.toml_file import STRICT, advice, parse, read_text, show, validate
+from smajax.units import CHANNELS
+from smajax.units import parse as parse_quantity
+
+KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
+OBJECTIVES = (*TERMS, "settling")
+# What counts beside the objective unless weights are given: a real sensor would punish gains that shake the wire.
+_CALM = {"effort": 0.01}
+_SECTIONS = ("schema", "controller", "gains", "reference", "tune", "limits", "sensor", "guard", "robust", "change")
+
+
+class _Controller(BaseModel):
+    model_config = STRICT
+    kind: Annotated[str, one_of(KINDS)] = "pid"
+    period: str = Field(examples=['"20 ms"'])
+    output: list[Any] = Field(min_length=2, max_length=2, examples=['["0 A", "0.5 A"]'])
+    channel: str | None = Field(None, examples=['"displacement"'])
+    derivative_on: Annotated[str, one_of(("error", "value"))] = "error"
+    law: Annotated[str, one_of(("gradient", "printed"))] = "gradient"
+    co_contraction: Any = Field(None, examples=['"0.1 A"'])
+    carrier: Any = Field(None, examples=['"100 Hz"'])
+
+
+class _Reference(BaseModel):
+    model_config = STRICT
+    kind: Annotated[str, one_of(("step", "staircase", "sine", "recorded"))]
+    duration: Any = Field(None, examples=['"60 s"'])
+    low: Any = Field(None, examples=['"0 mm"'])
+    high: Any = Field(None, examples=['"5 mm"'])
+    at: Any = Field(None, examples=['"1 s"'])
+    levels: list[Any] = Field([], examples=['["2 mm", "6 mm", "4 mm"]'])
+    hold: Any = Field(None, examples=['"20 s"'])
+    frequency: Any = Field(None, examples=['"0.1 Hz"'])
+    file: str | None = Field(None, examples=['"wanted.csv"'])
+
+
+class _Tune(BaseModel):
+    model_config = STRICT
+    free: list[str] | None = Field(None, examples=['["kp", "ki"]'])
+    objective: Any = Field("tracking", examples=['"tracking"'])
+    bounds: dict[str, Any] = Field({}, examples=['{ kp = ["1 A/m", "500 A/m"] }'])
+    starts: int = Field(4, ge=1, le=1000, examples=["4"])
+    seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
+    band: Any = Field("2 %", examples=['"2 %"'])
+
+
+class _Limits(BaseModel):
+    model_config = STRICT
+    temperature: Any = Field(None, examples=['"110 degC"'])
+    current: Any = Field(None, examples=['"0.4 A"'])
+    stress: Any = Field(None, examples=['"200 MPa"'])
+    overshoot: Any = Field(None, examples=['"2 %"'])
+    settling: Any = Field(None, examples=['"5 s"'])
+
+
+class _Sensor(BaseModel):
+    model_config = STRICT
+    noise: Any = Field(None, examples=['"0.01 mm"'])
+    quantum: Any = Field(None, examples=['"0.005 mm"'])
+    delay: Any = Field(None, examples=['"20 ms"'])
+
+
+class _Guard(BaseModel):
+    model_config = STRICT
+    limit: Any = Field(examples=['"110 degC"'])
+    kp: Any = Field(examples=['"0.05 A/K"'])
+    ki: Any = Field(None, examples=['"0.01 A/K/s"'])
+
+
+class _Robust(BaseModel):
+    model_config = STRICT
+    fit: str | None = Field(None, examples=['"result"'])
+    draws: int = Field(8, ge=1, le=4096, examples=["8"])
+    check: int = Field(64, ge=1, le=100_000, examples=["500"])
+    vary: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = ["15 degC", "30 degC"] }'])
+
+
+class _Change(BaseModel):
+    model_config = STRICT
+    parameter: str = Field(examples=['"load.mass"'])
+    at: Any = Field(examples=['"30 s"'])
+    value: Any = Field(examples=['"0.3 kg"'])
+
+
+class Robust(NamedTuple):
+    """Draws to tune for and to check on, from the fit in a folder (``None``: no fit) and from ranges of parameters (internal units)."""
+
+    fit: Path | None
+    draws: int
+    check: int
+    vary: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerFile:
+    """What a controller file says, in internal units; ``bounds`` name the free gains, ``weights`` are of the objective's terms."""
+
+    name: str
+    driven: DrivenPlant
+    loop: Loop
+    scenario: Scenario
+    units: Mapping[str, str]
+    bounds: Mapping[str, tuple[float, float]]
+    weights: Mapping[str, float]
+    settle: bool
+    limits: Mapping[str, float]
+    band: float
+    starts: int
+    seed: int
+    robust: Robust | None
+
+
+def read_controller(path: Path, rig: Rig) -> ControllerFile:
+    """Reads and checks a controller file for a rig. InputError: one sentence with file, section and key, and the cure."""
+    data = parse(read_text(path, "controller"), str(path))
+    try:
+        return _read(data, path, rig)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
+    for key in data:
+        if key not in _SECTIONS:
+            raise InputError(f"[{key}] is not a section of a controller{advice(key, _SECTIONS[1:], 'the sections are')}")
+    for needed, example in (("controller", 'kind = "pid"'), ("gains", 'kp = "..."'), ("reference", 'kind = "step"')):
+        if needed not in data:
+            raise InputError(f"the section [{needed}] is missing: add it, with lines like {example}")
+    head = validate(_Controller, data["controller"], "controller")
+    tune = validate(_Tune, data.get("tune", {}), "tune")
+    plant, period = rig.plant, _quantity(head.period, "s", "controller.period", least=1e-6)
+    channel = head.channel or plant.mechanism.coordinate
+    if channel not in plant.observable or channel not in CHANNELS:
+        known = [c for c in plant.observable if c in CHANNELS]
+        raise InputError(f"controller.channel: '{channel}' cannot be steered here{advice(channel, known, 'the channels are')}")
+    carrier = None if head.carrier is None else _quantity(head.carrier, "Hz", "controller.carrier", least=1e-3)
+    driven = DrivenPlant.of(plant, period, carrier=carrier)
+    command, unit = CHANNELS[plant.drive.control].unit, CHANNELS[channel].unit
+    difference = "K" if unit == "degC" else unit
+    lower, upper = (_quantity(v, command, "controller.output") for v in head.output)
+    if not lower < upper:
+        raise InputError("controller.output: the first limit has to be below the second")
+    if driven.wires == 1 and lower < 0.0:
+        raise InputError(f"controller.output: a wire cannot be cooled by its drive: make the least output {show('0 ' + command)} or more")
+    if head.kind != "adaptive-pid" and "law" in data["controller"]:
+        raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
+    controller, units = _controller(head, period, data["gains"], (lower, upper), (command, difference))
+    bias = 0.0 if head.co_contraction is None else _quantity(head.co_contraction, command, "controller.co_contraction")
+    sensor = validate(_Sensor, data.get("sensor", {}), "sensor")
+    noise, quantum = (_optional(v, difference, f"sensor.{k}") for k, v in (("noise", sensor.noise), ("quantum", sensor.quantum)))
+    delay = round(_optional(sensor.delay, "s", "sensor.delay") / period)
+    guard = None
+    if "guard" in data:
+        given = validate(_Guard, data["guard"], "guard")
+        kp, ki = _quantity(given.kp, f"{command}/K", "guard.kp"), _optional(given.ki, f"{command}/K/s", "guard.ki")
+        inner = PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, upper), period=period)
+        guard = TemperatureGuard(inner, jnp.asarray(_quantity(given.limit, "degC", "guard.limit")))
+    loop = Loop(
+        controller,
+        Allocation(jnp.asarray(upper), jnp.asarray(bias), driven.wires),
+        Sensing(jnp.asarray(noise), jnp.asarray(quantum), delay),
+        guard,
+        channel=channel,
+    )
+    scenario = _scenario(data, path, rig, (unit, channel, period), tune.seed)
+    weights, settle = _objective(tune.objective, "limits" in data)
+    return ControllerFile(
+        name=path.name,
+        driven=driven,
+        loop=loop,
+        scenario=scenario,
+        units=units,
+        bounds=_bounds(tune, controller, units),
+        weights=weights,
+        settle=settle,
+        limits=_limits(data.get("limits", {})),
+        band=_quantity(tune.band, "1", "tune.band", least=1e-4),
+        starts=tune.starts,
+        seed=tune.seed,
+        robust=_robust(data["robust"], path, rig) if "robust" in data else None,
+    )
+
+
+def _controller(
+    head: _Controller, period: float, given: Any, output: tuple[float, float], units: tuple[str, str]
+) -> tuple[AbstractController, dict[str, str]]:
+    """The controller, and the unit of each of its gains."""
+    pid = PID(*_arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
+    controller: AbstractController = pid
+    if head.kind == "bpid":
+        controller = BPID(pid)
+    elif head.kind == "ppid":
+        controller = PPID(pid, *_arrays(0.0, 0.0))
+    elif head.kind == "adaptive-pid":
+        controller = AdaptivePID(pid, law=cast(Any, head.law))
+    declared = gains_of(controller)
+    named = {name: unit_of(name, controller, *units) for name in declared}
+    if not isinstance(given, dict):
+        raise InputError("[gains] is a section, not a value: write the gains below a line [gains]")
+    values = {}
+    for name, value in given.items():
+        if name not in declared:
+            raise InputError(f"gains.{name} is not known{advice(name, declared, f'the gains of a {head.kind} are')}")
+        values[name] = _quantity(value, named[name], f"gains.{name}")
+        quantity_ = declared[name]
+        if not quantity_.lower <= values[name] <= quantity_.upper:
+            raise InputError(f"gains.{name} = {show(value)} is not possible for the {quantity_.meaning}: give a value of 0 or more")
+    if not any(values.values()):
+        raise InputError(f"[gains] holds no gain above 0: give at least kp, in {named['kp']}")
+    return with_gains(controller, values), named
+
+
+def _bounds(tune: _Tune, controller: AbstractController, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+    """The free gains and their ends: where none are given, a hundredth and a hundred times the start value."""
+    values = {name: float(gain(controller, name)) for name in units}
+    free = tune.free if tune.free is not None else [n for n, v in values.items() if v > 0.0 and n not in ("tuning_point", "band")]
+    for name in [*free, *tune.bounds]:
+        if name not in values:
+            raise InputError(f"tune: there is no gain '{name}'{advice(name, values, 'the gains are')}")
+    ends = {}
+    for name in free:
+        if name in tune.bounds:
+            given = tune.bounds[name]
+            if not isinstance(given, list) or len(given) != 2:
+                raise InputError(f'tune.bounds: {name} needs two quantities: write {name} = ["...", "..."]')
+            low, high = (_quantity(v, units[name], f"tune.bounds.{name}") for v in given)
+        else:
+            low, high = 0.01 * values[name], 100.0 * values[name]
+        if not 0.0 < low <= values[name] <= high:
+            raise InputError(
+                f"tune: {name} starts at {values[name]:.6g} {units[name]} and is to be tuned between {low:.6g} and {high:.6g}: "
+                "start above 0, and give bounds above 0 that hold the start value"
+            )
+        ends[name] = (low, high)
+    if not ends:
+        raise InputError("tune.free names no gain: nothing would be tuned")
+    return ends
+
+
+def _objective(given: Any, limited: bool) -> tuple[dict[str, float], bool]:
+    if isinstance(given, str):
+        if given not in OBJECTIVES:
+            raise InputError(f"tune.objective: '{given}' is not known{advice(given, OBJECTIVES, 'the objectives are')}")
+        return ({"itae": 1.0} if given == "settling" else {given: 1.0}) | _CALM, given == "settling"
+    if not isinstance(given, dict) or not given:
+        raise InputError('tune.objective is a word or a table of weights: write it like "tracking" or { tracking = 1, energy = 0.1 }')
+    for name, weight in given.items():
+        if name not in TERMS:
+            raise InputError(f"tune.objective: '{name}' cannot be weighed{advice(name, TERMS, 'what can be are')}")
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0.0 <= weight < math.inf:
+            raise InputError(f"tune.objective: the weight {name} = {show(weight)} is not a number of 0 or more")
+    return {name: float(w) for name, w in given.items()}, False
+
+
+def _limits(data: Any) -> dict[str, float]:
+    given = validate(_Limits, data, "limits")
+    units = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
+    return {k: _quantity(v, units[k], f"limits.{k}") for k, v in given.model_dump().items() if v is not None}
+
+
+def _scenario(data: Mapping[str, Any], path: Path, rig: Rig, seen: tuple[str, str, float], seed: int) -> Scenario:
+    unit, channel, period = seen
+    given = validate(_Reference, data["reference"], "reference")
+
+    def level(value: Any, key: str, unit: str = unit, **ends: float) -> float:
+        if value is None:
+            field = _Reference.model_fields[key]
+            raise InputError(f"reference.{key} is missing: a {given.kind} needs a line like {key} = {(field.examples or [''])[0]}")
+        return _quantity(value, unit, f"reference.{key}", **ends)
+
+    rest = 0.0
+    if given.kind == "recorded":
+        if given.file is None:
+            raise InputError('reference.file is missing: name the recording, as in file = "wanted.csv"')
+        wanted = recording.read(path.parent / given.file, required=(channel,), mapping=rig.channels.columns)
+        time = references.clock(float(wanted.time[-1] - wanted.time[0]) + period, period)
+        values = references.recorded(time, wanted.time, wanted.channels[channel])
+        rest = float(values[0])
+    else:
+        duration = level(given.duration, "duration", "s", least=2 * period)
+        time = references.clock(duration, period)
+        if given.kind == "step":
+            rest = _optional(given.low, unit, "reference.low")
+            values = references.step(time, rest, level(given.high, "high"), _optional(given.at, "s", "reference.at"))
+        elif given.kind == "staircase":
+            if not given.levels:
+                raise InputError('reference.levels is missing: a staircase needs a line like levels = ["2 mm", "6 mm", "4 mm"]')
+            steps = [_quantity(v, unit, "reference.levels") for v in given.levels]
+            values = references.staircase(time, steps, level(given.hold, "hold", "s", least=period))
+        else:
+            rest = _optional(given.low, unit, "reference.low")
+            values = references.sine(time, rest, level(given.high, "high"), level(given.frequency, "frequency", "Hz", least=1e-6))
+    changes: dict[str, np.ndarray] = {}
+    listed = data.get("change", [])
+    for change in listed if isinstance(listed, list) else [listed]:
+        one = validate(_Change, change, "change")
+        declared = parameters.declaration(rig.plant, one.parameter)
+        series = changes.setdefault(one.parameter, np.full(len(time), float(parameters.get(rig.plant, one.parameter))))
+        series[time >= _quantity(one.at, "s", "change.at") - 1e-9] = quantity(one.value, declared)
+    draws = np.random.default_rng(seed).standard_normal(len(time))
+    return Scenario(
+        jnp.asarray(values), jnp.asarray(rest), jnp.asarray(draws), {name: jnp.asarray(series) for name, series in changes.items()}
+    )
+
+
+def _robust(data: Any, path: Path, rig: Rig) -> Robust:
+    given = validate(_Robust, data, "robust")
+    vary = {}
+    for name, ends in given.vary.items():
+        declared = parameters.declaration(rig.plant, name)
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise InputError(f'robust.vary: {name} needs two quantities: write "{name}" = ["...", "..."]')
+        vary[name] = (quantity(ends[0], declared), quantity(ends[1], declared))
+        if not vary[name][0] <= vary[name][1]:
+            raise InputError(f"robust.vary: the range of {name} is empty: put the smaller value first")
+    if given.fit is None and not vary:
+        raise InputError('[robust] says neither fit = "FOLDER" nor vary = {...}: name what may be different')
+    return Robust(None if given.fit is None else path.parent / given.fit, given.draws, given.check, vary)
+
+
+def _arrays(*values: float) -> tuple[Any, ...]:
+    return tuple(jnp.asarray(v, jnp.float64) for v in values)
+
+
+def _optional(value: Any, unit: str, place: str) -> float:
+    return 0.0 if value is None else _quantity(value, unit, place)
+
+
+def _quantity(value: Any, unit: str, place: str, *, least: float = -math.inf) -> float:
+    try:
+        number = parse_quantity(value, unit)
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+    if not number >= least:
+        raise InputError(f"{place} = {show(value)} is too small: give {least:g} {unit} or more")
+    return number

@@ -1,0 +1,314 @@
+"""The job of ``smajax tune``: gains of a controller for a rig, compared with those that it started from, checked, and written out."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import __version__, parameters
+from smajax.console import Progress
+from smajax.control import members, metrics
+from smajax.control.controller import AbstractController
+from smajax.control.export import as_document, c_header
+from smajax.control.gains import gain, gains, with_gains
+from smajax.control.margins import Margins, margins, restless
+from smajax.control.rollout import Rollout, Scenario, rollout
+from smajax.control.tune import Tuned, Tuning, tune
+from smajax.controller_file import ControllerFile, read_controller
+from smajax.jobs.record import Clock, Outcome, rig_text, run_record
+from smajax.report import prediction
+from smajax.report.document import number, to_json
+from smajax.report.tuning import SCHEMA, sentences, shown, tuning_page
+from smajax.results import check_out, read_json, write_folder
+from smajax.rig import Rig, read_rig
+from smajax.units import CHANNELS
+
+_BATCH = 64
+
+
+class TuneJob(NamedTuple):
+    """What to tune; ``seed`` replaces the controller file's where it is given."""
+
+    rig: Path
+    controller: Path
+    out: Path
+    seed: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Behaviour:
+    """One set of gains on the plant as the rig has it: its rollout, metrics in SI, margins, and why it counts as unstable, if it does."""
+
+    controller: AbstractController
+    channels: Mapping[str, np.ndarray]
+    command: np.ndarray
+    numbers: dict[str, float]
+    margins: Margins
+    unstable: str
+
+
+def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
+    """Reads, tunes, checks and writes the folder. Raises InputError for what cannot be read, NumericsError if no gains give numbers.
+
+    Exit code 3 with the best feasible result if the start gains are unstable, the reference is beyond the stroke, or a limit is not met.
+    """
+    out, clock = check_out(job.out), Clock()
+    progress.phase("reading")
+    with clock.time("read"):
+        rig, text = read_rig(job.rig), rig_text(job.rig)
+        given = read_controller(job.controller, rig)
+        controller_text = job.controller.read_text("utf-8-sig")
+        seed = given.seed if job.seed is None else job.seed
+        drawn = _drawn(given, rig, seed)
+    progress.phase("trying the start gains")
+    with clock.time("start"):
+        reach = _reach(given)
+        beyond = _beyond(given, reach)
+        given = replace(given, scenario=_cut(given.scenario, reach)) if beyond else given
+        first = behave(given, given.loop.controller)
+    progress.phase("tuning")
+    with clock.time("tune"):
+        few = {n: v[: given.robust.draws] for n, v in drawn.items()} if given.robust else {}
+        tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few)
+        found = tune(
+            tuning, given.weights, given.limits, settle=given.settle, starts=given.starts, seed=seed, band=given.band,
+            progress=lambda step, cost: progress.step(f"step {step}, cost {cost:.4g}"),
+        )  # fmt: skip
+    progress.phase("checking")
+    with clock.time("check"):
+        last = behave(given, with_gains(given.loop.controller, found.gains))
+        checks = {when: _check(given, one.controller, drawn) for when, one in (("start", first), ("tuned", last))} if drawn else {}
+    document = _document(given, rig, found, (first, last), checks, beyond, seed)
+    reason = "; ".join(document["problems"])
+    code = 3 if reason else 0
+    run = run_record("tune", rig, argv, clock, seed, code) | {"controller": given.name}
+    series = [_series(given, one, name) for name, one in (("start gains", first), ("tuned gains", last))]
+    progress.phase("writing the report")
+    units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
+
+    def fill(folder: Path) -> None:
+        (folder / "rig.toml").write_text(text, "utf-8", newline="")
+        (folder / "controller.toml").write_text(controller_text, "utf-8", newline="")
+        (folder / "tune.json").write_text(to_json(document), "utf-8")
+        (folder / "controller.json").write_text(to_json(as_document(last.controller, dict(given.units))), "utf-8")
+        (folder / "controller.h").write_text(c_header(last.controller, units, __version__), "utf-8")
+        prediction.write(folder / "prediction.csv", series)
+        page = tuning_page(document, prediction.read(folder / "prediction.csv"), run, text)
+        (folder / "report.html").write_text(page, "utf-8")
+
+    write_folder(out, run, fill)
+    return Outcome(out, document, code, reason)
+
+
+def behave(given: ControllerFile, controller: AbstractController) -> Behaviour:
+    """How the rig's own plant does with a controller."""
+    loop = eqx.tree_at(lambda one: one.controller, given.loop, controller)
+    done = _rolled(given.driven, loop, given.scenario, {})
+    channels = {name: np.asarray(values)[0] for name, values in done.channels.items()}
+    command = np.asarray(done.command)[0]
+    quiet = eqx.tree_at(lambda s: s.draws, given.scenario, jnp.zeros_like(given.scenario.draws))
+    calm = _rolled(given.driven, loop, quiet, {})
+    why = restless(
+        np.asarray(calm.command)[0], np.asarray(given.scenario.reference), np.asarray(calm.channels[loop.channel])[0], _range(controller)
+    )
+    return Behaviour(controller, channels, command, _numbers(given, channels, command), margins(given.driven, loop, quiet), why)
+
+
+@eqx.filter_jit
+def _rolled(driven: Any, loop: Any, scenario: Scenario, values: dict) -> Rollout:
+    """Rollouts of all members, leaves with a leading axis; of the plant itself without any."""
+    if not values:
+        return jax.tree.map(lambda leaf: leaf[None], rollout(driven, loop, scenario)._replace(ends=None))
+    return jax.vmap(lambda v: rollout(driven.changed(v), loop, scenario)._replace(ends=None))(values)
+
+
+def _numbers(given: ControllerFile, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
+    period, channel = given.driven.period, given.loop.channel
+    reference = np.asarray(given.scenario.reference)
+    told = metrics.tracking(channels[channel], reference, period)
+    answers = metrics.answers(
+        channels[channel], reference, metrics.jumps(reference, float(given.scenario.before), period), period, given.band
+    )
+    if answers:
+        told |= {
+            "rise": max(a.rise for a in answers),
+            "settling": max(a.settling for a in answers),
+            "overshoot": max(a.overshoot for a in answers),
+        }
+    told["energy"] = float(np.sum([np.sum(channels[n]) for n in _of(given, "power")]) * period)
+    told["mean_command"] = float(np.mean(np.sum(command, axis=1)))
+    for name in ("temperature", "stress", "current"):
+        told[f"peak_{name}"] = float(np.max([np.max(channels[n]) for n in _of(given, name)]))
+    return told
+
+
+def _of(given: ControllerFile, name: str) -> list[str]:
+    wires = given.driven.wires
+    return [name] if wires == 1 else [f"{name}_{i + 1}" for i in range(wires)]
+
+
+def _range(controller: AbstractController) -> float:
+    return float(controller.inner.upper) - float(controller.inner.lower)
+
+
+def _drawn(given: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
+    """Draws of what may be different, as many as are tuned for or checked on, whichever are more."""
+    if given.robust is None:
+        return {}
+    count, rng = max(given.robust.draws, given.robust.check), np.random.default_rng([seed, 7])
+    found: dict[str, np.ndarray] = {}
+    if given.robust.fit is not None:
+        known = list(parameters.declared(rig.plant))
+        found = members.posterior(read_json(given.robust.fit, "fit.json"), known, count, rng)
+    return found | members.spread(given.robust.vary, count, rng)
+
+
+def _reach(given: ControllerFile) -> tuple[float, float]:
+    """The least and largest value of the channel that the largest command reaches by the reference's end, within the limit on temperature.
+
+    Of two wires, both are heated in turn.
+    """
+    driven, upper = given.driven, float(given.loop.controller.inner.upper)
+    count = max(given.scenario.reference.shape[0], math.ceil(5.0 / driven.period))
+
+    @eqx.filter_jit
+    def held(command: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def one(state: Any, _: Any) -> tuple[Any, Any]:
+            state, _, _ = driven.advance(state, command)
+            seen = driven.read(state, command)
+            return state, (seen[given.loop.channel], jnp.max(jnp.stack([seen[n] for n in _of(given, "temperature")])))
+
+        return jax.lax.scan(one, driven.start(), None, length=count)[1]
+
+    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[given.loop.channel])
+    values = [rest]
+    for wire in range(driven.wires):
+        value, warm = map(np.asarray, held(jnp.zeros(driven.wires).at[wire].set(upper)))
+        values += [float(v) for v in value[(warm <= given.limits.get("temperature", math.inf)) & np.isfinite(value)]]
+    return min(values), max(values)
+
+
+def _beyond(given: ControllerFile, reach: tuple[float, float]) -> str:
+    """What to say of a reference that the rig cannot follow; nothing if it can."""
+    wanted, channel = np.asarray(given.scenario.reference), given.loop.channel
+    room = 0.02 * max(float(np.ptp(np.append(wanted, float(given.scenario.before)))), 1e-12)
+    if reach[0] - room <= wanted.min() and wanted.max() <= reach[1] + room:
+        return ""
+    ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), *reach)]
+    told = f"the reference goes from {ends[0]} to {ends[1]}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
+    told += " within the limit on temperature" if "temperature" in given.limits else ""
+    return told + ("; tuned for the reference cut to that" if _cut(given.scenario, reach) is not given.scenario else "")
+
+
+def _cut(scenario: Scenario, reach: tuple[float, float]) -> Scenario:
+    """The scenario with its reference within the reach, if that leaves half of it."""
+    cut = jnp.clip(scenario.reference, *reach)
+    whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
+    left = float(jnp.ptp(jnp.append(cut, scenario.before)))
+    return eqx.tree_at(lambda s: s.reference, scenario, cut) if left > 0.5 * whole else scenario
+
+
+def _check(given: ControllerFile, controller: AbstractController, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Metrics of every draw: median and 5 to 95 %, and how many are stable and within the limits."""
+    loop = eqx.tree_at(lambda one: one.controller, given.loop, controller)
+    count = len(next(iter(drawn.values())))
+    size = min(_BATCH, count)
+    told: list[dict[str, float]] = []
+    unstable = broken = 0
+    for first in range(0, count, size):
+        rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up: one program serves all
+        done = _rolled(given.driven, loop, given.scenario, {n: jnp.asarray(v[rows]) for n, v in drawn.items()})
+        channels = {n: np.asarray(v) for n, v in done.channels.items()}
+        for k in range(min(size, count - first)):
+            one, command = {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k])
+            numbers = _numbers(given, one, command)
+            told.append(numbers)
+            unstable += bool(restless(command, np.asarray(given.scenario.reference), one[loop.channel], _range(controller)))
+            broken += bool(broken_limits(given.limits, numbers))
+    table = {n: np.array([t[n] for t in told]) for n in told[0]}
+    with np.errstate(invalid="ignore"):
+        spread = {n: [number(float(q)) for q in np.nanquantile(v, [0.05, 0.5, 0.95])] for n, v in table.items()}
+        worst = {n: number(float(np.max(v))) for n, v in table.items()}
+    return {"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}
+
+
+def broken_limits(limits: Mapping[str, float], numbers: Mapping[str, float]) -> list[str]:
+    """The limits that a rollout's numbers do not keep."""
+    names = {k: k if k in ("overshoot", "settling") else f"peak_{k}" for k in limits}
+    scales = {"temperature": 10.0, "overshoot": metrics.BAND, "settling": max(limits.get("settling", 1.0), 1e-9)}
+    return [
+        k for k, limit in limits.items()
+        if names[k] in numbers and not numbers[names[k]] <= limit + 2e-3 * scales.get(k, 0.1 * abs(limit))
+    ]  # fmt: skip
+
+
+def _document(
+    given: ControllerFile,
+    rig: Rig,
+    found: Tuned,
+    both: tuple[Behaviour, Behaviour],
+    checks: Mapping[str, Any],
+    beyond: str,
+    seed: int,
+) -> dict[str, Any]:
+    first, last = both
+    unit = CHANNELS[given.loop.channel].unit
+    table = {
+        name: {
+            "start": number(float(gain(first.controller, name))),
+            "tuned": number(float(gain(last.controller, name))),
+            "unit": given.units[name],
+            "free": name in given.bounds,
+            "bounds": [number(end) for end in given.bounds.get(name, (None, None))],
+        }
+        for name in gains(given.loop.controller)
+    }
+    problems = [f"the start gains are unstable: {first.unstable}"] if first.unstable else []
+    problems += [beyond] if beyond else []
+    broken = broken_limits(given.limits, last.numbers)
+    for name in broken:
+        key = name if name in last.numbers else f"peak_{name}"
+        ends = [shown(v, key, given.loop.channel) for v in (last.numbers[key], given.limits[name])]
+        problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found give {ends[0]}")
+    if last.unstable:
+        problems.append(f"the best gains found are unstable: {last.unstable}")
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "rig": rig.name,
+        "controller": given.name,
+        "channel": given.loop.channel,
+        "unit": unit,
+        "feasible": not broken and not last.unstable,
+        "problems": problems,
+        "gains": table,
+        "metrics": {
+            when: {n: number(v) for n, v in one.numbers.items()} for when, one in (("start", first), ("tuned", last))
+        },
+        "limits": {n: number(v) for n, v in given.limits.items()},
+        "margins": {
+            when: {n: number(v) for n, v in one.margins._asdict().items()} for when, one in (("start", first), ("tuned", last))
+        },
+        "stable": {"start": not first.unstable, "tuned": not last.unstable},
+        "robust": dict(checks),
+        "objective": {"settle": given.settle, "weights": dict(given.weights)},
+        "rollouts": found.rollouts,
+        "seed": seed,
+        "smajax": __version__,
+    }  # fmt: skip
+    return document | {"summary": sentences(document)}
+
+
+def _series(given: ControllerFile, one: Behaviour, name: str) -> prediction.Series:
+    control, channel = given.driven.plant.drive.control, given.loop.channel
+    reference = np.asarray(given.scenario.reference)
+    time = given.driven.period * np.arange(len(reference), dtype=np.float64)
+    shown = [channel, *_of(given, "temperature"), *_of(given, "stress")]
+    model = {c: one.channels[c] for c in dict.fromkeys(shown)}
+    model |= {c: one.command[:, i] for i, c in enumerate(_of(given, control))}
+    return prediction.to_series(name, name.split()[0], time, {channel: reference}, model, {}, clock=True)

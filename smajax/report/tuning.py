@@ -1,0 +1,103 @@
+"""What ``smajax tune`` prints and shows: gains, what they do, and what they did before."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from smajax.report import html, plots
+from smajax.report.prediction import Series, usual_unit
+from smajax.report.summary import table
+from smajax.units import CHANNELS, from_si
+
+SCHEMA = "smajax.tune/1"
+_METRICS = {
+    "rmse": "RMSE", "max_error": "largest error", "itae": "ITAE", "rise": "rise 10 to 90 %", "settling": "settling",
+    "overshoot": "overshoot", "energy": "energy", "mean_command": "mean command",
+    "peak_temperature": "hottest", "peak_stress": "largest stress",
+    "peak_current": "largest current",
+}  # fmt: skip
+
+
+def shown(value: float | None, name: str, channel: str) -> str:
+    """A metric in a usual unit; ``-`` where it has none, as the settling of what never settles."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if name in ("rmse", "max_error", "itae", channel):
+        unit = usual_unit(channel)
+        number = from_si(value, unit, CHANNELS[channel].unit) if unit != "degC" else value
+        return f"{number:.4g} {unit}" + (" s\N{SUPERSCRIPT TWO}" if name == "itae" else "")
+    if name == "overshoot":
+        return f"{100 * value:.2f} %"
+    if name == "peak_stress":
+        return f"{value / 1e6:.4g} MPa"
+    unit = {"rise": "s", "settling": "s", "energy": "J", "peak_temperature": "degC", "peak_current": "A"}.get(name, "")
+    return f"{value:.4g} {unit}".strip()
+
+
+def sentences(doc: Mapping[str, Any]) -> str:
+    """What came of it, in words."""
+    channel, before, after = doc["channel"], doc["metrics"]["start"], doc["metrics"]["tuned"]
+    key = "settling" if doc["objective"]["settle"] else "rmse"
+    told = f"{_METRICS[key]} of {channel}: {shown(before[key], key, channel)} with the start gains, {shown(after[key], key, channel)} with "
+    told += f"the tuned ones, found in {doc['rollouts']:,} rollouts."
+    if doc["problems"]:
+        told += " But " + "; ".join(doc["problems"]) + "."
+    if doc["robust"]:
+        one = doc["robust"]["tuned"]
+        good = one["draws"] - max(one["unstable"], one["beyond_a_limit"])
+        told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit"
+        told += "." if good < one["draws"] else ": all are well."
+    return told
+
+
+def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Name, start, tuned, unit."""
+    rows = []
+    for name, entry in doc["gains"].items():
+        held = "" if entry["free"] else " (held)"
+        rows.append((name, f"{entry['start']:.5g}", f"{entry['tuned']:.5g}{held}", entry["unit"]))
+    return rows
+
+
+def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Metric, start, tuned, and where there are draws, 5 to 95 % of the tuned ones."""
+    rows, channel = [], doc["channel"]
+    for name, label in _METRICS.items():
+        if name not in doc["metrics"]["tuned"]:
+            continue
+        row = [label, *(shown(doc["metrics"][when][name], name, channel) for when in ("start", "tuned"))]
+        if doc["robust"]:
+            low, _, high = doc["robust"]["tuned"]["spread"][name]
+            row.append(f"{shown(low, name, channel)} .. {shown(high, name, channel)}")
+        rows.append(tuple(row))
+    for name, label in (("gain", "gain margin"), ("phase", "phase margin [deg]"), ("sensitivity", "largest sensitivity")):
+        cells = [doc["margins"][when][name] for when in ("start", "tuned")]
+        row = [label, *("-" if v is None else f"{v:.3g}" for v in cells)]
+        rows.append((*row, "") if doc["robust"] else tuple(row))
+    return rows
+
+
+def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
+    return ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
+
+
+def text(doc: Mapping[str, Any], folder: str) -> str:
+    """What the command prints."""
+    lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
+    lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
+    return "\n".join([*lines, f"Report, controller.h and controller.json in {folder}"])
+
+
+def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
+    """The page: ``doc`` is tune.json, ``series`` the rollouts with start and tuned gains, ``run`` run.json, ``rig`` the rig's text."""
+    pictures: list[plots.Picture] = []
+    bad = ' bad"' if doc["problems"] else '"'
+    sections = [f'<div class="verdict{bad}><p>{html.escape(doc["summary"])}</p></div>', "<h2>Gains</h2>"]
+    sections.append(html.table(("gain", "start", "tuned", "unit"), gain_rows(doc), numbers=(1, 2)))
+    sections += ["<h2>What they do</h2>", html.table(_head(doc), metric_rows(doc), numbers=(1, 2, 3))]
+    sections.append(
+        "<p>Margins are those of the loop linearised along the rollout, medians over its samples where the plant is not linear.</p>"
+    )
+    sections.append(html.draw(plots.response_picture(series, doc["channel"]), pictures))
+    sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
+    return html.page(f"Tuning on {doc['rig']}", f"A controller of {doc['channel']}, tuned through its closed loop.", sections, pictures)
