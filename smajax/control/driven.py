@@ -206,10 +206,10 @@ class DrivenTransferFunction(AbstractDriven):
         """See ``AbstractDriven.response``; exact, since it is linear. ``state`` does not matter."""
         rest = jnp.maximum(self.function.delay - self.whole * self.period, 0.0)
         (late, entering), (kept, later) = self.function.held(rest), self.function.held(self.period - rest)
-        drive = kept @ (entering / z[:, None]).T + later[:, None]  # what comes one period later, and at once
         size = self.function.order
 
-        def at(z: jax.Array, drive: jax.Array) -> jax.Array:
+        def at(z: jax.Array) -> jax.Array:
+            drive = kept @ entering / z + later  # what comes one period later, and at once
             return jnp.linalg.solve(z * jnp.eye(size) - kept @ late, drive)[0] * z ** (-self.whole)
 
-        return self.function.gain * direction[0] * jax.vmap(at)(z, drive.T)
+        return self.function.gain * direction[0] * jax.vmap(at)(z)

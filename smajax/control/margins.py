@@ -7,6 +7,7 @@ margin there, and needs none, since it leaves again: such samples do not count, 
 states have moved on before a period is over.
 """
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from smajax.control.rollout import Loop, Scenario, march
 
 _FREQUENCIES = 400
 _RESTLESS = 0.02
+_HOLD = 10  # samples
 _FAR = 1e6  # where a response shows its first sample only
 _BELOW = 5.0  # below the crossover
 
@@ -112,9 +114,10 @@ def _margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
 
 
 def restless(command: np.ndarray, reference: np.ndarray, value: np.ndarray, reach: float) -> str:
-    """Why a rollout counts as unstable, or nothing: it is no number, runs away, or its command jumps to and fro from sample to sample.
+    """Why a rollout without noise counts as unstable, or nothing: it is no number, runs away, or its command does not come to rest.
 
-    Arrays of shape ``(n, wires)``, ``(n,)`` and ``(n,)``; ``reach`` is the range of the command (infinite: the largest that it takes).
+    Arrays of shape ``(n, wires)``, ``(n,)`` and ``(n,)``; ``reach`` is the range of the command (infinite: the largest that it takes). At
+    rest it should be in the later half of each hold; where the reference always moves, the command should not jump to and fro.
     """
     if not (np.all(np.isfinite(value)) and np.all(np.isfinite(command))):
         return "the loop's numbers overflow"
@@ -122,10 +125,21 @@ def restless(command: np.ndarray, reference: np.ndarray, value: np.ndarray, reac
     later = slice(3 * len(value) // 4, None)
     if np.max(np.abs(value[later] - reference[later])) > 3.0 * span:
         return "the loop runs away from its reference"
-    holds = np.flatnonzero(np.diff(reference, prepend=reference[0]) == 0.0)
-    quiet = holds[holds > len(value) // 8]
-    change = np.diff(command, axis=0, prepend=command[:1])[quiet]
-    turns = change[1:] * change[:-1] < 0.0
     size = reach if math.isfinite(reach) else float(np.max(np.abs(command)))
-    to_and_fro = float(np.sqrt(np.mean(np.where(turns, change[1:], 0.0) ** 2))) / max(size, 1e-300) if len(change) > 1 else 0.0
-    return f"the command jumps to and fro by {100 * to_and_fro:.0f} % of its range" if to_and_fro > _RESTLESS else ""
+    change = np.diff(command, axis=0, prepend=command[:1])
+    rests = _later_halves(reference)
+    if not np.any(rests):
+        turns = change * np.roll(change, 1, axis=0) < 0.0
+        change, rests = np.where(turns, change, 0.0), np.ones(len(value), bool)
+    moves = float(np.sqrt(np.mean(change[rests] ** 2))) / max(size, 1e-300)
+    return f"the command goes on moving by {100 * moves:.0f} % of its range from sample to sample" if moves > _RESTLESS else ""
+
+
+def _later_halves(reference: np.ndarray) -> np.ndarray:
+    """Which samples lie in the later half of a hold."""
+    rests = np.zeros(len(reference), bool)
+    edges = np.r_[0, np.flatnonzero(np.diff(reference)) + 1, len(reference)]
+    for first, end in itertools.pairwise(edges):
+        if end - first >= _HOLD:
+            rests[(first + end + 1) // 2 : end] = True
+    return rests

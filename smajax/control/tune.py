@@ -352,8 +352,8 @@ class _Shaped(eqx.Module):
         tuning, task = self.tuning, self.tuning.task
         done = tuning.roll(point)._replace(ends=None)
         jumped = task.size != 0.0
-        error = done.channels[task.channel] - task.reference
-        share = jnp.where(jumped, error / jnp.where(jumped, task.size, 1.0), 0.0)
+        sizes = jnp.where(jumped, task.size, 1.0)
+        share = jax.vmap(lambda values: jnp.where(jumped, (values - task.reference) / sizes, 0.0))(done.channels[task.channel])
         return share, jax.vmap(lambda one: objective.parts(one, task, self.wanted).violated)(done)
 
 

@@ -1,0 +1,378 @@
+"""Controllers by hand-written loops, rollouts by simulations, the hip paper's figures, and what leaves for a microcontroller."""
+
+import ctypes
+import shutil
+import subprocess
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.signal
+
+from smajax.blackbox.transfer_function import TransferFunction
+from smajax.control import metrics
+from smajax.control.adaptive import AdaptivePID
+from smajax.control.allocation import Allocation, pulsed
+from smajax.control.bpid import BPID
+from smajax.control.driven import DrivenPlant, DrivenTransferFunction
+from smajax.control.export import as_document, c_header
+from smajax.control.feedforward import FeedforwardPID
+from smajax.control.gains import gain, gains, unit_of, with_gains
+from smajax.control.guard import TemperatureGuard
+from smajax.control.margins import margins, restless
+from smajax.control.pid import PID
+from smajax.control.ppid import PPID
+from smajax.control.rollout import Loop, Scenario, rollout
+from smajax.control.sensing import Sensing, perfect
+from smajax.errors import InputError
+from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+from smajax.recording import Recording
+from smajax.rig import parse_rig, read_rig
+from smajax.simulate import simulate
+from tests.conftest import ROOT
+
+RNG = np.random.default_rng(0)
+
+
+def pid(kp=2.0, ki=0.5, kd=0.3, tf=0.1, low=-1.0, high=1.5, dt=0.1, on="error") -> PID:
+    return PID(*map(jnp.asarray, (kp, ki, kd, tf, low, high)), period=dt, derivative_on=on)
+
+
+def loop_of(controller, channel="angle", sensing=None, guard=None, wires=1, upper=1e9) -> Loop:
+    return Loop(controller, Allocation(jnp.asarray(upper), jnp.asarray(0.0), wires), sensing or perfect(), guard, channel=channel)
+
+
+def series(controller, references, values) -> np.ndarray:
+    """Commands for given references and values, after rest at the first of them."""
+    state, out = controller.reset(jnp.asarray(references[0]), jnp.asarray(values[0])), []
+    for r, y in zip(references, values, strict=True):
+        state, u = controller.step(state, jnp.asarray(r), jnp.asarray(y))
+        out.append(float(u))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("on", ["error", "value"])
+def test_a_pid_is_its_equations(on):
+    r, y = np.cumsum(RNG.standard_normal(200)) * 0.3, np.cumsum(RNG.standard_normal(200)) * 0.3
+    integral, slope, last, expected = 0.0, 0.0, (r[0] - y[0] if on == "error" else -y[0]), []
+    for a, b in zip(r, y, strict=True):
+        e, seen = a - b, (a - b if on == "error" else -b)
+        slope = slope + (0.1 / (0.1 + 0.1)) * ((seen - last) / 0.1 - slope)  # a first-order filter by backward Euler
+        last = seen
+        wanted = 2.0 * e + integral + 0.5 * e * 0.1 + 0.3 * slope
+        if not ((wanted > 1.5 and e > 0) or (wanted < -1.0 and e < 0)):
+            integral += 0.5 * e * 0.1
+        expected.append(min(max(wanted, -1.0), 1.5))
+    found = series(pid(on=on), r, y)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert (found == 1.5).any() and (found == -1.0).any()
+
+
+def test_what_is_wound_up_is_not():
+    """After a long saturation the command leaves its limit as soon as the error changes its sign."""
+    commands = series(pid(kp=0.1, ki=5.0, kd=0.0), np.r_[np.full(300, 5.0), np.full(20, -5.0)], np.zeros(320))
+    assert commands[299] == 1.5 and commands[301] < 0.0
+
+
+def test_the_bilinear_compensator_makes_its_plant_linear():
+    inner, dt = pid(kp=1.2, ki=0.6, kd=0.0, low=0.0, high=1e3), 0.1
+    a, b, eta, point = 0.4, 0.5, 0.35, 2.0
+    bilinear = BPID(inner, jnp.asarray(eta / b), jnp.asarray(point))
+    y = z = 0.0
+    state, plain = bilinear.reset(jnp.asarray(0.0), jnp.asarray(0.0)), inner.reset(jnp.asarray(0.0), jnp.asarray(0.0))
+    for _ in range(150):
+        state, u = bilinear.step(state, jnp.asarray(3.0), jnp.asarray(y))
+        plain, v = inner.step(plain, jnp.asarray(3.0), jnp.asarray(z))
+        y += dt * (-a * y + b * float(u) + eta * float(u) * y)
+        z += dt * (-a * z + b * (1.0 + eta / b * point) * float(v))
+        assert y == pytest.approx(z, abs=1e-10)
+    assert y == pytest.approx(3.0, abs=0.1)
+
+
+def test_ppid_switches_with_a_hysteresis_and_forgets_its_integral():
+    law = PPID(pid(kp=2.0, ki=1.0, kd=0.5, tf=0.0, low=-9.0, high=9.0), jnp.asarray(0.7), jnp.asarray(0.2))
+    errors = np.array([1.0, 1.0, 0.25, 0.15, 0.25, 0.28, 0.4, 0.25, 0.1])
+    found = series(law, errors, np.zeros(9))
+    slopes = np.diff(errors, prepend=errors[0]) / 0.1
+    moving, summed, expected = [True, True, True, False, False, False, True, True, False], 0.0, []
+    for k in range(9):
+        if k and moving[k] != moving[k - 1]:
+            summed = 0.0
+        summed += 0.0 if moving[k] else 0.1 * errors[k]
+        expected.append(2.0 * errors[k] + 0.5 * slopes[k] if moving[k] else 0.7 * errors[k] + summed)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["printed", "gradient"])
+def test_gains_adapt_by_their_law(law):
+    rates = dict(zip(("rate_p", "rate_i", "rate_d"), map(jnp.asarray, (0.05, 0.02, 0.01)), strict=True))
+    controller = AdaptivePID(pid(tf=0.0, low=-9.0, high=9.0), **rates, law=law)
+    errors = np.array([0.5, 0.8, -0.3, 0.2])
+    found = series(controller, errors, np.zeros(4))
+    kp, ki, kd, summed, integral, last, expected = 2.0, 0.5, 0.3, 0.0, 0.0, 0.5, []
+    for e in errors:
+        slope = (e - last) / 0.1
+        last, summed = e, summed + 0.1 * e
+        factors = (1.0, ki, kd) if law == "printed" else (e, e, e)
+        kp, ki, kd = (kp + 0.05 * factors[0] * e, ki + 0.02 * factors[1] * summed, kd + 0.01 * factors[2] * slope)
+        kp, ki, kd = (min(max(g, 0.0), 10.0 * s) for g, s in zip((kp, ki, kd), (2.0, 0.5, 0.3), strict=True))
+        integral += 0.1 * ki * e
+        expected.append(kp * e + integral + kd * slope)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_an_exact_inverse_leaves_the_pid_nothing():
+    envelope = Envelope(*map(jnp.asarray, (1.0, 1.2, -0.5, 0.2)))
+    law = PrandtlIshlinskii(jnp.asarray(0.8), jnp.linspace(0.1, 0.5, 4), jnp.full(4, 0.2), envelope)
+    wanted = 0.3 + 0.25 * np.sin(np.linspace(0.0, 15.0, 300))
+    controller = FeedforwardPID(pid(low=-5.0, high=5.0), law.inverse())
+    state, plays, last = controller.reset(jnp.asarray(wanted[0]), jnp.asarray(wanted[0])), None, None
+    for r in wanted:
+        state, u = controller.step(state, jnp.asarray(r), jnp.asarray(r))  # as if it were followed
+        plays = law.start(u) if plays is None else law.advance(plays, last, u, jnp.asarray(0.1))
+        last = u
+        assert float(law.output(plays, u)) == pytest.approx(r, abs=1e-9)
+
+
+HIP = {"flexion": (648.2, 348.8, 37.35, 6.46), "extension": (0.003174, 281.2, 15.33, 22.4)}
+
+
+def hip(name: str, dt: float) -> DrivenTransferFunction:
+    gain, second, first, delay = HIP[name]
+    tau = np.sqrt(second)
+    values = map(jnp.asarray, (gain, 0.0, tau, 1.0, first / (2 * tau), delay))
+    return DrivenTransferFunction.of(TransferFunction(*values, structure="underdamped"), "angle", dt)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("flexion", (106.6546, 438.3960, 622.1917, 647.9679)), ("extension", (0.0, 0.00225005, 0.00355180, 0.00319901))],
+)
+@pytest.mark.parametrize("dt", [0.01, 0.05])
+def test_open_loop_of_the_hip(name, values, dt):
+    """Whatever the period, the delay is exact."""
+    unit = PID(*map(jnp.asarray, (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)), period=dt)
+    done = rollout(hip(name, dt), loop_of(unit), Scenario.quiet(np.ones(round(201 / dt))))
+    found = [float(done.channels["angle"][round(t / dt)]) for t in (20, 50, 100, 200)]
+    np.testing.assert_allclose(found, values, rtol=2e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "three", "seconds", "rise", "settling", "overshoot", "sensitivity"),
+    [
+        ("extension", (120.3254, 5.7343, 631.2162), 600, 39.24, 289.4, 0.0810, 2.16),
+        ("flexion", (0.005175, 1.178e-4, 0.056966), 200, 8.70, 56.8, 0.0703, 1.86),
+    ],
+)
+def test_the_published_gains_of_the_hip(name, three, seconds, rise, settling, overshoot, sensitivity):
+    """Published: 39.3 s, 290 s, 8.15 % and 8.7 s, 56.8 s, 6.9 %, the latter with the integral gain whose digit was lost."""
+    dt = 0.01
+    law, driven = loop_of(pid(*three, tf=0.0, low=-1e9, high=1e9, dt=dt)), hip(name, dt)
+    scenario = Scenario.quiet(np.ones(round(seconds / dt)))
+    done = eqx.filter_jit(rollout)(driven, law, scenario)
+    reference = np.asarray(scenario.reference)
+    (found,) = metrics.answers(np.asarray(done.channels["angle"]), reference, metrics.jumps(reference, 0.0, dt), dt)
+    assert found.rise == pytest.approx(rise, rel=2e-3) and found.settling == pytest.approx(settling, rel=2e-3)
+    assert found.overshoot == pytest.approx(overshoot, abs=1e-4)
+    filtered = loop_of(pid(*three, tf=0.06, low=-1e9, high=1e9, dt=dt))
+    assert margins(driven, filtered, scenario).sensitivity == pytest.approx(sensitivity, abs=0.02)
+
+
+def test_margins_are_those_of_the_transfer_function():
+    """Against a loop written as one rational function of z, without a delay."""
+    dt, tau = 0.05, 2.0
+    function = TransferFunction(*map(jnp.asarray, (3.0, 0.0, tau, 1.0, 0.4, 0.0)), structure="underdamped")
+    driven = DrivenTransferFunction.of(function, "angle", dt)
+    found = margins(driven, loop_of(pid(kp=2.0, ki=0.5, kd=1.5, tf=0.2, low=-1e9, high=1e9, dt=dt)), Scenario.quiet(np.ones(4000)))
+    num, den, _ = scipy.signal.cont2discrete(([3.0], [tau**2, 2 * 0.4 * tau, 1.0]), dt)
+    z = np.exp(1j * np.geomspace(1e-3, np.pi, 20_000))
+    plant = np.polyval(num[0], z) / np.polyval(den, z)
+    controller = 2.0 + 0.5 * dt * z / (z - 1.0) + 1.5 * (z - 1.0) / ((0.2 + dt) * z - 0.2)
+    whole = controller * plant
+    assert found.sensitivity == pytest.approx(np.max(1.0 / np.abs(1.0 + whole)), rel=0.02)
+    crossing = np.flatnonzero((np.abs(whole[:-1]) > 1) & (np.abs(whole[1:]) <= 1))[-1]
+    assert found.phase == pytest.approx(180.0 + np.degrees(np.angle(whole[crossing])), abs=1.5)
+
+
+PERIOD = 0.02
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
+
+
+@pytest.fixture(scope="module")
+def driven(rig):
+    return DrivenPlant.of(rig.plant, PERIOD)
+
+
+def wire_loop(kp=30.0, ki=10.0, kd=0.5, **options) -> Loop:
+    return loop_of(pid(kp, ki, kd, tf=0.05, low=0.0, high=0.5, dt=PERIOD), "displacement", **options)
+
+
+def stairs(seconds: float) -> np.ndarray:
+    time = PERIOD * np.arange(round(seconds / PERIOD))
+    return np.where(time < seconds / 3, 4e-3, np.where(time < 2 * seconds / 3, 6e-3, 2e-3))
+
+
+def test_a_rollout_is_the_simulation_under_its_own_commands(rig, driven):
+    done = eqx.filter_jit(rollout)(driven, wire_loop(), Scenario.quiet(stairs(12.0)))
+    assert int(done.unsolved) == 0
+    current, time = np.asarray(done.command)[:, 0], PERIOD * np.arange(600)
+    recording = Recording.from_arrays("own", time, {"current": current}, {"current": "A"})
+    again = simulate(rig.plant, recording, step=PERIOD).channels
+    for channel in ("displacement", "temperature", "resistance"):
+        np.testing.assert_allclose(np.asarray(done.channels[channel]), np.asarray(again[channel]), rtol=1e-9, atol=1e-12)
+
+
+def test_derivatives_through_a_minute_of_closed_loop(driven):
+    """60 s at 50 Hz: forward and reverse mode against central differences, for gains, the load and the wire's own parameters."""
+    scenario = Scenario.quiet(stairs(60.0), changes={"load.mass": np.where(np.arange(3000) < 1500, 0.2, 0.21)})
+
+    def cost(x):
+        loop = eqx.tree_at(
+            lambda one: one.controller, wire_loop(), with_gains(wire_loop().controller, {"kp": x[0], "ki": x[1], "kd": x[2]})
+        )
+        changed = driven.changed({"heat.h0": x[3]})
+        changes = {"load.mass": scenario.changes["load.mass"] + x[4]}
+        done = rollout(changed, loop, eqx.tree_at(lambda s: s.changes, scenario, changes))
+        return 1e3 * jnp.sqrt(jnp.mean((done.channels["displacement"] - scenario.reference) ** 2))
+
+    at = jnp.asarray([30.0, 10.0, 0.5, 100.6, 0.0])
+    forward, reverse = (np.asarray(eqx.filter_jit(f(cost))(at)) for f in (jax.jacfwd, jax.grad))
+    value = eqx.filter_jit(cost)
+    steps = np.array([1e-2, 1e-3, 1e-4, 1e-2, 1e-5])
+    central = [float(value(at.at[i].add(h)) - value(at.at[i].add(-h))) / (2 * h) for i, h in enumerate(steps)]
+    np.testing.assert_allclose(forward, central, rtol=1e-4)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+
+
+def test_a_batch_of_rollouts_is_its_members(driven):
+    masses = jnp.asarray([0.15, 0.2, 0.3])
+    scenario = Scenario.quiet(stairs(6.0))
+    together = eqx.filter_jit(
+        jax.vmap(lambda m: rollout(driven.changed({"load.mass": m}), wire_loop(), scenario).channels["displacement"])
+    )(masses)
+    for mass, found in zip(masses, together, strict=True):
+        alone = rollout(driven.changed({"load.mass": mass}), wire_loop(), scenario).channels["displacement"]
+        np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-12)
+
+
+def test_a_guard_keeps_the_wire_below_its_limit(driven):
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
+    scenario = Scenario.quiet(np.full(1500, 8e-3))
+    hot, kept = (
+        float(jnp.max(eqx.filter_jit(rollout)(driven, wire_loop(kp=200.0, guard=g), scenario).channels["temperature"]))
+        for g in (None, guard)
+    )
+    assert hot > 90.0 and kept < 84.5
+
+
+def test_sensing_delays_rounds_and_adds_noise():
+    law = Sensing(jnp.asarray(0.1), jnp.asarray(0.5), 2)
+    state, heard = law.reset(jnp.asarray(1.0)), []
+    for value in (2.0, 3.1, 4.0, 5.0):
+        state, now = law.step(state, jnp.asarray(value), jnp.asarray(1.0))
+        heard.append(float(now))
+    np.testing.assert_allclose(heard, [1.0, 1.0, 2.0, 3.0])  # 2.1 and 3.2, to the half
+    assert float(jax.grad(lambda v: Sensing(jnp.zeros(()), jnp.asarray(0.5)).step(jnp.zeros(0), v, jnp.zeros(()))[1])(1.3)) == 1.0
+
+
+def test_one_command_for_two_wires():
+    split = Allocation(jnp.asarray(1.0), jnp.asarray(0.1), 2)
+    for command, each in ((0.4, (0.5, 0.1)), (-0.4, (0.1, 0.5)), (3.0, (1.0, 0.1)), (0.0, (0.1, 0.1))):
+        np.testing.assert_allclose(split(jnp.asarray(command)), each)
+
+
+def test_pulses_average_to_their_duty():
+    edges = np.linspace(0.0, 0.4, 33)
+    shares = [float(pulsed(jnp.asarray(0.3), jnp.asarray(a), jnp.asarray(b - a), 10.0)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    assert np.mean(shares) == pytest.approx(0.3, abs=1e-12) and min(shares) == 0.0 and max(shares) == pytest.approx(1.0)
+    on = np.array(
+        [
+            min(max(0.0, min(b, k * 0.1 + 0.03) - max(a, k * 0.1)), b - a)
+            for a, b in zip(edges[:-1], edges[1:], strict=True)
+            for k in range(4)
+        ]
+    )
+    np.testing.assert_allclose(shares, on.reshape(32, 4).sum(axis=1) / np.diff(edges), atol=1e-9)
+
+
+def test_a_carrier_does_what_its_mean_does(rig):
+    """The faster it pulses, the nearer: read at the end of a pause, a wire is colder than its mean by a ripple that goes with the period."""
+    text = (ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").read_text()
+    pulsing = parse_rig(text.replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "4 V"\n')
+
+    def warmed(step, carrier):
+        driven = DrivenPlant.of(pulsing.plant, 0.1, step=step, carrier=carrier)
+        held = jax.jit(
+            lambda: jax.lax.scan(lambda s, _: (driven.advance(s, jnp.asarray([0.3]))[0], None), driven.start(), None, length=60)[0]
+        )
+        return float(held()[0].temperature[0])
+
+    mean, slow, fast = warmed(1.25e-3, None), warmed(6.25e-3, 20.0), warmed(1.25e-3, 100.0)
+    assert 55.0 < mean < 65.0 and 0.5 < mean - slow < 1.5 and mean - fast == pytest.approx((mean - slow) / 5, rel=0.1)
+    with pytest.raises(InputError, match='only control = "duty" is pulsed'):
+        DrivenPlant.of(rig.plant, 0.05, carrier=100.0)
+
+
+def test_what_counts_as_unrest():
+    time = np.arange(400) * 0.02
+    reference, value = np.ones(400), 1.0 - np.exp(-time)
+    calm = (0.5 + 0.1 * np.exp(-time))[:, None]
+    assert restless(calm, reference, value, 1.0) == ""
+    shaken = calm + 0.08 * (-1.0) ** np.arange(400)[:, None]
+    assert "goes on moving by 16 %" in restless(shaken, reference, value, 1.0)
+    cycling = calm + 0.4 * np.sign(np.sin(2.0 * time))[:, None]
+    assert "goes on moving by" in restless(cycling, reference, value, 1.0)
+    ramp = 0.01 * time
+    assert restless(calm, ramp, ramp, 1.0) == "" and restless(shaken, ramp, ramp, 1.0) != ""
+    assert "runs away" in restless(calm, reference, np.exp(time), 1.0)
+    assert "overflow" in restless(calm, reference, np.full(400, np.nan), 1.0)
+
+
+CONTROLLERS = {
+    "pid": pid(dt=0.05),
+    "pid on the value": pid(dt=0.05, on="value", tf=0.0),
+    "bpid": BPID(pid(dt=0.05), jnp.asarray(0.4), jnp.asarray(1.0)),
+    "ppid": PPID(pid(dt=0.05), jnp.asarray(0.8), jnp.asarray(0.5)),
+    "adaptive, printed": AdaptivePID(pid(dt=0.05), *map(jnp.asarray, (0.01, 0.02, 0.03)), law="printed"),
+    "adaptive, gradient": AdaptivePID(pid(dt=0.05), *map(jnp.asarray, (0.01, 0.02, 0.03)), law="gradient"),
+}
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_the_c_header_does_the_same(tmp_path, name):
+    controller = CONTROLLERS[name]
+    (tmp_path / "controller.h").write_text(c_header(controller, ("A", "m"), "0"))
+    (tmp_path / "c.c").write_text(
+        '#include "controller.h"\nvoid run(int n, const double *r, const double *y, double *u) {\n'
+        "    smajax_state s; int k; smajax_reset(&s, r[0], y[0]);\n    for (k = 0; k < n; k++) u[k] = smajax_step(&s, r[k], y[k]);\n}\n"
+    )
+    subprocess.run(
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1", "-shared", "-fPIC", "-o", "c.so", "c.c"],
+        cwd=tmp_path,
+        check=True,
+    )
+    r, y = np.cumsum(RNG.standard_normal(300)) * 0.2, np.cumsum(RNG.standard_normal(300)) * 0.2
+    u = np.empty(300)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (r, y, u)))
+    expected = series(controller, r, y)
+    np.testing.assert_allclose(u, expected, rtol=1e-12, atol=1e-12)
+    assert np.ptp(u) > 0.5
+
+
+def test_gains_have_names_and_units():
+    law = BPID(pid(), jnp.asarray(0.4), jnp.asarray(1.0))
+    assert {"kp", "ki", "kd", "filter_time", "kb", "tuning_point"} == set(gains(law))
+    assert [unit_of(n, law, "A", "m") for n in ("kp", "ki", "kd", "filter_time", "kb")] == ["A/m", "A/m/s", "A s/m", "s", "1/m"]
+    assert [unit_of(n, law, "1", "rad") for n in ("kp", "ki", "kd")] == ["1/rad", "1/rad/s", "s/rad"]
+    assert float(gain(with_gains(law, {"kp": 7.0, "kb": 0.1}), "kp")) == 7.0
+    with pytest.raises(InputError, match="no gain 'kq' .did you mean 'kp'?"):
+        gain(law, "kq")
+    assert as_document(law, dict.fromkeys(gains(law), "-"))["kind"] == "bpid"
