@@ -1,7 +1,9 @@
 """Gains by gradients through the rollout.
 
-The gains are searched by their logarithms between bounds, by Levenberg-Marquardt on the residuals of ``objective`` with derivatives in
-forward mode. Several plants (draws of a fit's posterior, ambients, loads) are rolled out as one batch, and their residuals count alike.
+The gains are searched by their logarithms between bounds. Terms and limits (``objective``) make one number, whose gradient by reverse mode
+costs little more than two rollouts whatever the number of gains, and which a quasi-Newton search in the box makes small. Several plants
+(draws of a fit's posterior, ambients, loads) are rolled out as one batch and count alike. Near its best gains a wire's loop is rough: what
+noise does to the small loops of its hysteresis changes from gain to gain. So the search is begun anew where it ends, with smaller steps.
 
 Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
@@ -14,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.optimize
 
 from smajax.control import metrics, objective
 from smajax.control.driven import AbstractDriven
@@ -22,13 +25,15 @@ from smajax.control.gains import gain, with_gains
 from smajax.control.objective import LIMITS, TERMS, Parts, Task, Wanted
 from smajax.control.rollout import Loop, Rollout, Scenario, rollout
 from smajax.errors import InputError, NumericsError
-from smajax.fit import least_squares
-from smajax.fit.least_squares import Search, Stop
 
 SETTLING = {"itae": 1.0}  # what is made small before the shortest settling time is looked for
 _LOOSE = 1e-3  # a violation that counts as none
-_FIRST = 10  # steps of a search for the terms
-_RAISES = 6
+_FIRST = 10  # steps of a search
+_WIDE_STEP, _SMALL_STEP = 5.0, 20.0  # one over the length of its first step at most, the box being one wide
+_REVERSE = 3  # rollouts that a gradient by reverse mode counts
+_UNUSABLE = 1e30
+_RAISES = 8
+_REACH = 0.06  # of the box: how far gains go between two looks at what limits cost; else they flee to where nothing moves
 _MOVE, _WIDE = 0.01, 1e6  # of the command's range, a move that counts as one; a range that is none
 _GROSS = 1.0  # a violation from which a search is not begun
 _EVALUATIONS = 32
@@ -101,9 +106,13 @@ class Tuning(eqx.Module):
         values = self.lower * (self.upper / self.lower) ** jnp.asarray(point)
         return {name: values[i] for i, name in enumerate(self.names)}
 
-    def roll(self, point: jax.Array) -> Rollout:
-        """The rollouts of all members at a point, leaves with a leading axis of ``m``."""
-        loop = eqx.tree_at(lambda one: one.controller, self.loop, with_gains(self.loop.controller, self.gains(point)))
+    def steered(self, gains: Mapping[str, Any]) -> Loop:
+        """The loop with other gains, in internal units."""
+        return eqx.tree_at(lambda one: one.controller, self.loop, with_gains(self.loop.controller, gains))
+
+    def roll(self, gains: Mapping[str, Any]) -> Rollout:
+        """The rollouts of all members with other gains, in internal units; leaves with a leading axis of ``m``."""
+        loop = self.steered(gains)
         draws = self.scenario.draws
         if not self.members:
             done = rollout(self.driven, loop, self.scenario)
@@ -117,7 +126,7 @@ class Tuning(eqx.Module):
 
     def parts(self, point: jax.Array, wanted: Wanted) -> Parts:
         """Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``."""
-        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(point)._replace(ends=None))
+        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(self.gains(point))._replace(ends=None))
 
 
 class _Aim(NamedTuple):
@@ -130,10 +139,16 @@ class _Aim(NamedTuple):
     mu: jax.Array
 
 
-def _residual(point: jax.Array, aim: _Aim) -> jax.Array:
-    found = aim.tuning.parts(point, aim.wanted)
-    each = jax.vmap(lambda f, m: objective.residual(f, aim.scale, aim.wanted, m, aim.mu))(found, aim.multipliers)
-    return each.ravel() / jnp.sqrt(each.shape[0])
+@eqx.filter_jit
+def _slope(point: jax.Array, aim: _Aim) -> tuple[jax.Array, jax.Array]:
+    """The sum of squares and its gradient."""
+
+    def cost(point: jax.Array) -> jax.Array:
+        found = aim.tuning.parts(point, aim.wanted)
+        each = jax.vmap(lambda f, m: objective.residual(f, aim.scale, aim.wanted, m, aim.mu))(found, aim.multipliers)
+        return jnp.sum(each**2) / each.shape[0]
+
+    return jax.value_and_grad(cost)(point)
 
 
 @eqx.filter_jit
@@ -147,10 +162,14 @@ def look(tuning: Tuning, points: jax.Array, wanted: Wanted) -> tuple[jax.Array, 
     return jax.vmap(single)(points)
 
 
+def roll(tuning: Tuning, gains: Mapping[str, Any]) -> Rollout:
+    """``Tuning.roll``, compiled once for all gains."""
+    return _roll(tuning, {name: jnp.asarray(value, jnp.float64) for name, value in gains.items()})
+
+
 @eqx.filter_jit
-def roll(tuning: Tuning, point: jax.Array) -> Rollout:
-    """``Tuning.roll``, compiled."""
-    return tuning.roll(point)
+def _roll(tuning: Tuning, gains: dict[str, jax.Array]) -> Rollout:
+    return tuning.roll(gains)
 
 
 @eqx.filter_jit
@@ -211,15 +230,47 @@ class _Tuner:
         worst = [float(np.max(v)) for v in violated]
         return [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
 
-    def search(self, points: np.ndarray, wanted: Wanted, multipliers: jax.Array, mu: float, steps: int) -> least_squares.Solved:
-        n = self.tuning.task.reference.shape[0]
+    def descend(
+        self, start: np.ndarray, wanted: Wanted, multipliers: jax.Array, mu: float, steps: int, scale: float, reach: float = 1.0
+    ) -> _Candidate:
+        """The best point found by so many steps of a quasi-Newton search, whose first step has a length of at most one over ``scale``.
+
+        It goes no further than ``reach`` from the start in any gain.
+        ``worst`` of the result is not told (0), its cost that of terms and limits together; infinite if no point gave numbers.
+        """
         aim = _Aim(self.tuning, wanted, jnp.asarray(self.scale), multipliers, jnp.asarray(mu))
-        size = self.tuning.count * (len(TERMS) + len(LIMITS)) * n
-        lower, upper = np.zeros(points.shape[1]), np.ones(points.shape[1])
-        upper = np.where(np.asarray(self.tuning.upper > self.tuning.lower), upper, lower)
-        solved = Search(_residual, aim, points, lower, upper, size=size, rtol=_RTOL).advance(steps, self.progress).result()
-        self.rollouts += solved.simulations * self.tuning.count
-        return solved
+        best = _Candidate(0.0, math.inf, start)
+        free = np.asarray(self.tuning.upper > self.tuning.lower)
+
+        def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+            nonlocal best
+            value, slope = _slope(jnp.asarray(x / scale), aim)
+            self.rollouts += _REVERSE * self.tuning.count
+            found, by = float(value), np.where(free, np.asarray(slope), 0.0) / scale
+            if not (math.isfinite(found) and np.all(np.isfinite(by))):
+                return _UNUSABLE, np.zeros_like(x)
+            if found < best.cost:
+                best = _Candidate(0.0, found, x / scale)
+                self.progress(self.rollouts, found)
+            return found, by
+
+        low, high = np.maximum(0.0, start - reach) * scale, np.minimum(1.0, start + reach) * scale
+        options = {"maxiter": steps, "maxfun": 2 * steps, "ftol": _RTOL}
+        scipy.optimize.minimize(cost, start * scale, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options=options)
+        return best
+
+
+def wanted_of(weights: Mapping[str, float], limits: Mapping[str, float], band: float = metrics.BAND) -> Wanted:
+    """What is wanted, from weights of ``objective.TERMS`` and limits of ``objective.LIMITS`` by name."""
+    return Wanted(
+        jnp.asarray([float(weights.get(t, 0.0)) for t in TERMS]), jnp.asarray([float(limits.get(k, math.inf)) for k in LIMITS]), band
+    )
+
+
+def objective_of(tuning: Tuning, weights: Mapping[str, float]) -> Callable[[np.ndarray], float]:
+    """The weighted terms that ``tune`` makes small, as a number at a point of the unit box: for other searches to be compared with."""
+    tuner = _Tuner(tuning, wanted_of(weights, {}), lambda steps, cost: None)
+    return lambda point: tuner.candidates(np.asarray(point)[None])[0].cost
 
 
 def tune(
@@ -243,11 +294,7 @@ def tune(
         raise InputError(f"nothing is wanted of the loop: give a weight to one of {', '.join(TERMS)}, or ask for the fastest settling")
     if settle and not np.any(np.asarray(tuning.task.size)):
         raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
-    wanted = Wanted(
-        jnp.asarray([float((weights or SETTLING).get(t, 0.0)) for t in TERMS]),
-        jnp.asarray([float(limits.get(k, math.inf)) for k in LIMITS]),
-        band,
-    )
+    wanted = wanted_of(weights or SETTLING, limits, band)
     tuner = _Tuner(tuning, wanted, progress)
     points = _starts(tuner, starts, seed)
     found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
@@ -280,13 +327,13 @@ def _starts(tuner: _Tuner, starts: int, seed: int) -> np.ndarray:
 
 def _near(tuner: _Tuner, points: np.ndarray, steps: int = _FIRST) -> np.ndarray:
     """The terms made small without regard to limits: the best point."""
-    solved = tuner.search(points, tuner.unlimited, tuner.none, 1.0, steps)
-    if all(stop is Stop.failed for stop in solved.stops):
+    found = min((tuner.descend(p, tuner.unlimited, tuner.none, 1.0, steps, _WIDE_STEP) for p in points), key=lambda c: c.cost)
+    if not math.isfinite(found.cost):
         raise NumericsError(
             "the closed loop does not give numbers from the start gains, nor from any that was drawn: start from smaller gains",
             {name: float(v) for name, v in tuner.tuning.gains(points[0]).items()},
         )
-    return solved.points[int(np.nanargmin(np.where(np.isfinite(solved.costs), solved.costs, np.inf)))]
+    return found.point
 
 
 def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
@@ -295,9 +342,9 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     If that is far beyond a limit, from the point that violates the limits least.
     """
     limited = bool(np.any(np.isfinite(np.asarray(tuner.wanted.limits))))
-    point = _near(tuner, points, _FIRST if limited else 3 * _FIRST)
+    point = _near(tuner, points, _FIRST if limited else 2 * _FIRST)
     if not limited:
-        return point
+        return tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP).point
     tried = tuner.candidates(np.vstack([point, points]))
     best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
     if tried[0].worst > _GROSS:
@@ -310,12 +357,12 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
                 tuner.history.append((tuner.rollouts, now.cost))
         if now.worst == 0.0 and not bool(jnp.any(multipliers > 0.0)):
             break
-        if now.worst > 0.3 * before:
-            mu *= 10.0
+        if now.worst > 0.5 * before:
+            mu *= 4.0
         before = now.worst
         multipliers = jnp.maximum(multipliers + mu * _violations(tuner.tuning, jnp.asarray(point), tuner.wanted), 0.0)
         tuner.rollouts += tuner.tuning.count
-        point = tuner.search(point[None], tuner.wanted, multipliers, mu, _FIRST).points[0]
+        point = tuner.descend(point, tuner.wanted, multipliers, mu, _FIRST, _SMALL_STEP, _REACH).point
     return best.point
 
 
@@ -350,7 +397,7 @@ class _Shaped(eqx.Module):
 
     def __call__(self, point: jax.Array) -> tuple[jax.Array, jax.Array]:
         tuning, task = self.tuning, self.tuning.task
-        done = tuning.roll(point)._replace(ends=None)
+        done = tuning.roll(tuning.gains(point))._replace(ends=None)
         jumped = task.size != 0.0
         sizes = jnp.where(jumped, task.size, 1.0)
         share = jax.vmap(lambda values: jnp.where(jumped, (values - task.reference) / sizes, 0.0))(done.channels[task.channel])
@@ -359,7 +406,7 @@ class _Shaped(eqx.Module):
 
 def _settling(tuning: Tuning, point: np.ndarray, band: float) -> float:
     """The longest settling time of all jumps and members at a point, s; 0 without any jump."""
-    values = np.asarray(roll(tuning, jnp.asarray(point)).channels[tuning.task.channel])
+    values = np.asarray(roll(tuning, tuning.gains(point)).channels[tuning.task.channel])
     reference = np.asarray(tuning.task.reference)
     times = [a.settling for v in values for a in metrics.answers(v, reference, tuning.jumps, tuning.task.period, band)]
     return max(times, default=0.0)
