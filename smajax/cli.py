@@ -265,11 +265,13 @@ def init(
     """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
     from smajax.example import write_example
 
-    rig, example, recording = write_example(kind.value, out)
+    rig, example, recording, controller = write_example(kind.value, out)
     typer.echo(
         f"Wrote {rig}, to be filled in with your own wire, and {recording} with its rig {example}, to try things on.\n"
         f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
     )
+    if controller is not None:
+        typer.echo(f"      smajax tune {example} {controller} --out {out / 'tuned'}")
 
 
 @app.command()

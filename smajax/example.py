@@ -12,10 +12,11 @@ from smajax.errors import InputError
 _OF_RECORDING = ("control", "interpolation")
 
 
-def write_example(kind: str, out: Path) -> tuple[Path, Path, Path]:
+def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, Path | None]:
     """Write rig.toml, commented, for one's own wire, and a recording example.csv with the rig example.toml that it was made on.
 
-    Returns the three paths. Raises InputError, and writes nothing, if one of them is there already.
+    Where such a rig can be steered, also controller.toml, for ``smajax tune``. Returns the paths, ``None`` where there is no controller.
+    Raises InputError, and writes nothing, if one of them is there already.
     """
     example = _example_of(kind)
     template = shipped("templates", f"{kind}.toml").read_text("utf-8")
@@ -28,6 +29,9 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path]:
         out / "example.toml": (example / "rig.toml").read_bytes(),
         out / "example.csv": (example / "train.csv").read_bytes(),
     }
+    controller = shipped("controllers") / f"{example.name}.toml"
+    if controller.is_file():
+        files[out / "controller.toml"] = controller.read_bytes()
     for path in files:
         if path.exists():
             raise InputError(f"{path}: this file is there already and is not overwritten: name another folder with --out")
@@ -40,8 +44,8 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path]:
                 os.fsync(file.fileno())
     except OSError as error:
         raise InputError(f"{out}: the files cannot be written ({error.strerror or error}): name another folder with --out") from None
-    rig, example_rig, recording = files
-    return rig, example_rig, recording
+    rig, example_rig, recording, *rest = files
+    return rig, example_rig, recording, rest[0] if rest else None
 
 
 def _example_of(kind: str) -> Path:

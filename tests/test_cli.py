@@ -16,6 +16,7 @@ from typer.testing import CliRunner, Result
 
 from smajax import cli, console, datasets, recording
 from smajax.console import Progress
+from smajax.controller_file import read_controller
 from smajax.errors import InputError
 from smajax.parameter_file import read_header, read_parameters
 from smajax.recording import Recording
@@ -101,7 +102,7 @@ def test_equinox_is_loaded_after_its_checks_are_off(words, tmp_path):
 def test_help_names_every_command_and_its_options():
     top = smajax("--help")
     assert top.exit_code == 0
-    for command in ("simulate", "fit", "demo", "init", "check", "report", "datasets"):
+    for command in ("simulate", "fit", "diagnose", "tune", "compare", "properties", "demo", "init", "check", "report", "datasets"):
         assert command in top.stdout
         assert smajax(command, "--help").exit_code == 0
     options = smajax("fit", "--help").stdout
@@ -332,7 +333,11 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     result = smajax("init", kind, "--out", tmp_path / "mine")
     assert result.exit_code == 0, result.output
     there = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
-    assert set(there) == {"rig.toml", "example.toml", "example.csv"}
+    steered = kind in ("dead-weight", "bias-spring", "antagonistic-rotary")
+    assert set(there) == {"rig.toml", "example.toml", "example.csv"} | ({"controller.toml"} if steered else set())
+    if steered:
+        read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
+        assert "smajax tune" in result.output
     assert there["rig.toml"].count(b"#") > 5
     for rig in ("rig.toml", "example.toml"):
         checked = smajax("check", tmp_path / "mine" / rig, tmp_path / "mine" / "example.csv")

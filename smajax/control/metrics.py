@@ -16,7 +16,7 @@ class Jumps(NamedTuple):
 
     def ends(self) -> list[tuple[int, int]]:
         """First row of each hold and the row after its last."""
-        return list(zip(self.rows, (*self.rows[1:], len(self.since)), strict=True))
+        return list(zip(self.rows, (*self.rows[1:], len(self.since))[: len(self.rows)], strict=True))
 
 
 def jumps(reference: np.ndarray, before: float, period: float) -> Jumps:

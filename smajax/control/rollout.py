@@ -18,25 +18,29 @@ from smajax.control.allocation import Allocation
 from smajax.control.controller import AbstractController
 from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
-from smajax.control.pid import PIDState
+from smajax.control.observers import ThermalObserver
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
 
 
 class Loop(eqx.Module):
-    """All that stands between the reference and the wires; ``channel`` is the one that is steered."""
+    """All that stands between the reference and the wires; ``channel`` is the one that is steered.
+
+    With an ``observer``, the guard knows the wires' temperatures by their electrical power only.
+    """
 
     controller: AbstractController
     allocation: Allocation
     sensing: Sensing
     guard: TemperatureGuard | None = None
+    observer: ThermalObserver | None = None
     channel: str = eqx.field(static=True, kw_only=True)
 
     def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
         """The state at rest."""
-        guards: tuple[PIDState, ...] = ()
+        guards: tuple = ()
         if self.guard is not None:
-            guards = tuple(self.guard.reset(t) for t in self._temperatures(seen))
+            guards = tuple((self.guard.reset(t), t) for t in self._each(seen, "temperature"))
         value = seen[self.channel]
         return self.controller.reset(reference, value), self.sensing.reset(value), guards
 
@@ -47,13 +51,17 @@ class Loop(eqx.Module):
         inner, command = self.controller.step(inner, reference, value)
         each = self.allocation(command)
         if self.guard is not None:
-            cut = [self.guard.step(s, t, c) for s, t, c in zip(guards, self._temperatures(seen), each, strict=True)]
-            guards, each = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
+            warm = self._each(seen, "temperature")
+            if self.observer is not None:  # what the last period's power has made of the last estimate
+                power = self._each(seen, "power")
+                warm = [self.observer.step(last, p) for (_, last), p in zip(guards, power, strict=True)]
+            cut = [self.guard.step(s, t, c) for (s, _), t, c in zip(guards, warm, each, strict=True)]
+            guards, each = tuple((s, t) for (s, _), t in zip(cut, warm, strict=True)), jnp.stack([c for _, c in cut])
         return (inner, heard, guards), each
 
-    def _temperatures(self, seen: dict[str, jax.Array]) -> list[jax.Array]:
+    def _each(self, seen: dict[str, jax.Array], name: str) -> list[jax.Array]:
         wires = self.allocation.wires
-        return [seen["temperature" if wires == 1 else f"temperature_{i + 1}"] for i in range(wires)]
+        return [seen[name if wires == 1 else f"{name}_{i + 1}"] for i in range(wires)]
 
 
 class Scenario(eqx.Module):

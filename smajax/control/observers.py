@@ -1,0 +1,79 @@
+"""Observers: what a rig does not measure, or measures badly, from what it does.
+
+    thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
+    angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
+
+Both are sampled; ``reset`` and ``step`` are pure functions.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+class ThermalObserver(eqx.Module):
+    """The temperature of a wire from its electrical power: ``a1`` in K/J, ``a2`` in K^(1 - n)/s and below 0, ``exponent`` n.
+
+    ``gain`` in 1/s trusts a thermocouple, where there is one.
+    """
+
+    a1: jax.Array
+    a2: jax.Array
+    exponent: jax.Array
+    ambient: jax.Array
+    gain: jax.Array
+    period: float = eqx.field(static=True)
+
+    def reset(self, temperature: jax.Array) -> jax.Array:
+        """The estimate at the start, degC."""
+        return jnp.asarray(temperature)
+
+    def step(self, estimate: jax.Array, power: jax.Array, measured: jax.Array | None = None) -> jax.Array:
+        """The estimate a period on, under a power in W held meanwhile; ``measured`` is the thermocouple's reading at its start, degC."""
+        excess = estimate - self.ambient
+        away = jnp.abs(excess)
+        some = jnp.where(away > 0.0, away, 1.0)
+        lost = jnp.sign(excess) * jnp.where(away > 0.0, some**self.exponent, 0.0)
+        change = self.a1 * power + self.a2 * lost
+        if measured is not None:
+            change = change + self.gain * (measured - estimate)
+        return estimate + self.period * change
+
+
+class AngleState(NamedTuple):
+    """``mean`` of angle and bias, shape ``(2,)``, and their ``covariance``."""
+
+    mean: jax.Array
+    covariance: jax.Array
+
+
+class AngleFilter(eqx.Module):
+    """Kalman's filter for an angle from a rate gyroscope with a drifting bias, and a tilt from an accelerometer.
+
+    ``rate_noise`` is the gyroscope's (rad/s), ``bias_walk`` how its bias wanders (rad/s per root second), ``tilt_noise`` the tilt's (rad).
+    With the rate alone the angle cannot be observed: it drifts with the bias.
+    """
+
+    rate_noise: jax.Array
+    bias_walk: jax.Array
+    tilt_noise: jax.Array
+    period: float = eqx.field(static=True)
+
+    def reset(self, angle: jax.Array, *, angle_spread: float = 0.1, bias_spread: float = 0.02) -> AngleState:
+        """The state at the start: an angle, no bias, and what is thought of both."""
+        return AngleState(
+            jnp.stack([jnp.asarray(angle, jnp.float64), jnp.zeros(())]), jnp.diag(jnp.asarray([angle_spread, bias_spread]) ** 2)
+        )
+
+    def step(self, state: AngleState, rate: jax.Array, tilt: jax.Array) -> AngleState:
+        """The state after a sample of both sensors."""
+        dt = self.period
+        moves = jnp.asarray([[1.0, -dt], [0.0, 1.0]])
+        mean = moves @ state.mean + jnp.stack([dt * rate, jnp.zeros(())])
+        wander = jnp.diag(jnp.stack([(dt * self.rate_noise) ** 2, dt * self.bias_walk**2]))
+        covariance = moves @ state.covariance @ moves.T + wander
+        gain = covariance[:, 0] / (covariance[0, 0] + self.tilt_noise**2)
+        mean = mean + gain * (tilt - mean[0])
+        return AngleState(mean, covariance - jnp.outer(gain, covariance[0]))

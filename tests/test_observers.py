@@ -1,0 +1,81 @@
+"""Observers against what they cannot see."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax.control.driven import DrivenPlant
+from smajax.control.guard import TemperatureGuard
+from smajax.control.observers import AngleFilter, ThermalObserver
+from smajax.control.rollout import Scenario, rollout
+from smajax.rig import read_rig
+from tests.conftest import ROOT
+from tests.test_control import pid, wire_loop
+
+
+def thermal(exponent=1.0, gain=0.0) -> ThermalObserver:
+    return ThermalObserver(*map(jnp.asarray, (0.667, -0.09, exponent, 25.0, gain)), period=0.05)
+
+
+def test_an_estimated_temperature_is_the_heat_balance():
+    """Steady where a_1 P = -a_2 T_e; a wrong start is forgotten with exp(a_2 t), sooner with a thermocouple."""
+    law = thermal()
+    step = jax.jit(lambda t: law.step(t, jnp.asarray(6.0)))
+    right, wrong = law.reset(25.0), law.reset(33.0)
+    for k in range(1, 401):
+        right, wrong = step(right), step(wrong)
+        assert float(wrong - right) == pytest.approx(8.0 * (1.0 - 0.05 * 0.09) ** k)
+    for _ in range(4000):
+        right = step(right)
+    assert float(right) == pytest.approx(25.0 + 0.667 * 6.0 / 0.09, abs=1e-6)
+    helped, alone = law.reset(33.0), law.reset(33.0)
+    for _ in range(100):
+        helped, alone = thermal(gain=0.5).step(helped, jnp.asarray(6.0), right), step(alone)
+    assert abs(helped - right) < abs(alone - right)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0, 3.0])
+def test_an_exponent_is_safe_below_ambient(exponent):
+    law = thermal(exponent)
+    assert float(law.step(law.reset(24.0), jnp.zeros(()))) > 24.0 and float(law.step(law.reset(26.0), jnp.zeros(()))) < 26.0
+    assert np.isfinite(jax.grad(lambda t: law.step(t, jnp.asarray(1.0)))(25.0))
+
+
+def test_an_angle_from_a_biased_gyroscope_and_a_noisy_tilt():
+    rng, dt, n = np.random.default_rng(0), 0.05, 4000
+    law = AngleFilter(*map(jnp.asarray, np.radians([0.5, 0.01, 2.0])), period=dt)
+    bias = np.radians(1.0) + np.cumsum(np.radians(0.01) * np.sqrt(dt) * rng.standard_normal(n))
+    angle = np.radians(30.0) * np.sin(0.3 * dt * np.arange(n + 1))
+    rate = np.diff(angle) / dt + bias + np.radians(0.5) * rng.standard_normal(n)
+    tilt = angle[1:] + np.radians(2.0) * rng.standard_normal(n)
+    _, found = jax.lax.scan(lambda s, z: (law.step(s, *z),) * 2, law.reset(0.0), (jnp.asarray(rate), jnp.asarray(tilt)))
+    error = np.asarray(found.mean) - np.column_stack([angle[1:], bias])
+    later = error[n // 4 :]
+    assert np.degrees(np.sqrt(np.mean(later[:, 0] ** 2))) < 0.4 and np.degrees(np.sqrt(np.mean(later[:, 1] ** 2))) < 0.1
+    drift = np.cumsum(rate) * dt - angle[1:]
+    assert np.degrees(abs(drift[-1])) > 100.0  # by the rate alone
+    distance = np.einsum("ki,kij,kj->k", later, np.linalg.inv(np.asarray(found.covariance)[n // 4 :]), later)
+    assert np.mean(distance) == pytest.approx(2.0, rel=0.25)  # two states: it knows how well it knows
+
+
+def test_a_guard_that_has_no_thermometer_uses_an_estimate():
+    """The estimator's two numbers are a fit of n = 1 to the wire's own warming and cooling."""
+    rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
+    driven = DrivenPlant.of(rig.plant, 0.02)
+    wire, heat = rig.plant.wire, rig.plant.heat
+    volume = float(wire.area * wire.length)
+    loss = 4.0 * float(heat.convection(jnp.asarray(70.0))) / float(wire.diameter) / 2.046e6
+    estimate = ThermalObserver(*map(jnp.asarray, (1.0 / (2.046e6 * volume), -loss, 1.0, 20.0, 0.0)), period=0.02)
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.02), jnp.asarray(84.0))
+    scenario = Scenario.quiet(np.full(1500, 8e-3))
+    law = wire_loop(kp=200.0, guard=guard)
+    hot = {
+        name: np.asarray(eqx.filter_jit(rollout)(driven, one, scenario).channels["temperature"])
+        for name, one in (("thermometer", law), ("estimate", dataclasses.replace(law, observer=estimate)))
+    }
+    assert hot["estimate"].max() < 88.0 and np.max(np.abs(hot["estimate"] - hot["thermometer"])) < 4.0
+    assert np.max(np.abs(hot["estimate"] - hot["thermometer"])) > 0.01
