@@ -250,6 +250,25 @@ def test_derivatives_through_a_minute_of_closed_loop(driven):
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
 
 
+def test_derivatives_of_controllers_with_flags(driven):
+    """PPID and a feedforward remember which way they were: flags, which have no derivative of their own."""
+    envelope = Envelope(*map(jnp.asarray, (4e-3, 12.0, -3.0, 4e-3)))
+    inverse = PrandtlIshlinskii(jnp.asarray(0.8), jnp.linspace(1e-4, 5e-4, 3), jnp.full(3, 0.1), envelope, envelope).inverse()
+    inner = wire_loop().controller
+    scenario = Scenario.quiet(stairs(6.0))
+    for controller in (PPID(inner, jnp.asarray(20.0), jnp.asarray(3e-4)), FeedforwardPID(inner, inverse)):
+
+        def cost(kp, controller=controller):
+            loop = loop_of(with_gains(controller, {"kp": kp}), "displacement")
+            done = rollout(driven, loop, scenario)
+            return 1e3 * jnp.sqrt(jnp.mean((done.channels["displacement"] - scenario.reference) ** 2))
+
+        at, value = jnp.asarray(30.0), jax.jit(cost)
+        central = float(value(at + 1e-3) - value(at - 1e-3)) / 2e-3
+        assert float(jax.jit(jax.grad(cost))(at)) == pytest.approx(central, rel=1e-4)
+        assert float(jax.jit(jax.jacfwd(cost))(at)) == pytest.approx(central, rel=1e-4)
+
+
 def test_a_batch_of_rollouts_is_its_members(driven):
     masses = jnp.asarray([0.15, 0.2, 0.3])
     scenario = Scenario.quiet(stairs(6.0))

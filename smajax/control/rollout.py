@@ -164,7 +164,9 @@ def _known_jvp(primals: tuple, tangents: tuple) -> tuple:
     first = push(lambda *all_: ravel_pytree(_first(*all_))[0], primals, tangents)
     moved_rows = jax.tree.map(lambda r, t: jnp.zeros_like(r) if t is None else t, scenario.rows, scenarios.rows, is_leaf=_none)
     end, (channels, command) = _scan(recur, first, (carries, ways, scenario.rows, moved_rows), scenario.block)
-    return done, Rollout(channels, command, cast(Any, None), unflatten(end))
+    # Counts and flags, which some controllers keep, have no tangent.
+    ends = jax.tree.map(lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, done.ends, unflatten(end))
+    return done, Rollout(channels, command, cast(Any, None), ends)
 
 
 def _none(leaf: Any) -> bool:
