@@ -230,7 +230,7 @@ def rows_of(name: str, wire: Wire, quick: bool, folder: Path | None) -> tuple[li
     rig = replace(rig, plant=fitted.plant)
     say(f"{name}: fitted to {1e6 * float(fitted.rmse('displacement') or np.nan):.1f} um")
     one = tuning_of(wire, rig)
-    found = tune(one, WEIGHTS, {}, starts=1)
+    found = tune(one, WEIGHTS, {}, starts=4)
     start = dict(zip(NAMES, wire.start, strict=True))
     both = (start, found.gains)
     promised = [rmse(wire, np.asarray(roll(one, g).channels["displacement"])[0]) for g in both]

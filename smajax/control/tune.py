@@ -39,6 +39,7 @@ _GROSS = 1.0  # a violation from which a search is not begun
 _EVALUATIONS = 32
 _RTOL = 1e-4
 _SCREENED = 16
+_HOPS = (0.15, 0.08, 0.04, 0.02)  # of the box
 
 
 class Tuning(eqx.Module):
@@ -205,9 +206,9 @@ class _Candidate(NamedTuple):
 class _Tuner:
     """Counts rollouts and keeps the best point."""
 
-    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None]) -> None:
+    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], seed: int = 0) -> None:
         self.tuning, self.wanted, self.progress = tuning, wanted, progress
-        self.rollouts, self.history = 0, []
+        self.rollouts, self.history, self.rng = 0, [], np.random.default_rng([seed, 1])
         terms, _ = self.look(tuning.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale = np.where(usable, terms[0], 1.0)
@@ -295,7 +296,7 @@ def tune(
     if settle and not np.any(np.asarray(tuning.task.size)):
         raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
     wanted = wanted_of(weights or SETTLING, limits, band)
-    tuner = _Tuner(tuning, wanted, progress)
+    tuner = _Tuner(tuning, wanted, progress, seed)
     points = _starts(tuner, starts, seed)
     found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
     terms, violated = tuner.look(found[None])
@@ -344,7 +345,10 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     limited = bool(np.any(np.isfinite(np.asarray(tuner.wanted.limits))))
     point = _near(tuner, points, _FIRST if limited else 2 * _FIRST)
     if not limited:
-        return tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP).point
+        found = tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP)
+        for width in _HOPS[: len(points) - 1]:
+            found = min(found, _hopped(tuner, found, width), key=lambda c: c.cost)
+        return found.point
     tried = tuner.candidates(np.vstack([point, points]))
     best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
     if tried[0].worst > _GROSS:
@@ -364,6 +368,13 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
         tuner.rollouts += tuner.tuning.count
         point = tuner.descend(point, tuner.wanted, multipliers, mu, _FIRST, _SMALL_STEP, _REACH).point
     return best.point
+
+
+def _hopped(tuner: _Tuner, around: _Candidate, width: float) -> _Candidate:
+    """The best of points drawn about a candidate, and of a search from there: a way out of what noise and hysteresis make rough."""
+    steps = width * tuner.rng.standard_normal((_SCREENED, len(around.point)))
+    best = min(tuner.candidates(np.clip(around.point + steps, 0.0, 1.0)), key=lambda c: c.cost)
+    return min(best, tuner.descend(best.point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP), key=lambda c: c.cost)
 
 
 def _order(candidate: _Candidate) -> tuple[float, float]:
