@@ -9,7 +9,7 @@ Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -421,8 +421,3 @@ def _settling(tuning: Tuning, point: np.ndarray, band: float) -> float:
     reference = np.asarray(tuning.task.reference)
     times = [a.settling for v in values for a in metrics.answers(v, reference, tuning.jumps, tuning.task.period, band)]
     return max(times, default=0.0)
-
-
-def describe(names: Sequence[str], values: Mapping[str, float]) -> str:
-    """Gains as one line of text, in internal units."""
-    return ", ".join(f"{name} = {values[name]:.6g}" for name in names)
