@@ -22,6 +22,8 @@ from smajax.control.observers import ThermalObserver
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
 
+_ELECTRICAL = ("current", "voltage", "power")
+
 
 class Loop(eqx.Module):
     """All that stands between the reference and the wires; ``channel`` is the one that is steered.
@@ -112,8 +114,11 @@ def _sample(driven: AbstractDriven, loop: Loop, carry: Any, row: tuple, move: Ca
     state, inner, command = carry
     reference, draw, changed = row
     now = driven.changed(changed) if changed else driven
-    inner, command = loop.step(inner, reference, now.read(state, command), draw)
-    channels = now.read(state, command)
+    seen = now.read(state, command)
+    inner, command = loop.step(inner, reference, seen, draw)
+    # Only what is electrical follows the command at once; the rest is not read, and differentiated, twice.
+    under = now.read(state, command)
+    channels = {name: under[name] if name.partition("_")[0] in _ELECTRICAL else value for name, value in seen.items()}
     state, added = move(now, state, command)
     return (state, inner, command), (channels, command, added)
 
