@@ -26,7 +26,8 @@ from smajax.control.gains import with_gains
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
-from smajax.control.tune import Tuning, roll, tune
+from smajax.control.tune import tune
+from smajax.control.tuning import Tuning, roll
 from smajax.rig import Rig
 
 PERIOD, NOISE, LARGEST = 0.05, 5e-6, 0.5

@@ -24,7 +24,8 @@ from smajax.control.feedforward import FeedforwardPID
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
-from smajax.control.tune import Tuning, roll, tune
+from smajax.control.tune import tune
+from smajax.control.tuning import Tuning, roll
 from smajax.fit.families import prandtl_ishlinskii
 from smajax.fit.operators import Series, fit_operator
 from smajax.hysteresis.prandtl_ishlinskii import InversePrandtlIshlinskii

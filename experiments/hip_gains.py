@@ -28,7 +28,8 @@ from smajax.control.margins import margins
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import perfect
-from smajax.control.tune import Tuned, Tuning, roll, tune
+from smajax.control.tune import Tuned, tune
+from smajax.control.tuning import Tuning, roll
 
 FREE = 1e9  # no limit
 NAMES = ("kp", "ki", "kd", "filter_time")

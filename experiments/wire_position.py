@@ -30,7 +30,8 @@ from smajax.control.margins import restless
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
-from smajax.control.tune import Tuned, Tuning, objective_of, roll, tune, wanted_of
+from smajax.control.tune import Tuned, objective_of, tune, wanted_of
+from smajax.control.tuning import Tuning, roll
 from smajax.fit.fit import Fit, fit
 from smajax.recording import Recording
 from smajax.rig import Rig, parse_rig
@@ -202,7 +203,7 @@ def robust_rows(name: str, wire: Wire, rig: Rig, fitted: Fit, count: int) -> lis
         found = tune(tuning_of(wire, rig, few), WEIGHTS, {"temperature": limit - (_MARGIN if few else 0.0)})
         warm, done = hottest(found), roll(everywhere, found.gains)
         value = np.asarray(done.channels["displacement"])
-        calm = roll(_quiet(everywhere), found.gains)
+        calm = roll(replace(everywhere, scenario=everywhere.scenario.calm()), found.gains)
         reference = np.asarray(everywhere.task.reference)
         still, moved = np.asarray(calm.channels["displacement"]), np.asarray(calm.command)
         shaky = sum(bool(restless(moved[k], reference, still[k], 0.5 * wire.current)) for k in range(count))
@@ -212,11 +213,6 @@ def robust_rows(name: str, wire: Wire, rig: Rig, fitted: Fit, count: int) -> lis
         rows.append(Row(f"{name}, {what} gains", "none" if few else "-", text, told_well, found.gains))
         say(f"{name}, {what}: {text}")
     return rows
-
-
-def _quiet(one: Tuning) -> Tuning:
-    """The same without noise: what is unstable then is so by itself."""
-    return replace(one, scenario=replace(one.scenario, draws=jnp.zeros_like(one.scenario.draws)))
 
 
 def _change(errors: list[float]) -> str:

@@ -19,7 +19,7 @@ Quantities carry units; the gains' follow from the drive and the channel. Every 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, cast
 
@@ -210,7 +210,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         channel=channel,
     )
     scenario = _scenario(data, path, rig, (unit, channel, period), tune.seed)
-    weights, settle = _objective(tune.objective, "limits" in data)
+    weights, settle = _objective(tune.objective)
     return ControllerFile(
         name=path.name,
         driven=driven,
@@ -248,10 +248,10 @@ def _controller(
     for name, value in given.items():
         if name not in declared:
             raise InputError(f"gains.{name} is not known{advice(name, declared, f'the gains of a {head.kind} are')}")
-        values[name] = _quantity(value, named[name], f"gains.{name}")
-        quantity_ = declared[name]
-        if not quantity_.lower <= values[name] <= quantity_.upper:
-            raise InputError(f"gains.{name} = {show(value)} is not possible for the {quantity_.meaning}: give a value of 0 or more")
+        try:
+            values[name] = quantity(value, replace(declared[name], unit=named[name]))
+        except InputError as error:
+            raise InputError(f"gains.{name}: {error}") from None
     if not any(values.values()):
         raise InputError(f"[gains] holds no gain above 0: give at least kp, in {named['kp']}")
     return with_gains(controller, values), named
@@ -284,7 +284,7 @@ def _bounds(tune: _Tune, controller: AbstractController, units: Mapping[str, str
     return ends
 
 
-def _objective(given: Any, limited: bool) -> tuple[dict[str, float], bool]:
+def _objective(given: Any) -> tuple[dict[str, float], bool]:
     if isinstance(given, str):
         if given not in OBJECTIVES:
             raise InputError(f"tune.objective: '{given}' is not known{advice(given, OBJECTIVES, 'the objectives are')}")

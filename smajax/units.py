@@ -125,6 +125,11 @@ def channel_of(name: str) -> str | None:
     return base if base in CHANNELS else None
 
 
+def numbered(name: str, wires: int) -> tuple[str, ...]:
+    """The channels of a kind that ``wires`` wires have: ``name`` itself for one, else ``name_1``, ``name_2``."""
+    return (name,) if wires == 1 else tuple(f"{name}_{i + 1}" for i in range(wires))
+
+
 def to_si(value: Numbers, unit: str, canonical: str) -> Numbers:
     """``value`` (float or array of any shape) in ``unit``, converted to the canonical unit; an InputError if the two do not convert."""
     factor, offset = conversion(unit, canonical)

@@ -7,7 +7,7 @@ which do what ``reset`` and ``step`` do here, operation by operation. It needs n
 from typing import Any
 
 from smajax.control.adaptive import AdaptivePID
-from smajax.control.bpid import _LEAST, BPID
+from smajax.control.bpid import BPID, LEAST
 from smajax.control.controller import AbstractController
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
@@ -105,7 +105,7 @@ def c_header(controller: AbstractController, units: tuple[str, str], version: st
     if isinstance(controller, PID):
         kind, step = "PID", _PLAIN
     elif isinstance(controller, BPID):
-        kind, step, extra = "BPID", _BILINEAR, {"least": _LEAST}
+        kind, step, extra = "BPID", _BILINEAR, {"least": LEAST}
     elif isinstance(controller, PPID) and controller.inverse is None:
         kind, step, extra = "PPID", _SWITCHED, {"leave": controller.leave}
         size = "(reference - value < 0 ? value - reference : reference - value)"

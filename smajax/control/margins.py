@@ -2,9 +2,9 @@
 
 The loop is cut at the controller's output. At a sample of a rollout, plant and controller are linearised about their states, and their
 frequency responses multiplied: L = -K P. A shape-memory wire is another plant while it warms than while it cools, so that margins are taken
-at many samples. Where it does not transform, its expansion moves it a little the wrong way; a loop has no
-margin there, and needs none, since it leaves again: such samples do not count, nor do frequencies far below the crossover, at which the
-states have moved on before a period is over.
+at many samples. Where it does not transform, its expansion moves it a little the wrong way; a loop has no margin there, and needs none,
+since it leaves again: such samples do not count, nor do frequencies far below the crossover, at which the states have moved on before a
+period is over.
 """
 
 import itertools
@@ -69,7 +69,7 @@ def _loop_gain(driven: AbstractDriven, loop: Loop, carry: Any, reference: jax.Ar
 
 
 def margins(driven: AbstractDriven, loop: Loop, scenario: Scenario, *, samples: int = 300) -> Margins:
-    """The least margins at so many samples of the rollout, spread over those at which the command moves."""
+    """The margins at so many samples of the rollout, spread over those at which the command moves; their medians."""
     period = loop.controller.inner.period
     count = scenario.reference.shape[0]
     frequencies = np.geomspace(0.2 * math.pi / (count * period), math.pi / period, _FREQUENCIES)

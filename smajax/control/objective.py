@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from smajax.control.metrics import BAND
 from smajax.control.rollout import Rollout
+from smajax.units import numbered
 
 TERMS = ("tracking", "itae", "energy", "effort")
 LIMITS = ("overshoot", "settling", "temperature", "stress", "current")
@@ -46,7 +47,7 @@ class Task(eqx.Module):
 
     def each(self, channels: dict[str, jax.Array], name: str) -> jax.Array | None:
         """A channel of every wire, shape ``(wires, n)``; ``None`` where the plant has none."""
-        names = [name] if self.wires == 1 else [f"{name}_{i + 1}" for i in range(self.wires)]
+        names = numbered(name, self.wires)
         return jnp.stack([channels[n] for n in names]) if names[0] in channels else None
 
 

@@ -6,6 +6,7 @@ little for a few gains; for reverse mode, ``Scenario.block`` samples at a time a
 way back.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
@@ -21,6 +22,7 @@ from smajax.control.guard import TemperatureGuard
 from smajax.control.observers import ThermalObserver
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
+from smajax.units import numbered
 
 _ELECTRICAL = ("current", "voltage", "power")
 
@@ -62,8 +64,7 @@ class Loop(eqx.Module):
         return (inner, heard, guards), each
 
     def _each(self, seen: dict[str, jax.Array], name: str) -> list[jax.Array]:
-        wires = self.allocation.wires
-        return [seen[name if wires == 1 else f"{name}_{i + 1}"] for i in range(wires)]
+        return [seen[n] for n in numbered(name, self.allocation.wires)]
 
 
 class Scenario(eqx.Module):
@@ -82,6 +83,10 @@ class Scenario(eqx.Module):
     def rows(self) -> tuple:
         """What changes from sample to sample."""
         return self.reference, self.draws, self.changes
+
+    def calm(self) -> "Scenario":
+        """The same without noise: what is restless then is so by itself."""
+        return dataclasses.replace(self, draws=jnp.zeros_like(self.draws))
 
     @classmethod
     def quiet(cls, reference: Any, before: float = 0.0, changes: dict[str, Any] | None = None) -> "Scenario":

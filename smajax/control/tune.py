@@ -1,16 +1,16 @@
 """Gains by gradients through the rollout.
 
 The gains are searched by their logarithms between bounds. Terms and limits (``objective``) make one number, whose gradient by reverse mode
-costs little more than two rollouts whatever the number of gains, and which a quasi-Newton search in the box makes small. Several plants
-(draws of a fit's posterior, ambients, loads) are rolled out as one batch and count alike. Near its best gains a wire's loop is rough: what
-noise does to the small loops of its hysteresis changes from gain to gain. So the search is begun anew where it ends, with smaller steps.
+costs as much whatever the number of gains, and which a quasi-Newton search in the box makes small. Several plants (draws of a fit's
+posterior, ambients, loads) are rolled out as one batch and count alike. Near its best gains a wire's loop is rough: what noise does to the
+small loops of its hysteresis changes from gain to gain. So the search is begun anew where it ends, with smaller steps, and hops.
 
 Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,11 +19,9 @@ import numpy as np
 import scipy.optimize
 
 from smajax.control import metrics, objective
-from smajax.control.driven import AbstractDriven
 from smajax.control.fastest import Shape, fastest, shape_at
-from smajax.control.gains import gain, with_gains
-from smajax.control.objective import LIMITS, TERMS, Parts, Task, Wanted
-from smajax.control.rollout import Loop, Rollout, Scenario, rollout
+from smajax.control.objective import LIMITS, TERMS, Wanted
+from smajax.control.tuning import Tuning, look, roll
 from smajax.errors import InputError, NumericsError
 
 SETTLING = {"itae": 1.0}  # what is made small before the shortest settling time is looked for
@@ -40,94 +38,6 @@ _EVALUATIONS = 32
 _RTOL = 1e-4
 _SCREENED = 16
 _HOPS = (0.15, 0.08, 0.04, 0.02)  # of the box
-
-
-class Tuning(eqx.Module):
-    """What is tuned: a loop around something driven, over a scenario. ``members`` name parameters that differ, each of shape ``(m,)``.
-
-    ``scenario`` is the same for all members, but for draws of noise, shape ``(m, n)`` where they differ.
-    """
-
-    driven: AbstractDriven
-    loop: Loop
-    scenario: Scenario
-    task: Task
-    members: dict[str, jax.Array]
-    lower: jax.Array
-    upper: jax.Array
-    names: tuple[str, ...] = eqx.field(static=True)
-
-    @classmethod
-    def of(
-        cls,
-        driven: AbstractDriven,
-        loop: Loop,
-        scenario: Scenario,
-        bounds: Mapping[str, tuple[float, float]],
-        members: Mapping[str, Any] | None = None,
-    ) -> "Tuning":
-        """``bounds`` name the gains to be tuned and the positive ends between which they lie.
-
-        Raises ``InputError`` for a gain that the controller has not, or whose start value does not lie between its bounds.
-        """
-        for name, (low, high) in bounds.items():
-            value = float(gain(loop.controller, name))
-            if not 0.0 < low <= value <= high:
-                raise InputError(
-                    f"{name} starts at {value:.6g} and is to be tuned between {low:.6g} and {high:.6g}: the bounds have to be positive "
-                    "and hold the start value"
-                )
-        period = loop.controller.inner.period
-        reference, before = np.asarray(scenario.reference), float(scenario.before)
-        found = metrics.jumps(reference, before, period)
-        span = float(np.max(np.append(reference, before)) - np.min(np.append(reference, before))) or abs(before) or 1.0
-        task = Task(*map(jnp.asarray, (reference, found.since, found.size, span)), channel=loop.channel, period=period, wires=driven.wires)
-        ends = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
-        return cls(driven, loop, scenario, task, {k: jnp.asarray(v) for k, v in (members or {}).items()}, *ends, names=tuple(bounds))
-
-    @property
-    def count(self) -> int:
-        """Number of members: rollouts at each look at a point."""
-        return next((len(v) for v in self.members.values()), 1)
-
-    @property
-    def jumps(self) -> metrics.Jumps:
-        """The reference's jumps."""
-        return metrics.jumps(np.asarray(self.scenario.reference), float(self.scenario.before), self.task.period)
-
-    @property
-    def start(self) -> np.ndarray:
-        """The start gains in the unit box, shape ``(p,)``."""
-        values = np.array([float(gain(self.loop.controller, name)) for name in self.names])
-        low, high = np.asarray(self.lower), np.asarray(self.upper)
-        return np.log(values / low) / np.where(high > low, np.log(high / low), 1.0)
-
-    def gains(self, point: Any) -> dict[str, jax.Array]:
-        """The gains at a point of the unit box, in internal units."""
-        values = self.lower * (self.upper / self.lower) ** jnp.asarray(point)
-        return {name: values[i] for i, name in enumerate(self.names)}
-
-    def steered(self, gains: Mapping[str, Any]) -> Loop:
-        """The loop with other gains, in internal units."""
-        return eqx.tree_at(lambda one: one.controller, self.loop, with_gains(self.loop.controller, gains))
-
-    def roll(self, gains: Mapping[str, Any]) -> Rollout:
-        """The rollouts of all members with other gains, in internal units; leaves with a leading axis of ``m``."""
-        loop = self.steered(gains)
-        draws = self.scenario.draws
-        if not self.members:
-            done = rollout(self.driven, loop, self.scenario)
-            return jax.tree.map(lambda leaf: leaf[None], done)
-
-        def single(values: dict, draws: jax.Array) -> Rollout:
-            scenario = eqx.tree_at(lambda s: s.draws, self.scenario, draws)
-            return rollout(self.driven.changed(values), loop, scenario)
-
-        return jax.vmap(single, in_axes=(0, 0 if draws.ndim == 2 else None))(self.members, draws)
-
-    def parts(self, point: jax.Array, wanted: Wanted) -> Parts:
-        """Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``."""
-        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(self.gains(point))._replace(ends=None))
 
 
 class _Aim(NamedTuple):
@@ -150,27 +60,6 @@ def _slope(point: jax.Array, aim: _Aim) -> tuple[jax.Array, jax.Array]:
         return jnp.sum(each**2) / each.shape[0]
 
     return jax.value_and_grad(cost)(point)
-
-
-@eqx.filter_jit
-def look(tuning: Tuning, points: jax.Array, wanted: Wanted) -> tuple[jax.Array, jax.Array]:
-    """Sums of squares of the terms, mean over the members, shape ``(k, 4)``, and the largest violation of each limit, ``(k, 5)``."""
-
-    def single(point: jax.Array) -> tuple[jax.Array, jax.Array]:
-        found = tuning.parts(point, wanted)
-        return jnp.mean(jnp.sum(found.terms**2, axis=2), axis=0), jnp.max(found.violated, axis=(0, 2))
-
-    return jax.vmap(single)(points)
-
-
-def roll(tuning: Tuning, gains: Mapping[str, Any]) -> Rollout:
-    """``Tuning.roll``, compiled once for all gains."""
-    return _roll(tuning, {name: jnp.asarray(value, jnp.float64) for name, value in gains.items()})
-
-
-@eqx.filter_jit
-def _roll(tuning: Tuning, gains: dict[str, jax.Array]) -> Rollout:
-    return tuning.roll(gains)
 
 
 @eqx.filter_jit

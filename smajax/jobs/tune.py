@@ -16,10 +16,11 @@ from smajax.console import Progress
 from smajax.control import members, metrics
 from smajax.control.controller import AbstractController
 from smajax.control.export import as_document, c_header
-from smajax.control.gains import gain, gains, with_gains
+from smajax.control.gains import gain, gains
 from smajax.control.margins import Margins, margins, restless
-from smajax.control.rollout import Rollout, Scenario, rollout
-from smajax.control.tune import Tuned, Tuning, tune
+from smajax.control.rollout import Rollout, Scenario
+from smajax.control.tune import Tuned, tune
+from smajax.control.tuning import Tuning, roll
 from smajax.controller_file import ControllerFile, read_controller
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.report import prediction
@@ -27,7 +28,7 @@ from smajax.report.document import number, to_json
 from smajax.report.tuning import SCHEMA, sentences, shown, tuning_page
 from smajax.results import check_out, read_json, write_folder
 from smajax.rig import Rig, read_rig
-from smajax.units import CHANNELS
+from smajax.units import CHANNELS, numbered
 
 _BATCH = 64
 
@@ -71,19 +72,20 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         reach = _reach(given)
         beyond = _beyond(given, reach)
         given = replace(given, scenario=_cut(given.scenario, reach)) if beyond else given
-        first = behave(given, given.loop.controller)
+        own = {n: float(gain(given.loop.controller, n)) for n in given.bounds}
+        first = behave(given, own)
     progress.phase("tuning")
     with clock.time("tune"):
         few = {n: v[: given.robust.draws] for n, v in drawn.items()} if given.robust else {}
         tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few)
         found = tune(
             tuning, given.weights, given.limits, settle=given.settle, starts=given.starts, seed=seed, band=given.band,
-            progress=lambda step, cost: progress.step(f"step {step}, cost {cost:.4g}"),
+            progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
         )  # fmt: skip
     progress.phase("checking")
     with clock.time("check"):
-        last = behave(given, with_gains(given.loop.controller, found.gains))
-        checks = {when: _check(given, one.controller, drawn) for when, one in (("start", first), ("tuned", last))} if drawn else {}
+        last = behave(given, found.gains)
+        checks = {when: _check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
     document = _document(given, rig, found, (first, last), checks, beyond, seed)
     reason = "; ".join(document["problems"])
     code = 3 if reason else 0
@@ -106,26 +108,23 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     return Outcome(out, document, code, reason)
 
 
-def behave(given: ControllerFile, controller: AbstractController) -> Behaviour:
-    """How the rig's own plant does with a controller."""
-    loop = eqx.tree_at(lambda one: one.controller, given.loop, controller)
-    done = _rolled(given.driven, loop, given.scenario, {})
+def behave(given: ControllerFile, gains: Mapping[str, float]) -> Behaviour:
+    """How the rig's own plant does with other gains than the file's."""
+    as_seen, calm = (Tuning.of(given.driven, given.loop, s, {}) for s in (given.scenario, given.scenario.calm()))
+    done, still = roll(as_seen, gains), roll(calm, gains)
     channels = {name: np.asarray(values)[0] for name, values in done.channels.items()}
-    command = np.asarray(done.command)[0]
-    quiet = eqx.tree_at(lambda s: s.draws, given.scenario, jnp.zeros_like(given.scenario.draws))
-    calm = _rolled(given.driven, loop, quiet, {})
-    why = restless(
-        np.asarray(calm.command)[0], np.asarray(given.scenario.reference), np.asarray(calm.channels[loop.channel])[0], _range(controller)
+    command, loop = np.asarray(done.command)[0], as_seen.steered(gains)
+    why = _unstable(given, still, 0)
+    return Behaviour(
+        loop.controller, channels, command, _numbers(given, channels, command), margins(given.driven, loop, calm.scenario), why
     )
-    return Behaviour(controller, channels, command, _numbers(given, channels, command), margins(given.driven, loop, quiet), why)
 
 
-@eqx.filter_jit
-def _rolled(driven: Any, loop: Any, scenario: Scenario, values: dict) -> Rollout:
-    """Rollouts of all members, leaves with a leading axis; of the plant itself without any."""
-    if not values:
-        return jax.tree.map(lambda leaf: leaf[None], rollout(driven, loop, scenario)._replace(ends=None))
-    return jax.vmap(lambda v: rollout(driven.changed(v), loop, scenario)._replace(ends=None))(values)
+def _unstable(given: ControllerFile, still: Rollout, member: int) -> str:
+    """Why a member of a rollout without noise counts as unstable; nothing if it does not."""
+    pid = given.loop.controller.inner
+    command, value = np.asarray(still.command[member]), np.asarray(still.channels[given.loop.channel][member])
+    return restless(command, np.asarray(given.scenario.reference), value, float(pid.upper) - float(pid.lower))
 
 
 def _numbers(given: ControllerFile, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
@@ -148,13 +147,8 @@ def _numbers(given: ControllerFile, channels: Mapping[str, np.ndarray], command:
     return told
 
 
-def _of(given: ControllerFile, name: str) -> list[str]:
-    wires = given.driven.wires
-    return [name] if wires == 1 else [f"{name}_{i + 1}" for i in range(wires)]
-
-
-def _range(controller: AbstractController) -> float:
-    return float(controller.inner.upper) - float(controller.inner.lower)
+def _of(given: ControllerFile, name: str) -> tuple[str, ...]:
+    return numbered(name, given.driven.wires)
 
 
 def _drawn(given: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
@@ -214,22 +208,21 @@ def _cut(scenario: Scenario, reach: tuple[float, float]) -> Scenario:
     return eqx.tree_at(lambda s: s.reference, scenario, cut) if left > 0.5 * whole else scenario
 
 
-def _check(given: ControllerFile, controller: AbstractController, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Metrics of every draw: median and 5 to 95 %, and how many are stable and within the limits."""
-    loop = eqx.tree_at(lambda one: one.controller, given.loop, controller)
+def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Metrics of every draw: median and 5 to 95 %, and how many are stable (without noise) and within the limits."""
     count = len(next(iter(drawn.values())))
     size = min(_BATCH, count)
     told: list[dict[str, float]] = []
     unstable = broken = 0
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up: one program serves all
-        done = _rolled(given.driven, loop, given.scenario, {n: jnp.asarray(v[rows]) for n, v in drawn.items()})
+        some = {n: v[rows] for n, v in drawn.items()}
+        done, still = (roll(Tuning.of(given.driven, given.loop, s, {}, some), gains) for s in (given.scenario, given.scenario.calm()))
         channels = {n: np.asarray(v) for n, v in done.channels.items()}
         for k in range(min(size, count - first)):
-            one, command = {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k])
-            numbers = _numbers(given, one, command)
+            numbers = _numbers(given, {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k]))
             told.append(numbers)
-            unstable += bool(restless(command, np.asarray(given.scenario.reference), one[loop.channel], _range(controller)))
+            unstable += bool(_unstable(given, still, k))
             broken += bool(broken_limits(given.limits, numbers))
     table = {n: np.array([t[n] for t in told]) for n in told[0]}
     with np.errstate(invalid="ignore"):
@@ -308,7 +301,7 @@ def _series(given: ControllerFile, one: Behaviour, name: str) -> prediction.Seri
     control, channel = given.driven.plant.drive.control, given.loop.channel
     reference = np.asarray(given.scenario.reference)
     time = given.driven.period * np.arange(len(reference), dtype=np.float64)
-    shown = [channel, *_of(given, "temperature"), *_of(given, "stress")]
-    model = {c: one.channels[c] for c in dict.fromkeys(shown)}
+    beside = [channel, *_of(given, "temperature"), *_of(given, "stress")]
+    model = {c: one.channels[c] for c in dict.fromkeys(beside)}
     model |= {c: one.command[:, i] for i, c in enumerate(_of(given, control))}
     return prediction.to_series(name, name.split()[0], time, {channel: reference}, model, {}, clock=True)

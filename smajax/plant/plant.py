@@ -21,6 +21,7 @@ from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.mechanism import AbstractMechanism, Surroundings
 from smajax.plant.sensor import Sensor
 from smajax.plant.wire import Environment, Initial, Wire
+from smajax.units import numbered
 
 _ITERATIONS = 40
 # A last Newton step follows the loop, so the loop may stop where that step's error, quadratic in these, is below rounding of any recording.
@@ -61,8 +62,7 @@ class Plant(eqx.Module):
         """The recorded channels that drive the plant, in the order of the columns of ``signal`` below."""
         wires = self.mechanism.wires
         control = [self.drive.control] if self.drive.control else []
-        if wires > 1:
-            control = [f"{c}_{i + 1}" for c in control for i in range(wires)]
+        control = [n for c in control for n in numbered(c, wires)]
         temperature = ["temperature"] if isinstance(self.heat, PrescribedTemperature) else []
         return (*control, *temperature, *self.mechanism.prescribed)
 
@@ -71,8 +71,8 @@ class Plant(eqx.Module):
         """The channels that ``outputs`` gives."""
         wires = self.mechanism.wires
         each = ("temperature", "stress", "force", "resistance", "current", "voltage", "power")
-        names = each if wires == 1 else tuple(f"{c}_{i + 1}" for c in each for i in range(wires))
-        strain = ("strain",) if wires == 1 else tuple(f"strain_{i + 1}" for i in range(wires))
+        names = tuple(n for c in each for n in numbered(c, wires))
+        strain = numbered("strain", wires)
         torque = ("torque",) if self.mechanism.coordinate == "angle" else ()
         return tuple(dict.fromkeys((self.mechanism.coordinate, *strain, *names, *torque)))
 
@@ -156,7 +156,7 @@ class Plant(eqx.Module):
             "voltage": current * ohms + sum(e.voltage(current) for e in self._of(DriveEffect)),
             "power": self.drive.joule(self._control(signal), resistivity, self.wire) * self.wire.area * self.wire.length,
         }
-        values = {c if wires == 1 else f"{c}_{i + 1}": jnp.broadcast_to(v, (wires,))[i] for c, v in each.items() for i in range(wires)}
+        values = {n: jnp.broadcast_to(v, (wires,))[i] for c, v in each.items() for i, n in enumerate(numbered(c, wires))}
         values.update(self.mechanism.channels(strain, state.stress, state.motion, around))
         return {c: self.sensor.read(c, v) for c, v in values.items()}
 

@@ -44,9 +44,7 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += " But " + "; ".join(doc["problems"]) + "."
     if doc["robust"]:
         one = doc["robust"]["tuned"]
-        good = one["draws"] - max(one["unstable"], one["beyond_a_limit"])
-        told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit"
-        told += "." if good < one["draws"] else ": all are well."
+        told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit."
     return told
 
 
