@@ -12,10 +12,11 @@ from smajax.errors import InputError
 _OF_RECORDING = ("control", "interpolation")
 
 
-def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, Path | None]:
+def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
     """Write rig.toml, commented, for one's own wire, and a recording example.csv with the rig example.toml that it was made on.
 
-    Where such a rig can be steered, also controller.toml, for ``smajax tune``. Returns the paths, ``None`` where there is no controller.
+    Where such a rig can be steered, also controller.toml, for ``smajax tune``, and where there is one, sweep.toml, for ``smajax sweep``.
+    Returns the paths, the last two in a list.
     Raises InputError, and writes nothing, if one of them is there already.
     """
     example = _example_of(kind)
@@ -32,6 +33,9 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, Path | None]:
     controller = shipped("controllers") / f"{example.name}.toml"
     if controller.is_file():
         files[out / "controller.toml"] = controller.read_bytes()
+    sweep = shipped("sweeps") / f"{example.name}.toml"
+    if sweep.is_file():
+        files[out / "sweep.toml"] = sweep.read_text("utf-8").replace(f"../recordings/{example.name}/rig.toml", "example.toml").encode()
     for path in files:
         if path.exists():
             raise InputError(f"{path}: this file is there already and is not overwritten: name another folder with --out")
@@ -45,7 +49,7 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, Path | None]:
     except OSError as error:
         raise InputError(f"{out}: the files cannot be written ({error.strerror or error}): name another folder with --out") from None
     rig, example_rig, recording, *rest = files
-    return rig, example_rig, recording, rest[0] if rest else None
+    return rig, example_rig, recording, rest
 
 
 def _example_of(kind: str) -> Path:

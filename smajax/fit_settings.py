@@ -10,7 +10,7 @@ from smajax.errors import InputError, nearest
 from smajax.parameters import TIES, Declaration
 from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial
-from smajax.rig_schema import FitSection, a_rig, as_text, channel_unit
+from smajax.rig_schema import KINDS, FitSection, a_rig, as_text, channel_unit
 from smajax.toml_file import show
 from smajax.units import channel_of
 from smajax.units import parse as parse_quantity
@@ -43,8 +43,7 @@ class FitSettings:
 def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
     """The channels that are fitted: those of the file, else the coordinate of this kind of rig."""
     if fit.observe is None:
-        default = {"antagonistic-rotary": "angle", "testing-machine": "stress", "path": "strain"}
-        return (default.get(kind, "displacement"),)
+        return ("stress" if kind == "testing-machine" else KINDS[kind].coordinate,)
     if not fit.observe:
         raise InputError('fit.observe is empty: name at least one channel, as in observe = ["displacement"], or leave the line out')
     refuse_twice(fit.observe, "fit.observe")

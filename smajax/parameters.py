@@ -63,20 +63,21 @@ def declarations(module: Any) -> dict[str, Declaration]:
 
 
 def sections(plant: Any) -> dict[str, Any]:
-    """The sections of a plant by name: its own parts, and those of its mechanism."""
+    """The sections of a plant by name: its own parts, and those of its mechanism; of a machine (``smajax.machines``), its parts."""
     parts = {}
-    for owner in (plant, plant.mechanism):
+    for owner in (plant, plant.mechanism) if hasattr(plant, "mechanism") else (plant,):
         for field in dataclasses.fields(owner):
             part = getattr(owner, field.name)
             if isinstance(part, eqx.Module) and declarations(part):
                 parts.setdefault(field.name, part)
-    return parts | {f"effects.{e.key}": e for e in plant.effects}
+    return parts | {f"effects.{e.key}": e for e in getattr(plant, "effects", ())}
 
 
 def declared(plant: Any) -> dict[str, Declaration]:
     """All parameter names of a plant with their declarations, ties included."""
     table = {f"{section}.{key}": d for section, part in sections(plant).items() for key, d in declarations(part).items()}
-    table.update({f"sensor.{name}": d for name, d in plant.sensor.declarations().items()})
+    if hasattr(plant, "sensor"):
+        table.update({f"sensor.{name}": d for name, d in plant.sensor.declarations().items()})
     for tie, members in TIES.items():
         if all(m in table for m in members):
             table[tie] = dataclasses.replace(table[members[0]], meaning=table[members[0]].meaning.replace(" of austenite", ""))

@@ -32,6 +32,7 @@ from smajax.rig_schema import (
     as_text,
     channel_unit,
     check_belongs,
+    check_coil,
     check_order,
     check_sections,
     choose_stages,
@@ -157,6 +158,7 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
     place = {n: f"{name} line {lines[n]}" if n in lines else name for n in _written_names(data)}
     sources = _sources(leaves, from_set, given, taken.name, place)
     check_order(lambda n: _value(plant, n), lambda n: table[n].unit, sources)
+    check_coil(plant.wire)
 
     check_observed(observe, plant, head.kind)
     sensors = {f"sensor.{key}": d for key, d in Sensor.identity(plant.observable).declarations().items()}
@@ -264,7 +266,8 @@ def _members(values: Mapping[str, Any]) -> dict[str, Any]:
 def _plant(stages: Stages, values: Mapping[str, float], freed: list[str]) -> Plant:
     """The plant, its sensors still without channels.
 
-    A pulley with neither inertia nor damping, and neither of them free, follows the forces at once.
+    A pulley of two wires with neither inertia nor damping, and neither of them free, follows the forces at once; a sheath with neither
+    friction nor conduction, and nothing of it free, is none.
     """
 
     def build(section: str, part: type) -> Any:
@@ -277,6 +280,10 @@ def _plant(stages: Stages, values: Mapping[str, float], freed: list[str]) -> Pla
     stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
     built = {section: build(section, part) for section, part in stage_classes.items()}
     carried = {section: built.pop(section) for section in parts_of(stages.mechanism)}
+    if "sheath" in carried and not (
+        values.get("sheath.friction") or values.get("sheath.conduction") or any(n.startswith("sheath.") for n in freed)
+    ):
+        carried["sheath"] = None
     return Plant(mechanism=mechanism(**carried), sensor=Sensor.identity(()), **built)
 
 

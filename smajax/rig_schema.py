@@ -7,24 +7,25 @@ choose, and the pydantic model of a section is made from that part's declaration
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import equinox as eqx
 from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from smajax.datasets import shipped
-from smajax.errors import InputError
+from smajax.errors import InputError, nearest
 from smajax.parameters import TIES, Declaration, declarations
 from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
 from smajax.plant.heat import AbstractHeat, PolynomialHeat, PowerHeat, PrescribedTemperature
+from smajax.plant.limb import TendonLimb
 from smajax.plant.material.base import AbstractMaterial
 from smajax.plant.material.brinson import Brinson
 from smajax.plant.material.lagoudas import Lagoudas
 from smajax.plant.material.tanaka import LiangRogers, Tanaka
 from smajax.plant.mechanism import AbstractMechanism, BiasSpring, DeadWeight, StressPath, TestingMachine
-from smajax.plant.rotary import Rotary
+from smajax.plant.rotary import Joint, Rotary
 from smajax.plant.sensor import Sensor
-from smajax.plant.wire import Environment, Initial, Wire
+from smajax.plant.wire import AbstractWire, Coil, Environment, Initial, Wire
 from smajax.toml_file import STRICT, advice, parse, show
 from smajax.units import CHANNELS, channel_of, example_of, format_quantity
 from smajax.units import parse as parse_quantity
@@ -35,7 +36,16 @@ KINDS: Mapping[str, type[AbstractMechanism]] = {
     "antagonistic-rotary": Rotary,
     "testing-machine": TestingMachine,
     "path": StressPath,
+    "coil-dead-weight": DeadWeight,
+    "coil-bias-spring": BiasSpring,
+    "coil-antagonistic": Rotary,
+    "hip": Joint,
+    "elbow": TendonLimb,
+    "wrist": TendonLimb,
+    "glove-finger": TendonLimb,
 }
+# A wire is straight unless its kind of rig is listed here.
+WIRES: Mapping[str, type[AbstractWire]] = dict.fromkeys(("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip"), Coil)
 MATERIALS: Mapping[str, type[AbstractMaterial]] = {
     "brinson": Brinson,
     "lagoudas": Lagoudas,
@@ -47,11 +57,12 @@ INTERPOLATIONS = ("hold", "linear")
 # A path is followed by a material point: the wire's size then scales nothing but force and resistance.
 DEFAULTS: Mapping[str, Mapping[str, float]] = {"path": {"wire.diameter": 1e-3, "wire.length": 1.0}}
 OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
-# Within each pair the first has to stay below the second, or a transformation has no band to run through.
+# Within each pair the first has to stay below the second, or a transformation has no band to run through, or a coil no room inside.
 ORDERED = (
     ("material.austenite_start", "material.austenite_finish"),
     ("material.martensite_finish", "material.martensite_start"),
     ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
+    ("wire.diameter", "wire.coil_diameter"),
 )
 
 
@@ -69,7 +80,7 @@ class Stages:
     def parts(self) -> dict[str, type[eqx.Module]]:
         """The parameter sections of the rig with their classes; a stage without parameters has no section."""
         chosen = {"drive": self.drive, "heat": self.heat, "material": self.material, **parts_of(self.mechanism)}
-        shared = {"wire": Wire, "environment": Environment, "initial": Initial}
+        shared = {"wire": WIRES.get(self.kind, Wire), "environment": Environment, "initial": Initial}
         return {section: part for section, part in (chosen | shared).items() if declarations(part)}
 
     @property
@@ -98,12 +109,14 @@ def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[
 
 def parts_of(mechanism: type[AbstractMechanism]) -> dict[str, type[eqx.Module]]:
     """The sections that a mechanism brings along, such as ``load`` or ``pulley``."""
-    return {f.name: f.type for f in dataclasses.fields(mechanism) if isinstance(f.type, type) and issubclass(f.type, eqx.Module)}
+    named = [(f.name, part) for f in dataclasses.fields(mechanism) for part in (f.type, *get_args(f.type))]
+    return {name: part for name, part in named if isinstance(part, type) and issubclass(part, eqx.Module)}
 
 
 def owners() -> Iterator[tuple[str, type[eqx.Module], str]]:
     """Every parameter section of any rig, each class that it can have, and the choice in the rig file that gives it that class."""
-    yield from (("wire", Wire, ""), ("environment", Environment, ""), ("initial", Initial, ""))
+    yield from (("wire", Wire, "a straight wire"), ("wire", Coil, "a coiled wire"))
+    yield from (("environment", Environment, ""), ("initial", Initial, ""))
     yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())
     yield from (("heat", heat, words) for words, heat in HEATS.items())
     yield from (("material", material, f'model = "{model}"') for model, material in MATERIALS.items())
@@ -167,7 +180,7 @@ def one_of(choices: Iterable[str]) -> BeforeValidator:
         if value in known:
             return value
         shown = [word if word.isidentifier() or "-" in word else repr(word) for word in known]
-        raise InputError(f"{show(value)} is not known{advice(str(value), shown, 'it is one of')}")
+        raise InputError(f"{show(value)} is not known{nearest(str(value), shown)}: it is one of {', '.join(shown)}")
 
     return BeforeValidator(check)
 
@@ -261,7 +274,8 @@ def _example(stages: Stages, name: str) -> str:
     section, key = name.split(".", 1)
     template = shipped("templates", f"{stages.kind}.toml")
     value = parse(template.read_text("utf-8"), template.name).get(section, {}).get(key) if template.is_file() else None
-    return f'"{value or example_of(stages.table()[name].unit)}"'
+    value = value or example_of(stages.table()[name].unit)
+    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def check_order(value_of: Callable[[str], float | None], unit_of: Callable[[str], str], origin: Mapping[str, str]) -> None:
@@ -274,6 +288,26 @@ def check_order(value_of: Callable[[str], float | None], unit_of: Callable[[str]
     detwinned, twinned = value_of("initial.detwinned"), value_of("initial.twinned")
     if detwinned is not None and twinned is not None and detwinned + twinned > 1.0 + 1e-12:
         raise InputError(f"initial.detwinned and initial.twinned add up to {detwinned + twinned:.6g}: keep their sum at 1 or below")
+
+
+def check_coil(wire: AbstractWire) -> None:
+    """Refuses a coil that cannot be: its turns, its stretch, and a bundle's wiring; counts may be what a search says."""
+    if not isinstance(wire, Coil):
+        return
+    if wire.free_length is not None and wire.solid_length > wire.free_length:
+        length, diameter = as_text(float(wire.free_length), "m"), as_text(float(wire.diameter), "m")
+        turns = f"{wire.turns:.6g} turns of a wire of {diameter} take {1e3 * wire.solid_length:.6g} mm side by side"
+        cure = "correct wire.turns, wire.diameter or wire.free_length (a radius taken for a diameter makes twice as much)"
+        raise InputError(f"wire.free_length = {length} is too short: {turns}: {cure}")
+    most = declarations(Wire)["prestrain"].upper
+    if wire.prestrain > most:
+        raise InputError(
+            f"wire.prestretch = {as_text(float(wire.prestretch), 'm')} is too much: it strains this coil's wire like a tension of "
+            f"{100 * wire.prestrain:.3g} %, and at most {100 * most:g} % is possible: give less, or correct the coil's sizes"
+        )
+    if wire.paths > wire.springs:
+        cure = "a bundle has at most as many ways for the current as springs, and 1 where all are in series"
+        raise InputError(f"wire.paths = {wire.paths:.6g} is more than wire.springs = {wire.springs:.6g}: {cure}")
 
 
 def channel_unit(channel: str, *, difference: bool = False) -> str:

@@ -1,4 +1,4 @@
-"""The one door to diffrax: a plant's response to recorded inputs, in time or along a path without a clock.
+"""The plants' door to diffrax: their response to recorded inputs, in time or along a path without a clock.
 
 The steps are those of ``Plant.advance``, given to diffrax as a solver of our own. They end at every sample, so that each jump of a held
 input falls between two steps, and samples further apart than ``step`` are subdivided evenly. Fixed steps keep a fit's objective free of
@@ -6,6 +6,7 @@ the noise of step-size control, cost the same for every design in a batch, and l
 error; what remains is the second-order error of the heat balance, which ``discretisation_error`` measures by halving.
 """
 
+import dataclasses
 import enum
 import functools
 from collections.abc import Callable, Sequence
@@ -91,11 +92,20 @@ class Simulation(eqx.Module):
     code: jax.Array
 
 
+def time_constant(plant: Plant) -> jax.Array:
+    """Time constant in s of the wire's cooling at 80 degC, a scalar: C d / (4 h)."""
+    capacity = plant.heat.capacity(jnp.asarray(0.5))
+    return capacity * plant.wire.diameter / (4.0 * jnp.maximum(plant.heat.convection(jnp.asarray(80.0)), 1.0))
+
+
+def resolving_step(plant: Plant) -> jax.Array:
+    """A step in s, a scalar of at most 50 ms, that resolves warming and cooling, a thirtieth of the time constant, and what swings."""
+    return jnp.minimum(jnp.minimum(0.05, time_constant(plant) / 30.0), plant.longest_step)
+
+
 def default_step(plant: Plant) -> float:
-    """A step in s that resolves the wire's warming and cooling: a thirtieth of its time constant at 80 degC, at most 50 ms."""
-    capacity = float(plant.heat.capacity(jnp.asarray(0.5)))
-    cooling = float(4.0 * jnp.maximum(plant.heat.convection(jnp.asarray(80.0)), 1.0) / plant.wire.diameter)
-    return min(0.05, capacity / cooling / 30.0)
+    """A step in s that resolves what the plant does: see ``resolving_step``."""
+    return float(resolving_step(plant))
 
 
 def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> Inputs:
@@ -249,33 +259,35 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
 
     What comes out is linear in the tangents, so that reverse mode comes with it; the states are its tape.
     """
-    (plant, inputs), (moved, _) = primals, tangents
+    (plant, inputs), (moved, driven) = primals, tangents
     flat, code = _trajectory(plant, inputs)
     unflatten = _unflatten(plant, inputs)
 
     def recur(tangent: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
         """What the end moves by: see ``smajax.plant.step``."""
-        start, known, *step = row
+        start, known, step, along = row
         end = unflatten(known)
         z = jnp.concatenate([end.temperature, end.unknown])
 
-        def arrive(z: jax.Array, start: jax.Array, plant: Plant) -> tuple[jax.Array, jax.Array]:
+        def arrive(z: jax.Array, start: jax.Array, plant: Plant, step: tuple) -> tuple[jax.Array, jax.Array]:
             left, state = _arrive(plant, unflatten(start), *step, z)
             return left, ravel_pytree(state)[0]
 
-        new = end_tangent(arrive, z, (start, plant), (tangent, moved))
+        new = end_tangent(arrive, z, (start, plant, step), (tangent, moved, along))
         return new, new
 
-    first = push(lambda plant: ravel_pytree(plant.start(inputs.sampled[0]))[0], (plant,), (moved,))
-    rows = (flat[:-1], flat[1:], inputs.before, inputs.after, jnp.diff(inputs.time))
-    _, rest = jax.lax.scan(recur, first, rows)
+    begin = (plant, inputs.sampled[0]), (moved, None if driven.sampled is None else driven.sampled[0])
+    first = push(lambda plant, signal: ravel_pytree(plant.start(signal))[0], *begin)
+    step = (inputs.before, inputs.after, jnp.diff(inputs.time))
+    along = (driven.before, driven.after, None if driven.time is None else jnp.diff(driven.time))
+    _, rest = jax.lax.scan(recur, first, (flat[:-1], flat[1:], step, along))
     return (flat, code), (jnp.concatenate([first[None], rest]), None)
 
 
 def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
     """The states at the samples, each leaf with a leading axis of ``n``, and the result code; to be compiled and batched by the caller.
 
-    Differentiable in the plant's parameters, in forward and in reverse mode, once; not in the inputs.
+    Differentiable in the plant's parameters and in the inputs, in forward and in reverse mode, once.
     """
     flat, code = _trajectory(plant, inputs)
     return jax.vmap(_unflatten(plant, inputs))(flat[inputs.rows]), code
@@ -311,9 +323,10 @@ def simulate(
 ) -> Simulation:
     """Simulates a plant under a recording's inputs. Raises ``NumericsError`` with the code's cure, unless ``throw`` is false.
 
-    A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
+    Effects of strength 0 are absent. A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
     """
-    result = simulate_inputs(plant, lay_out(plant, recording, interpolation=interpolation, step=step))
+    inputs = lay_out(plant, recording, interpolation=interpolation, step=step)
+    result = simulate_inputs(dataclasses.replace(plant, effects=tuple(e for e in plant.effects if float(e.strength) != 0.0)), inputs)
     code = Code(int(result.code))
     if throw and code is not Code.done:
         raise NumericsError(f"{recording.name}: {code.name}: {code.cure}; parameters: {describe(plant)}")

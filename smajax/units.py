@@ -54,6 +54,7 @@ CHANNELS: Mapping[str, Channel] = MappingProxyType(
         "ambient": Channel("degC", "temperature of the surroundings", ("degC", "K", "mK", "degF"), (-200.0, 500.0)),
         "displacement": Channel("m", "displacement of the load, positive when the wire shortens", ("m", "mm", "um", "nm"), (-1.0, 1.0)),
         "angle": Channel("rad", "angle of the pulley, positive when wire 1 is heated", ("rad", "deg", "mrad"), (-20.0, 20.0)),
+        "rate": Channel("rad/s", "rate of the angle", ("deg/s", "rad/s", "mrad/s"), (-500.0, 500.0)),
         "force": Channel("N", "force along the wire, tension positive", ("N", "mN", "uN", "kN"), (-1e5, 1e5)),
         "torque": Channel("N m", "torque on the pulley", ("N m", "N mm", "uN m"), (-1000.0, 1000.0)),
         "stress": Channel("Pa", "stress in the wire, tension positive", ("MPa", "Pa", "kPa", "GPa"), (-5e9, 5e9), faint=1e4),
@@ -76,6 +77,7 @@ _EXAMPLES = {
     "Pa": "35 MPa",
     "Pa/K": "6.7 MPa/K",
     "rad": "20 deg",
+    "rad/s": "10 deg/s",
     "degC": "20 degC",
     "K": "5 K",
     "1/K": "10e-6 1/K",
@@ -209,6 +211,12 @@ def format_quantity(value_si: float, unit: str, canonical: str | None = None) ->
 def example_of(canonical: str) -> str:
     """A quantity in the canonical unit's kind, as a user would write it."""
     return _EXAMPLES.get(canonical, f"1 {canonical}")
+
+
+def base_units(unit: str) -> tuple[float, float, dict[str, int]]:
+    """``(factor, offset, powers)`` of a unit: its value in SI base units, whose powers are given by name, is factor x value + offset."""
+    scale = _scale(unit)
+    return float(scale.factor), float(scale.offset), {base: int(power) for base, power in scale.dimension}
 
 
 @lru_cache(maxsize=4096)

@@ -6,11 +6,13 @@ import numpy as np
 
 from smajax.plant.drive import CurrentDrive, DutyDrive, NoDrive, PowerDrive, VoltageDrive
 from smajax.plant.heat import PolynomialHeat, PowerHeat, PrescribedTemperature
+from smajax.plant.limb import Limb, TendonLimb, Transmission
 from smajax.plant.material.brinson import Brinson
 from smajax.plant.mechanism import BiasSpring, DeadWeight, Load, Pulley, Spring, StressPath, TestingMachine
 from smajax.plant.plant import Plant
 from smajax.plant.rotary import LightRotary, Rotary
 from smajax.plant.sensor import Sensor
+from smajax.plant.sheath import Sheath
 from smajax.plant.wire import Environment, Initial, Wire
 from smajax.recording import Recording
 from smajax.units import CHANNELS, channel_of
@@ -83,6 +85,13 @@ def rotary(inertia: float = 1e-5, damping: float = 1e-3) -> Plant:
     return _plant(Rotary(Pulley(0.02, inertia, damping)), Wire(0.2e-3, 0.5, 0.02), CurrentDrive(), material=ROTARY_PAPER)
 
 
+def limb(sheathed: bool = True) -> Plant:
+    """A forearm on thin wires, which warm and cool in seconds."""
+    sheath = Sheath(0.07, 2.5, 3.0, 1.5) if sheathed else None
+    mechanism = TendonLimb(Limb(0.12, 0.15, 0.3, 0.05, 0.02), Pulley(0.03, 0.004, 0.1), Transmission(2.0, 1.5), sheath)
+    return _plant(mechanism, Wire(0.2e-3, 0.5, 0.041), CurrentDrive())
+
+
 def duty_spring() -> Plant:
     return bias_spring(DutyDrive(supply=5.0, lead_resistance=0.3))
 
@@ -113,6 +122,8 @@ def inputs(kind: str, rows: int = 600, step: float = 0.05) -> Recording:
     if kind == "testing_machine":
         strain = 0.01 * (1 - np.cos(2 * np.pi * time / 9.0))
         return recording({"power": pulses(rows, 0.0, 2.6), "strain": strain, "stress": zero}, time)
+    if kind == "limb":
+        return recording({"current": pulses(rows, 0.0, 0.75), "angle": zero}, time)
     if kind == "stress_path":
         phase = np.linspace(0, 6 * np.pi, rows)
         return recording({"temperature": 75 - 55 * np.cos(phase), "stress": 1e6 * (80 + 10 * phase), "strain": zero})
@@ -127,6 +138,7 @@ KINDS: dict[str, Callable[[], Plant]] = {
     "dead_weight": dead_weight,
     "bias_spring": bias_spring,
     "duty_spring": duty_spring,
+    "limb": limb,
     "testing_machine": testing_machine,
     "stress_path": stress_path,
     "strain_path": strain_path,

@@ -9,7 +9,7 @@ from smajax.errors import InputError
 from smajax.rig import parse_rig, read_rig
 
 # Each row: the kind whose template is spoilt, what is replaced in it by what (an empty text: appended), and the sentence.
-DEAD, ROTARY, PATH = "dead-weight", "antagonistic-rotary", "path"
+DEAD, ROTARY, PATH, COIL = "dead-weight", "antagonistic-rotary", "path", "coil-bias-spring"
 CASES: dict[str, tuple[str, dict[str, str], str]] = {
     # Sections and keys
     "section misspelt": (
@@ -21,7 +21,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
         DEAD,
         {"[load]": "[motor]"},
         "[motor] is not a section of a rig: the sections are rig, wire, environment, initial, drive, heat, material, load, spring, pulley, "
-        "effects, sensor, channels, fit",
+        "link, limb, transmission, sheath, effects, sensor, channels, fit",
     ),
     "key misspelt": (
         DEAD,
@@ -78,7 +78,8 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "section of another kind": (
         DEAD,
         {"[wire]": '[pulley]\nradius = "20 mm"\n[wire]'},
-        '[pulley] has no place on a dead-weight rig: take it out, or set kind = "antagonistic-rotary" under [rig]',
+        '[pulley] has no place on a dead-weight rig: take it out, or set kind = "antagonistic-rotary" or kind = "coil-antagonistic" '
+        'or kind = "hip" or kind = "elbow" or kind = "wrist" or kind = "glove-finger" under [rig]',
     ),
     "section of a heated kind": (PATH, {"": '\n[heat]\nh0 = "100 W/m^2/K"'}, "[heat] has no place on a path rig: take it out"),
     "control on a path": (
@@ -113,12 +114,51 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     ),
     "section as a list": (DEAD, {"[wire]": "[[wire]]"}, "[wire] is a section, not a value: write its keys below a line [wire]"),
     "another schema": (DEAD, {"schema = 1": "schema = 2"}, "schema = 2 is not known: this version reads schema = 1"),
+    # Coils
+    "coil narrower than its wire": (
+        COIL,
+        {'coil_diameter = "3 mm"': 'coil_diameter = "0.4 mm"'},
+        "wire.coil_diameter = 0.4 mm (rig.toml line 37) is not above wire.diameter = 0.5 mm (rig.toml line 36): correct one of the two",
+    ),
+    "turns that do not fit": (
+        COIL,
+        {'diameter = "0.5 mm"': 'diameter = "2 mm"\nfree_length = "80 mm"', "turns = 25": "turns = 56"},
+        "wire.free_length = 80 mm is too short: 56 turns of a wire of 2 mm take 112 mm side by side: correct wire.turns, wire.diameter or "
+        "wire.free_length (a radius taken for a diameter makes twice as much)",
+    ),
+    "stretched too far": (
+        "hip",
+        {'prestretch = "40 mm"': 'prestretch = "400 mm"'},
+        "wire.prestretch = 400 mm is too much: it strains this coil's wire like a tension of 16.3 %, and at most 12 % is possible: give less, "
+        "or correct the coil's sizes",
+    ),
+    "more ways for the current than springs": (
+        COIL,
+        {"turns = 25": "turns = 25\npaths = 2"},
+        "wire.paths = 2 is more than wire.springs = 1: a bundle has at most as many ways for the current as springs, and 1 where all are in "
+        "series",
+    ),
+    "length of a coil": (
+        COIL,
+        {"turns = 25": 'turns = 25\nlength = "230 mm"'},
+        "wire.length has no place with a coiled wire: it goes with a straight wire, or take it out",
+    ),
+    "coil on a straight wire's kind": (
+        DEAD,
+        {'length = "230 mm"': 'length = "230 mm"\nturns = 25'},
+        "wire.turns has no place with a straight wire: it goes with a coiled wire, or take it out",
+    ),
+    "turns missing": (
+        COIL,
+        {"\nturns": "\n# turns"},
+        "wire.turns is missing: a coil-bias-spring rig needs a line like turns = 25 under [wire]",
+    ),
     # Words
     "kind unknown": (
         DEAD,
         {'"dead-weight"': '"dead-wieght"'},
         "rig.kind: 'dead-wieght' is not known (did you mean 'dead-weight'?): it is one of dead-weight, bias-spring, antagonistic-rotary, "
-        "testing-machine, path",
+        "testing-machine, path, coil-dead-weight, coil-bias-spring, coil-antagonistic, hip, elbow, wrist, glove-finger",
     ),
     "control unknown": (
         DEAD,

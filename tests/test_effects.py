@@ -228,3 +228,21 @@ def test_what_an_effect_strains_at_the_start_moves_no_zero():
     moved, _ = _response("stress-dependent-strain", [0.0, 1.0])
     assert moved[:, 0] == pytest.approx(0.0, abs=1e-12)
     assert np.ptp(moved[1]) < 0.99 * np.ptp(moved[0])
+
+
+def test_an_effect_of_strength_zero_changes_no_bit():
+    """The simulation of a rig with it is the simulation of the rig without it; one of another strength is not."""
+    rig = read_rig(shipped("recordings", "dead-weight") / "rig.toml")
+    recording = rig.read(shipped("recordings", "dead-weight") / "train.csv").slice(0.0, 12.0)
+    without = np.asarray(simulate.simulate(rig.plant, recording).channels["displacement"])
+
+    def with_effect(key, strength):
+        needed = {"reference": 0.33} if "reference" in declarations(catalogue()[key]) else {}
+        plant = dataclasses.replace(rig.plant, effects=(catalogue()[key](strength=strength, **needed),))
+        return np.asarray(simulate.simulate(plant, recording).channels["displacement"])
+
+    possible = [key for key, kind in catalogue().items() if not kind.obstacle(rig.plant.traits(("displacement",)))]
+    assert len(possible) > 20
+    for key in possible:
+        assert np.array_equal(with_effect(key, 0.0), without), key
+    assert not np.array_equal(with_effect("latent-heat", 1e7), without)

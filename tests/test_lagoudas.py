@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -165,10 +166,11 @@ def test_steps_of_stress_converge_on_the_reference():
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(-20.0, 150.0), st.floats(0.0, 6e8)), min_size=2, max_size=8))
 def test_fractions_stay_possible(path):
+    evolve = eqx.filter_jit(LAW.evolve)
     state = Fractions(jnp.asarray(0.0), jnp.asarray(0.0))
     before = 0.0
     for temperature, after in path:
-        state = LAW.evolve(state, (jnp.asarray(0.0), jnp.asarray(temperature)), (jnp.asarray(before), jnp.asarray(after)))
+        state = evolve(state, (jnp.asarray(0.0), jnp.asarray(temperature)), (jnp.asarray(before), jnp.asarray(after)))
         before = after
         assert float(state.detwinned) >= 0.0 and float(state.twinned) + 1e-15 >= 0.0 and float(state.martensite) <= 1.0 + 1e-15
 
@@ -256,9 +258,11 @@ def test_every_effect_goes_with_it():
         kind(**({"strength": 0.0} | ({"reference": 0.33} if "reference" in declarations(kind) else {}))) for kind in kinds.values()
     )
     plant = dataclasses.replace(rig.plant, effects=made)
-    np.testing.assert_allclose(simulate(plant, recording).channels["displacement"], plain, atol=1e-12)
-    names = [f"effects.{key}.strength" for key in kinds]
+    assert np.array_equal(simulate(plant, recording).channels["displacement"], plain)
     inputs = lay_out(plant, recording)
+    # Where friction may be, the heat balance is met more closely.
+    np.testing.assert_allclose(simulate_inputs(plant, inputs).channels["displacement"], plain, atol=1e-9)
+    names = [f"effects.{key}.strength" for key in kinds]
 
     def response(values):
         changed = parameters.replace(plant, dict(zip(names, values, strict=True)))

@@ -204,7 +204,8 @@ class TestPlants:
         assert (rig.fit.starts, rig.fit.seed) == (4, 0)
 
     @pytest.mark.parametrize(
-        "kind, observed", [("antagonistic-rotary", "angle"), ("testing-machine", "stress"), ("bias-spring", "displacement")]
+        "kind, observed",
+        [("antagonistic-rotary", "angle"), ("testing-machine", "stress"), ("bias-spring", "displacement"), ("elbow", "angle")],
     )
     def test_the_coordinate_is_observed_by_default(self, kind: str, observed: str):
         assert parse_rig(template(kind, observe="")).fit.observe == (observed,)

@@ -179,7 +179,16 @@ def test_channels_are_known_with_and_without_a_number():
     for other in ("Current", "current_", "current_0", "current_02", "current2", "speed", "current_2_1", "current_٢", ""):
         assert channel_of(other) is None
     expected = {"time": "s", "current": "A", "voltage": "V", "power": "W", "duty": "1", "temperature": "degC", "ambient": "degC"}
-    expected |= {"displacement": "m", "angle": "rad", "force": "N", "torque": "N m", "stress": "Pa", "strain": "1", "resistance": "ohm"}
+    expected |= {
+        "displacement": "m",
+        "angle": "rad",
+        "force": "N",
+        "torque": "N m",
+        "stress": "Pa",
+        "strain": "1",
+        "resistance": "ohm",
+        "rate": "rad/s",
+    }
     assert {name: channel.unit for name, channel in CHANNELS.items()} == expected
     for channel in CHANNELS.values():
         assert all(np.isfinite(to_si(1.0, unit, channel.unit)) for unit in channel.units)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from smajax.hysteresis.operator import AbstractOperator
 
-_EDGE = 1e-12
+EDGE = 1e-12
 
 
 class Envelope(eqx.Module):
@@ -31,7 +31,7 @@ class Envelope(eqx.Module):
 
     def inverse(self, level: jax.Array) -> jax.Array:
         """The input at which the envelope has a level; levels that it never reaches are taken for its ends."""
-        share = jnp.clip((level - self.middle) / self.height, -1.0 + _EDGE, 1.0 - _EDGE)
+        share = jnp.clip((level - self.middle) / self.height, -1.0 + EDGE, 1.0 - EDGE)
         return (jnp.arctanh(share) - self.shift) / self.slope
 
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.parameters import parameter
-from smajax.plant.wire import Wire
+from smajax.plant.wire import AbstractWire
 
 
 class AbstractDrive(eqx.Module):
@@ -18,11 +18,11 @@ class AbstractDrive(eqx.Module):
 
     control: eqx.AbstractClassVar[str]
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """Heat per volume in W/m^3 for an input ``signal`` in SI."""
         raise NotImplementedError
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """Current in A; for a pulsed supply its mean."""
         raise NotImplementedError
 
@@ -33,11 +33,11 @@ class CurrentDrive(AbstractDrive):
     gain: jax.Array = parameter("1", "current in the wire over current in the file", 0.0, 100.0, 1.0)
     control = "current"
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return resistivity * (self.gain * signal / wire.area) ** 2
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return self.gain * signal
 
@@ -49,11 +49,11 @@ class VoltageDrive(AbstractDrive):
     lead_resistance: jax.Array = parameter("ohm", "resistance of leads and contacts in series with the wire", 0.0, 1e3, 0.0)
     control = "voltage"
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return self.gain * signal / (resistance(resistivity, wire) + self.lead_resistance)
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return resistivity * (self.current(signal, resistivity, wire) / wire.area) ** 2
 
@@ -64,11 +64,11 @@ class PowerDrive(AbstractDrive):
     gain: jax.Array = parameter("1", "heat in the wire over power in the file", 0.0, 1e6, 1.0)
     control = "power"
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return self.gain * signal / (wire.area * wire.length)
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``; NaN-safe at zero power."""
         square = self.gain * signal / resistance(resistivity, wire)
         positive = square > 0
@@ -82,11 +82,11 @@ class DutyDrive(AbstractDrive):
     lead_resistance: jax.Array = parameter("ohm", "resistance of leads, switch and contacts", 0.0, 1e3, 0.0)
     control = "duty"
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         return signal * self.supply / (resistance(resistivity, wire) + self.lead_resistance)
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """See ``AbstractDrive``."""
         on = self.supply / (resistance(resistivity, wire) + self.lead_resistance)
         return signal * resistivity * (on / wire.area) ** 2
@@ -97,16 +97,16 @@ class NoDrive(AbstractDrive):
 
     control = ""
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """Nothing."""
         return jnp.zeros_like(resistivity)
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: Wire) -> jax.Array:
+    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
         """Nothing."""
         return jnp.zeros_like(resistivity)
 
 
-def resistance(resistivity: jax.Array, wire: Wire) -> jax.Array:
+def resistance(resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
     """Resistance of the wire in ohm."""
     return resistivity * wire.length / wire.area
 

@@ -15,7 +15,9 @@ import jax.numpy as jnp
 from smajax.parameters import declarations
 from smajax.plant.heat import AbstractHeat
 from smajax.plant.material.base import AbstractMaterial, Fractions
-from smajax.plant.wire import Environment, Wire
+from smajax.plant.wire import AbstractWire, Environment
+
+_YIELD = 5e-5  # contraction, as a strain, over which dry friction turns around
 
 
 class Instant(NamedTuple):
@@ -35,7 +37,7 @@ class Instant(NamedTuple):
 class Where(NamedTuple):
     """The parts of the plant that an effect may look at."""
 
-    wire: Wire
+    wire: AbstractWire
     environment: Environment
     material: AbstractMaterial
     heat: AbstractHeat
@@ -142,6 +144,11 @@ class SecondNode(HeatEffect):
         """See ``HeatEffect``."""
         per_kelvin = where.heat.conductance(where.environment.ambient, where.wire)
         return -self.strength * per_kelvin * (now.temperature - where.environment.ambient - memory)
+
+
+def engaged(z: jax.Array, contracted: jax.Array) -> jax.Array:
+    """How far dry friction is engaged after a contraction by so much strain: z in -1..1, which turns around elastically."""
+    return jnp.clip(z + contracted / _YIELD, -1.0, 1.0)
 
 
 def relaxed(value: jax.Array, towards: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.parameters import parameter
-from smajax.plant.wire import Environment, Wire
+from smajax.plant.wire import AbstractWire, Environment
 
 
 class AbstractHeat(eqx.Module):
@@ -30,11 +30,11 @@ class AbstractHeat(eqx.Module):
         """Heat capacity per volume in J/m^3/K."""
         raise NotImplementedError
 
-    def rate(self, joule: jax.Array, temperature: jax.Array, wire: Wire, environment: Environment) -> jax.Array:
+    def rate(self, joule: jax.Array, temperature: jax.Array, wire: AbstractWire, environment: Environment) -> jax.Array:
         """Net heat into the wire per volume, W/m^3."""
         return joule - self.conductance(temperature, wire) * (temperature - environment.ambient)
 
-    def conductance(self, temperature: jax.Array, wire: Wire) -> jax.Array:
+    def conductance(self, temperature: jax.Array, wire: AbstractWire) -> jax.Array:
         """Heat given off to the surroundings per volume of wire and kelvin, W/m^3/K."""
         return 4.0 / wire.diameter * self.convection(temperature)
 

@@ -6,15 +6,17 @@ is then zero, and the negative part measures how slack it hangs, as the stress t
 slack and taut are one equation. Contraction is positive displacement; strains and stresses are positive in tension.
 """
 
-from typing import Any, NamedTuple
+import math
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from smajax.parameters import parameter
+from smajax.plant.effect import AbstractEffect
 from smajax.plant.material.base import AbstractMaterial, Fractions
-from smajax.plant.wire import Environment, Wire
+from smajax.plant.wire import AbstractWire, Environment
 
 
 class Load(eqx.Module):
@@ -37,27 +39,66 @@ class Pulley(eqx.Module):
     inertia: jax.Array = parameter("kg m^2", "moment of inertia of all that turns", 0.0, 100.0, 0.0)
     damping: jax.Array = parameter("N m s/rad", "viscous damping of the rotation", 0.0, 1e4, 0.0)
 
+    def turned(self, motion: tuple, angle: jax.Array, step: jax.Array) -> tuple:
+        """Angle, its rate and the rule's acceleration after a step that ends at ``angle``, ``motion`` being those at its start.
+
+        The generalised-alpha rule with alpha_m = -1, alpha_f = 0, beta = 1, gamma = 3/2.
+        """
+        before, rate, acceleration = motion
+        moving = step > 0
+        safe = jnp.where(moving, step, 1.0)
+        new = (angle - before - safe * rate + 0.5 * safe**2 * acceleration) / safe**2
+        new = jnp.where(moving, new, acceleration)
+        return angle, rate + step * (1.5 * new - 0.5 * acceleration), new
+
+    def moment(self, before: tuple, after: tuple, inertia: jax.Array) -> jax.Array:
+        """I theta'' + c theta' in N m at the end of a step between two motions, by the same rule; ``inertia`` is all that turns, kg m^2."""
+        return inertia * (2.0 * after[2] - before[2]) + self.damping * after[1]
+
 
 class Surroundings(NamedTuple):
     """What a mechanism needs of the other parts of the plant: wire, surroundings, and the modulus that scales its equations (Pa)."""
 
-    wire: Wire
+    wire: AbstractWire
     environment: Environment
     modulus: jax.Array
 
 
 class AbstractMechanism(eqx.Module):
-    """Base class of the mechanisms: ``wires`` wires, ``unknowns`` unknowns, and the recorded channels ``prescribed`` that it follows."""
+    """Base class of the mechanisms: ``wires`` wires, ``unknowns`` unknowns, and the recorded channels ``prescribed`` that it follows.
+
+    What can be measured at it is its ``coordinate`` and the channels ``beside``.
+    """
 
     wires: eqx.AbstractClassVar[int]
     unknowns: eqx.AbstractClassVar[int]
     prescribed: eqx.AbstractClassVar[tuple[str, ...]]
     coordinate: eqx.AbstractClassVar[str]
+    beside: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def effects(self) -> tuple[AbstractEffect, ...]:
+        """The effects that the mechanism always has, such as the warmth of a sheath."""
+        return ()
+
+    @property
+    def sticks(self) -> bool:
+        """Whether it has dry friction of its own: the last equation then turns from flat (sliding) to steep (sticking) and back."""
+        return False
 
     @property
     def metres(self) -> jax.Array | float:
         """Motion of the wire's end in m per unit of the coordinate."""
         return 1.0
+
+    @property
+    def parallel(self) -> jax.Array | float:
+        """How many wires, each like the one that the plant has, pull side by side; channels are those of one."""
+        return 1.0
+
+    def longest_step(self, around: Surroundings) -> jax.Array | float:
+        """The longest step in s that resolves the mechanism's own motion; infinite where it follows the forces at once."""
+        return math.inf
 
     def contraction(self, strain: jax.Array) -> jax.Array:
         """The motion that a drag works against, as a strain: of wire 1, or of wire 1 against wire 2; scalar."""
@@ -121,7 +162,7 @@ class DeadWeight(AbstractMechanism):
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``: m g / A."""
-        return (self.load.mass * around.environment.gravity / around.wire.area)[None]
+        return (self.load.mass * around.environment.gravity / around.wire.force_per_stress)[None]
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
@@ -139,7 +180,7 @@ class DeadWeight(AbstractMechanism):
 
     def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
         """See ``AbstractMechanism``: the contraction in m."""
-        return {"displacement": around.wire.length * (motion - strain[0])}
+        return {"displacement": around.wire.motion_per_strain * (motion - strain[0])}
 
 
 class BiasSpring(AbstractMechanism):
@@ -154,7 +195,7 @@ class BiasSpring(AbstractMechanism):
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``: the preload over the cross-section."""
-        return (self.spring.preload / around.wire.area)[None]
+        return (self.spring.preload / around.wire.force_per_stress)[None]
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
@@ -164,8 +205,8 @@ class BiasSpring(AbstractMechanism):
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
     ) -> jax.Array:
         """See ``AbstractMechanism``: the wire's stress against the spring's."""
-        contraction = around.wire.length * (motion - strain)
-        return unknown - (self.spring.preload + self.spring.stiffness * contraction) / around.wire.area
+        contraction = around.wire.motion_per_strain * (motion - strain)
+        return unknown - (self.spring.preload + self.spring.stiffness * contraction) / around.wire.force_per_stress
 
     def start(self, strain: jax.Array) -> jax.Array:
         """See ``AbstractMechanism``: the strain from which displacement is counted."""
@@ -177,7 +218,7 @@ class BiasSpring(AbstractMechanism):
 
     def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
         """See ``AbstractMechanism``: the contraction in m."""
-        return {"displacement": around.wire.length * (motion - strain[0])}
+        return {"displacement": around.wire.motion_per_strain * (motion - strain[0])}
 
 
 class TestingMachine(AbstractMechanism):

@@ -20,13 +20,14 @@ from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.mechanism import AbstractMechanism, Surroundings
 from smajax.plant.sensor import Sensor
-from smajax.plant.wire import Environment, Initial, Wire
+from smajax.plant.wire import AbstractWire, Environment, Initial
 from smajax.units import numbered
 
 _ITERATIONS = 40
 # A last Newton step follows the loop, so the loop may stop where that step's error, quadratic in these, is below rounding of any recording.
 _TEMPERATURE_TOLERANCE = 1e-3
 _STRESS_TOLERANCE = 1e3
+_FRICTION = 0.01  # times the tolerances, where there is dry friction
 
 
 class State(NamedTuple):
@@ -47,7 +48,7 @@ class State(NamedTuple):
 class Plant(eqx.Module):
     """A rig's differentiable model. Parameters are the float leaves, named as in ``smajax.parameters``."""
 
-    wire: Wire
+    wire: AbstractWire
     environment: Environment
     initial: Initial
     drive: AbstractDrive
@@ -56,6 +57,11 @@ class Plant(eqx.Module):
     mechanism: AbstractMechanism
     sensor: Sensor
     effects: tuple[AbstractEffect, ...] = ()
+
+    @property
+    def longest_step(self) -> jax.Array | float:
+        """The longest step in s that resolves the mechanism's own motion."""
+        return self.mechanism.longest_step(self._around())
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -67,14 +73,23 @@ class Plant(eqx.Module):
         return (*control, *temperature, *self.mechanism.prescribed)
 
     @property
+    def terms(self) -> tuple[AbstractEffect, ...]:
+        """The effects that the mechanism always has, and those that were added."""
+        return (*self.mechanism.effects, *self.effects)
+
+    @property
     def observable(self) -> tuple[str, ...]:
         """The channels that ``outputs`` gives."""
         wires = self.mechanism.wires
         each = ("temperature", "stress", "force", "resistance", "current", "voltage", "power")
         names = tuple(n for c in each for n in numbered(c, wires))
         strain = numbered("strain", wires)
-        torque = ("torque",) if self.mechanism.coordinate == "angle" else ()
-        return tuple(dict.fromkeys((self.mechanism.coordinate, *strain, *names, *torque)))
+        return tuple(dict.fromkeys((self.mechanism.coordinate, *strain, *names, *self.mechanism.beside)))
+
+    @property
+    def law(self) -> AbstractMaterial:
+        """The material law as the wire's geometry shows it: with the elastic modulus between the stress and the strain that it knows."""
+        return self.material.stiffened(self.wire.modulus_factor)
 
     def start(self, signal: jax.Array) -> State:
         """The state at the first row, whose signals are given, shape ``(signals,)``: as installed, at rest, in equilibrium."""
@@ -82,7 +97,7 @@ class Plant(eqx.Module):
         prescribed = self._prescribed(signal)
         resting = self.environment.ambient if self.initial.temperature is None else self.initial.temperature
         temperature = jnp.broadcast_to(prescribed.get("temperature", resting), (self.mechanism.wires,))
-        installed = self.mechanism.fractions(self.material, temperature, prescribed, around)
+        installed = self.mechanism.fractions(self.law, temperature, prescribed, around)
         detwinned = installed.detwinned if self.initial.detwinned is None else jnp.broadcast_to(self.initial.detwinned, temperature.shape)
         twinned = jnp.minimum(installed.twinned, 1.0 - detwinned)
         if self.initial.twinned is not None:
@@ -90,15 +105,15 @@ class Plant(eqx.Module):
         fractions = Fractions(detwinned, twinned)
         unknown = self.mechanism.unloaded(prescribed, around)
         stress = self.mechanism.stress(unknown, prescribed, around)
-        strain = self.material.strain(fractions, temperature, stress, self.environment.ambient)
+        strain = self.law.strain(fractions, temperature, stress, self.environment.ambient)
         if self._drags:
             unknown = jnp.append(unknown, 0.0)
         memory: dict[str, Any] = {}
-        if self.effects:
+        if self.terms:
             at = Instant(jnp.zeros(()), temperature, fractions, stress, self.mechanism.contraction(strain), jnp.zeros_like(temperature))
-            strain = self._strain(at, {e.key: e.start(at, self._where()) for e in self.effects})
+            strain = self._strain(at, {e.key: e.start(at, self._where()) for e in self.terms})
             at = at._replace(contraction=self.mechanism.contraction(strain))
-            memory = {e.key: e.start(at, self._where()) for e in self.effects}
+            memory = {e.key: e.start(at, self._where()) for e in self.terms}
             memory |= {"time": at.time, "contraction": at.contraction, "travel": at.travel}
         state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain), memory)
         # Under a known load the state is in equilibrium as it stands; a prescribed strain first has to be met, in a step of no duration.
@@ -119,16 +134,18 @@ class Plant(eqx.Module):
         rate = self._rate(self._instant(state), state.memory, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
         given = jax.lax.stop_gradient((self, state, rate, before, after, step))
+        rubs = self._drags or self.mechanism.sticks
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
-            straight = not self.mechanism.unknowns and not self.effects
+            straight = not self.mechanism.unknowns and not self.terms
             end, failed = _search(
-                lambda z: Plant._residual(*given, z, coarse=True)[0],
+                # Where there is dry friction the last step must not lead over its kinks.
+                lambda z: Plant._residual(*given, z, coarse=not rubs)[0],
                 jax.lax.stop_gradient(guess),
                 self.mechanism.wires,
                 straight,
-                self._drags,
+                rubs,
             )
         (value, landed), push = jax.linearize(lambda z: Plant._residual(*given, z), end)
         return _stepped(landed, value, push), failed
@@ -150,7 +167,7 @@ class Plant(eqx.Module):
             "temperature": state.temperature,
             "stress": state.stress,
             "strain": strain,
-            "force": state.stress * self.wire.area,
+            "force": state.stress * self.wire.force_per_stress,
             "resistance": ohms,
             "current": current,
             "voltage": current * ohms + sum(e.voltage(current) for e in self._of(DriveEffect)),
@@ -161,7 +178,7 @@ class Plant(eqx.Module):
         return {c: self.sensor.read(c, v) for c, v in values.items()}
 
     def _around(self) -> Surroundings:
-        return Surroundings(self.wire, self.environment, self.material.modulus(Fractions(jnp.zeros(()), jnp.zeros(()))))
+        return Surroundings(self.wire, self.environment, self.law.modulus(Fractions(jnp.zeros(()), jnp.zeros(()))))
 
     def _control(self, signal: jax.Array) -> jax.Array:
         return signal[: self.mechanism.wires] if self.drive.control else jnp.zeros((self.mechanism.wires,))
@@ -171,14 +188,14 @@ class Plant(eqx.Module):
         return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
 
     def _of(self, kind: type | tuple[type, ...]) -> tuple:
-        return tuple(e for e in self.effects if isinstance(e, kind))
+        return tuple(e for e in self.terms if isinstance(e, kind))
 
     @property
     def _drags(self) -> bool:
         return any(e.drags for e in self._of(MechanismEffect))
 
     def _where(self) -> Where:
-        return Where(self.wire, self.environment, self.material, self.heat)
+        return Where(self.wire, self.environment, self.law, self.heat)
 
     def _instant(self, state: State) -> Instant:
         nothing = jnp.zeros(())
@@ -190,11 +207,11 @@ class Plant(eqx.Module):
         return base + sum(base * e.resistivity(at, self._where()) for e in self._of(MaterialEffect))
 
     def _strain(self, at: Instant, memory: dict) -> jax.Array:
-        base = self.material.strain(at.fractions, at.temperature, at.stress, self.environment.ambient)
+        base = self.law.strain(at.fractions, at.temperature, at.stress, self.environment.ambient)
         return base + sum(e.strain(at, memory[e.key], self._where()) for e in self._of(MaterialEffect))
 
     def _evolve(self, first: Instant, temperature: jax.Array, stress: jax.Array) -> Fractions:
-        material, shift = self.material, 0.0
+        material, shift = self.law, 0.0
         for e in self._of(MaterialEffect):
             material, shift = e.alter(material), shift + e.shift(first, self._where())
         fractions = material.evolve(first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress))
@@ -250,12 +267,12 @@ class Plant(eqx.Module):
         fractions = self._evolve(first, temperature, stress)
         last = Instant(first.time + step, temperature, fractions, stress, first.contraction, first.travel)
         memory = dict(state.memory)
-        if self.effects:
+        if self.terms:
             moved = jnp.abs(fractions.martensite - first.fractions.martensite)
             last = last._replace(travel=first.travel + moved)
             memory |= self._remember((HeatEffect, MaterialEffect), memory, first, last, step)
         strain = self._strain(last, memory)
-        if self.effects:
+        if self.terms:
             last = last._replace(contraction=self.mechanism.contraction(strain))
             memory |= self._remember((MechanismEffect,), memory, first, last, step)
             memory |= {"time": last.time, "contraction": last.contraction, "travel": last.travel}
@@ -310,7 +327,7 @@ class Plant(eqx.Module):
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
         words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
         words |= {"prescribed strain or stress"} if self.mechanism.prescribed else set()
-        quiet = self.mechanism.prescribed or (self.mechanism.wires == 2 and self.mechanism.unknowns > 1)
+        quiet = self.mechanism.prescribed or self.mechanism.sticks or (self.mechanism.wires == 2 and self.mechanism.unknowns > 1)
         return frozenset(words if quiet else words | {"drag"})
 
 
@@ -318,12 +335,13 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
     """Solves ``residual(z) = 0`` by Newton's method with halving; says whether it failed. Not differentiable.
 
     The first ``wires`` unknowns are temperatures in K, the rest stresses in Pa. Temperatures alone, without latent heat, are so nearly
-    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do. The last unknown is a drag where there is one
-    (``dragged``). Its equation increases with it, but from flat (sliding) to steep (sticking) and back, so that Newton's steps go to and
-    fro: the drag is kept between the largest value known to be too small and the smallest known to be too large.
+    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do. Where there is dry friction (``dragged``), the last
+    unknown is a drag or a stress against which it works. Its equation increases with it, but from flat (sliding) to steep (sticking) and
+    back, so that Newton's steps go to and fro: it is kept between the largest value known to be too small and the smallest known to be too
+    large.
     """
-    size = guess.shape[0]
-    scale = jnp.where(jnp.arange(size) < wires, _TEMPERATURE_TOLERANCE, _STRESS_TOLERANCE)
+    size, most = guess.shape[0], 3 * _ITERATIONS if dragged else _ITERATIONS
+    scale = jnp.where(jnp.arange(size) < wires, _TEMPERATURE_TOLERANCE, _STRESS_TOLERANCE) * (_FRICTION if dragged else 1.0)
 
     def newton(z: jax.Array) -> tuple[jax.Array, jax.Array]:
         value, push = jax.linearize(residual, z)
@@ -333,32 +351,38 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
         return jnp.max(jnp.abs(value) / scale[: value.shape[0]])
 
     def unsolved(carry: tuple) -> jax.Array:
-        _, _, change, count, *_ = carry
-        return (count == 0) | ((norm(change) > 1.0) & (count < _ITERATIONS))
+        *_, change, open_, count, _, _ = carry
+        return (count == 0) | (((norm(change) > 1.0) | open_) & (count < most))
 
     def iterate(carry: tuple) -> tuple:
-        z, error, change, count, fraction, ends = carry
+        z, error, change, open_, count, fraction, ends = carry
         trial = z + fraction * change
         value, slope = newton(trial)
-        new, left = -linear(slope, value), norm(value[:-1]) if dragged else norm(value)
-        better = left <= jnp.maximum(1.0, error)  # within the tolerances, rounding may raise it
+        new, left, waiting = -linear(slope, value), norm(value), jnp.asarray(False)
+        # Within the tolerances, rounding may raise it.
+        better = left <= jnp.maximum(1.0, error)
         if dragged:
             low, high = ends
-            low = jnp.where(value[-1] <= 0.0, trial[-1], low)
-            high = jnp.where(value[-1] >= 0.0, trial[-1], high)
-            # The ends were found at other temperatures: where they meet without an answer between them, they are forgotten.
-            met = high - low < 0.1 * _STRESS_TOLERANCE
-            low, high = jnp.where(met, -jnp.inf, low), jnp.where(met, jnp.inf, high)
+            # What the last equation leaves says on which side the answer lies only where the others hold: else they come first.
+            others = norm(value[:-1])
+            settled = others <= 1.0 / _FRICTION
+            low = jnp.where(settled & (value[-1] <= 0.0), trial[-1], low)
+            high = jnp.where(settled & (value[-1] >= 0.0), trial[-1], high)
             halved = 0.5 * (low + high) - trial[-1]
             outside = (trial[-1] + new[-1] <= low) | (trial[-1] + new[-1] >= high)
             outside &= jnp.isfinite(halved)
-            last = jnp.arange(size) == size - 1
-            held = -linear(jnp.where(last[:, None], last[None, :] * 1.0, slope), jnp.where(last, -halved, value))
-            new, left, ends = jnp.where(outside, held, new), jnp.where(outside, jnp.inf, left), (low, high)
+            last, along = jnp.arange(size) == size - 1, jnp.where(settled, halved, 0.0)
+            held = -linear(jnp.where(last[:, None], last[None, :] * 1.0, slope), jnp.where(last, -along, value))
+            new, ends = jnp.where(outside | ~settled, held, new), (low, high)
+            # A halved step may be short without an answer near.
+            waiting = (outside & (high - low > scale[-1])) | ~settled
+            # Only while the last one stands still do the others have to leave less from step to step.
+            better, left = settled | (others <= error), jnp.where(settled, jnp.inf, others)
         return (
             jnp.where(better, trial, z),
             jnp.where(better, left, error),
             jnp.where(better, new, change),
+            jnp.where(better, waiting, open_),
             count + 1,
             jnp.where(better, 1.0, 0.5 * fraction),
             ends,
@@ -369,9 +393,9 @@ def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dr
         change = -linear(slope, value)
         return guess + change, ~jnp.all(jnp.isfinite(change))
     ends = (jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf))
-    start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), 0, jnp.asarray(1.0), ends)
-    z, _, change, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
-    return z + change, (count >= _ITERATIONS) | ~jnp.all(jnp.isfinite(change))
+    start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), jnp.asarray(False), 0, jnp.asarray(1.0), ends)
+    z, _, change, _, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
+    return z + change, (count >= most) | ~jnp.all(jnp.isfinite(change))
 
 
 def _stepped(state: State, value: jax.Array, push: Callable) -> State:

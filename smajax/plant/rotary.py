@@ -1,26 +1,39 @@
 """Two antagonistic wires on a pulley: heating wire 1 turns the angle positive.
 
 Strains follow the angle (rotary paper eq. 9, integrated): eps_1 = prestrain - r theta / l, eps_2 = prestrain + r theta / l. Both wires
-are stress-free at angle 0. A light pulley follows the balance of forces at once: both wires then carry the same stress, and the angle
-between two slack wires stays where it is. With inertia or damping the rotation obeys I theta'' + c theta' = r A (sigma_1 - sigma_2) (eq.
-10), held over a step by the generalised-alpha rule that damps what the step cannot resolve (Chung, Hulbert 1993, spectral radius 0 at
-infinity): second order, and equal to the light pulley as I and c go to 0.
+are stress-free at angle 0. A light pulley follows the balance of forces at once: both wires then carry the same force, and the angle
+between two slack wires stays where it is. With inertia or damping the rotation obeys I theta'' + c theta' + M(theta) = r (F_1 - F_2)
+(eq. 10), held over a step by the generalised-alpha rule that damps what the step cannot resolve (Chung, Hulbert 1993, spectral radius 0
+at infinity): second order, and equal to the light pulley as I and c go to 0. M is 0 for a pulley and m g l sin(theta) for a link.
 """
 
+import math
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.mechanism import AbstractMechanism, Pulley, Surroundings, detwinned
+from smajax.plant.wire import Environment
+
+_FASTEST = 0.01  # s; a swing faster than that is so small that its damping by the rule does not show
+
+
+class Link(eqx.Module):
+    """A limb that hangs down from the pulley's axis at angle 0."""
+
+    mass: jax.Array = parameter("kg", "mass of the link", 0.0, 500.0)
+    centre: jax.Array = parameter("m", "distance from the axis to the link's centre of mass", 0.0, 10.0)
 
 
 class LightRotary(AbstractMechanism):
     """Two wires on a pulley without inertia or damping. The unknown is their common stress."""
 
     pulley: Pulley
-    wires, unknowns, prescribed, coordinate = 2, 1, (), "angle"
+    wires, unknowns, prescribed, coordinate, beside = 2, 1, (), "angle", ("torque",)
 
     @property
     def metres(self) -> jax.Array:
@@ -51,7 +64,7 @@ class LightRotary(AbstractMechanism):
 
     def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> jax.Array:
         """See ``AbstractMechanism``: the angle stays between those at which wire 1 and wire 2 come taut, which are one while they are."""
-        per_strain = around.wire.length / self.pulley.radius
+        per_strain = around.wire.motion_per_strain / self.pulley.radius
         first = (around.wire.prestrain - strain[0]) * per_strain
         second = (strain[1] - around.wire.prestrain) * per_strain
         taut = 0.5 * (first + second)
@@ -59,22 +72,31 @@ class LightRotary(AbstractMechanism):
 
     def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
         """See ``AbstractMechanism``: angle in rad, and the moment of the wires in N m."""
-        return {"angle": motion, "torque": (stress[0] - stress[1]) * around.wire.area * self.pulley.radius}
+        return {"angle": motion, "torque": (stress[0] - stress[1]) * around.wire.force_per_stress * self.pulley.radius}
 
 
-class Rotary(AbstractMechanism):
-    """Two wires on a pulley with inertia or damping.
+class AbstractTurning(AbstractMechanism):
+    """Base class of pulleys with inertia, damping, or a moment that bears on them.
 
-    The unknowns are their stresses, and the angle as the stress that it makes in a wire.
+    The unknowns are the wires' stresses, and the angle as the stress that it makes in a wire.
     """
 
-    pulley: Pulley
-    wires, unknowns, prescribed, coordinate = 2, 3, (), "angle"
+    pulley: eqx.AbstractVar[Pulley]
+    wires, unknowns, prescribed, coordinate, beside = 2, 3, (), "angle", ("torque", "rate")
 
     @property
     def metres(self) -> jax.Array:
         """See ``AbstractMechanism``: the pulley's radius."""
         return self.pulley.radius
+
+    @property
+    def inertia(self) -> jax.Array:
+        """Moment of inertia of all that turns, in kg m^2."""
+        return self.pulley.inertia
+
+    def moment(self, angle: jax.Array, environment: Environment) -> jax.Array | float:
+        """Moment in N m that works against the angle beside inertia and damping."""
+        return 0.0
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """See ``AbstractMechanism``: detwinned by the prestrain, else twinned."""
@@ -94,25 +116,47 @@ class Rotary(AbstractMechanism):
         """See ``AbstractMechanism``: both wires' strains, and the balance of moments."""
         turned = unknown[2] / around.modulus * jnp.array([-1.0, 1.0])
         wires = around.modulus * (strain - around.wire.prestrain - turned) + jnp.minimum(unknown[:2], 0.0)
-        _, rate, acceleration = self.move(unknown, strain, motion, around, step)
-        inertial = self.pulley.inertia * (2.0 * acceleration - motion[2]) + self.pulley.damping * rate
+        after = self.move(unknown, strain, motion, around, step)
+        moments = self.pulley.moment(motion, after, self.inertia) + self.moment(after[0], around.environment)
         pull = jnp.maximum(unknown[0], 0.0) - jnp.maximum(unknown[1], 0.0)
-        return jnp.append(wires, inertial / (self.pulley.radius * around.wire.area) - pull)
+        return jnp.append(wires, moments / (self.pulley.radius * around.wire.force_per_stress) - pull)
 
     def start(self, strain: jax.Array) -> tuple:
         """See ``AbstractMechanism``: angle, its rate, and the rule's acceleration."""
         return jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
 
     def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> tuple:
-        """See ``AbstractMechanism``: the generalised-alpha rule with alpha_m = -1, alpha_f = 0, beta = 1, gamma = 3/2."""
-        angle, rate, acceleration = motion
-        turned = unknown[2] / around.modulus * around.wire.length / self.pulley.radius
-        moving = step > 0
-        safe = jnp.where(moving, step, 1.0)
-        new = (turned - angle - safe * rate + 0.5 * safe**2 * acceleration) / safe**2
-        new = jnp.where(moving, new, acceleration)
-        return turned, rate + step * (1.5 * new - 0.5 * acceleration), new
+        """See ``AbstractMechanism``."""
+        return self.pulley.turned(motion, unknown[2] / around.modulus * around.wire.motion_per_strain / self.pulley.radius, step)
 
     def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
-        """See ``AbstractMechanism``: angle in rad, and the moment of the wires in N m."""
-        return {"angle": motion[0], "torque": (stress[0] - stress[1]) * around.wire.area * self.pulley.radius}
+        """See ``AbstractMechanism``: angle in rad, its rate in rad/s, and the moment of the wires in N m."""
+        torque = (stress[0] - stress[1]) * around.wire.force_per_stress * self.pulley.radius
+        return {"angle": motion[0], "torque": torque, "rate": motion[1]}
+
+
+class Rotary(AbstractTurning):
+    """Two wires on a pulley with inertia or damping."""
+
+    pulley: Pulley
+
+
+class Joint(AbstractTurning):
+    """Two wires, or bundles of springs, that turn a hanging link: I theta'' + c theta' + m g l sin(theta) = r (F_1 - F_2), I with m l^2."""
+
+    pulley: Pulley
+    link: Link
+
+    def longest_step(self, around: Surroundings) -> jax.Array:
+        """See ``AbstractMechanism``: a twelfth of the period in which the link swings between taut wires, not below 10 ms."""
+        stiffness = 2.0 * around.modulus * around.wire.force_per_stress / around.wire.motion_per_strain * self.pulley.radius**2
+        return jnp.maximum(_FASTEST, 2.0 * math.pi / 12.0 * jnp.sqrt(self.inertia / stiffness))
+
+    @property
+    def inertia(self) -> jax.Array:
+        """See ``AbstractTurning``: the pulley's, and the link's mass at its centre."""
+        return self.pulley.inertia + self.link.mass * self.link.centre**2
+
+    def moment(self, angle: jax.Array, environment: Environment) -> jax.Array:
+        """See ``AbstractTurning``: the link's weight."""
+        return self.link.mass * environment.gravity * self.link.centre * jnp.sin(angle)

@@ -1,4 +1,5 @@
-"""Closed loops on the exact simulator of a dead weight: a PID written down once more, in plain Python, sampled and held."""
+"""Closed loops on the exact simulators of a dead weight and of two wires on a pulley: a PID written down once more, in plain Python,
+sampled and held."""
 
 from dataclasses import dataclass
 
@@ -52,3 +53,28 @@ def lift(rig: RigFile, pid: Pid, reference: Floats, noise: Floats, substeps: int
         position += run.position[-1] - run.position[0]
         start = State(run.temperature[-1, 0], run.stress[-1, 0], run.detwinned[-1, 0], run.twinned[-1, 0])
     return found[0], found[1], found[2]
+
+
+def turn(
+    rig: RigFile, pid: Pid, co_contraction: float, reference: Floats, noise: Floats, quantum: float = 0.0, substeps: int = 20
+) -> tuple[Floats, Floats, Floats]:
+    """Angle in rad (n,), temperatures in degC and commands (n, 2) at the samples, of two wires that turn a light pulley, from rest.
+
+    The controller sees the angle with its ``noise``, rounded to ``quantum`` rad. What it commands heats wire 1 above 0 and wire 2 below;
+    both get the co-contraction beside, and none more than the controller's limit.
+    """
+    parts = (rig.material, rig.heat, rig.wire, rig.mechanism["radius"])
+    span, angle = np.array([0.0, pid.period]), 0.0
+    start = (rigs.drawn_out(rig.material, rig.wire, rig.wire.prestrain),) * 2
+    angles, temperatures, commands = np.empty(len(reference)), np.empty((len(reference), 2)), np.empty((len(reference), 2))
+    for k, r in enumerate(reference):
+        seen = angle + noise[k]
+        command = pid(r, quantum * round(seen / quantum) if quantum else seen)
+        each = [min(co_contraction + max(u, 0.0), pid.upper) for u in (command, -command)]
+        angles[k], temperatures[k], commands[k] = angle, [s.temperature for s in start], each
+        run = rigs.rotary(
+            *parts, span, np.tile(each, (2, 1)), control=rig.control, interpolation="hold", substeps=substeps, start=start, angle=angle
+        )
+        angle = float(run.position[-1])
+        start = tuple(State(*(float(a[-1, i]) for a in (run.temperature, run.stress, run.detwinned, run.twinned))) for i in (0, 1))
+    return angles, temperatures, commands

@@ -40,11 +40,12 @@ class Channel:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a folder is made: its inputs from a random generator (in the file's units), and what is observed."""
+    """How a folder is made: its inputs from a random generator (in the file's units), what is observed, and other columns ``beside``."""
 
     inputs: Callable[[np.random.Generator], Columns]
     observed: Channel
     options: dict[str, int]
+    beside: tuple[Channel, ...] = ()
 
 
 # Factors on nominal values; temperatures and shifts of both of a phase are moved by so many K. Only parameters that the rig file leaves free.
@@ -61,6 +62,13 @@ TRUTHS: dict[str, dict[str, float]] = {
         "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "detwinning_finish_stress": 1.06, "max_strain": 1.03,
         "clausius_clapeyron_austenite": 1.04, "clausius_clapeyron_martensite": 0.97,
     },
+    "coil-dead-weight": {"h0": 1.05, "capacity": 0.97, "max_strain": 1.02, "austenite_shift": 1.4, "martensite_shift": -1.1},
+    "coil-bias-spring": {"h0": 0.96, "capacity": 1.04, "max_strain": 0.98, "austenite_shift": -1.3, "martensite_shift": 1.6},
+    "coil-antagonistic": {"h0": 1.04, "capacity": 1.03, "max_strain": 0.985, "austenite_shift": 1.2, "martensite_shift": -0.9},
+    "hip": {"h0": 0.95, "capacity": 0.96, "max_strain": 1.025, "austenite_shift": -1.5, "martensite_shift": 1.1},
+    "elbow": {"h0": 1.05, "capacity": 0.96, "max_strain": 0.98, "austenite_shift": 1.5, "martensite_shift": -1.1, "friction": 1.25},
+    "wrist": {"h0": 0.95, "capacity": 1.04, "max_strain": 1.02, "austenite_shift": -1.3, "martensite_shift": 1.6, "friction": 0.8},
+    "glove-finger": {"h0": 1.04, "capacity": 1.03, "max_strain": 0.975, "austenite_shift": -1.8, "martensite_shift": -1.2, "friction": 1.2},
 }  # fmt: skip
 # What the wire has that its rig file does not know: the latent heat of Flexinol, 24.2 kJ/kg, at 6450 kg/m^3 is 1.56e8; a third of it here.
 HIDDEN: dict[str, dict[str, float]] = {"dead-weight-unexplained": {"latent_heat": 5e7}}
@@ -75,6 +83,7 @@ WRITTEN = {
     "modulus_martensite": ("material.modulus_martensite", "GPa", 1e9),
     "clausius_clapeyron_austenite": ("material.clausius_clapeyron_austenite", "MPa/K", 1e6),
     "clausius_clapeyron_martensite": ("material.clausius_clapeyron_martensite", "MPa/K", 1e6),
+    "friction": ("sheath.friction", "%", 1e-2),
 }
 
 
@@ -100,7 +109,7 @@ def turns(rng: np.random.Generator, time: Floats, name: str, down: tuple[float, 
             rising = leg % 2 == 1
             whole = leg % 6 in (1, 4)
             level = (up[1] if rising else 0.0) if whole else rng.uniform(*(up if rising else down))
-            turn = (125.0 if rising else 25.0) if whole else rng.uniform(*bands[int(rising)])
+            turn = (125.0 if rising else rig.wire.ambient + 5.0) if whole else rng.uniform(*bands[int(rising)])
             ramp = rng.uniform(0.3, 2.0) if rng.random() < 0.5 else step / 2
         signal[k] = start + (level - start) * min((now - begin) / ramp, 1.0)
         state = State(temperature, 0.0, 0.5, 0.0)
@@ -174,6 +183,60 @@ def isobaric(rng: np.random.Generator) -> Columns:
     return {"temperature [degC]": np.array(temperature).round(2), "stress [MPa]": np.array(stress).round(2)}
 
 
+def coil_dead_weight(rng: np.random.Generator) -> Columns:
+    """200 s of current through a lifting coil: many partial loops between whole ones."""
+    time, bands = clock(200.0, 10.0), np.array([[57.0, 71.0], [87.0, 105.0]])
+    return {"time [s]": time, "current [A]": turns(rng, time, "coil-dead-weight", (0.0, 0.6), (1.55, 1.9), bands).round(3)}
+
+
+def coil_bias_spring(rng: np.random.Generator) -> Columns:
+    """200 s of voltage at a coil that stretches a spring."""
+    time, bands = clock(200.0, 10.0), np.array([[47.0, 78.0], [82.0, 110.0]])
+    return {"time [s]": time, "voltage [V]": turns(rng, time, "coil-bias-spring", (0.0, 0.6), (1.65, 2.1), bands).round(3)}
+
+
+def taking_turns(rng: np.random.Generator, time: Floats, spans: tuple[float, float], levels: tuple[float, float]) -> Floats:
+    """Two inputs (n, 2) of which one is on at a time for a span within ``spans``, with pauses, each turn steady, rising or falling."""
+    signal, now, turn = np.zeros((len(time), 2)), 0.0, 0
+    while now <= time[-1]:
+        span, pause = rng.uniform(*spans), rng.uniform(1.0, 8.0) if rng.random() < 0.4 else 0.0
+        inside = (time >= now) & (time < now + span)
+        signal[inside, turn % 2] = np.interp(time[inside] - now, [0.0, span], rng.uniform(*levels, 2))
+        now, turn = now + span + pause, turn + 1
+    return signal
+
+
+def coil_antagonistic(rng: np.random.Generator) -> Columns:
+    """200 s in which two coils take turns."""
+    time = clock(200.0, 10.0)
+    signal = taking_turns(rng, time, (4.0, 14.0), (1.25, 1.9)).round(3)
+    return {"time [s]": time, "current_1 [A]": signal[:, 0], "current_2 [A]": signal[:, 1]}
+
+
+def hip(rng: np.random.Generator) -> Columns:
+    """240 s in which the groups of springs take turns at up to 12 V."""
+    time = clock(240.0, 10.0)
+    signal = taking_turns(rng, time, (5.0, 18.0), (7.5, 12.0)).round(2)
+    return {"time [s]": time, "voltage_1 [V]": signal[:, 0], "voltage_2 [V]": signal[:, 1]}
+
+
+def pushes(
+    name: str, unit: str, low: tuple[float, float], high: tuple[float, float], digits: int
+) -> Callable[[np.random.Generator], Columns]:
+    """150 s at 10 Hz in which heating, at a level in ``high`` for 4 to 9 s, and cooling, at one in ``low`` for 14 to 40 s, take turns."""
+
+    def inputs(rng: np.random.Generator) -> Columns:
+        time = clock(150.0, 10.0)
+        signal, now, heats = np.zeros(len(time)), 1.0, True
+        while now <= time[-1]:
+            span = rng.uniform(4.0, 9.0) if heats else rng.uniform(14.0, 40.0)
+            signal[(time >= now) & (time < now + span)] = rng.uniform(*(high if heats else low))
+            now, heats = now + span, not heats
+        return {"time [s]": time, f"{name} [{unit}]": signal.round(digits)}
+
+    return inputs
+
+
 MILLIMETRE, DEGREE, MEGAPASCAL, PERCENT = 1e-3, np.pi / 180, 1e6, 1e-2
 RECIPES: dict[str, Recipe] = {
     "dead-weight": Recipe(dead_weight, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
@@ -182,6 +245,13 @@ RECIPES: dict[str, Recipe] = {
     "testing-machine": Recipe(testing_machine, Channel("stress", "MPa", MEGAPASCAL, 1.0, 2), {"substeps": 40}),
     "isobaric": Recipe(isobaric, Channel("strain", "%", PERCENT, 0.01, 4), {}),
     "dead-weight-unexplained": Recipe(unexplained, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
+    "coil-dead-weight": Recipe(coil_dead_weight, Channel("displacement", "mm", MILLIMETRE, 0.05, 3), {"substeps": 30}),
+    "coil-bias-spring": Recipe(coil_bias_spring, Channel("displacement", "mm", MILLIMETRE, 0.05, 3), {"substeps": 30}),
+    "coil-antagonistic": Recipe(coil_antagonistic, Channel("angle", "deg", DEGREE, 0.06, 3, 0.025), {"substeps": 30}),
+    "hip": Recipe(hip, Channel("angle", "deg", DEGREE, 0.2, 3), {"substeps": 30}, (Channel("rate", "deg/s", DEGREE, 1.0, 2),)),
+    "elbow": Recipe(pushes("current", "A", (0.0, 0.8), (2.8, 3.4), 3), Channel("angle", "deg", DEGREE, 0.3, 2), {"substeps": 10}),
+    "wrist": Recipe(pushes("voltage", "V", (0.0, 2.5), (9.0, 12.0), 3), Channel("angle", "deg", DEGREE, 0.2, 2), {"substeps": 10}),
+    "glove-finger": Recipe(pushes("power", "W", (0.0, 2.0), (25.0, 40.0), 2), Channel("angle", "deg", DEGREE, 0.5, 2), {"substeps": 10}),
 }
 
 
@@ -213,9 +283,10 @@ def make(name: str, split: str) -> tuple[Columns, Floats]:
     rng = np.random.default_rng([list(RECIPES).index(name), SPLITS.index(split)])
     columns = recipe.inputs(rng)
     rig = truth(read_rig(FOLDER / name / "rig.toml"), name)
-    exact = read_channel(simulate(rig, in_si(columns), **recipe.options), recipe.observed.name)
-    columns[f"{recipe.observed.name} [{recipe.observed.unit}]"] = read_sensor(rng, exact, recipe.observed)
-    return columns, exact
+    run = simulate(rig, in_si(columns), **recipe.options)
+    for channel in (recipe.observed, *recipe.beside):
+        columns[f"{channel.name} [{channel.unit}]"] = read_sensor(rng, read_channel(run, channel.name), channel)
+    return columns, read_channel(run, recipe.observed.name)
 
 
 def write_csv(path: Path, columns: Columns) -> None:
@@ -226,7 +297,7 @@ def write_csv(path: Path, columns: Columns) -> None:
 
 def truth_text(name: str, nominal: RigFile) -> str:
     """truth.toml: a parameter file with the values behind the recordings, and their noise in the heading."""
-    true, channel, tables = nominal.changed(**TRUTHS[name]), RECIPES[name].observed, []
+    true, tables = nominal.changed(**TRUTHS[name]), []
     for key, by in TRUTHS[name].items():
         if key.endswith("_shift"):
             parameter, value, source = f"material.{key}", f"{by:g} K", "added to the nominal temperatures"
@@ -234,17 +305,20 @@ def truth_text(name: str, nominal: RigFile) -> str:
             parameter, value, source = f"material.{key}", f"{getattr(true.material, key):.10g} degC", f"nominal and {by:+g} K"
         else:
             parameter, unit, size = WRITTEN[key]
-            held = true.heat._asdict() | true.material._asdict()
+            held = true.heat._asdict() | true.material._asdict() | true.mechanism
             number = held["capacity_austenite" if key == "capacity" else key] / size
             value, source = f"{number:.10g} {unit}", f"nominal times {by:g}"
         tables.append(f'[{parameter}]\nvalue = "{value}"\nsource = "{source}"\n')
     for key, value in HIDDEN.get(name, {}).items():
         tables.append(f"# Hidden from rig.toml: {key} = {value:g} J/m^3\n")
-    grid = f", then rounding to {channel.grid:g} {channel.unit}" if channel.grid else ""
+    noise = "; ".join(
+        f"{c.noise:g} {c.unit} in {c.name}" + (f", then rounding to {c.grid:g} {c.unit}" if c.grid else "")
+        for c in (RECIPES[name].observed, *RECIPES[name].beside)
+    )
     head = (
         f'schema = "smajax.parameters/1"\ntitle = "{name}: the values behind the recordings"\n'
         f'source = "chosen for tests.reference.make_data, which ran them through the exact simulator; all else is as in rig.toml"\n'
-        f"# Noise: white, {channel.noise:g} {channel.unit} in {channel.name}{grid}.\n"
+        f"# Noise: white, {noise}.\n"
     )
     return "\n".join([head, *tables])
 

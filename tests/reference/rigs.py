@@ -140,10 +140,9 @@ def _note(out, row, wire, state):
 
 
 @njit(cache=True)
-def _quasi_static(rig, linear, time, signal, right, first, second, substeps):
+def _quasi_static(rig, linear, time, signal, right, first, second, tension, lean, substeps):
     rows = time.size
-    out, leans, lean = np.empty((rows, 2, 4)), np.empty(rows), 0.0
-    tension = first.stress
+    out, leans = np.empty((rows, 2, 4)), np.empty(rows)
     for k in range(rows):
         _note(out, k, 0, first)
         _note(out, k, 1, second)
@@ -199,7 +198,7 @@ def _one_wire(material, heat, wire, time, signal, right, c_s, c_1, start, contro
     linear = {"hold": False, "linear": True}[interpolation]
     time, right = np.ascontiguousarray(time, float), np.ascontiguousarray(right, float)
     rig = Rig(material, heat, wire, CONTROLS[control], float(c_s), float(c_1), 0.0)
-    return _quasi_static(rig, linear, time, signal, right, start, start, substeps)[0][:, :1], signal
+    return _quasi_static(rig, linear, time, signal, right, start, start, start.stress, 0.0, substeps)[0][:, :1], signal
 
 
 def dead_weight(
@@ -251,10 +250,12 @@ def drawn_out(material: Material, wire: Wire, strain_there: float) -> State:
 def rotary(
     material: Material, heat: Heat, wire: Wire, radius: float, time: Floats, signal: Floats, *,
     control: str = "current", interpolation: str = "hold", substeps: int = 100, start: tuple[State, State] | None = None,
+    angle: float = 0.0,
 ) -> Run:  # fmt: skip
     """Two wires on a light pulley: they carry one stress and their strains add up to twice the prestrain. Position: angle in rad.
 
-    Starts stress-free at ambient and angle 0. Between two slack wires the pulley stays where it is.
+    Starts stress-free at ambient and angle 0, or goes on from two states and the angle that belongs to them. Between two slack wires the
+    pulley stays where it is.
     """
     signal = _signals(signal, 2)
     material, heat, wire = floats(material, heat, wire)
@@ -263,8 +264,11 @@ def rotary(
     right = np.full(len(time), 2.0 * wire.prestrain)
     time = np.ascontiguousarray(time, float)
     rig = Rig(material, heat, wire, CONTROLS[control], 0.0, 1.0, 1.0)
-    out, lean = _quasi_static(rig, linear, time, signal, right, first, second, substeps)
-    return _placed(_run(material, wire, out, np.empty(0), signal, control), wire.length / radius * lean)
+    per_lean = wire.length / radius
+    # Wires that go on from slack have to be seen coming taut.
+    tension = balance(rig, first, second, 0.0, 0.0, right[0]) if start else 0.0
+    out, lean = _quasi_static(rig, linear, time, signal, right, first, second, tension, float(angle) / per_lean, substeps)
+    return _placed(_run(material, wire, out, np.empty(0), signal, control), per_lean * lean)
 
 
 def rotary_inertia(
@@ -376,8 +380,9 @@ def path(
         # Held from row to row, this "power" leads the temperature straight from row to row.
         rate = np.column_stack([np.append(np.diff(temperature), 0.0), np.zeros(len(temperature))])
         rig = Rig(material, UNIT_CAPACITY, unit, POWER, 0.0, 1.0, 0.0)
-        out = _quasi_static(rig, False, np.arange(len(temperature), dtype=float), rate, strain, start, start, substeps)[0][:, :1]
+        rows = np.arange(len(temperature), dtype=float)
+        out = _quasi_static(rig, False, rows, rate, strain, start, start, start.stress, 0.0, substeps)[0]
     else:
         raise ValueError("a path needs a stress or a strain")
-    run = _run(material, unit, out, np.empty(0), np.zeros((len(temperature), 1)), "current")
+    run = _run(material, unit, out[:, :1], np.empty(0), np.zeros((len(temperature), 1)), "current")
     return _placed(run, run.strain[:, 0] if strain is None else strain)

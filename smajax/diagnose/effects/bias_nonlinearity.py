@@ -23,5 +23,5 @@ class BiasNonlinearity(MechanismEffect):
 
     def drag(self, before: Instant, after: Instant, memory: jax.Array, step: jax.Array, where: Where) -> jax.Array:
         """See ``MechanismEffect``."""
-        motion = where.wire.length * (after.contraction - memory)
-        return self.strength * motion**3 / where.wire.area
+        motion = where.wire.motion_per_strain * (after.contraction - memory)
+        return self.strength * motion**3 / where.wire.force_per_stress

@@ -4,9 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.parameters import parameter
-from smajax.plant.effect import Instant, MechanismEffect, Where
-
-_YIELD = 5e-5  # contraction, as a strain, over which friction turns around
+from smajax.plant.effect import Instant, MechanismEffect, Where, engaged
 
 
 class CoulombFriction(MechanismEffect):
@@ -26,7 +24,7 @@ class CoulombFriction(MechanismEffect):
 
     def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
         """See ``AbstractEffect``."""
-        return jnp.clip(memory + (after.contraction - before.contraction) / _YIELD, -1.0, 1.0)
+        return engaged(memory, after.contraction - before.contraction)
 
     def drag(self, before: Instant, after: Instant, memory: jax.Array, step: jax.Array, where: Where) -> jax.Array:
         """See ``MechanismEffect``."""

@@ -6,6 +6,7 @@ monotone equation in the stress. Temperatures are in degC, stresses in Pa (tensi
 methods work elementwise on arrays of any shape.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -48,6 +49,11 @@ class AbstractMaterial(eqx.Module):
     thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
     austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
     martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
+
+    def stiffened(self, factor: jax.Array | float) -> "AbstractMaterial":
+        """The law with both phases' moduli multiplied by a factor."""
+        moduli = {"modulus_austenite": factor * self.modulus_austenite, "modulus_martensite": factor * self.modulus_martensite}
+        return dataclasses.replace(self, **moduli)
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """The fractions after a step in which temperature and stress go from the first to the second of each pair, monotonically."""
