@@ -1,0 +1,167 @@
+"""Moment, blocking force, work and efficiency of a flexural actuator against its wires: the flexural paper's figures 7, 9, 11 and table 2.
+
+    python experiments/flexural_moment.py [--quick] [--json FILE] [--out DIR]
+
+Blocking forces and efficiencies are measured in the paper and modelled here (smajax.machines.flexural), from a stress-strain curve that
+gives the paper's yield diameter; its own curve is a picture only. Its work on the cantilever is told as printed and as the force does it.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from _common import ROOT, Row, arguments, finish
+from _figures import Chart, Curve, draw
+from equinox import filter_jit
+from scipy.integrate import quad
+
+from smajax import machines, parameters
+from smajax.machines.bending_moment import BilinearLaw
+from smajax.machines.flexural import FlexuralActuator
+from smajax.plant.material.brinson import Brinson
+
+TESTED = (125, 250, 300, 375)
+# Position from the clamp, deflection of the tip, and the work that the paper prints (table 2), in m and J.
+TABLE_2 = ((109.2e-3, 22e-3, 1.559e-3), (157.5e-3, 30e-3, 1.470e-3), (88.9e-3, 18e-3, 1.536e-3))
+
+
+def by_quadrature(law: BilinearLaw, diameter: float, curvature: float) -> float:
+    """The moment as the sum of its fibres."""
+    radius = diameter / 2
+    modulus, tangent, limit = (float(v) for v in (law.modulus, law.tangent_modulus, law.yield_stress / law.modulus))
+
+    def fibre(angle: float) -> float:
+        y = radius * np.sin(angle)
+        beyond = max(curvature * y - limit, 0.0)
+        return 4.0 * (radius * np.cos(angle)) ** 2 * y * (modulus * (curvature * y - beyond) + tangent * beyond)
+
+    edge = np.arcsin(min(limit / curvature / radius, 1.0))
+    return sum(quad(fibre, a, b, epsabs=0.0, epsrel=1e-13)[0] for a, b in ((0.0, edge), (edge, np.pi / 2)) if b > a)
+
+
+@filter_jit
+def figures(machine: FlexuralActuator) -> dict[str, jax.Array]:
+    """All but what needs the cooling."""
+    return {name: value for name, value in machine.metrics().items() if name not in ("cooling_time", "temperature_after", "frequency")}
+
+
+def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:
+    """Figures of the machine with other values (``wire_diameter`` for ``wire.diameter``)."""
+    changed = parameters.replace(machine, {name.replace("_", ".", 1): value for name, value in values.items()})
+    return {name: float(value) for name, value in figures(changed).items()}
+
+
+def main() -> None:
+    """Prints the table."""
+    args = arguments(__doc__)
+    machine = machines.read(ROOT / "data" / "machines" / "flexural.toml")
+    assert isinstance(machine, FlexuralActuator)
+    law, curvature = machine.bending, float(machine.body.curvature)
+    rows: list[Row] = []
+
+    grid = [(d * 1e-6, k) for d in ((100, 300, 500) if args.quick else range(100, 501, 25)) for k in (20.0, 60.0, 120.0)]
+    apart = max(abs(float(law.moment(d, k)) / by_quadrature(law, d, k) - 1.0) for d, k in grid)
+    text = f"{apart:.1e} over {len(grid)} diameters and curvatures"
+    rows.append(Row("eqs. 2 and 3 against quadrature of the fibres", "1e-12", text, apart < 1e-12, {"relative": apart}))
+    hinge = BilinearLaw(law.yield_stress / 6e-6, 0.0, law.yield_stress)
+    ratio = float(hinge.moment(3e-4, curvature) / (4 / 3 * law.yield_stress * 1.5e-4**3))
+    rows.append(
+        Row("limit of a plastic hinge, 4/3 sigma_Y R^3", "1; needs B = 0, which is not said", f"{ratio:.8f}", abs(ratio - 1) < 1e-6)
+    )
+
+    ours = 1e6 * float(law.yield_diameter(curvature))
+    brinson = Brinson(
+        18.4, 9.0, 34.5, 49.0, 13.8e6, 8e6, 67e9, 26.3e9, 0.067, detwinning_start_stress=100e6, detwinning_finish_stress=170e6
+    )
+    other = BilinearLaw.of(brinson, 60.0)
+    text = f"{ours:.1f} um with {float(law.yield_stress) / 1e6:.0f} MPa and {float(law.modulus) / 1e9:.0f} GPa, chosen for it; "
+    text += f"Brinson's wire at 60 degC ({float(other.yield_stress) / 1e6:.1f} MPa): {1e6 * float(other.yield_diameter(curvature)):.1f} um"
+    rows.append(Row("yield diameter at a radius of 1/60 m", "~230 um", text, abs(ours - 230) < 15, {"um": ours}))
+
+    diameters = np.arange(100, 501, 5.0)
+    slope = jax.jit(jax.vmap(jax.grad(lambda d: jnp.log(law.moment(jnp.exp(d), curvature)))))
+    powers = {d: float(slope(jnp.log(jnp.asarray([d * 1e-6])))[0]) for d in (100, 200, 250, 300, 375, 500)}
+    text = ", ".join(f"{d} um: {p:.2f}" for d, p in powers.items())
+    why = "a power law between the fourth (elastic) and the third (plastic), where the abstract says exponentially"
+    rows.append(Row("d ln M / d ln d", "superlinear", f"{text}; {why}", min(powers.values()) > 1.0, {"exponents": powers}))
+    moments = {d: 1e3 * float(law.moment(d * 1e-6, curvature)) for d in (100, 125, 200, 250, 300, 375, 400, 500)}
+    text = ", ".join(f"{d} um: {m:.4g}" for d, m in moments.items())
+    rows.append(Row("moment of one wire, mN m", "in a picture only", text, None, {"mNm": moments}))
+
+    tested = {d: of(machine, wire_diameter=d * 1e-6) for d in TESTED}
+    whole = [tested[d]["blocking_force"] for d in TESTED]
+    yielding = [tested[d]["blocking_force_of_yielding"] for d in TESTED]
+    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, yielding, strict=True))
+    ordered = yielding[0] == 0.0 and all(np.diff(yielding) > 0.0)
+    rows.append(Row("blocking force of what yields, N, 2 wires", "125 um: none; the others rise", text, ordered, {"N": yielding}))
+    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, whole, strict=True))
+    fits = 0.5 <= max(whole) / 0.25 <= 2.0
+    factor = 0.25 / max(whole)
+    why = f"{factor:.2f} times lower: lever (55 mm taken), stress-strain curve and the tests' temperatures are not published"
+    rows.append(Row("blocking force of the whole moment, N", "up to ~0.25, within a factor 2", f"{text}; {why}", fits, {"N": whole}))
+    needed = 1e3 * 2 * float(law.moment(375e-6, curvature)) / 0.25
+    rows.append(Row("lever that would give 0.25 N at 375 um", "-", f"{needed:.1f} mm", None, {"mm": needed}))
+    ratio = tested[250]["resistance"] / tested[375]["resistance"]
+    rows.append(Row("current at 7.5 V, 375 um to 250 um", "about 2.25", f"{ratio:.2f}", abs(ratio - 2.25) < 0.01))
+
+    for place, tip, printed in TABLE_2:
+        bench = parameters.replace(machine, {"bench.position": place}).bench
+        as_printed, done = float(bench.work_as_printed(tip)), float(bench.work(tip))
+        text = f"{1e3 * as_printed:.3f} N mm as printed, with L = {1e3 * float(bench.length):.0f} mm; {1e3 * done:.3f} done by the force"
+        fine = abs(as_printed / printed - 1) < 0.01
+        rows.append(Row(f"work at {1e3 * place:.1f} mm", f"{1e3 * printed:.3f} N mm", text, fine, {"printed": as_printed, "done": done}))
+    done = [float(parameters.replace(machine, {"bench.position": p}).bench.work(t)) for p, t, _ in TABLE_2]
+    text = f"{max(done) / min(done):.2f} times from place to place: eq. 7 takes the tip's path for the force's"
+    rows.append(Row("is the work the same wherever the actuator stands?", "yes", text, None, {"joule": done}))
+
+    heat, work = tested[300]["heat"], done[0]
+    measured = f"{100 * 1.559e-3 / heat:.4f} % as printed, {100 * work / heat:.4f} % with the force's work; "
+    measured += f"ours {100 * tested[300]['efficiency']:.4f} %, "
+    measured += f"at most {100 * tested[300]['limit_efficiency']:.4f} % if all work of yielding came out"
+    why = f"the heat is {heat:.2f} J to warm and transform {1e3 * float(machine.wire_length):.0f} mm of wire, none of it lost to the sheets"
+    rows.append(Row("efficiency, 300 um, 2 wires", "table 2's work over ideal heat", f"{measured}; {why}", None, {"heat": heat}))
+    by_diameter = [100 * tested[d]["efficiency"] for d in TESTED]
+    limits = [100 * tested[d]["limit_efficiency"] for d in TESTED]
+    text = ", ".join(f"{d} um: {e:.5f} % (at most {m:.4f})" for d, e, m in zip(TESTED, by_diameter, limits, strict=True))
+    rows.append(
+        Row("efficiency against diameter", "rises", text, all(np.diff(by_diameter) > 0.0), {"percent": by_diameter, "limit": limits})
+    )
+    wide = np.unique(np.geomspace(250, 1500, 60).round())
+    curve = [100 * of(machine, wire_diameter=d * 1e-6)["efficiency"] for d in wide]
+    peak = wide[int(np.argmax(curve))]
+    text = f"at {peak:.0f} um, where actuator and beam are about as stiff: no plateau follows from stiffness between 250 and 375 um"
+    rows.append(Row("where it stops rising", "within 250 to 375 um", text, bool(250 <= peak <= 375), {"um": float(peak)}))
+    counts = (2, 4, 6)
+    by_count = [100 * of(machine, body_count=float(n))["efficiency"] for n in counts]
+    text = ", ".join(f"{n}: {e:.5f} %" for n, e in zip(counts, by_count, strict=True))
+    shares = [e / by_count[0] / (n / 2) for n, e in zip(counts, by_count, strict=True)]
+    why = f"{', '.join(f'{s:.2f}' for s in shares)} of proportional: less as the actuator gets stiff against the beam"
+    rows.append(
+        Row("efficiency against wires", "rises in proportion, then less", f"{text}; {why}", by_count[0] < by_count[1] < by_count[2])
+    )
+
+    if args.out:
+        curves = []
+        for k in (30.0, 60.0, 120.0):
+            curves.append(Curve(f"{k:.0f} 1/m", diameters, [1e3 * float(law.moment(d * 1e-6, k)) for d in diameters]))
+        bends = np.linspace(28.0, 138.0, 60)
+        onset = [float(law.yield_diameter(k)) for k in bends]
+        yields = [1e3 * float(law.moment(d, k)) for d, k in zip(onset, bends, strict=True)]
+        curves.append(Curve("yield", [1e6 * d for d in onset], yields, dashed=True))
+        draw(Chart("Moment of one bent wire", "wire diameter [um]", "moment [mN m]", curves), args.out, "flexural_moment")
+        line = np.arange(125, 401, 5.0)
+        found = [of(machine, wire_diameter=d * 1e-6) for d in line]
+        forces = [Curve("whole moment", line, [f["blocking_force"] for f in found])]
+        forces.append(Curve("what yields", line, [f["blocking_force_of_yielding"] for f in found]))
+        draw(Chart("Blocking force of two wires", "wire diameter [um]", "force [N]", forces), args.out, "flexural_blocking_force")
+        efficiency = []
+        for n in counts:
+            found = [of(machine, wire_diameter=d * 1e-6, body_count=float(n))["efficiency"] for d in line]
+            efficiency.append(Curve(f"{n} wires", line, [100 * e for e in found]))
+        draw(Chart("Efficiency on the bench", "wire diameter [um]", "efficiency [%]", efficiency), args.out, "flexural_efficiency")
+    finish("flexural_moment", rows, args)
+
+
+if __name__ == "__main__":
+    main()

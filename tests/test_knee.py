@@ -1,0 +1,116 @@
+"""The knee of springs, motor and clutch against an integration by SciPy, and against what its parts say alone."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax import machines, parameters
+from smajax.datasets import shipped
+from smajax.errors import InputError
+from smajax.machines.knee import Knee
+from tests.reference import knee as reference
+
+# The springs alone, the motor alone, and both with the clutch slipping.
+STATES = {
+    "springs": {"second": 5.0, "first": 0.0, "motor": 0.0, "clutch": 0.0, "duration": 20.0},
+    "motor": {"second": 0.0, "first": 0.0, "motor": 1.0, "clutch": 0.5, "duration": 1.0},
+    "hybrid": {"second": 5.5, "first": 0.0, "motor": 2.0, "clutch": 0.01, "duration": 12.0},
+}
+SHARE = jnp.linspace(0.0, 1.0, 81)
+
+
+@pytest.fixture(scope="module")
+def knee() -> Knee:
+    found = machines.read(shipped("machines", "knee.toml"))
+    assert isinstance(found, Knee)
+    return found
+
+
+def commanded(knee: Knee, state: str) -> Knee:
+    return parameters.replace(knee, {f"command.{key}": value for key, value in STATES[state].items()})
+
+
+def exact(knee: Knee, **options: float) -> reference.Knee:
+    return reference.Knee({n: float(parameters.get(knee, n)) for n in parameters.declared(knee)}, **options)
+
+
+@eqx.filter_jit
+def roll(knee: Knee):
+    return knee.roll(SHARE)
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_agrees_with_scipy(knee, state):
+    found = roll(commanded(knee, state))
+    time = np.asarray(SHARE) * STATES[state]["duration"]
+    true = exact(knee).roll(STATES[state], time)
+    assert np.ptp(true[4]) > 0.5
+    assert np.asarray(found.angle) == pytest.approx(true[4], abs=2e-4 * np.ptp(true[4]))
+    assert np.asarray(found.temperature) == pytest.approx(true[:2].T, abs=1e-2)
+    assert np.asarray(found.fractions.martensite) == pytest.approx(true[2:4].T, abs=1e-3)
+    assert np.asarray(found.shaft_rate) == pytest.approx(true[6], abs=2e-3 * max(np.ptp(true[6]), 0.1))
+    if state == "springs":
+        # The time in which the fractions follow the law is too short to matter.
+        quicker = exact(knee, follows=0.005).roll(STATES[state], time)
+        assert quicker[4] == pytest.approx(true[4], abs=5e-3 * np.ptp(true[4]))
+
+
+def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
+    motor, hybrid = commanded(knee, "motor"), commanded(knee, "hybrid")
+    locked = exact(knee).locked(1.0, np.asarray(SHARE))
+    assert np.asarray(roll(motor).angle) == pytest.approx(locked, abs=5e-3 * np.ptp(locked))
+    figures = eqx.filter_jit(lambda k: k.metrics())
+    assert float(figures(motor)["clutch_sticks"]) == 1.0 and abs(float(figures(motor)["slip"])) < 0.02
+    assert float(figures(hybrid)["clutch_sticks"]) == 0.0 and float(figures(hybrid)["slip"]) > 1.0
+    passed = hybrid.clutch.transmitted(figures(hybrid)["slip"], jnp.asarray(0.01))
+    assert float(passed) == pytest.approx(6.0 * 0.01 / 0.5, rel=1e-6)
+    for slip in (-3.0, 0.0, 3.0):
+        assert float(knee.clutch.transmitted(jnp.asarray(slip), jnp.asarray(0.0))) == 0.0
+        assert slip * float(knee.clutch.transmitted(jnp.asarray(slip), jnp.asarray(0.4))) >= 0.0
+
+
+def test_figures_of_the_parts(knee):
+    still = parameters.replace(commanded(knee, "motor"), {"command.motor": 24.0})
+    assert float(still.motor_speed(jnp.asarray(24.0))) * 60 / (2 * math.pi) == pytest.approx(24 * 24.48, rel=1e-4)
+    assert float(knee.stiffness(jnp.zeros(()))) == pytest.approx(298.1, abs=0.05)
+    assert float(knee.stiffness(jnp.ones(()))) == pytest.approx(119.2, abs=0.05)
+    printed = parameters.replace(knee, {"wire.diameter": 2e-3, "wire.coil_diameter": 12e-3})
+    assert float(printed.stiffness(jnp.zeros(()))) == pytest.approx(596.2, abs=0.05)
+    assert float(printed.stiffness(jnp.ones(()))) == pytest.approx(238.5, abs=0.05)
+    # The heating time in closed form is that of the motion, but for the resistance, which rises on the way.
+    time = float(knee.heating_time(jnp.asarray(5.0)))
+    temperature = np.asarray(roll(knee).temperature)[:, 1]
+    assert np.interp(62.0, temperature, 20.0 * np.asarray(SHARE)) == pytest.approx(time, rel=0.1)
+    assert math.isinf(float(knee.heating_time(jnp.asarray(0.0)))) and math.isinf(float(knee.heating_time(jnp.asarray(1.0))))
+
+
+def test_derivatives_and_batches(knee):
+    names = ("joint.radius", "heat.h0", "material.austenite_finish", "clutch.torque", "command.duration")
+    count, step = len(names), 1e-3
+
+    def angle(scaled: jax.Array, knee: Knee) -> jax.Array:
+        member = parameters.replace(knee, {n: scaled[i] * parameters.get(knee, n) for i, n in enumerate(names)})
+        return member.roll(SHARE).angle[-1]
+
+    batch, forward = eqx.filter_jit(jax.vmap(angle, (0, None))), eqx.filter_jit(jax.jacfwd(angle))
+    points = jnp.concatenate([1.0 + step * jnp.eye(count), 1.0 - step * jnp.eye(count), jnp.ones((1, count))])
+    for state in ("springs", "hybrid"):
+        # While the springs still transform.
+        one = parameters.replace(commanded(knee, state), {"command.duration": 7.0})
+        slope, found = np.asarray(forward(jnp.ones(count), one)), np.asarray(batch(points, one))
+        differences = (found[:count] - found[count:-1]) / (2 * step)
+        assert slope == pytest.approx(differences, rel=2e-3, abs=5e-4 * np.max(np.abs(slope)))
+        assert np.all(slope[[0, 4, *((1, 2) if state == "springs" else (3,))]] != 0.0)
+        assert found[-1] == pytest.approx(float(roll(one).angle[-1]), rel=1e-4)
+
+
+def test_bands_that_run_backwards_are_refused():
+    text = shipped("machines", "knee.toml").read_text("utf-8").replace('austenite_finish = "62 degC"', 'austenite_finish = "30 degC"')
+    with pytest.raises(
+        InputError, match=r"^my.toml: material.austenite_start is not below material.austenite_finish: correct one of the two$"
+    ):
+        machines.parse_machine(text, "my.toml")

@@ -1,0 +1,144 @@
+"""Machines from their files: figures, names and units, what a mistake is told, and derivatives of every figure."""
+
+import dataclasses
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax import machines, parameters
+from smajax.datasets import shipped
+from smajax.errors import InputError
+from smajax.machines.flexural import FlexuralActuator
+
+KINDS = sorted(machines.MACHINES)
+
+
+def text_of(kind: str, changes: dict[str, str] | None = None) -> str:
+    text = shipped("machines", f"{kind}.toml").read_text("utf-8")
+    for old, new in (changes or {}).items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text
+
+
+def shipped_machine(kind: str) -> machines.AbstractMachine:
+    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    return dataclasses.replace(machine, cells=6) if isinstance(machine, FlexuralActuator) else machine
+
+
+@eqx.filter_jit
+def figures(machine: machines.AbstractMachine) -> dict[str, jax.Array]:
+    return machine.metrics()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_shipped_machine_reads_back_and_tells_its_figures(kind: str, tmp_path: Path):
+    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    machines.write(tmp_path / "machine.toml", machine)
+    again = machines.read(tmp_path / "machine.toml")
+    assert eqx.tree_equal(machine, again)
+    told = figures(shipped_machine(kind))
+    assert set(told) == set(machine.units)
+    assert all(value.shape == () and np.isfinite(value) for value in told.values())
+    for name, declaration in parameters.declared(machine).items():
+        assert declaration.lower <= float(parameters.get(machine, name)) <= declaration.upper
+
+
+def of_names(kind: str, names: list[str]):
+    """All figures as a function of some parameters, scaled to 1."""
+    machine = shipped_machine(kind)
+    nominal = jnp.stack([parameters.get(machine, name) for name in names])
+
+    def told(factors: jax.Array) -> jax.Array:
+        values = factors * nominal
+        found = parameters.replace(machine, {name: values[i] for i, name in enumerate(names)}).metrics()
+        return jnp.stack([found[name] for name in machine.units])
+
+    return told
+
+
+FREED = {
+    "flexural": ["wire.diameter", "body.count", "body.curvature", "bending.yield_stress", "silicone.conductivity", "bench.position"],
+    "soft-bending": ["wires.diameter", "wires.count", "wires.memory_curvature", "wires.modulus_martensite", "bar.modulus", "bar.length"],
+}
+
+
+@pytest.mark.parametrize("kind", FREED)  # the knee's, which are integrated, in test_knee.py
+def test_every_figure_has_its_derivatives(kind: str):
+    told, count = of_names(kind, FREED[kind]), len(FREED[kind])
+    slopes = np.array(jax.jit(jax.jacfwd(told))(jnp.ones(count)))
+    ends = np.array(jax.jit(jax.vmap(told))(1.0 + 1e-4 * np.concatenate([np.eye(count), -np.eye(count)])))
+    by_difference = (ends[:count] - ends[count:]).T / 2e-4
+    size = np.abs(ends[0])[:, None]
+    np.testing.assert_allclose(slopes / size, by_difference / size, rtol=2e-5, atol=1e-7)
+    assert np.all(np.any(slopes != 0.0, axis=0))
+    one = dict(zip(shipped_machine(kind).units, ends[0], strict=True))
+    machine = shipped_machine(kind)
+    alone = figures(parameters.replace(machine, {FREED[kind][0]: 1.0001 * parameters.get(machine, FREED[kind][0])}))
+    for name, value in one.items():
+        assert value == pytest.approx(float(alone[name]), rel=1e-10)  # in a batch as alone
+
+
+def test_flexural_figures_are_those_of_its_parts():
+    machine = shipped_machine("flexural")
+    told = {name: float(value) for name, value in figures(machine).items()}
+    assert told["moment"] == pytest.approx(1.528e-3, rel=1e-3)
+    assert told["blocking_force"] == pytest.approx(2 * told["moment"] / 55e-3, rel=1e-12)
+    assert told["blocking_force_of_yielding"] == pytest.approx(told["plastic_share"] * told["blocking_force"], rel=1e-12)
+    assert told["plastic_share"] == pytest.approx(1 - 0.638, abs=1e-3)
+    assert told["yield_diameter"] == pytest.approx(230e-6, rel=1e-3)
+    assert told["heat"] == pytest.approx(2.82 + 1.36, rel=3e-3)  # 123 mm of wire: warmed by 60 K, transformed
+    assert told["resistance"] == pytest.approx(1.57, rel=5e-3)
+    assert told["heating_time"] == pytest.approx(told["heat"] / (3.5**2 * told["resistance"]), rel=1e-12)
+    assert 1.0 / told["frequency"] == pytest.approx(told["heating_time"] + told["cooling_time"], rel=1e-12)
+    assert told["efficiency"] < told["limit_efficiency"] == pytest.approx(told["plastic_work"] / told["heat"], rel=1e-12)
+    # Against a bench so soft that it takes all the stroke, or so stiff that it takes none, no work is done.
+    work = [float(figures(parameters.replace(machine, {"bench.diameter": d}))["bench_work"]) for d in (1e-5, 3e-4, 0.05)]
+    assert work[0] < 1e-3 * work[1] > work[2]
+    thin = figures(parameters.replace(machine, {"wire.diameter": 125e-6}))
+    assert float(thin["blocking_force_of_yielding"]) == 0.0 == float(thin["plastic_work"])
+
+
+def test_an_unused_figure_costs_nothing():
+    """Without the cooling the compiled program has no loop over time steps."""
+    machine = eqx.filter(shipped_machine("flexural"), eqx.is_array)
+    loops = {}
+    for name in ("blocking_force", "cooling_time"):
+        lowered = jax.jit(lambda m, name=name: m.metrics()[name]).lower(machine)
+        loops[name] = "while" in (lowered.as_text() if name == "cooling_time" else lowered.compile().as_text())
+    assert loops == {"blocking_force": False, "cooling_time": True}
+
+
+CASES = {
+    "no rig": ({"[rig]": "[rik]"}, "the section [rig] is missing: add [rig] with a line kind = \"flexural\""),
+    "kind": ({'"flexural"': '"flexurel"'}, "rig.kind: 'flexurel' is not known (did you mean 'flexural'?): it is one of"),
+    "section": ({"[silicone]": "[silicon]"}, "[silicon] is not a section of this machine (did you mean 'silicone'?): correct it, or take it out"),
+    "key": ({"diameter =": "diametre ="}, "wire.diametre is not known (did you mean 'diameter'?): the keys of [wire] are"),
+    "missing": ({'curvature = "60 1/m"': ""}, 'body.curvature is missing: a machine of kind flexural needs a line like curvature = "60 1/m" under [body]'),
+    "unit": ({'"0.3 mm"': '"0.3 kg"'}, "wire.diameter: '0.3 kg': the unit 'kg' does not fit: a unit that converts to m is expected"),
+    "bound": ({'"0.3 mm"': '"-0.3 mm"'}, "wire.diameter: '-0.3 mm' is not possible for the wire diameter: give a value from 0.001 mm to 20 mm"),
+    "too thick": ({'"0.3 mm"': '"0.7 mm"'}, "wire.diameter leaves no silicone above or below the wire: keep it below 0.6 mm less twice the offset"),
+    "too many": ({"count = 2": "count = 80"}, "body.count wires do not fit side by side into body.width: take fewer or thinner wires, or a wider strip"),
+    "schema": ({"schema = 1": "schema = 2"}, "schema = 2 is not known: this version reads schema = 1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_malformed_machine_gets_its_sentence(case: str):
+    changes, sentence = CASES[case]
+    with pytest.raises(InputError) as error:
+        machines.parse_machine(text_of("flexural", changes))
+    assert str(error.value).startswith(f"machine.toml: {sentence}") and "\n" not in str(error.value)
+
+
+def test_new_values_have_to_make_a_machine():
+    machine = machines.read(shipped("machines", "flexural.toml"))
+    with pytest.raises(InputError, match="the machine with new values: wire.diameter leaves no silicone"):
+        machines.to_toml(machine, {"wire.diameter": 0.7e-3})
+    with pytest.raises(InputError, match="there is no parameter 'wire.diametre' in this plant"):
+        machines.to_toml(machine, {"wire.diametre": 0.7e-3})
+    assert 'diameter = "0.25 mm"' in machines.to_toml(machine, {"wire.diameter": 0.25e-3})
