@@ -19,9 +19,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
 from _common import ROOT, Row, arguments, finish, medians, say
 from _figures import Chart, Curve, draw
+from _search import evolved, simplex
 
 from smajax.control import members
 from smajax.control.allocation import Allocation
@@ -30,7 +30,7 @@ from smajax.control.margins import restless
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
-from smajax.control.tune import Tuned, objective_of, tune, wanted_of
+from smajax.control.tune import Tuned, tune, wanted_of
 from smajax.control.tuning import Tuning, roll
 from smajax.fit.fit import Fit, fit
 from smajax.recording import Recording
@@ -122,43 +122,6 @@ def rmse(wire: Wire, value: np.ndarray) -> float:
     return float(np.sqrt(np.mean((value - np.asarray(scenario_of(wire).reference)) ** 2)))
 
 
-def evolved(one: Tuning, found: Tuned, budget: int) -> tuple[np.ndarray, float, int | None]:
-    """SciPy's differential evolution on the same objective: its best point and cost, and the rollouts until it is within 1 % of ours."""
-    cost_of, counted, reached, best = objective_of(one, WEIGHTS), 0, None, np.inf
-    ours = cost_of(found.point)
-
-    def cost(x: np.ndarray) -> float:
-        nonlocal counted, reached, best
-        counted += 1
-        value = cost_of(x)
-        best = min(best, value)
-        if reached is None and value <= 1.01 * ours:
-            reached = counted
-        return value
-
-    size = 15 * len(NAMES)
-    options = {"popsize": 15, "maxiter": max(budget // size - 1, 1), "rng": 0, "polish": False, "tol": 0.0}
-    solved = scipy.optimize.differential_evolution(cost, [(0.0, 1.0)] * len(NAMES), **options)
-    return solved.x, best / ours, reached
-
-
-def simplex(one: Tuning, found: Tuned, budget: int) -> tuple[float, int | None]:
-    """Nelder and Mead's simplex from the start gains: its cost over ours, and the rollouts until it is within 1 % of ours."""
-    cost_of, counted, reached = objective_of(one, WEIGHTS), 0, None
-    ours = cost_of(found.point)
-
-    def cost(x: np.ndarray) -> float:
-        nonlocal counted, reached
-        counted += 1
-        value = cost_of(np.clip(x, 0.0, 1.0))
-        if reached is None and value <= 1.01 * ours:
-            reached = counted
-        return value
-
-    solved = scipy.optimize.minimize(cost, one.start, method="Nelder-Mead", options={"maxfev": budget, "initial_simplex": None})
-    return float(solved.fun) / ours, reached
-
-
 def gradient_rows(one: Tuning) -> list[Row]:
     """A minute at 50 Hz: the gradient of the objective against central differences, and what it costs."""
     cost = jax.jit(lambda x: jnp.sum(one.parts(x, wanted_of({"tracking": 1.0}, {})).terms[:, 0] ** 2))
@@ -245,14 +208,14 @@ def rows_of(name: str, wire: Wire, quick: bool, folder: Path | None) -> tuple[li
         Row(f"{name}, improvement kept", ">= 95 %", f"{100 * share:.1f} %", share >= 0.95),
     ]
     budget = (4 if quick else 20) * found.rollouts
-    point, ratio, reached = evolved(one, found, budget)
+    point, ratio, reached = evolved(one, WEIGHTS, found, budget)
     theirs = {n: float(v) for n, v in one.gains(point).items()}
     beaten = rmse(wire, exact(wire, truth, theirs)[0])
     told = f"objective {ratio:.3f} of ours, exact simulator {1e3 * beaten:.3f} mm, in {budget:,} rollouts"
     rows.append(Row(f"{name}, differential evolution", ">= 0.99 of ours", told, ratio >= 0.99))
     text = f"{reached / found.rollouts:.0f}x" if reached else f"> {budget / found.rollouts:.0f}x: not reached"
     rows.append(Row(f"{name}, its rollouts to within 1 % of ours", ">= 20x", text, reached is None or reached >= 20 * found.rollouts))
-    other, when = simplex(one, found, budget)
+    _, other, when = simplex(one, WEIGHTS, found, budget)
     text = f"objective {other:.3f} of ours; " + (f"{when / found.rollouts:.1f}x our rollouts to within 1 %" if when else "not reached")
     rows.append(Row(f"{name}, Nelder-Mead", "-", text, None))
     if folder:

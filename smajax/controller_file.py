@@ -6,6 +6,8 @@
     output = ["0 A", "0.5 A"]         # limits of the command
     [gains]                           # where the search starts
     kp = "30 A/m"
+    [feedforward]                     # optional: the inverse of an operator that is fitted to a slow loop
+    operators = 10
     [reference]
     kind = "staircase"                # step, staircase, sine, recorded
     ...
@@ -42,7 +44,9 @@ from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
+from smajax.control.slow_loop import Feedforward
 from smajax.errors import InputError
+from smajax.fit.operators import Series
 from smajax.rig import Rig
 from smajax.rig_schema import one_of, quantity
 from smajax.toml_file import STRICT, advice, parse, read_text, show, validate
@@ -53,7 +57,7 @@ KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
 # What counts beside the objective unless weights are given: a real sensor would punish gains that shake the wire.
 _CALM = {"effort": 0.01}
-_SECTIONS = ("schema", "controller", "gains", "reference", "tune", "limits", "sensor", "guard", "robust", "change")
+_SECTIONS = ("schema", "controller", "gains", "feedforward", "reference", "tune", "limits", "sensor", "guard", "robust", "change")
 
 
 class _Controller(BaseModel):
@@ -64,8 +68,14 @@ class _Controller(BaseModel):
     channel: str | None = Field(None, examples=['"displacement"'])
     derivative_on: Annotated[str, one_of(("error", "value"))] = "error"
     law: Annotated[str, one_of(("gradient", "printed"))] = "gradient"
-    co_contraction: Any = Field(None, examples=['"0.1 A"'])
     carrier: Any = Field(None, examples=['"100 Hz"'])
+
+
+class _Feedforward(BaseModel):
+    model_config = STRICT
+    operators: int = Field(10, ge=1, le=100, examples=["10"])
+    range: list[Any] | None = Field(None, min_length=2, max_length=2, examples=['["0.1 A", "0.35 A"]'])
+    recording: str | None = Field(None, examples=['"slow.csv"'])
 
 
 class _Reference(BaseModel):
@@ -151,6 +161,7 @@ class ControllerFile:
     weights: Mapping[str, float]
     settle: bool
     limits: Mapping[str, float]
+    feedforward: Feedforward | None
     band: float
     starts: int
     seed: int
@@ -191,8 +202,6 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         raise InputError(f"controller.output: a wire cannot be cooled by its drive: make the least output {show('0 ' + command)} or more")
     if head.kind != "adaptive-pid" and "law" in data["controller"]:
         raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
-    controller, units = _controller(head, period, data["gains"], (lower, upper), (command, difference))
-    bias = 0.0 if head.co_contraction is None else _quantity(head.co_contraction, command, "controller.co_contraction")
     sensor = validate(_Sensor, data.get("sensor", {}), "sensor")
     noise, quantum = (_optional(v, difference, f"sensor.{k}") for k, v in (("noise", sensor.noise), ("quantum", sensor.quantum)))
     delay = round(_optional(sensor.delay, "s", "sensor.delay") / period)
@@ -203,12 +212,13 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         inner = PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, upper), period=period)
         guard = TemperatureGuard(inner, jnp.asarray(_quantity(given.limit, "degC", "guard.limit")))
     loop = Loop(
-        controller,
-        Allocation(jnp.asarray(upper), jnp.asarray(bias), driven.wires),
+        _controller(head, period, (lower, upper)),
+        Allocation(*_arrays(upper, 0.0), wires=driven.wires),
         Sensing(jnp.asarray(noise), jnp.asarray(quantum), delay),
         guard,
         channel=channel,
     )
+    loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
     scenario = _scenario(data, path, rig, (unit, channel, period), tune.seed)
     weights, settle = _objective(tune.objective)
     return ControllerFile(
@@ -217,10 +227,11 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         loop=loop,
         scenario=scenario,
         units=units,
-        bounds=_bounds(tune, controller, units),
+        bounds=_bounds(tune, loop, units),
         weights=weights,
         settle=settle,
         limits=_limits(data.get("limits", {})),
+        feedforward=_feedforward(data["feedforward"], path, rig, (head, command, channel)) if "feedforward" in data else None,
         band=_quantity(tune.band, "1", "tune.band", least=1e-4),
         starts=tune.starts,
         seed=tune.seed,
@@ -228,38 +239,59 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     )
 
 
-def _controller(
-    head: _Controller, period: float, given: Any, output: tuple[float, float], units: tuple[str, str]
-) -> tuple[AbstractController, dict[str, str]]:
-    """The controller, and the unit of each of its gains."""
+def _controller(head: _Controller, period: float, output: tuple[float, float]) -> AbstractController:
+    """The controller, its gains still 0."""
     pid = PID(*_arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
-    controller: AbstractController = pid
     if head.kind == "bpid":
-        controller = BPID(pid)
-    elif head.kind == "ppid":
-        controller = PPID(pid, *_arrays(0.0, 0.0))
-    elif head.kind == "adaptive-pid":
-        controller = AdaptivePID(pid, law=cast(Any, head.law))
-    declared = gains_of(controller)
-    named = {name: unit_of(name, controller, *units) for name in declared}
+        return BPID(pid)
+    if head.kind == "ppid":
+        return PPID(pid, *_arrays(0.0, 0.0))
+    if head.kind == "adaptive-pid":
+        return AdaptivePID(pid, law=cast(Any, head.law))
+    return pid
+
+
+def _with_gains(loop: Loop, kind: str, given: Any, units: tuple[str, str]) -> tuple[Loop, dict[str, str]]:
+    """The loop with its gains, and the unit of each."""
+    declared = gains_of(loop)
+    named = {name: unit_of(name, loop, *units) for name in declared}
     if not isinstance(given, dict):
         raise InputError("[gains] is a section, not a value: write the gains below a line [gains]")
     values = {}
     for name, value in given.items():
         if name not in declared:
-            raise InputError(f"gains.{name} is not known{advice(name, declared, f'the gains of a {head.kind} are')}")
+            raise InputError(f"gains.{name} is not known{advice(name, declared, f'the gains of a {kind} are')}")
         try:
             values[name] = quantity(value, replace(declared[name], unit=named[name]))
         except InputError as error:
             raise InputError(f"gains.{name}: {error}") from None
-    if not any(values.values()):
+    if not any(values.get(name) for name in gains_of(loop.controller)):
         raise InputError(f"[gains] holds no gain above 0: give at least kp, in {named['kp']}")
-    return with_gains(controller, values), named
+    return with_gains(loop, values), named
 
 
-def _bounds(tune: _Tune, controller: AbstractController, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+def _feedforward(data: Any, path: Path, rig: Rig, around: tuple[_Controller, str, str]) -> Feedforward:
+    given, (head, unit, channel) = validate(_Feedforward, data, "feedforward"), around
+    if head.kind not in ("pid", "ppid"):
+        raise InputError(f'[feedforward] is for kind = "pid" and "ppid": take it out, or change the kind {show(head.kind)}')
+    if given.recording is None:
+        if given.range is None:
+            return Feedforward(given.operators)
+        low, high = (_quantity(v, unit, "feedforward.range") for v in given.range)
+        if not low < high:
+            raise InputError("feedforward.range: the first command has to be below the second")
+        return Feedforward(given.operators, (low, high))
+    control = rig.plant.drive.control
+    if rig.plant.mechanism.wires != 1 or given.range is not None:
+        raise InputError("feedforward.recording is for a rig of one wire, and without a range: take one of them out")
+    loop = recording.read(path.parent / given.recording, required=(control, channel), mapping=rig.channels.columns)
+    series = Series(given.recording, loop.time, loop.channels[control], loop.channels[channel])
+    return Feedforward(given.operators, measured=series)
+
+
+def _bounds(tune: _Tune, loop: Loop, units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
     """The free gains and their ends: where none are given, a hundredth and a hundred times the start value."""
-    values = {name: float(gain(controller, name)) for name in units}
+    values = {name: float(gain(loop, name)) for name in units}
     free = tune.free if tune.free is not None else [n for n, v in values.items() if v > 0.0 and n not in ("tuning_point", "band")]
     for name in [*free, *tune.bounds]:
         if name not in values:

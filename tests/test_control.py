@@ -1,6 +1,7 @@
 """Controllers by hand-written loops, rollouts by simulations, the hip paper's figures, and what leaves for a microcontroller."""
 
 import ctypes
+import dataclasses
 import shutil
 import subprocess
 
@@ -32,6 +33,8 @@ from smajax.recording import Recording
 from smajax.rig import parse_rig, read_rig
 from smajax.simulate import simulate
 from tests.conftest import ROOT
+from tests.reference.closed_loop import Pid, turn
+from tests.reference.rig_file import read_rig as read_reference
 
 RNG = np.random.default_rng(0)
 
@@ -300,6 +303,42 @@ def test_sensing_delays_rounds_and_adds_noise():
     assert float(jax.grad(lambda v: Sensing(jnp.zeros(()), jnp.asarray(0.5)).step(jnp.zeros(0), v, jnp.zeros(()))[1])(1.3)) == 1.0
 
 
+@pytest.fixture(scope="module")
+def pair():
+    """Two wires at 50 Hz for 6 s, their co-contraction a gain: driven, loop and scenario."""
+    plant = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml").plant
+    controller = pid(3.0, 4.0, 0.05, tf=0.05, low=-0.7, high=0.7, dt=PERIOD)
+    wave = np.radians(8.0) * np.sin(2.0 * np.pi * 0.25 * PERIOD * np.arange(300))
+    scenario = dataclasses.replace(Scenario.quiet(wave), draws=jnp.asarray(RNG.standard_normal(300)))
+    loop = loop_of(controller, "angle", Sensing(jnp.asarray(1e-3), jnp.asarray(0.0)), wires=2, upper=0.7)
+    return DrivenPlant.of(plant, PERIOD), loop, scenario
+
+
+def test_co_contraction_is_a_gain_of_two_wires(pair):
+    """The rollout is that of the exact simulator; the derivative that of central differences."""
+    driven, loop, scenario = pair
+    assert "co_contraction" in gains(loop) and "co_contraction" not in gains(loop.controller)
+    assert "co_contraction" not in gains(dataclasses.replace(loop, allocation=Allocation(jnp.asarray(1.0), jnp.asarray(0.1), 1)))
+    assert unit_of("co_contraction", loop, "A", "rad") == "A" and unit_of("co_contraction", loop, "1", "rad") == "1"
+
+    def angle(amount):
+        done = rollout(driven, with_gains(loop, {"co_contraction": amount}), scenario)
+        return done.channels["angle"], done.command
+
+    run = jax.jit(lambda amount: jax.jvp(angle, (amount,), (jnp.ones(()),), has_aux=True))
+    (found, slope, moved), ends = run(jnp.asarray(0.15)), [run(jnp.asarray(0.15 + h))[0] for h in (-1e-6, 1e-6)]
+    central = (ends[1] - ends[0]) / 2e-6
+    early = slice(0, 100)  # later, what rounds the small loops of the hysteresis moves the rest
+    np.testing.assert_allclose(slope[early], central[early], atol=1e-4 * float(jnp.max(jnp.abs(central[early]))))
+    assert float(jnp.max(jnp.abs(central[early]))) > 0.1
+    truth = read_reference(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
+    law = Pid(3.0, 4.0, 0.05, 0.05, -0.7, 0.7, PERIOD)
+    exact, warm, commands = turn(truth, law, 0.15, np.asarray(scenario.reference), 1e-3 * np.asarray(scenario.draws))
+    assert np.sqrt(np.mean((found - exact) ** 2)) < 1e-4 * np.ptp(exact)
+    np.testing.assert_allclose(moved[early], commands[early], atol=2e-4)
+    assert commands.min() == 0.15 and np.ptp(commands) > 0.3 and warm.max() > 60.0
+
+
 def test_one_command_for_two_wires():
     split = Allocation(jnp.asarray(1.0), jnp.asarray(0.1), 2)
     for command, each in ((0.4, (0.5, 0.1)), (-0.4, (0.1, 0.5)), (3.0, (1.0, 0.1)), (0.0, (0.1, 0.1))):
@@ -353,14 +392,38 @@ def test_what_counts_as_unrest():
     assert "overflow" in restless(calm, reference, np.full(400, np.nan), 1.0)
 
 
+ENVELOPE = Envelope(*map(jnp.asarray, (1.5, 2.0, -1.0, 0.2)))
+INVERSE = PrandtlIshlinskii(jnp.asarray(0.7), jnp.asarray([0.1, 0.2, 0.4]), jnp.asarray([0.2, 0.1, 0.3]), ENVELOPE).inverse()
 CONTROLLERS = {
     "pid": pid(dt=0.05),
     "pid on the value": pid(dt=0.05, on="value", tf=0.0),
     "bpid": BPID(pid(dt=0.05), jnp.asarray(0.4), jnp.asarray(1.0)),
     "ppid": PPID(pid(dt=0.05), jnp.asarray(0.8), jnp.asarray(0.5)),
+    "pid, feedforward": FeedforwardPID(pid(dt=0.05), INVERSE),
+    "ppid, feedforward": PPID(pid(dt=0.05), jnp.asarray(0.8), jnp.asarray(0.5), inverse=INVERSE),
     "adaptive, printed": AdaptivePID(pid(dt=0.05), *map(jnp.asarray, (0.01, 0.02, 0.03)), law="printed"),
     "adaptive, gradient": AdaptivePID(pid(dt=0.05), *map(jnp.asarray, (0.01, 0.02, 0.03)), law="gradient"),
 }
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+def test_the_c_header_of_two_wires(tmp_path, pair):
+    loop = with_gains(pair[1], {"co_contraction": 0.15})
+    (tmp_path / "controller.h").write_text(c_header(loop, ("A", "rad"), "0"))
+    (tmp_path / "c.c").write_text(
+        '#include "controller.h"\nvoid run(double r, double y, double *each) {\n'
+        "    smajax_state s; smajax_reset(&s, r, y); smajax_allocate(smajax_step(&s, r, y), each);\n}\n"
+    )
+    subprocess.run(["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-o", "c.so", "c.c"], cwd=tmp_path, check=True)
+    each, pointer = np.empty(2), ctypes.POINTER(ctypes.c_double)
+    run = ctypes.CDLL(str(tmp_path / "c.so")).run
+    run.argtypes = [ctypes.c_double, ctypes.c_double, pointer]
+    for error in (0.05, -0.1, 0.5, 0.0):
+        run(error, 0.0, each.ctypes.data_as(pointer))
+        controller = loop.controller
+        _, command = controller.step(controller.reset(jnp.asarray(error), jnp.zeros(())), jnp.asarray(error), jnp.zeros(()))
+        np.testing.assert_allclose(each, loop.allocation(command), rtol=1e-14)
+    assert as_document(loop, dict.fromkeys(gains(loop), "-"))["gains"]["co_contraction"]["value"] == 0.15
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
@@ -373,7 +436,7 @@ def test_the_c_header_does_the_same(tmp_path, name):
         "    smajax_state s; int k; smajax_reset(&s, r[0], y[0]);\n    for (k = 0; k < n; k++) u[k] = smajax_step(&s, r[k], y[k]);\n}\n"
     )
     subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1", "-shared", "-fPIC", "-o", "c.so", "c.c"],
+        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1", "-shared", "-fPIC", "-o", "c.so", "c.c", "-lm"],
         cwd=tmp_path,
         check=True,
     )

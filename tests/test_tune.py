@@ -1,6 +1,7 @@
 """``smajax tune``: gains from gradients, by the command as a user types it, and the searches behind it."""
 
 import json
+import zipfile
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +10,18 @@ from typer.testing import CliRunner
 
 from smajax.cli import app
 from smajax.control import members
+from smajax.control.driven import DrivenPlant
 from smajax.control.rollout import Scenario
-from smajax.control.tune import tune, wanted_of
+from smajax.control.slow_loop import Feedforward, identify
+from smajax.control.tune import Tuned, tune, wanted_of
 from smajax.control.tuning import Tuning, look
 from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
+from smajax.fit.operators import Series
+from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+from smajax.report.tuning import text
 from smajax.rig import read_rig
+from smajax.simulate import respond
 from tests.conftest import ROOT
 from tests.test_control import hip, loop_of, pid
 
@@ -132,12 +139,12 @@ def test_draws_of_a_fit_have_its_intervals_and_correlations():
         members.posterior(document, ["material.max_strain"], 5, np.random.default_rng(0))
 
 
-def run(tmp_path, text, *more, rig=RIG, out="out"):
-    (tmp_path / "controller.toml").write_text(text)
+def run(tmp_path, content, *more, rig=RIG, out="out"):
+    (tmp_path / "controller.toml").write_text(content)
     return CliRunner().invoke(app, ["tune", str(rig), str(tmp_path / "controller.toml"), "--out", str(tmp_path / out), *more])
 
 
-def test_the_command_leaves_a_whole_folder(tmp_path):
+def test_the_command_leaves_a_whole_folder(tmp_path, monkeypatch):
     robust = '[robust]\ndraws = 3\ncheck = 8\nvary = { "environment.ambient" = ["15 degC", "25 degC"] }\n'
     limits = '[limits]\ntemperature = "110 degC"\n[sensor]\nnoise = "5 um"\n'
     done = run(tmp_path, FILE + limits + robust)
@@ -147,16 +154,30 @@ def test_the_command_leaves_a_whole_folder(tmp_path):
     assert doc["feasible"] and not doc["problems"] and doc["stable"] == {"start": True, "tuned": True}
     assert doc["metrics"]["tuned"]["rmse"] < 0.7 * doc["metrics"]["start"]["rmse"]
     assert doc["gains"]["kp"]["unit"] == "A/m" and doc["gains"]["kp"]["tuned"] != doc["gains"]["kp"]["start"]
+    assert doc["gains"]["kp"]["usual_unit"] == "A/mm" and doc["gains"]["ki"]["usual_unit"] == "A/mm/s"
+    row = next(line.split() for line in done.output.splitlines() if line.startswith("kp"))
+    assert row == ["kp", "0.03", f"{doc['gains']['kp']['tuned'] / 1e3:.5g}", "A/mm"]
     assert doc["robust"]["tuned"]["draws"] == 8 and doc["robust"]["tuned"]["unstable"] == 0
     assert json.loads((folder / "controller.json").read_text())["gains"]["kp"]["value"] == doc["gains"]["kp"]["tuned"]
     assert f"SMAJAX_KP ((smajax_real){doc['gains']['kp']['tuned']!r})" in (folder / "controller.h").read_text()
     page = (folder / "report.html").read_text()
+    assert ">A/mm<" in page and ">A/m<" not in page
     assert "Response" in page and "5 to 95 % of draws" in page
     assert {"rig.toml", "controller.toml", "prediction.csv"} <= {p.name for p in folder.iterdir()}
     (folder / "report.html").unlink()
     assert CliRunner().invoke(app, ["report", str(folder)]).exit_code == 0 and (folder / "report.html").read_text() == page
-    again = run(tmp_path, FILE + limits + robust, "--json", "--quiet")
-    assert json.loads(again.stdout)["gains"] == doc["gains"]
+    assert doc["left_out"] == {} and "plant.fmu and controller.fmu in" in " ".join(done.output.split())
+    start = read_model(folder / "controller.fmu")["kp"]
+    assert start == doc["gains"]["kp"]["tuned"] and read_model(folder / "plant.fmu")["load.mass"] == 0.2
+    cure = "pip install 'smajax[fmu]'"
+    told = text({**doc, "left_out": dict.fromkeys(("plant.fmu", "controller.fmu"), f"an FMU needs pythonfmu: run {cure}")}, "again")
+    assert cure in told and "plant.fmu and controller.fmu in" not in " ".join(told.split())
+
+
+def read_model(path):
+    """Start values by name."""
+    variables = json.loads(zipfile.ZipFile(path).read("resources/model.json"))["variables"]
+    return {v["name"]: v.get("start") for v in variables}
 
 
 @pytest.mark.parametrize(
@@ -177,11 +198,49 @@ def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
     assert sentence in "".join(doc["problems"]) and (tmp_path / "out" / "controller.h").exists()
 
 
+def test_a_feedforward_is_fitted_and_its_misfit_told(tmp_path, monkeypatch):
+    """On a dead weight, whose slow loop is steep for the operator: what is left is told everywhere. The gains stay as they are."""
+    kept = Tuned(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, np.inf, 1, ())
+    monkeypatch.setattr("smajax.jobs.tune.tune", lambda *_, **__: kept)
+    done = run(tmp_path, FILE.replace("[reference]", "[feedforward]\noperators = 3\n[reference]").replace('"15 s"', '"9 s"'))
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "out"
+    doc = json.loads((folder / "tune.json").read_text())
+    fed = doc["feedforward"]
+    assert fed["operators"] == 3 and 0.15 < fed["command"][0] < 0.2 < fed["command"][1] < 0.3
+    assert 0.03 < fed["misfit"] / fed["stroke"] < 0.2 and fed["stroke"] == pytest.approx(9.9e-3, rel=0.05)
+    sentence = f"with a misfit of {1e3 * fed['misfit']:.4g} mm RMSE, {100 * fed['misfit'] / fed['stroke']:.1f} % of its stroke"
+    assert sentence in " ".join(done.output.split()) and sentence in (folder / "report.html").read_text()
+    told = json.loads((folder / "controller.json").read_text())
+    assert told["kind"] == "pid-feedforward" and len(told["feedforward"]["thresholds"]) == 3
+    assert "smajax_ahead" in (folder / "controller.h").read_text() and doc["left_out"] == {}
+
+
+def test_a_measured_loop_gives_back_its_operator():
+    """Of a loop that an operator made, the inverse takes the output back to the input."""
+    rig = read_rig(RIG)
+    law = PrandtlIshlinskii(
+        jnp.asarray(0.6), jnp.asarray([2e-4, 4e-4]), jnp.asarray([0.3, 0.2]), Envelope(*map(jnp.asarray, (2e-3, 15.0, -3.0, 2e-3)))
+    )
+    time = np.arange(201.0)
+    current = 0.1 + 0.2 * (1.0 - np.abs(2.0 * ((time / 100.0) % 1.0) - 1.0))
+    lifted = np.asarray(respond(law, jnp.asarray(time), jnp.asarray(current)))
+    loop = loop_of(pid(30.0, high=0.5, low=0.0), "displacement")
+    found = identify(DrivenPlant.of(rig.plant, 0.05), loop, Feedforward(2, measured=Series("slow", time, current, lifted)))
+    assert found.misfit < 0.01 * found.stroke and found.stroke == pytest.approx(np.ptp(lifted))
+    again = np.asarray(respond(found.inverse, jnp.asarray(time), jnp.asarray(lifted)))
+    assert np.sqrt(np.mean((again - current)[100:] ** 2)) < 5e-3
+    with pytest.raises(InputError, match="does not rise with the command"):
+        identify(DrivenPlant.of(rig.plant, 0.05), loop, Feedforward(2, measured=Series("slow", time, current, -lifted)))
+
+
+HEAD = 'kind = "pid"\nperiod = "50 ms"\noutput = ["0 A", "0.5 A"]\n'
 BAD = {
     ("kp =", "kq ="): "gains.kq is not known (did you mean 'kp'?)",
     ('"30 A/m"', '"30 V/m"'): "gains.kp: '30 V/m': the unit 'V/m' does not fit",
     ('"30 A/m"', '"-3 A/m"'): "gains.kp: '-3 A/m' is not possible for the proportional gain: give a value at least 0 A/m",
     ('kp = "30 A/m"\nki = "10 A/m/s"\n', ""): "[gains] holds no gain above 0",
+    ('kp = "30 A/m"', 'kp = "30 A/m"\nco_contraction = "0.1 A"'): "gains.co_contraction is not known",
     ('["0 A", "0.5 A"]', '["0.5 A", "0 A"]'): "the first limit has to be below the second",
     ('["0 A", "0.5 A"]', '["-0.5 A", "0.5 A"]'): "a wire cannot be cooled by its drive",
     ('kind = "pid"', 'kind = "pdi"'): "controller.kind",
@@ -200,6 +259,9 @@ BAD = {
     ("[tune]", '[robust]\nvary = { "load.mass" = ["0.3 kg", "0.2 kg"] }\n[tune]'): "the range of load.mass is empty",
     ("[tune]", '[robust]\nfit = "nowhere"\n[tune]'): "there is no such folder",
     ("[reference]", "[referenz]"): "referenz",
+    ("[reference]", "[feedforward]\noperators = 0\n[reference]"): "feedforward.operators",
+    ("[reference]", '[feedforward]\nrange = ["0.3 A", "0.1 A"]\n[reference]'): "the first command has to be below the second",
+    (HEAD, HEAD.replace('"pid"', '"bpid"') + "[feedforward]\n"): '[feedforward] is for kind = "pid" and "ppid"',
 }
 
 
@@ -233,4 +295,7 @@ def test_what_a_file_can_ask_for(tmp_path):
     for kind, extra in (("bpid", 'kb = "50 1/m"'), ("ppid", 'kp_rest = "20 A/m"\nband = "0.1 mm"'), ("adaptive-pid", "rate_p = 0.1")):
         found = of(FILE.replace('kind = "pid"', f'kind = "{kind}"').replace("[reference]", extra + "\n[reference]"))
         assert type(found.loop.controller).__name__.lower() == kind.replace("-", "")
+    given = read_controller(ROOT / "data" / "controllers" / "rotary.toml", read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml"))
+    assert float(given.loop.allocation.co_contraction) == 0.1 and given.units["co_contraction"] == "A"
+    assert given.bounds["co_contraction"] == pytest.approx((1e-3, 10.0)) and set(given.bounds) == {"kp", "ki", "co_contraction"}
     assert found.settle is False and of(FILE.replace("[tune]", '[tune]\nobjective = "settling"')).settle

@@ -4,23 +4,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.parameters import parameter
+
 
 class Allocation(eqx.Module):
     """Gives a command to ``wires`` wires; one wire takes it as it is.
 
-    Of an antagonistic pair the first wire takes what is positive and the second what is negative, each up to ``upper``; ``bias`` heats both
-    (co-contraction).
+    Of an antagonistic pair the first wire takes what is positive and the second what is negative, each up to ``upper``;
+    ``co_contraction`` heats both, so that none hangs slack when its turn comes.
     """
 
     upper: jax.Array
-    bias: jax.Array
-    wires: int = eqx.field(static=True)
+    co_contraction: jax.Array = parameter("u", "command that both wires of a pair get at least", 0.0)
+    wires: int = eqx.field(static=True, default=1)
 
     def __call__(self, command: jax.Array) -> jax.Array:
         """Commands of the wires, shape ``(wires,)``."""
         if self.wires == 1:
             return command[None]
-        return jnp.clip(self.bias + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.upper)
+        return jnp.clip(self.co_contraction + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.upper)
 
 
 def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -> jax.Array:

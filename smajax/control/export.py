@@ -1,7 +1,9 @@
 """Tuned controllers for other programs: a C header for a microcontroller, and the same numbers as JSON.
 
 The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
-which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap and no library; call ``smajax_step`` once a period.
+which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
+feedforward; call ``smajax_step`` once a period. Of a loop with two wires it also holds ``smajax_allocate``, which gives each wire its
+command.
 """
 
 from typing import Any
@@ -13,7 +15,9 @@ from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
+from smajax.control.rollout import Loop
 from smajax.errors import InputError
+from smajax.hysteresis.prandtl_ishlinskii import EDGE, InversePrandtlIshlinskii
 
 _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
  *
@@ -25,7 +29,7 @@ _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the
  */
 #ifndef SMAJAX_CONTROLLER_H
 #define SMAJAX_CONTROLLER_H
-
+{include}
 #ifndef SMAJAX_REAL
 #define SMAJAX_REAL double
 #endif
@@ -45,7 +49,7 @@ static smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {see
 static smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upper) {{
     return x < lower ? lower : x > upper ? upper : x;
 }}
-
+{functions}
 static smajax_real smajax_slope(const smajax_state *s, smajax_real reference, smajax_real value) {{
     return (SMAJAX_FILTER_TIME * s->slope + smajax_seen(reference, value) - s->last) / (SMAJAX_FILTER_TIME + SMAJAX_PERIOD);
 }}
@@ -71,8 +75,15 @@ static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real val
 static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
 {step}
 }}
-
+{pair}
 #endif
+"""
+_PAIR = """
+/* The commands of two wires that pull against each other: a command above 0 heats the first, one below 0 the second. */
+static void smajax_allocate(smajax_real command, smajax_real each[2]) {{
+    each[0] = smajax_clip(SMAJAX_CO_CONTRACTION + (command > 0 ? command : 0), 0, (smajax_real){upper!r});
+    each[1] = smajax_clip(SMAJAX_CO_CONTRACTION + (command < 0 ? -command : 0), 0, (smajax_real){upper!r});
+}}
 """
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
 _PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"
@@ -83,9 +94,11 @@ _BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here
     return factor * smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER / factor, SMAJAX_UPPER / factor);"""
 _SWITCHED = """    smajax_real error = reference - value, size = error < 0 ? -error : error;
     int rests = size <= (s->rested ? SMAJAX_LEAVE * SMAJAX_BAND : SMAJAX_BAND);
+    smajax_real ahead = {ahead};
+    if (error <= 0) ahead = 0;
     if (rests != s->rested) s->integral = 0;
     s->rested = rests;
-    if (rests) return smajax_pid(s, reference, value, SMAJAX_KP_REST, SMAJAX_KI, 0, SMAJAX_LOWER, SMAJAX_UPPER);
+    if (rests) return ahead + smajax_pid(s, reference, value, SMAJAX_KP_REST, SMAJAX_KI, 0, SMAJAX_LOWER - ahead, SMAJAX_UPPER - ahead);
     return smajax_pid(s, reference, value, SMAJAX_KP, 0, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"""
 _ADAPTIVE = """    smajax_real error = reference - value, slope = smajax_slope(s, reference, value);
     s->summed += error * SMAJAX_PERIOD;
@@ -97,31 +110,83 @@ _ADAPTIVE = """    smajax_real error = reference - value, slope = smajax_slope(s
     }}
     return smajax_pid(s, reference, value, s->kp, s->ki, s->kd, SMAJAX_LOWER, SMAJAX_UPPER);"""
 
+_FED = """    smajax_real ahead = smajax_ahead(s, reference);
+    return ahead + smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER - ahead, SMAJAX_UPPER - ahead);"""
+_INVERSE = """
+static const smajax_real smajax_thresholds[SMAJAX_PLAYS] = {{{thresholds}}};
+static const smajax_real smajax_densities[SMAJAX_PLAYS] = {{{densities}}};
 
-def c_header(controller: AbstractController, units: tuple[str, str], version: str) -> str:
-    """The header of a controller; ``units`` are those of command and channel. Raises ``InputError`` for a kind that has none."""
-    parts: dict[str, Any] = {"more": "", "reset": ""}
+static smajax_real smajax_play(smajax_real wanted, smajax_real threshold, smajax_real play) {{
+    return smajax_clip(play, wanted - threshold, wanted + threshold);
+}}
+
+static smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {{
+    smajax_real level = SMAJAX_DIRECT * reference;
+    int i;
+    for (i = 0; i < SMAJAX_PLAYS; i++) {{
+        s->plays[i] = smajax_play(reference, smajax_thresholds[i], s->plays[i]);
+        level += smajax_densities[i] * s->plays[i];
+    }}
+    level = smajax_clip((level - SMAJAX_MIDDLE) / SMAJAX_HEIGHT, -1 + SMAJAX_EDGE, 1 - SMAJAX_EDGE);
+    return smajax_clip((atanh(level) - SMAJAX_SHIFT) / SMAJAX_STEEPNESS, SMAJAX_LOWER, SMAJAX_UPPER);
+}}
+"""
+_PLAYS_BEGIN = """
+    {
+        int i;
+        for (i = 0; i < SMAJAX_PLAYS; i++) s->plays[i] = smajax_play(reference, smajax_thresholds[i], 0);
+    }"""
+
+
+def inverse_of(controller: AbstractController) -> InversePrandtlIshlinskii | None:
+    """The inverse operator of a controller's feedforward, if it has one. Raises ``InputError`` for an operator of another kind."""
+    inverse = getattr(controller, "inverse", None)
+    if inverse is not None and (not isinstance(inverse, InversePrandtlIshlinskii) or inverse.unloading is not None):
+        raise InputError("only the inverse of a Prandtl-Ishlinskii operator with one envelope can be written as a feedforward")
+    return inverse
+
+
+def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: str) -> str:
+    """The header of a controller, or of a loop's controller and its wires; ``units`` are those of command and channel.
+
+    Raises ``InputError`` for a kind that has none.
+    """
+    controller = owner.controller if isinstance(owner, Loop) else owner
+    parts: dict[str, Any] = {"more": "", "reset": "", "functions": "", "include": ""}
     extra: dict[str, float] = {}
+    inverse = inverse_of(controller)
     if isinstance(controller, PID):
         kind, step = "PID", _PLAIN
     elif isinstance(controller, BPID):
         kind, step, extra = "BPID", _BILINEAR, {"least": LEAST}
-    elif isinstance(controller, PPID) and controller.inverse is None:
-        kind, step, extra = "PPID", _SWITCHED, {"leave": controller.leave}
+    elif isinstance(controller, FeedforwardPID):
+        kind, step = "PID with feedforward", _FED
+    elif isinstance(controller, PPID):
+        ahead = "0" if inverse is None else "smajax_ahead(s, reference)"
+        kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), {"leave": controller.leave}
         size = "(reference - value < 0 ? value - reference : reference - value)"
-        parts = {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
+        parts |= {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
     elif isinstance(controller, AdaptivePID):
         printed = controller.law == "printed"
         step = _ADAPTIVE.format(p="1" if printed else "error", i="s->ki" if printed else "error", d="s->kd" if printed else "error")
         kind, extra = f"adaptive PID ({controller.law} law)", {"growth": controller.growth}
         first = "".join(f"\n    s->{name} = SMAJAX_{name.upper()};" for name in ("kp", "ki", "kd"))
-        parts = {"more": "\n    smajax_real summed, kp, ki, kd;", "reset": "\n    s->summed = 0;" + first}
+        parts |= {"more": "\n    smajax_real summed, kp, ki, kd;", "reset": "\n    s->summed = 0;" + first}
     else:
-        raise InputError(
-            f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID without feedforward and adaptive PID can"
-        )
+        raise InputError(f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID and adaptive PID can")
+    if inverse is not None:
+        told = inverse_document(inverse)
+        listed = {k: ", ".join(map(repr, told[k])) for k in ("thresholds", "densities")}
+        extra |= told["envelope"] | {"direct": told["direct"], "edge": EDGE}
+        parts |= {"functions": _INVERSE.format(**listed), "include": "#include <math.h>\n"}
+        parts["more"] += "\n    smajax_real plays[SMAJAX_PLAYS];"
+        parts["reset"] += _PLAYS_BEGIN
     pid = controller.inner
-    values = {name: float(gain(controller, name)) for name in gains(controller)} | extra
+    values = {name: float(gain(owner, name)) for name in gains(owner)} | extra
+    pair = _PAIR.format(upper=float(owner.allocation.upper)) if isinstance(owner, Loop) and owner.allocation.wires > 1 else ""
+    constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
+    if inverse is not None:
+        constants.append(f"#define SMAJAX_PLAYS {len(inverse.thresholds)}")
     return _TOP.format(
         kind=kind,
         version=version,
@@ -130,21 +195,45 @@ def c_header(controller: AbstractController, units: tuple[str, str], version: st
         period=pid.period,
         lower=float(pid.lower),
         upper=float(pid.upper),
-        constants="\n".join(f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()),
+        constants="\n".join(constants),
         seen="return reference - value;" if pid.derivative_on == "error" else "(void)reference; return -value;",
         step=step,
+        pair=pair,
         **parts,
     )
 
 
-def as_document(controller: AbstractController, units: dict[str, str]) -> dict[str, Any]:
-    """The controller as a JSON document: kind, period, limits, and gains with their units."""
-    pid = controller.inner
-    return {
+def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict[str, Any]:
+    """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward."""
+    controller = owner.controller if isinstance(owner, Loop) else owner
+    pid, inverse = controller.inner, inverse_of(controller)
+    document = {
         "schema": "smajax.controller/1",
         "kind": _KINDS[type(controller)],
         "period_s": pid.period,
         "output": [float(pid.lower), float(pid.upper)],
         "derivative_on": pid.derivative_on,
-        "gains": {name: {"value": float(gain(controller, name)), "unit": units[name]} for name in gains(controller)},
+        "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
+    }
+    return document if inverse is None else document | {"feedforward": inverse_document(inverse)}
+
+
+def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:
+    """The numbers of an inverse operator, from the channel's internal unit to the command's: see ``smajax.hysteresis``.
+
+    ``direct`` and ``densities`` are plain numbers, ``thresholds`` in the channel's unit; so are the envelope's height and middle, its
+    steepness is per unit of the command.
+    """
+    envelope = inverse.loading
+    return {
+        "kind": "inverse-prandtl-ishlinskii",
+        "direct": float(inverse.direct),
+        "thresholds": [float(v) for v in inverse.thresholds],
+        "densities": [float(v) for v in inverse.densities],
+        "envelope": {
+            "height": float(envelope.height),
+            "steepness": float(envelope.slope),
+            "shift": float(envelope.shift),
+            "middle": float(envelope.middle),
+        },
     }

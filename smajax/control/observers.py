@@ -3,17 +3,40 @@
     thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
     angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
 
-Both are sampled; ``reset`` and ``step`` are pure functions.
+Both are sampled; ``reset`` and ``step`` are pure functions. A filter of the whole plant is in ``ensemble``.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.units import numbered
 
-class ThermalObserver(eqx.Module):
+
+class AbstractThermometer(eqx.Module):
+    """Base class of what tells a guard the wires' temperatures. ``seen`` are the plant's channels at a sample, scalars by name."""
+
+    def begin(self, seen: dict[str, jax.Array]) -> Any:
+        """The state at rest."""
+        raise NotImplementedError
+
+    def watch(self, state: Any, seen: dict[str, jax.Array]) -> tuple[Any, jax.Array]:
+        """The state a period later, and the temperatures that it tells, degC, shape ``(wires,)``."""
+        raise NotImplementedError
+
+    def under(self, state: Any, command: jax.Array) -> Any:
+        """The state once the wires' commands, shape ``(wires,)``, are known, which act until the next sample."""
+        raise NotImplementedError
+
+
+def each(seen: dict[str, jax.Array], name: str) -> jax.Array:
+    """A channel of every wire, shape ``(wires,)``."""
+    return jnp.stack([seen[n] for n in numbered(name, 1 if name in seen else 2)])
+
+
+class ThermalObserver(AbstractThermometer):
     """The temperature of a wire from its electrical power: ``a1`` in K/J, ``a2`` in K^(1 - n)/s and below 0, ``exponent`` n.
 
     ``gain`` in 1/s trusts a thermocouple, where there is one.
@@ -40,6 +63,19 @@ class ThermalObserver(eqx.Module):
         if measured is not None:
             change = change + self.gain * (measured - estimate)
         return estimate + self.period * change
+
+    def begin(self, seen: dict[str, jax.Array]) -> jax.Array:
+        """See ``AbstractThermometer``."""
+        return each(seen, "temperature")
+
+    def watch(self, state: jax.Array, seen: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractThermometer``: what the last period's power has made of the last estimate."""
+        state = self.step(state, each(seen, "power"))
+        return state, state
+
+    def under(self, state: jax.Array, command: jax.Array) -> jax.Array:
+        """See ``AbstractThermometer``: the power tells it."""
+        return state
 
 
 class AngleState(NamedTuple):

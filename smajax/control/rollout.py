@@ -19,10 +19,9 @@ from smajax.control.allocation import Allocation
 from smajax.control.controller import AbstractController
 from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
-from smajax.control.observers import ThermalObserver
+from smajax.control.observers import AbstractThermometer, each
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
-from smajax.units import numbered
 
 _ELECTRICAL = ("current", "voltage", "power")
 
@@ -30,21 +29,22 @@ _ELECTRICAL = ("current", "voltage", "power")
 class Loop(eqx.Module):
     """All that stands between the reference and the wires; ``channel`` is the one that is steered.
 
-    With an ``observer``, the guard knows the wires' temperatures by their electrical power only.
+    With an ``observer``, the guard knows the wires' temperatures by what that tells only.
     """
 
     controller: AbstractController
     allocation: Allocation
     sensing: Sensing
     guard: TemperatureGuard | None = None
-    observer: ThermalObserver | None = None
+    observer: AbstractThermometer | None = None
     channel: str = eqx.field(static=True, kw_only=True)
 
     def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
         """The state at rest."""
         guards: tuple = ()
         if self.guard is not None:
-            guards = tuple((self.guard.reset(t), t) for t in self._each(seen, "temperature"))
+            watched = () if self.observer is None else self.observer.begin(seen)
+            guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched
         value = seen[self.channel]
         return self.controller.reset(reference, value), self.sensing.reset(value), guards
 
@@ -53,18 +53,16 @@ class Loop(eqx.Module):
         inner, heard, guards = state
         heard, value = self.sensing.step(heard, seen[self.channel], draw)
         inner, command = self.controller.step(inner, reference, value)
-        each = self.allocation(command)
+        commands = self.allocation(command)
         if self.guard is not None:
-            warm = self._each(seen, "temperature")
-            if self.observer is not None:  # what the last period's power has made of the last estimate
-                power = self._each(seen, "power")
-                warm = [self.observer.step(last, p) for (_, last), p in zip(guards, power, strict=True)]
-            cut = [self.guard.step(s, t, c) for (s, _), t, c in zip(guards, warm, each, strict=True)]
-            guards, each = tuple((s, t) for (s, _), t in zip(cut, warm, strict=True)), jnp.stack([c for _, c in cut])
-        return (inner, heard, guards), each
-
-    def _each(self, seen: dict[str, jax.Array], name: str) -> list[jax.Array]:
-        return [seen[n] for n in numbered(name, self.allocation.wires)]
+            states, watched = guards
+            warm = each(seen, "temperature")
+            if self.observer is not None:
+                watched, warm = self.observer.watch(watched, seen)
+            cut = [self.guard.step(s, t, c) for s, t, c in zip(states, warm, commands, strict=True)]
+            states, commands = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
+            guards = states, watched if self.observer is None else self.observer.under(watched, commands)
+        return (inner, heard, guards), commands
 
 
 class Scenario(eqx.Module):

@@ -29,6 +29,7 @@ _LOOSE = 1e-3  # a violation that counts as none
 _FIRST = 10  # steps of a search
 _WIDE_STEP, _SMALL_STEP = 5.0, 20.0  # one over the length of its first step at most, the box being one wide
 _REVERSE = 3  # rollouts that a gradient by reverse mode counts
+_STEEPEST = 100.0  # a slope at most, costs being near 1: steeper ones are of loops that swing themselves up, and would end a line search
 _UNUSABLE = 1e30
 _RAISES = 8
 _REACH = 0.06  # of the box: how far gains go between two looks at what limits cost; else they flee to where nothing moves
@@ -142,7 +143,7 @@ class _Tuner:
             if found < best.cost:
                 best = _Candidate(0.0, found, x / scale)
                 self.progress(self.rollouts, found)
-            return found, by
+            return found, by * min(1.0, _STEEPEST / max(1e-300, scale * float(np.max(np.abs(by)))))
 
         low, high = np.maximum(0.0, start - reach) * scale, np.minimum(1.0, start + reach) * scale
         options = {"maxiter": steps, "maxfun": 2 * steps, "ftol": _RTOL}

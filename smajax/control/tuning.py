@@ -42,7 +42,7 @@ class Tuning(eqx.Module):
         Raises ``InputError`` for a gain that the controller has not, or whose start value does not lie between its bounds.
         """
         for name, (low, high) in bounds.items():
-            value = float(gain(loop.controller, name))
+            value = float(gain(loop, name))
             if not 0.0 < low <= value <= high:
                 raise InputError(
                     f"{name} starts at {value:.6g} and is to be tuned between {low:.6g} and {high:.6g}: the bounds have to be positive "
@@ -69,7 +69,7 @@ class Tuning(eqx.Module):
     @property
     def start(self) -> np.ndarray:
         """The start gains in the unit box, shape ``(p,)``."""
-        values = np.array([float(gain(self.loop.controller, name)) for name in self.names])
+        values = np.array([float(gain(self.loop, name)) for name in self.names])
         low, high = np.asarray(self.lower), np.asarray(self.upper)
         return np.log(values / low) / np.where(high > low, np.log(high / low), 1.0)
 
@@ -80,7 +80,7 @@ class Tuning(eqx.Module):
 
     def steered(self, gains: Mapping[str, Any]) -> Loop:
         """The loop with other gains, in internal units."""
-        return eqx.tree_at(lambda one: one.controller, self.loop, with_gains(self.loop.controller, gains))
+        return with_gains(self.loop, gains)
 
     def roll(self, gains: Mapping[str, Any]) -> Rollout:
         """The rollouts of all members with other gains, in internal units; leaves with a leading axis of ``m``."""

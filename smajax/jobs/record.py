@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 
 from smajax import __version__
 from smajax.errors import InputError
-from smajax.rig import Rig
 
 _PACKAGES = ("jax", "diffrax", "optimistix", "equinox", "numpy", "scipy", "pint")
 
@@ -45,7 +44,12 @@ class Clock:
             self.timings[part] = self.timings.get(part, 0.0) + time.perf_counter() - began
 
 
-def run_record(command: str, rig: Rig, argv: Sequence[str], clock: Clock, seed: int | None, code: int) -> dict[str, Any]:
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+def run_record(command: str, rig: _Named, argv: Sequence[str], clock: Clock, seed: int | None, code: int) -> dict[str, Any]:
     """The document run.json but for what only this command knows, and for the list of files."""
     return {
         "command": command,

@@ -14,14 +14,17 @@ import numpy as np
 from smajax import __version__, parameters
 from smajax.console import Progress
 from smajax.control import members, metrics
-from smajax.control.controller import AbstractController
 from smajax.control.export import as_document, c_header
-from smajax.control.gains import gain, gains
+from smajax.control.gains import gain, gains, unit_of
 from smajax.control.margins import Margins, margins, restless
-from smajax.control.rollout import Rollout, Scenario
+from smajax.control.rollout import Loop, Rollout, Scenario
+from smajax.control.slow_loop import Identified, identify, with_inverse
 from smajax.control.tune import Tuned, tune
 from smajax.control.tuning import Tuning, roll
 from smajax.controller_file import ControllerFile, read_controller
+from smajax.errors import InputError
+from smajax.fmu.models import controller_model, plant_model
+from smajax.fmu.pack import fmu
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.report import prediction
 from smajax.report.document import number, to_json
@@ -46,7 +49,7 @@ class TuneJob(NamedTuple):
 class Behaviour:
     """One set of gains on the plant as the rig has it: its rollout, metrics in SI, margins, and why it counts as unstable, if it does."""
 
-    controller: AbstractController
+    loop: Loop
     channels: Mapping[str, np.ndarray]
     command: np.ndarray
     numbers: dict[str, float]
@@ -67,12 +70,20 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         controller_text = job.controller.read_text("utf-8-sig")
         seed = given.seed if job.seed is None else job.seed
         drawn = _drawn(given, rig, seed)
+    fed = None
+    if given.feedforward is not None:
+        progress.phase("fitting the feedforward to a slow loop")
+        with clock.time("feedforward"):
+            fed = identify(given.driven, given.loop, given.feedforward, given.limits.get("temperature", math.inf))
+            given = replace(
+                given, loop=eqx.tree_at(lambda one: one.controller, given.loop, with_inverse(given.loop.controller, fed.inverse))
+            )
     progress.phase("trying the start gains")
     with clock.time("start"):
         reach = _reach(given)
         beyond = _beyond(given, reach)
         given = replace(given, scenario=_cut(given.scenario, reach)) if beyond else given
-        own = {n: float(gain(given.loop.controller, n)) for n in given.bounds}
+        own = {n: float(gain(given.loop, n)) for n in given.bounds}
         first = behave(given, own)
     progress.phase("tuning")
     with clock.time("tune"):
@@ -86,26 +97,50 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     with clock.time("check"):
         last = behave(given, found.gains)
         checks = {when: _check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
-    document = _document(given, rig, found, (first, last), checks, beyond, seed)
+    units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
+    progress.phase("exporting")
+    with clock.time("export"):
+        fmus, left_out = _fmus(given, rig, last, units)
+    document = _document(given, rig, found, (first, last), checks, beyond, seed) | {"left_out": left_out}
+    if fed is not None:
+        document["feedforward"] = _fed(given, fed)
+        document["summary"] = sentences(document)
     reason = "; ".join(document["problems"])
     code = 3 if reason else 0
     run = run_record("tune", rig, argv, clock, seed, code) | {"controller": given.name}
     series = [_series(given, one, name) for name, one in (("start gains", first), ("tuned gains", last))]
     progress.phase("writing the report")
-    units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
 
     def fill(folder: Path) -> None:
         (folder / "rig.toml").write_text(text, "utf-8", newline="")
         (folder / "controller.toml").write_text(controller_text, "utf-8", newline="")
         (folder / "tune.json").write_text(to_json(document), "utf-8")
-        (folder / "controller.json").write_text(to_json(as_document(last.controller, dict(given.units))), "utf-8")
-        (folder / "controller.h").write_text(c_header(last.controller, units, __version__), "utf-8")
+        (folder / "controller.json").write_text(to_json(as_document(last.loop, dict(given.units))), "utf-8")
+        (folder / "controller.h").write_text(c_header(last.loop, units, __version__), "utf-8")
+        for name, content in fmus.items():
+            (folder / name).write_bytes(content)
         prediction.write(folder / "prediction.csv", series)
         page = tuning_page(document, prediction.read(folder / "prediction.csv"), run, text)
         (folder / "report.html").write_text(page, "utf-8")
 
     write_folder(out, run, fill)
     return Outcome(out, document, code, reason)
+
+
+def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:
+    """The FMUs of plant and controller by the name of their file, and of those that could not be made, why."""
+    loop = last.loop
+    made: dict[str, bytes] = {}
+    left_out: dict[str, str] = {}
+    for name, model in (
+        ("plant.fmu", lambda: plant_model(given.driven.plant, rig.name)),
+        ("controller.fmu", lambda: controller_model(loop, units, given.units, given.name)),
+    ):
+        try:
+            made[name] = fmu(model())
+        except InputError as error:
+            left_out[name] = str(error)
+    return made, left_out
 
 
 def behave(given: ControllerFile, gains: Mapping[str, float]) -> Behaviour:
@@ -115,9 +150,7 @@ def behave(given: ControllerFile, gains: Mapping[str, float]) -> Behaviour:
     channels = {name: np.asarray(values)[0] for name, values in done.channels.items()}
     command, loop = np.asarray(done.command)[0], as_seen.steered(gains)
     why = _unstable(given, still, 0)
-    return Behaviour(
-        loop.controller, channels, command, _numbers(given, channels, command), margins(given.driven, loop, calm.scenario), why
-    )
+    return Behaviour(loop, channels, command, _numbers(given, channels, command), margins(given.driven, loop, calm.scenario), why)
 
 
 def _unstable(given: ControllerFile, still: Rollout, member: int) -> str:
@@ -251,16 +284,18 @@ def _document(
     seed: int,
 ) -> dict[str, Any]:
     first, last = both
-    unit = CHANNELS[given.loop.channel].unit
+    unit, command = CHANNELS[given.loop.channel].unit, CHANNELS[given.driven.plant.drive.control].unit
+    usual = "K" if unit == "degC" else prediction.usual_unit(given.loop.channel)
     table = {
         name: {
-            "start": number(float(gain(first.controller, name))),
-            "tuned": number(float(gain(last.controller, name))),
+            "start": number(float(gain(first.loop, name))),
+            "tuned": number(float(gain(last.loop, name))),
             "unit": given.units[name],
+            "usual_unit": unit_of(name, last.loop, command, usual),
             "free": name in given.bounds,
             "bounds": [number(end) for end in given.bounds.get(name, (None, None))],
         }
-        for name in gains(given.loop.controller)
+        for name in gains(given.loop)
     }
     problems = [f"the start gains are unstable: {first.unstable}"] if first.unstable else []
     problems += [beyond] if beyond else []
@@ -295,6 +330,21 @@ def _document(
         "smajax": __version__,
     }  # fmt: skip
     return document | {"summary": sentences(document)}
+
+
+def _fed(given: ControllerFile, fed: Identified) -> dict[str, Any]:
+    """What the feedforward was fitted to, and how well: of the operator, not of its inverse."""
+    wanted = given.feedforward
+    assert wanted is not None
+    return {
+        "operators": wanted.operators,
+        "loop": "simulated" if wanted.measured is None else wanted.measured.name,
+        "command": [number(end) for end in fed.ends],
+        "command_unit": CHANNELS[given.driven.plant.drive.control].unit,
+        "seconds": number(fed.seconds),
+        "misfit": number(fed.misfit),
+        "stroke": number(fed.stroke),
+    }
 
 
 def _series(given: ControllerFile, one: Behaviour, name: str) -> prediction.Series:

@@ -142,7 +142,7 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
     if not partners:
         return None
     data: list[dict[str, Any]] = []
-    layout = _base()
+    layout = base()
     thinned = False
     share = (1.0 - 0.12 * (len(partners) - 1)) / len(partners)
     for k, partner in enumerate(partners):
@@ -157,8 +157,8 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
                 thinned |= less
         start = k * (share + 0.12)
         across_title = titled(partner, series.units) + ("" if both else ", of the model")
-        layout[x_key] = _axis_style(across_title) | {"domain": [start, start + share], "anchor": y_key.replace("axis", "")}
-        layout[y_key] = _axis_style(titled(channel, series.units)) | {"anchor": x_key.replace("axis", "")}
+        layout[x_key] = axis_style(across_title) | {"domain": [start, start + share], "anchor": y_key.replace("axis", "")}
+        layout[y_key] = axis_style(titled(channel, series.units)) | {"anchor": x_key.replace("axis", "")}
     caption = f"The loops of {channel} over {' and '.join(partners)}: grey is measured, orange the model."
     caption += _thin_note(len(series.time), thinned)
     return Picture(f"Phase picture of {series.name} ({series.role})", caption, {"data": data, "layout": layout}, 460, len(partners) > 1)
@@ -166,9 +166,9 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
 
 def whiteness_picture(channel: str, looks: Mapping[str, Any]) -> Picture:
     """The residual's autocorrelation before and after, with the band that holds 99 % of white noise."""
-    layout = _base()
-    layout["xaxis"] = _axis_style("lag [samples]")
-    layout["yaxis"] = _axis_style("correlation")
+    layout = base()
+    layout["xaxis"] = axis_style("lag [samples]")
+    layout["yaxis"] = axis_style("correlation")
     data = []
     for (when, look), colour in zip(looks.items(), (MEASURED, MODEL), strict=False):
         lags = list(range(1, len(look["autocorrelation"]) + 1))
@@ -182,10 +182,10 @@ def whiteness_picture(channel: str, looks: Mapping[str, Any]) -> Picture:
 
 def free_form_picture(form: Mapping[str, Any]) -> Picture:
     """A term of free form against the state that it stands against."""
-    layout = _base()
+    layout = base()
     units = {"temperature": "degC", "martensite": "fraction", "travel": "full transformations"}
-    layout["xaxis"] = _axis_style(escape(f"{form['against']} [{units.get(form['against'], 's')}]"))
-    layout["yaxis"] = _axis_style(escape(f"{form['adds']} [{form['unit']}]" if form["unit"] != "1" else form["adds"]))
+    layout["xaxis"] = axis_style(escape(f"{form['against']} [{units.get(form['against'], 's')}]"))
+    layout["yaxis"] = axis_style(escape(f"{form['adds']} [{form['unit']}]" if form["unit"] != "1" else form["adds"]))
     line = {"type": "scatter", "mode": "lines+markers", "x": form["at"], "y": form["term"], "line": {"color": MODEL}, "showlegend": False}
     caption = "What would have to be added to the stage, as a function of the state. It describes what is missing and names no cause."
     return Picture(f"Free term in the {form['stage']} stage", caption, {"data": [line], "layout": layout}, 320, wide=False)
@@ -193,9 +193,9 @@ def free_form_picture(form: Mapping[str, Any]) -> Picture:
 
 def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: Sequence[float | None]) -> Picture:
     """The profile likelihood of one parameter, with the level that bounds its 95 % interval."""
-    layout = _base()
-    layout["xaxis"] = _axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
-    layout["yaxis"] = _axis_style("rise of the cost") | {"rangemode": "tozero"}
+    layout = base()
+    layout["xaxis"] = axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
+    layout["yaxis"] = axis_style("rise of the cost") | {"rangemode": "tozero"}
     layout["shapes"] = [_level(3.841, "y", {"dash": "dot", "color": MODEL, "width": 1.5})]
     points = {"x": list(values), "y": list(rise)}
     trace = {"type": "scatter", "mode": "lines+markers", "line": {"color": RESIDUAL}, "showlegend": False} | points
@@ -205,7 +205,7 @@ def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: 
 
 def correlation_picture(names: Sequence[str], matrix: Sequence[Sequence[float | None]]) -> Picture:
     """Correlations of the estimates, as a matrix of colours from -1 to 1."""
-    layout, labels = _base(), [escape(name) for name in names]
+    layout, labels = base(), [escape(name) for name in names]
     size = max(260, 46 * len(names) + 130)
     layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -40, "constrain": "domain"}
     layout["yaxis"] = {"autorange": "reversed", "automargin": True, "scaleanchor": "x", "constrain": "domain"}
@@ -292,22 +292,23 @@ def _line(
 
 def _layout(panels: Sequence[tuple[str, float]], x_title: str, series: Series) -> dict[str, Any]:
     """Panels above one another over one x axis, each as high as its weight."""
-    layout = _base()
+    layout = base()
     total = sum(weight for _, weight in panels)
     gap = _GAP / (_PIXELS * total)
     room = 1.0 - gap * (len(panels) - 1)
     top = 1.0
     for k, (_, weight) in enumerate(panels):
         bottom = max(top - room * weight / total, 0.0)
-        layout[f"yaxis{k + 1 if k else ''}"] = _axis_style("") | {"domain": [bottom, top], "anchor": "x"}
+        layout[f"yaxis{k + 1 if k else ''}"] = axis_style("") | {"domain": [bottom, top], "anchor": "x"}
         top = bottom - gap
-    layout["xaxis"] = _axis_style(x_title) | {"anchor": _axis(len(panels) - 1), "domain": [0, 1]}
+    layout["xaxis"] = axis_style(x_title) | {"anchor": _axis(len(panels) - 1), "domain": [0, 1]}
     layout["shapes"] = []
     layout["hovermode"] = "x"
     return layout
 
 
-def _base() -> dict[str, Any]:
+def base() -> dict[str, Any]:
+    """The layout that all pictures share."""
     return {
         "paper_bgcolor": "#ffffff",
         "plot_bgcolor": "#ffffff",
@@ -318,7 +319,8 @@ def _base() -> dict[str, Any]:
     }
 
 
-def _axis_style(title: str) -> dict[str, Any]:
+def axis_style(title: str) -> dict[str, Any]:
+    """How an axis looks."""
     return {
         "title": {"text": title, "standoff": 8},
         "gridcolor": "#e7eaee",

@@ -40,6 +40,13 @@ def sentences(doc: Mapping[str, Any]) -> str:
     key = "settling" if doc["objective"]["settle"] else "rmse"
     told = f"{_METRICS[key]} of {channel}: {shown(before[key], key, channel)} with the start gains, {shown(after[key], key, channel)} with "
     told += f"the tuned ones, found in {doc['rollouts']:,} rollouts."
+    if "feedforward" in doc:
+        fed = doc["feedforward"]
+        ends = " to ".join(f"{end:.3g}" for end in fed["command"])
+        misfit, share = shown(fed["misfit"], "rmse", channel), 100.0 * fed["misfit"] / fed["stroke"]
+        told += f" The feedforward's operator of {fed['operators']} plays was fitted to a slow loop of {ends} {fed['command_unit']}"
+        told += f" ({fed['loop']}, {fed['seconds']:.0f} s) with a misfit of {misfit} RMSE,"
+        told += f" {share:.1f} % of its stroke."
     if doc["problems"]:
         told += " But " + "; ".join(doc["problems"]) + "."
     if doc["robust"]:
@@ -49,11 +56,12 @@ def sentences(doc: Mapping[str, Any]) -> str:
 
 
 def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Name, start, tuned, unit."""
+    """Name, start, tuned, and the unit of both, which goes with the channel's usual one."""
     rows = []
     for name, entry in doc["gains"].items():
-        held = "" if entry["free"] else " (held)"
-        rows.append((name, f"{entry['start']:.5g}", f"{entry['tuned']:.5g}{held}", entry["unit"]))
+        unit = entry.get("usual_unit", entry["unit"])
+        start, tuned = (f"{from_si(entry[when], unit, entry['unit']):.5g}" for when in ("start", "tuned"))
+        rows.append((name, start, tuned if entry["free"] else f"{tuned} (held)", unit))
     return rows
 
 
@@ -79,11 +87,21 @@ def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
     return ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
 
 
+def left_out(doc: Mapping[str, Any]) -> list[str]:
+    """The files that could not be written, and why."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in doc.get("left_out", {}).items():
+        reasons.setdefault(why, []).append(name)
+    return [f"Left out: {' and '.join(names)}: {why}" for why, names in reasons.items()]
+
+
 def text(doc: Mapping[str, Any], folder: str) -> str:
     """What the command prints."""
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
     lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
-    return "\n".join([*lines, f"Report, controller.h and controller.json in {folder}"])
+    files = ["controller.h", "controller.json", *(name for name in ("plant.fmu", "controller.fmu") if name not in doc.get("left_out", {}))]
+    lines += left_out(doc)
+    return "\n".join([*lines, f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"])
 
 
 def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -97,5 +115,6 @@ def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[s
         "<p>Margins are those of the loop linearised along the rollout, medians over its samples where the plant is not linear.</p>"
     )
     sections.append(html.draw(plots.response_picture(series, doc["channel"]), pictures))
+    sections += [f"<p>{html.escape(line)}.</p>" for line in left_out(doc)]
     sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
     return html.page(f"Tuning on {doc['rig']}", f"A controller of {doc['channel']}, tuned through its closed loop.", sections, pictures)

@@ -1,0 +1,223 @@
+"""What a rig does not measure, from what it does: an ensemble Kalman filter on the plant.
+
+``members`` plants, which differ in what is not known of the rig (its convection, its ambient), are carried along under the same commands.
+At each sample what they would show is compared with what is measured, and each state is moved along the ensemble's covariances (square
+root filter, one measurement after another: Whitaker, Hamill, Mon. Weather Rev. 130 (2002) 1913). A filter that linearises the plant at one
+state is blind in a hysteresis, where the next kelvin does nothing and the fifth does all; members on both sides of it see both.
+
+The drive's own channels are measurements: under a current, the voltage tells the resistance, and that the phases. A thermocouple follows
+its wire with a first-order lag, which is part of what is estimated. What is not known wanders within its spread: of the ambient, that is
+noise of the heat balance. Relaxation to the spread before a measurement (Whitaker, Hamill, Mon. Weather Rev. 140 (2012) 3078) keeps the
+ensemble from trusting itself too much: it has fewer members than there are ways to be wrong.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax import parameters
+from smajax.control.driven import DrivenPlant
+from smajax.control.observers import AbstractThermometer, each
+from smajax.parameters import parameter
+from smajax.plant.material.base import Fractions
+from smajax.plant.step import push
+from smajax.units import numbered
+
+
+class Ensemble(NamedTuple):
+    """The members' ``states`` of the plant, their thermocouples, shape ``(m, wires)``, and their unknown parameters, ``(m, p)``; the
+    command that acts since the last sample, ``(wires,)``, and how many samples there have been.
+    """
+
+    states: Any
+    probes: jax.Array
+    unknown: jax.Array
+    command: jax.Array
+    count: jax.Array
+
+
+class Estimate(NamedTuple):
+    """Mean and standard deviation over the members: channels by name, scalars, and the ``martensite`` fraction of each wire."""
+
+    mean: dict[str, jax.Array]
+    spread: dict[str, jax.Array]
+    martensite: jax.Array
+    martensite_spread: jax.Array
+
+
+class EnsembleFilter(AbstractThermometer):
+    """The filter of the module's text, sampled at the period of ``driven``, which is the plant as far as it is known.
+
+    ``noise`` are standard deviations of the measured channels by name (infinite: not measured), ``temperature`` being that of the
+    thermocouple. ``unknown`` are standard deviations of named parameters about the plant's. In a rollout it is given the measurements with
+    their noise, and a thermocouple with its lag.
+    """
+
+    driven: DrivenPlant
+    noise: dict[str, jax.Array]
+    unknown: dict[str, jax.Array]
+    lag: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, default=0.0)
+    memory: jax.Array = parameter("s", "time after which what is unknown is another", 0.0, default=30.0)
+    relaxation: jax.Array = parameter("1", "share of the spread that a measurement takes and that is given back", 0.0, 1.0, 0.5)
+    trust: jax.Array = parameter("1", "standard deviations by which a measurement may surprise; more counts as so many", 0.0, default=2.0)
+    members: int = eqx.field(static=True, default=32)
+    seed: int = eqx.field(static=True, default=0)
+
+    def reset(self) -> Ensemble:
+        """At rest without any command."""
+        drawn = jax.random.normal(jax.random.key(self.seed), (self.members, len(self.unknown)))
+        unknown = jax.vmap(lambda draw: self._possible(self._middle() + self._deviations() * draw))(drawn)
+        states = jax.vmap(lambda values: self._as(values).start())(unknown)
+        return Ensemble(states, states[0].temperature, unknown, jnp.zeros(self.driven.wires), jnp.asarray(0))
+
+    def step(self, ensemble: Ensemble, measured: Mapping[str, jax.Array]) -> Ensemble:
+        """The ensemble a period on under its command, once the channels of ``noise`` are measured there (scalars)."""
+        later = self._carry(ensemble)
+        shown = jax.vmap(self._shown, in_axes=(0, 0, 0, None))(later.states, later.probes, later.unknown, later.command)
+        pieces = (later.states[0].temperature, *later.states[0].fractions, later.probes, later.unknown)
+        seen = [n for name in sorted(self.noise) for n in self._names(name)]
+        members = jnp.concatenate([*pieces, jnp.stack([shown[n] for n in seen], axis=1)], axis=1)
+        mean = jnp.mean(members, axis=0)
+        away = members - mean[None]
+        before = _deviation(away)
+        for k, name in enumerate(seen):
+            at = members.shape[1] - len(seen) + k
+            own, noise = jnp.mean(away[:, at] ** 2) * self.members / (self.members - 1), self.noise[_base(name, self.noise)] ** 2
+            slope = away[:, at] @ away / (self.members - 1) / (own + noise)
+            far = self.trust * jnp.sqrt(own + noise)
+            mean = mean + slope * jnp.clip(measured[name] - mean[at], -far, far)
+            away = away - jnp.outer(away[:, at], slope) / (1.0 + jnp.sqrt(1.0 / (1.0 + own / noise)))
+        after = _deviation(away)
+        widened = 1.0 + self.relaxation * (before / jnp.where(after > 0.0, after, 1.0) - 1.0) * (after > 0.0)
+        return self._taken(later, mean[None] + away * widened[None])
+
+    def estimate(self, ensemble: Ensemble) -> Estimate:
+        """What the members say at their sample, and how far they differ."""
+
+        def single(state: Any, values: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+            return self._as(values).read(state, ensemble.command), state[0].fractions.martensite
+
+        channels, martensite = jax.vmap(single)(ensemble.states, ensemble.unknown)
+        mean, spread = ({n: f(v, axis=0) for n, v in channels.items()} for f in (jnp.mean, _spread))
+        return Estimate(mean, spread, jnp.mean(martensite, axis=0), _spread(martensite, axis=0))
+
+    def begin(self, seen: dict[str, jax.Array]) -> tuple[Ensemble, jax.Array]:
+        """See ``AbstractThermometer``; beside the ensemble, what the thermocouples show."""
+        return self.reset(), each(seen, "temperature")
+
+    def watch(self, state: tuple[Ensemble, jax.Array], seen: dict[str, jax.Array]) -> tuple[tuple[Ensemble, jax.Array], jax.Array]:
+        """See ``AbstractThermometer``."""
+        ensemble, probes = state
+        probes = probes + self._follows() * (each(seen, "temperature") - probes)
+        names = [n for name in sorted(self.noise) for n in self._names(name)]
+        draws = jax.random.normal(self._key(ensemble, 1), (len(names),))
+        noise = [self.noise[_base(n, self.noise)] for n in names]
+        shown = seen | dict(zip(self._names("temperature"), probes, strict=True))
+        measured = {n: shown[n] + jnp.where(jnp.isfinite(s), s, 0.0) * d for n, s, d in zip(names, noise, draws, strict=True)}
+        ensemble = self.step(ensemble, measured)
+        return (ensemble, probes), jnp.mean(ensemble.states[0].temperature, axis=0)
+
+    def under(self, state: tuple[Ensemble, jax.Array], command: jax.Array) -> tuple[Ensemble, jax.Array]:
+        """See ``AbstractThermometer``."""
+        return state[0]._replace(command=command), state[1]
+
+    def _follows(self) -> jax.Array:
+        """Share of the way to its wire that a thermocouple goes in a period."""
+        return 1.0 - jnp.exp(-self.driven.period / jnp.maximum(self.lag, 1e-9))
+
+    def _key(self, ensemble: Ensemble, use: int) -> jax.Array:
+        return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), use)
+
+    @property
+    def _unknown(self) -> list[str]:
+        return sorted(self.unknown)  # the order in which a compiled function sees a dictionary
+
+    def _middle(self) -> jax.Array:
+        return jnp.stack([parameters.get(self.driven.plant, n) for n in self._unknown])
+
+    def _deviations(self) -> jax.Array:
+        return jnp.stack([self.unknown[n] for n in self._unknown])
+
+    def _possible(self, values: jax.Array) -> jax.Array:
+        """A member's parameters where the equations hold, shape ``(p,)``."""
+        ends = [parameters.declaration(self.driven.plant, n) for n in self._unknown]
+        return jnp.clip(values, jnp.asarray([e.lower for e in ends]), jnp.asarray([e.upper for e in ends]))
+
+    def _as(self, values: jax.Array) -> DrivenPlant:
+        return _as(self.driven, tuple(self._unknown), values)
+
+    def _names(self, channel: str) -> tuple[str, ...]:
+        plant = self.driven.plant
+        return (channel,) if channel == plant.mechanism.coordinate or channel == "torque" else numbered(channel, self.driven.wires)
+
+    def _carry(self, ensemble: Ensemble) -> Ensemble:
+        """A period on, before anything is measured."""
+        stays, middle = jnp.exp(-self.driven.period / self.memory), self._middle()
+
+        def wander(values: jax.Array, draw: jax.Array) -> jax.Array:
+            return self._possible(middle + stays * (values - middle) + jnp.sqrt(1.0 - stays**2) * self._deviations() * draw)
+
+        unknown = jax.vmap(wander)(ensemble.unknown, jax.random.normal(self._key(ensemble, 0), ensemble.unknown.shape))
+
+        states = _moved(self.driven, tuple(self._unknown), ensemble.states, unknown, ensemble.command)
+        probes = ensemble.probes + self._follows() * (states[0].temperature - ensemble.probes)
+        return Ensemble(states, probes, unknown, ensemble.command, ensemble.count + 1)
+
+    def _shown(self, state: Any, probe: jax.Array, values: jax.Array, command: jax.Array) -> dict[str, jax.Array]:
+        """The channels of a member as its rig would measure them."""
+        return self._as(values).read(state, command) | dict(zip(self._names("temperature"), probe, strict=True))
+
+    def _taken(self, ensemble: Ensemble, members: jax.Array) -> Ensemble:
+        """The ensemble with other temperatures, fractions, thermocouples and parameters; fractions stay within 0 and 1."""
+        wires, (state, time) = self.driven.wires, ensemble.states
+        temperature, detwinned, twinned, probes = (members[:, i * wires : (i + 1) * wires] for i in range(4))
+        detwinned = jnp.clip(detwinned, 0.0, 1.0)
+        fractions = Fractions(detwinned, jnp.clip(twinned, 0.0, 1.0 - detwinned))
+        unknown = jax.vmap(self._possible)(members[:, 4 * wires : 4 * wires + len(self.unknown)])
+        state = state._replace(temperature=temperature, fractions=fractions)
+        return ensemble._replace(states=(state, time), probes=probes, unknown=unknown)
+
+
+def _as(driven: DrivenPlant, names: tuple[str, ...], values: jax.Array) -> DrivenPlant:
+    return driven.changed({n: values[i] for i, n in enumerate(names)})
+
+
+@eqx.filter_custom_jvp
+def _moved(driven: DrivenPlant, names: tuple[str, ...], states: Any, unknown: jax.Array, command: jax.Array) -> Any:
+    """The members' states a period on; differentiable, as a rollout is, with the ends of all steps known."""
+    return jax.vmap(lambda state, values: _as(driven, names, values).advance(state, command)[0])(states, unknown)
+
+
+@_moved.def_jvp
+def _moved_jvp(primals: tuple, tangents: tuple) -> tuple:
+    (driven, names, states, unknown, command), (drivens, _, *along) = primals, tangents
+    along = jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, (states, unknown, command), tuple(along), is_leaf=_none)
+
+    def single(state: Any, values: jax.Array, moved: Any, shifts: jax.Array) -> tuple[Any, Any]:
+        now, way, _ = _as(driven, names, values).advance(state, command)
+
+        def landed(driven: DrivenPlant, state: Any, values: jax.Array, command: jax.Array) -> Any:
+            return _as(driven, names, values).land(state, command, way)
+
+        return now, push(landed, (driven, state, values, command), (drivens, moved, shifts, along[2]))
+
+    return jax.vmap(single)(states, unknown, *along[:2])
+
+
+def _none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def _base(name: str, known: Mapping[str, Any]) -> str:
+    return name if name in known else name.rpartition("_")[0]
+
+
+def _deviation(away: jax.Array) -> jax.Array:
+    return jnp.sqrt(jnp.sum(away**2, axis=0) / (away.shape[0] - 1))
+
+
+def _spread(values: jax.Array, axis: int) -> jax.Array:
+    return jnp.std(values, axis=axis, ddof=1)
