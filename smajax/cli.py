@@ -67,6 +67,13 @@ class Kind(StrEnum):
     antagonistic_rotary = "antagonistic-rotary"
     testing_machine = "testing-machine"
     path = "path"
+    coil_dead_weight = "coil-dead-weight"
+    coil_bias_spring = "coil-bias-spring"
+    coil_antagonistic = "coil-antagonistic"
+    hip = "hip"
+    elbow = "elbow"
+    wrist = "wrist"
+    glove_finger = "glove-finger"
 
 
 class Datasets(StrEnum):
@@ -208,6 +215,30 @@ def tune(
     _finish(outcome, "tune.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+@app.command()
+def sweep(
+    sweep_file: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="The sweep; or sweep.parquet of an earlier one, to repeat it.")],
+    out: Out,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="tcp://...", help="A Dask scheduler that shares the work; 'local' starts one here.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the chunks of a run that ended early.")] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Simulate many designs of a rig at once: which are best, what they cost, what matters; refine the best by gradients."""
+    with _progress(quiet) as progress:
+        from smajax.jobs.sweep import SweepJob, run_sweep
+        from smajax.report.sweep import text
+
+        outcome = run_sweep(SweepJob(sweep_file, out, scheduler, resume), progress, _argv())
+    if outcome.code == 130:
+        typer.echo(f"smajax: {outcome.reason}", err=True)
+        raise typer.Exit(outcome.code)
+    _finish(outcome, "sweep.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
+
+
 class StartModel(StrEnum):
     """The laws that thermal cycles can start."""
 
@@ -265,13 +296,14 @@ def init(
     """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
     from smajax.example import write_example
 
-    rig, example, recording, controller = write_example(kind.value, out)
+    rig, example, recording, more = write_example(kind.value, out)
     typer.echo(
         f"Wrote {rig}, to be filled in with your own wire, and {recording} with its rig {example}, to try things on.\n"
         f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
     )
-    if controller is not None:
-        typer.echo(f"      smajax tune {example} {controller} --out {out / 'tuned'}")
+    for path in more:
+        rest = f"tune {example} {path} --out {out / 'tuned'}" if path.name == "controller.toml" else f"sweep {path} --out {out / 'swept'}"
+        typer.echo(f"      smajax {rest}")
 
 
 @app.command()

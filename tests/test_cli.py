@@ -22,10 +22,15 @@ from smajax.parameter_file import read_header, read_parameters
 from smajax.recording import Recording
 from smajax.rig import read_rig
 from smajax.simulate import simulate
+from smajax.sweep_file import read_sweep
 from tests.conftest import ROOT
 from tests.test_report import SCHEMA, violations
 
-KINDS = ("dead-weight", "bias-spring", "antagonistic-rotary", "testing-machine", "path")
+LIMBS = ("elbow", "wrist", "glove-finger")
+COILS = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
+STEERED = ("dead-weight", "bias-spring", "antagonistic-rotary", *COILS, *LIMBS)
+SWEPT = ("dead-weight", "bias-spring", "antagonistic-rotary", "elbow")
+KINDS = (*STEERED, "testing-machine", "path")
 FREE = ["heat.h0", "material.max_strain"]
 
 
@@ -333,8 +338,11 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     result = smajax("init", kind, "--out", tmp_path / "mine")
     assert result.exit_code == 0, result.output
     there = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
-    steered = kind in ("dead-weight", "bias-spring", "antagonistic-rotary")
-    assert set(there) == {"rig.toml", "example.toml", "example.csv"} | ({"controller.toml"} if steered else set())
+    steered = kind in STEERED
+    more = ({"controller.toml"} if steered else set()) | ({"sweep.toml"} if kind in SWEPT else set())
+    assert set(there) == {"rig.toml", "example.toml", "example.csv"} | more
+    if kind in SWEPT:
+        assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
     if steered:
         read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
         assert "smajax tune" in result.output

@@ -1,0 +1,228 @@
+"""A sweep of 100,000 antagonistic rotary actuators, ten seconds of motion each: throughput, memory, and what gradients add.
+
+The same designs go through the sweep as the command runs it (chunks, tables on the disk) and through a loop compiled by numba that shares
+designs among the same cores, in turn, chunk by chunk, so that whatever else the machine does falls on both. The loop takes as many parts
+of a step as it needs to be as exact as the sweep; its own limit with 64 parts is the truth. Beside them, the same loop in plain Python,
+and one simulation after the other. Then: memory and cost against the number of designs, and the best of all samples against a refined one.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numba
+import numpy as np
+from _common import ROOT, Row, arguments, exponent, finish, say
+
+from smajax import parameters
+from smajax.console import cores
+from smajax.sweep import chunks, refine
+from smajax.sweep.chunks import columns_of
+from smajax.sweep.table import write_table
+from smajax.sweep_file import read_sweep
+from tests.reference import fast_loop
+
+SWEEP = """
+[sweep]
+rig = "{rig}"
+designs = {count}
+metrics = ["stroke", "peak_temperature"]
+sensitivity = false
+[parameters]
+wire.diameter = ["0.15 mm", "0.3 mm"]
+wire.length = ["300 mm", "600 mm"]
+wire.prestrain = ["1 %", "3 %"]
+pulley.radius = ["10 mm", "30 mm"]
+input.amplitude = {{ from = "0.5 A", to = "2 A", scale = "log" }}
+[input]
+wave = "square"
+amplitude = "1 A"
+frequency = "1 Hz"
+cycles = 10
+[objectives]
+stroke = "max"
+[constraints]
+peak_temperature = {{ at_most = "110 degC" }}
+"""
+SECONDS, SAMPLE, COLD = 10.0, 0.01, 110.0
+CHECKED = 256
+# Runs the reference loop without numba: a fresh interpreter, since numba reads this at its import.
+PLAIN = """
+import json, sys, time
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+from tests.reference import fast_loop
+rows, grid, current, parts = json.load(sys.stdin)
+began = time.perf_counter()
+for row in rows:
+    fast_loop.rotary(fast_loop.Design(*row), np.array(grid), np.array(current), substeps=parts)
+print((time.perf_counter() - began) / len(rows))
+"""
+
+
+def main() -> None:
+    args = arguments(__doc__ or "")
+    numba.set_num_threads(min(cores(), numba.config.NUMBA_NUM_THREADS))
+    count = 2_048 if args.quick else 100_000
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "sweep.toml").write_text(SWEEP.format(rig=ROOT / "data" / "recordings" / "rotary" / "rig.toml", count=count), "utf-8")
+        sweep = read_sweep(folder / "sweep.toml")
+        rows = study_rows(sweep, folder, count, args.quick)
+    finish("sweep_throughput", rows, args, designs=count, backend=jax.default_backend(), cores=cores())
+
+
+def study_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
+    study, designs = sweep.study(), sweep.designs()
+    parts = chunks.split(study, designs, sweep.chunk)
+    loop = Loop(sweep)
+    say("compiling")
+    began = time.perf_counter()
+    checked = designs[:CHECKED]
+    found = chunks.evaluate(study, checked, parts[0].steps, workers=chunks.threads(), new=True)
+    compiling = time.perf_counter() - began
+    truth = loop.strokes(checked, 64)
+    error = np.sqrt(np.mean((found["stroke"] - truth) ** 2))
+    substeps, theirs = next(
+        (n, e) for n in (1, 2, 4, 8, 16, 32, 48) if (e := np.sqrt(np.mean((loop.strokes(checked, n) - truth) ** 2))) <= error or n == 48
+    )
+    seconds = {"ours": 0.0, "loop": 0.0}
+    marks, best, memory = [], (-np.inf, None), []
+    for k, part in enumerate(parts):
+        began = time.perf_counter()
+        columns = chunks.evaluate(study, part.designs, part.steps, workers=chunks.threads())
+        write_table(folder / part.file, columns_of(part, study.names, columns))
+        middle = time.perf_counter()
+        loop.strokes(part.designs, substeps)
+        seconds["loop"] += time.perf_counter() - middle
+        seconds["ours"] += middle - began
+        marks.append(seconds["ours"])
+        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+        fine = np.flatnonzero(columns["peak_temperature"] <= COLD)
+        if len(fine) and columns["stroke"][fine].max() > best[0]:
+            top = fine[np.argmax(columns["stroke"][fine])]
+            best = (columns["stroke"][top], part.designs[top])
+        if k % 10 == 0:
+            say(f"{k + 1} of {len(parts)} chunks")
+    each = {n: 1e3 * s / count for n, s in seconds.items()}
+    ratio = seconds["loop"] / seconds["ours"]
+    text = f"{ratio:.2f}x ({each['ours']:.3f} ms a design, {count / seconds['ours']:,.0f} a second, against {each['loop']:.3f} ms)"
+    rows = [
+        Row("designs simulated, ten seconds of motion each", "-", f"{count:,} on {cores()} cores ({jax.default_backend()})", None),
+        Row("throughput against a compiled loop that is as exact, the same cores", ">= 1x", text, ratio >= 1.0, each),
+        Row(
+            "how exact: RMS error of the stroke", "no more than the loop's",
+            f"{np.degrees(error):.4f} deg, the loop's {np.degrees(theirs):.4f} deg with {substeps} parts of {1e3 * SAMPLE:.0f} ms",
+            bool(error <= theirs * 1.001), {"sweep_deg": float(np.degrees(error)), "loop_deg": float(np.degrees(theirs))},
+        ),
+        Row("compiling, once", "-", f"{compiling:.1f} s", None, {"seconds": compiling}),
+    ]  # fmt: skip
+    rows += loops(loop, sweep, each["ours"], substeps, quick)
+    sizes = np.cumsum([len(part.rows) for part in parts])
+    first = max(1, len(parts) // 16)
+    slope = exponent(sizes[first - 1 :], marks[first - 1 :]) if len(parts) > 1 else float("nan")
+    rows.append(Row("growth of cost with the number of designs", "exponent <= 1.05", f"{slope:.3f}", slope <= 1.05, {"exponent": slope}))
+    grown = memory[-1] - memory[0]
+    text = f"{memory[-1]:,.0f} MB at most, {grown:,.0f} MB of it after the first {len(parts[0].rows):,} designs"
+    rows.append(
+        Row("memory of the process, numba's loop included", "bounded", text, grown < 300.0, {"peak_mb": memory[-1], "grown_mb": grown})
+    )
+    return [*rows, refinement(sweep, parts, best, count)]
+
+
+class Loop:
+    """The same designs through the loop compiled by numba."""
+
+    def __init__(self, sweep):
+        self.plant = sweep.subject.rig.plant
+        self.names = [axis.name for axis in sweep.axes]
+        self.time = np.arange(round(SECONDS / SAMPLE) + 1) * SAMPLE
+        on = (self.time + 1e-9) % 1.0 < 0.5
+        self.current = np.column_stack([on, ~on]).astype(float)
+
+    def rows(self, designs: np.ndarray) -> np.ndarray:
+        """A row of ``fast_loop.Design`` for each; the amplitude goes into the resistivities, as heat is resistivity times its square."""
+        own = {n: designs[:, k] for k, n in enumerate(self.names)}
+        columns = []
+        for field in fast_loop.Design._fields:
+            name = next((n for n in own if n.endswith("." + field)), None)
+            if name is not None:
+                columns.append(own[name])
+                continue
+            value = np.full(len(designs), self._of(field))
+            columns.append(value * own["input.amplitude"] ** 2 if field.startswith("resistivity") else value)
+        return np.column_stack(columns)
+
+    def _of(self, field: str) -> float:
+        aliases = {"capacity": "heat.capacity", "thermal_expansion": "material.thermal_expansion"}
+        known = parameters.declared(self.plant)
+        for name in (aliases.get(field, ""), *(f"{section}.{field}" for section in ("material", "heat", "wire", "environment", "pulley"))):
+            if name in known:
+                return float(parameters.get(self.plant, name))
+        return 0.0
+
+    def strokes(self, designs: np.ndarray, substeps: int) -> np.ndarray:
+        """Largest less smallest angle of the last second."""
+        return np.ptp(fast_loop.rotary_batch(self.rows(designs), self.time, self.current, substeps=substeps)[:, -101:], axis=1)
+
+
+def loops(loop: Loop, sweep, ours: float, substeps: int, quick: bool) -> list[Row]:
+    """The same loop interpreted, and one simulation by the sweep's program after the other."""
+    designs = sweep.designs()[: 1 if quick else 4]
+    told = json.dumps([loop.rows(designs).tolist(), loop.time.tolist(), loop.current.tolist(), substeps])
+    plain = subprocess.run(
+        [sys.executable, "-c", PLAIN, str(ROOT)],
+        input=told,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+    )
+    each = 1e3 * float(plain.stdout)
+    study = sweep.study()
+    steps = int(study.steps(designs).max())
+    one = jax.jit(lambda design: study.evaluate(design, steps)[0]["stroke"])
+    one(jnp.asarray(designs[0])).block_until_ready()
+    began = time.perf_counter()
+    for k in range(16):
+        one(jnp.asarray(designs[k % len(designs)])).block_until_ready()
+    alone = 1e3 * (time.perf_counter() - began) / 16
+    return [
+        Row("against that loop in plain Python", "-", f"{each / ours:,.0f}x ({each:,.0f} ms a design)", None, {"ms": each}),
+        Row("against one simulation after the other", "-", f"{alone / ours:.1f}x ({alone:.2f} ms a design)", None, {"ms": alone}),
+    ]
+
+
+def refinement(sweep, parts, best, count: int) -> Row:
+    """From the best few of the first 256 designs by gradients, against the best of all."""
+    study = sweep.study()
+    few = sweep.designs()[:CHECKED]
+    steps = int(max(part.steps for part in parts))
+    found = chunks.evaluate(study, few, steps, workers=chunks.threads())
+    fine = np.flatnonzero(found["peak_temperature"] <= COLD)
+    shares = np.column_stack([axis.share(few[:, k]) for k, axis in enumerate(sweep.axes)])
+    order = fine[np.argsort(-found["stroke"][fine])]
+    refined = []
+    for row in refine.starts(shares, order, 3):
+        say(f"refining design {row}")
+        refined.append(refine.refine(study, sweep.axes, few[row], steps, ("stroke", "max"), {"peak_temperature": (-np.inf, COLD)}))
+    top = max(refined, key=lambda one: one.metrics["stroke"])
+    spent = CHECKED + sum(one.simulations for one in refined)
+    text = f"{np.degrees(top.metrics['stroke']):.2f} deg in {spent:,} simulations, "
+    text += f"the best of {count:,} samples {np.degrees(best[0]):.2f} deg; "
+    text += ", ".join(f"{axis.name} {value:.4g}" for axis, value in zip(sweep.axes, top.design, strict=True))
+    return Row(
+        "largest stroke below 110 degC: refined from 256 designs", f"better than the best of {count:,}", text,
+        bool(top.metrics["stroke"] > best[0]), {"refined_rad": top.metrics["stroke"], "best_rad": float(best[0]), "simulations": spent},
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

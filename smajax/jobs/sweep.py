@@ -1,0 +1,266 @@
+"""The job of ``smajax sweep``: many designs of a rig simulated in chunks, the best of them, what matters, and the best refined.
+
+While it runs, its chunks lie in ``DIR.partial`` beside the result folder: a run that ends early, for whatever reason, leaves them there,
+and ``--resume`` goes on from them. What a partial folder belongs to is written in its ``sweep.json``.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from smajax import __version__
+from smajax.console import INTERRUPTED, Progress, stopping
+from smajax.errors import InputError
+from smajax.jobs.record import Clock, Outcome, run_record
+from smajax.recording import Floats
+from smajax.report.document import number, to_json
+from smajax.report.sweep import SCHEMA, sentences, sweep_page
+from smajax.results import check_out, write_folder
+from smajax.sweep import cluster
+from smajax.sweep.chunks import Chunk, gather, here, run_chunks, slope_name, split
+from smajax.sweep.front import cheapest, feasible, pareto
+from smajax.sweep.refine import Refined, refine, starts
+from smajax.sweep.sensitivity import indices
+from smajax.sweep.space import pick_and_freeze
+from smajax.sweep.study import INPUT, AbstractStudy
+from smajax.sweep.table import write_table
+from smajax.sweep_file import SweepFile, read_sweep
+from smajax.toml_file import write_text
+
+_FRONT_SHOWN = 200
+_PARTIAL = "smajax.sweep-partial/1"
+
+
+class SweepJob(NamedTuple):
+    """What to sweep; ``scheduler`` is a Dask scheduler's address, ``local`` for one of this machine, ``None`` for this process alone."""
+
+    sweep: Path
+    out: Path
+    scheduler: str | None = None
+    resume: bool = False
+
+
+def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome:
+    """Reads, simulates chunk by chunk, and writes the folder. Raises InputError for what cannot be read, written or reached.
+
+    Exit code 3 if every simulation failed or no design keeps the constraints (with the nearest), 130 if interrupted; both keep what is
+    there.
+    """
+    out, clock = check_out(job.out), Clock()
+    progress.phase("reading")
+    with clock.time("read"):
+        given = read_sweep(job.sweep)
+        header = given.header()
+        partial = _partial(out, header, resume=job.resume)
+    study = given.study()
+    progress.phase("drawing designs")
+    with clock.time("draw"):
+        designs = given.designs()
+        base = given.base()
+        beside = pick_and_freeze(given.axes, base, given.seed) if base else np.zeros((0, len(given.axes)))
+        chunks = split(study, np.concatenate([designs, beside]), given.chunk)
+    progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
+    with clock.time("simulate"), stopping(progress) as asked:
+        complete = _simulate(given, study, header, chunks, partial, job.scheduler, progress, lambda: asked.requested)
+    if not complete:
+        have = sum((partial / chunk.file).is_file() for chunk in chunks)
+        told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
+        return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
+    progress.phase("looking for the best")
+    columns = gather(chunks, partial)
+    both = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, len(designs)), slice(len(designs), None))]
+    main, apart = ({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in both)
+    with clock.time("refine"):
+        document, refined = _document(given, study, main, apart, progress)
+    reason = "; ".join(document["problems"])
+    code = 3 if reason else 0
+    run = run_record("sweep", given.subject, argv, clock, given.seed, code) | {"sweep": given.name, "header": _digest(header)}
+    units = {axis.name: axis.unit for axis in given.axes} | study.units
+    units |= {slope_name(n, axis.name): f"{study.units[n]}/({axis.unit})" for n in study.units for axis in given.axes}
+
+    def fill(folder: Path) -> None:
+        (folder / "sweep.toml").write_text(given.text, "utf-8", newline="")
+        (folder / "rig.toml").write_text(given.subject.to_toml(), "utf-8")
+        write_table(folder / "sweep.parquet", main, header, {n: u for n, u in units.items() if n in main})
+        if base:
+            write_table(folder / "sensitivity.parquet", apart, header, {n: u for n, u in units.items() if n in apart})
+        for k, one in enumerate(refined):
+            if one.better:
+                values = {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True) if not a.name.startswith(INPUT)}
+                (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
+        (folder / "sweep.json").write_text(to_json(document), "utf-8")
+        (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
+
+    progress.phase("writing the report")
+    write_folder(out, run, fill)
+    shutil.rmtree(partial, ignore_errors=True)
+    return Outcome(out, document, code, reason)
+
+
+def _simulate(
+    given: SweepFile, study: AbstractStudy, header: Mapping[str, Any], chunks: Sequence[Chunk], partial: Path, scheduler: str | None,
+    progress: Progress, stop: Any,
+) -> bool:  # fmt: skip
+    def done(count: int) -> None:
+        progress.step(f"{count} of {len(chunks)} chunks")
+
+    names = study.names
+    if scheduler is None:
+        return run_chunks(chunks, names, partial, here(study, given.gradients), done, stop)
+    with cluster.connected(scheduler) as client:
+        return run_chunks(chunks, names, partial, cluster.across(client, header, given.gradients), done, stop)
+
+
+def _digest(header: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(header, sort_keys=True).encode()).hexdigest()
+
+
+def _partial(out: Path, header: Mapping[str, Any], *, resume: bool) -> Path:
+    """The folder of chunks, made if it is not there. InputError if there is one and it may not be gone on with."""
+    folder = out.with_name(out.name + ".partial")
+    own, wanted = folder / "sweep.json", {"schema": _PARTIAL, "header": _digest(header)}
+    if folder.is_dir() and own.is_file():
+        try:
+            held = json.loads(own.read_text("utf-8"))
+        except (OSError, ValueError):
+            held = None
+        count = len(list(folder.glob("chunk-*.parquet")))
+        if not resume and count:
+            raise InputError(f"{folder}: {count} chunks of an earlier run are there: add --resume to go on, or remove the folder")
+        if held != wanted and count:
+            raise InputError(
+                f"{folder}: its {count} chunks are of another sweep (file, rig, input or version changed): remove it, or undo that"
+            )
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: smajax keeps its chunks there and did not make it: remove it, or name another --out")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: the folder cannot be made ({error.strerror or error}): name another --out") from None
+    write_text(own, json.dumps(wanted) + "\n")
+    return folder
+
+
+def _document(
+    given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray], apart: Mapping[str, np.ndarray], progress: Progress
+) -> tuple[dict[str, Any], list[Refined]]:
+    codes, counts = np.unique(main["code"], return_counts=True)
+    kept = feasible(main, given.constraints)
+    costs = cheapest(main, given.objectives) if given.objectives else np.zeros((len(kept), 0))
+    front = np.flatnonzero(kept)[pareto(costs[kept])] if given.objectives and kept.any() else np.zeros(0, int)
+    refined = _refined(given, study, main, kept, costs, front, progress)
+    problems = []
+    if not np.any(main["code"] == "done"):
+        problems.append(f"none of the {len(kept):,} designs could be simulated: {', '.join(codes)}")
+    elif given.constraints and not kept.any():
+        problems.append(_nearest(given, study, main))
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "sweep": given.name,
+        "rig": given.subject.name,
+        "sampling": given.sampling,
+        "designs": len(kept),
+        "codes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
+        "feasible": int(kept.sum()),
+        "parameters": {
+            a.name: {"unit": a.unit, "from": a.lower, "to": a.upper, "scale": "log" if a.log else "even", "values": list(a.values)}
+            for a in given.axes
+        },
+        "metrics": {n: {"unit": unit, **_span(main[n])} for n, unit in study.units.items()},
+        "objectives": dict(given.objectives),
+        "constraints": {n: {"at_least": number(low), "at_most": number(high)} for n, (low, high) in given.constraints.items()},
+        "front": [_row(given, study, main, k) for k in front[:: max(1, -(-len(front) // _FRONT_SHOWN))]],
+        "on_front": len(front),
+        "sensitivity": _sensitivity(given, study, apart),
+        "refined": [_refined_entry(given, one) for one in refined],
+        "problems": problems,
+        "seed": given.seed,
+        "smajax": __version__,
+    }
+    return document | {"summary": sentences(document)}, refined
+
+
+def _span(values: np.ndarray) -> dict[str, Any]:
+    good = values[np.isfinite(values)]
+    return {"lowest": number(good.min()), "highest": number(good.max())} if len(good) else {"lowest": None, "highest": None}
+
+
+def _row(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray], k: int) -> dict[str, Any]:
+    values = {a.name: float(main[a.name][k]) for a in given.axes}
+    return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: number(float(main[n][k])) for n in study.units}}
+
+
+def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray]) -> str:
+    """What to say if no design keeps the constraints: which one comes nearest, and where it is still beyond."""
+    miss = np.zeros(len(main["code"]))
+    for name, (low, high) in given.constraints.items():
+        size = max(abs(end) for end in (low, high) if np.isfinite(end)) or 1.0
+        over = np.maximum(np.maximum(low - main[name], main[name] - high), 0.0) / size
+        miss += np.where(np.isfinite(over), over, 1e6)
+    k = int(np.argmin(miss))
+    told = []
+    for name, (low, high) in given.constraints.items():
+        if not low <= main[name][k] <= high:
+            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} (allowed: {low:.4g} to {high:.4g})")
+    return f"none of the {len(miss):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has {', '.join(told)}"
+
+
+def _sensitivity(given: SweepFile, study: AbstractStudy, apart: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    if not len(apart["design"]):
+        return {}
+    found = {}
+    for name in study.units:
+        told = indices(apart[name], study.names, given.seed)
+        found[name] = {axis: {key: _plain(value) for key, value in index._asdict().items()} for axis, index in told.items()}
+    return found
+
+
+def _plain(value: float | tuple[float, float]) -> Any:
+    return [number(v) for v in value] if isinstance(value, tuple) else number(value)
+
+
+def _refined(
+    given: SweepFile,
+    study: AbstractStudy,
+    main: Mapping[str, np.ndarray],
+    kept: np.ndarray,
+    costs: Floats,
+    front: np.ndarray,
+    progress: Progress,
+) -> list[Refined]:
+    """The best designs, refined: in the first objective, no other objective getting worse than it is there."""
+    if not given.refined or not kept.any() or all(axis.values for axis in given.axes):
+        return []
+    designs = np.column_stack([main[a.name] for a in given.axes])
+    moving = [k for k, a in enumerate(given.axes) if not a.values]
+    shares = np.column_stack([given.axes[k].share(designs[:, k]) for k in moving])
+    pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
+    order = pool[np.argsort(costs[pool, 0], kind="stable")]
+    (name, way), *others = given.objectives.items()
+    rows = starts(shares, order, given.refined)
+    steps = int(study.steps(designs[rows]).max())
+    found = []
+    for k, row in enumerate(rows):
+        progress.phase(f"refining design {int(main['design'][row])} ({k + 1} of {len(rows)})")
+        limits = dict(given.constraints)
+        for other, direction in others:
+            low, high = limits.get(other, (-np.inf, np.inf))
+            value = float(main[other][row])
+            limits[other] = (max(low, value), high) if direction == "max" else (low, min(high, value))
+        found.append(refine(study, given.axes, designs[row], steps, (name, way), limits))
+    return found
+
+
+def _refined_entry(given: SweepFile, one: Refined) -> dict[str, Any]:
+    return {
+        "parameters": {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True)},
+        "before": {n: number(v) for n, v in one.before.items()},
+        "metrics": {n: number(v) for n, v in one.metrics.items()},
+        "simulations": one.simulations,
+        "better": one.better,
+    }

@@ -1,0 +1,145 @@
+"""What ``smajax sweep`` prints and shows: the best designs, what they cost, what matters, and the refined ones."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from smajax.report import html, plots, sweep_plots
+from smajax.report.summary import table
+from smajax.rig_schema import display_unit
+from smajax.sweep.front import cheapest, feasible, pareto
+from smajax.units import from_si
+
+SCHEMA = "smajax.sweep/1"
+_ROWS = 8
+# Units that have no larger or smaller one which users would rather see.
+_AS_THEY_ARE = ("1", "J", "Hz", "s", "degC", "K")
+
+
+def shown_unit(unit: str) -> str:
+    """The unit in which an axis or a metric is shown."""
+    return unit if unit in _AS_THEY_ARE else "deg" if unit == "rad" else display_unit(unit)
+
+
+def shown(value: float | None, unit: str) -> str:
+    """A value in its shown unit, with it; ``-`` where there is none."""
+    if value is None:
+        return "-"
+    number = float(from_si(float(value), shown_unit(unit), unit)) if shown_unit(unit) != unit else value
+    return f"{number:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
+
+
+def sentences(doc: Mapping[str, Any]) -> str:
+    """What came of it, in words."""
+    told = f"{doc['designs']:,} designs of {doc['rig']}"
+    failed = {code: n for code, n in doc["codes"].items() if code != "done"}
+    told += f", of which {sum(failed.values()):,} could not be simulated ({', '.join(failed)})" if failed else ""
+    if doc["constraints"]:
+        told += f"; {doc['feasible']:,} keep all constraints"
+    if doc["objectives"] and doc["front"]:
+        name, way = next(iter(doc["objectives"].items()))
+        pick = max if way == "max" else min
+        best = pick((row for row in doc["front"]), key=lambda row: row["metrics"][name])
+        unit = doc["metrics"][name]["unit"]
+        told += f". The {'largest' if way == 'max' else 'smallest'} {name} of these is {shown(best['metrics'][name], unit)}"
+        told += f", with design {best['design']}"
+        told += f"; {doc['on_front']:,} designs are beaten by no other" if len(doc["objectives"]) > 1 else ""
+        better = [one for one in doc["refined"] if one["better"]]
+        if better:
+            top = pick(better, key=lambda one: one["metrics"][name])
+            count = sum(one["simulations"] for one in doc["refined"])
+            told += f". Refined along its gradients it is {shown(top['metrics'][name], unit)}, in {count:,} simulations"
+    told += "."
+    return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
+
+
+def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
+    return ("", *doc["parameters"], *doc["metrics"])
+
+
+def _rows(doc: Mapping[str, Any], entries: Sequence[tuple[str, Mapping[str, Any]]]) -> list[tuple[str, ...]]:
+    return [
+        (
+            label,
+            *(shown(row["parameters"][n], p["unit"]) for n, p in doc["parameters"].items()),
+            *(shown(row["metrics"][n], m["unit"]) for n, m in doc["metrics"].items()),
+        )
+        for label, row in entries
+    ]
+
+
+def best_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Some of the best designs, evenly over the front, then the refined ones."""
+    front = sorted(doc["front"], key=lambda row: row["metrics"][next(iter(doc["objectives"]))])
+    picked = [front[k] for k in np.unique(np.linspace(0, len(front) - 1, _ROWS).astype(int))] if front else []
+    entries = [(f"design {row['design']}", row) for row in picked]
+    return _rows(doc, entries + [(f"refined {k}", one) for k, one in enumerate(doc["refined"], 1) if one["better"]])
+
+
+def _best(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The best designs, a column for each, since there are more parameters and metrics than a line has room for."""
+    rows = best_rows(doc)
+    return list(zip(_head(doc), *rows, strict=True)) if rows else []
+
+
+def text(doc: Mapping[str, Any], folder: str) -> str:
+    """What the command prints."""
+    lines = []
+    if turned := _best(doc):
+        lines += [*table(turned, right=tuple(range(1, len(turned[0])))), ""]
+    return "\n".join([*lines, doc["summary"], f"Table, report and refined rigs in {folder}"])
+
+
+def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: Mapping[str, Any], rig: str) -> str:
+    """The page: ``doc`` is sweep.json, ``columns`` the table's by name, ``run`` run.json, ``rig`` the rig's text."""
+    pictures: list[plots.Picture] = []
+    bad = ' bad"' if doc["problems"] else '"'
+    sections = [f'<div class="verdict{bad}><p>{html.escape(doc["summary"])}</p></div>']
+    limits = {n: (_end(e["at_least"], -np.inf), _end(e["at_most"], np.inf)) for n, e in doc["constraints"].items()}
+    kept = feasible(columns, limits)
+    front = np.zeros(0, int)
+    if doc["objectives"] and kept.any():
+        front = np.flatnonzero(kept)[pareto(cheapest(columns, doc["objectives"])[kept])]
+    units = {n: e["unit"] for n, e in (doc["parameters"] | doc["metrics"]).items()}
+    if turned := _best(doc):
+        sections += ["<h2>The best designs</h2>", html.table(turned[0], turned[1:], numbers=tuple(range(1, len(turned[0]))))]
+    pair = list(dict.fromkeys([*doc["objectives"], *doc["constraints"], *doc["metrics"]]))[:2]
+    if len(pair) == 2:
+        axes = [(n, units[n], shown_unit(units[n])) for n in pair]
+        sections.append(html.draw(sweep_plots.trade_picture(columns, kept, axes, front, doc["refined"]), pictures))
+    across = [(n, units[n], shown_unit(units[n]), doc["parameters"].get(n, {}).get("scale") == "log") for n in units]
+    sections.append(html.draw(sweep_plots.parallel_picture(columns, kept, across, front), pictures))
+    if any(doc["sensitivity"].values()):
+        sections.append("<h2>What matters</h2>")
+        sections.append(html.draw(sweep_plots.sensitivity_picture(doc["sensitivity"]), pictures))
+        sections.append(html.table(("metric", "parameter", "alone", "95 %", "in all", "95 %"), _index_rows(doc), numbers=(2, 3, 4, 5)))
+    elif doc["sensitivity"]:
+        sections.append("<p>Sobol indices cannot be told: some of their designs could not be simulated, or nothing varies.</p>")
+    sections += ["<h2>Ranges</h2>", html.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
+    sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
+    return html.page(f"Sweep of {doc['rig']}", f"{doc['designs']:,} designs, sampled by {doc['sampling']}.", sections, pictures)
+
+
+def _end(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value
+
+
+def _index_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    rows = []
+    for metric, told in doc["sensitivity"].items():
+        for name, one in told.items():
+            cells = [_index(one[key]) for key in ("first", "first95", "total", "total95")]
+            rows.append((metric, name, *cells))
+    return rows
+
+
+def _index(value: Any) -> str:
+    if isinstance(value, list):
+        return " .. ".join("-" if v is None else f"{v:.2f}" for v in value)
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _range_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    rows = [(n, shown(e["from"], e["unit"]), shown(e["to"], e["unit"])) for n, e in doc["parameters"].items()]
+    return rows + [(n, shown(e["lowest"], e["unit"]), shown(e["highest"], e["unit"])) for n, e in doc["metrics"].items()]

@@ -1,0 +1,33 @@
+"""Which designs are best: the feasible ones that no other one beats in every objective."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from smajax.recording import Floats
+
+
+def feasible(columns: Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """Which designs keep all constraints (lower and upper end by metric), shape ``(m,)``; those without a number do not."""
+    kept = np.asarray(columns["code"]) == "done"
+    for name, (lower, upper) in constraints.items():
+        kept &= (columns[name] >= lower) & (columns[name] <= upper)
+    return kept
+
+
+def pareto(costs: Floats) -> np.ndarray:
+    """Rows of costs ``(m, k)``, smaller being better, that no other row dominates, in order; rows with a NaN never are."""
+    left = np.flatnonzero(np.all(np.isfinite(costs), axis=1))
+    left = left[np.lexsort(costs[left].T[::-1])]
+    found = []
+    while len(left):
+        # In lexical order the first one left is dominated by none of the rest.
+        first, rest = left[0], left[1:]
+        found.append(first)
+        left = rest[np.any(costs[rest] < costs[first], axis=1) | np.all(costs[rest] == costs[first], axis=1)]
+    return np.sort(np.asarray(found, int))
+
+
+def cheapest(columns: Mapping[str, np.ndarray], objectives: Mapping[str, str]) -> Floats:
+    """The costs ``(m, k)`` of objectives that are ``max`` or ``min``."""
+    return np.column_stack([columns[n] * (-1.0 if way == "max" else 1.0) for n, way in objectives.items()])

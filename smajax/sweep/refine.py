@@ -1,0 +1,123 @@
+"""The best designs of a sweep, made better along the metrics' gradients, within the space and the constraints.
+
+A design's place in the space is scaled to 0..1 an axis; metrics and their derivatives come from one simulation with its tangents, which
+counts as 1 + axes simulations; the search is SciPy's sequential quadratic programming (SLSQP).
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize
+
+from smajax.recording import Floats
+from smajax.sweep.space import Axis
+from smajax.sweep.study import AbstractStudy, differentiate_batch
+
+_INSIDE = 1e-6
+_STEPS = 60
+
+
+class Refined(NamedTuple):
+    """A refined design: its values, its metrics, those it started from, and the simulations that it took. ``better`` if it is."""
+
+    design: Floats
+    metrics: dict[str, float]
+    before: dict[str, float]
+    simulations: int
+    better: bool
+
+
+def refine(
+    study: AbstractStudy,
+    axes: Sequence[Axis],
+    start: Floats,
+    steps: int,
+    objective: tuple[str, str],
+    limits: Mapping[str, tuple[float, float]],
+) -> Refined:
+    """Makes ``objective`` (metric, and ``max`` or ``min``) better from a design, shape ``(axes,)``, that keeps all ``limits``.
+
+    Axes of listed values are held. The best design that was met and keeps the limits is returned, so it is never worse than the start.
+    """
+    moving = [k for k, axis in enumerate(axes) if not axis.values]
+    name, sign = objective[0], -1.0 if objective[1] == "max" else 1.0
+    known: dict[bytes, tuple[dict[str, float], dict[str, Floats]]] = {}
+
+    def design_of(share: Floats) -> Floats:
+        design = np.array(start, dtype=np.float64)
+        for k, s in zip(moving, np.clip(share, 0.0, 1.0), strict=True):
+            design[k] = axes[k].at(np.asarray([s]))[0]
+        return design
+
+    def at(share: Floats) -> tuple[dict[str, float], dict[str, Floats]]:
+        key = np.asarray(share).tobytes()
+        if key not in known:
+            design = design_of(share)
+            found, slopes, _ = differentiate_batch(study, jnp.asarray(design)[None], steps)
+            per_share = np.array([_slope(axes[k], design[k]) for k in moving])
+            values = {n: float(found[n][0]) for n in study.units}
+            known[key] = values, {n: np.asarray(slopes[n][0])[moving] * per_share for n in study.units}
+        return known[key]
+
+    first = np.array([float(np.clip(axes[k].share(start[k]), 0.0, 1.0)) for k in moving])
+    before = dict(at(first)[0])
+    scales = {n: max(abs(v), 1e-300) for n, v in before.items()}
+    bounds = [(n, end, way) for n, ends in limits.items() for end, way in zip(ends, (1.0, -1.0), strict=True) if np.isfinite(end)]
+
+    def cost(share: Floats) -> tuple[float, Floats]:
+        values, slopes = at(share)
+        if not np.isfinite(values[name]) or not np.all(np.isfinite(slopes[name])):
+            return 1e6, np.zeros(len(moving))
+        return sign * values[name] / scales[name], sign * slopes[name] / scales[name]
+
+    def room(share: Floats) -> Floats:
+        values = at(share)[0]
+        left = np.array([way * (values[n] - end) / _scale(end, scales[n]) - _INSIDE for n, end, way in bounds])
+        return np.where(np.isfinite(left), left, -1e3)
+
+    def room_slope(share: Floats) -> Floats:
+        slopes = at(share)[1]
+        rows = np.array([way * slopes[n] / _scale(end, scales[n]) for n, end, way in bounds])
+        return np.where(np.isfinite(rows), rows, 0.0)
+
+    kept = [{"type": "ineq", "fun": room, "jac": room_slope}] if bounds else []
+    minimize(
+        cost,
+        first,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * len(moving),
+        constraints=kept,
+        options={"maxiter": _STEPS, "ftol": 1e-8},
+    )
+    good = {
+        key: sign * values[name]
+        for key, (values, _) in known.items()
+        if np.isfinite(values[name]) and all(low <= values[n] <= high for n, (low, high) in limits.items())
+    }
+    best = min(good, key=lambda key: good[key]) if good else first.tobytes()
+    return Refined(
+        design_of(np.frombuffer(best)), known[best][0], before, len(known) * (1 + len(axes)), known[best][0] != before and bool(good)
+    )
+
+
+def starts(shares: Floats, order: Iterable[int], count: int, apart: float = 0.15) -> list[int]:
+    """Up to ``count`` rows of designs' shares ``(m, axes)``, taken in ``order``, no two of them nearer than ``apart`` on every axis."""
+    chosen: list[int] = []
+    for row in order:
+        if all(np.max(np.abs(shares[row] - shares[other])) >= apart for other in chosen):
+            chosen.append(int(row))
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _slope(axis: Axis, value: float) -> float:
+    """d value / d share."""
+    return value * float(np.log(axis.upper / axis.lower)) if axis.log else axis.upper - axis.lower
+
+
+def _scale(end: float, size: float) -> float:
+    return max(abs(end), 1e-3 * size)

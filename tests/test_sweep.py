@@ -1,0 +1,497 @@
+"""Sweeps: designs, metrics against the exact reference, derivatives, the command, and what is left when a run dies."""
+
+import json
+import os
+import pathlib
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import sobol_indices, uniform
+from typer.testing import CliRunner
+
+from smajax import machines, parameters
+from smajax.cli import app
+from smajax.console import Progress
+from smajax.errors import InputError
+from smajax.jobs.sweep import SweepJob, run_sweep
+from smajax.rig import read_rig
+from smajax.sweep import chunks, refine, space
+from smajax.sweep.front import pareto
+from smajax.sweep.metrics import bandwidth
+from smajax.sweep.sensitivity import indices
+from smajax.sweep.space import Axis
+from smajax.sweep.study import RigStudy, evaluate_batch, programs
+from smajax.sweep.table import read_table
+from smajax.sweep.wave import Wave, lay, span
+from smajax.sweep_file import read_sweep
+from tests.reference import rigs
+from tests.reference.brinson import Material
+from tests.reference.wire import Heat, Wire
+
+ROOT = pathlib.Path(__file__).parent.parent
+RIG = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
+AXES = ("wire.diameter", "load.mass", "input.amplitude")
+SWEEP = """
+[sweep]
+rig = "rig.toml"
+designs = 130
+chunk = 20
+metrics = ["stroke", "force", "peak_stress", "peak_temperature", "energy_per_cycle", "work_per_cycle", "efficiency", "time_to_cool"]
+[parameters]
+wire.diameter = ["0.14 mm", "0.2 mm"]
+load.mass = { from = "100 g", to = "300 g", scale = "log" }
+input.amplitude = ["0.2 A", "0.4 A"]
+[input]
+wave = "square"
+amplitude = "0.3 A"
+frequency = "0.5 Hz"
+cycles = 2
+[objectives]
+stroke = "max"
+energy_per_cycle = "min"
+[constraints]
+peak_temperature = { at_most = "120 degC" }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "rig.toml").write_text(RIG.read_text("utf-8"), "utf-8")
+    (tmp_path / "sweep.toml").write_text(SWEEP, "utf-8")
+    return tmp_path
+
+
+def run(folder, out="out", **options):
+    return run_sweep(SweepJob(folder / "sweep.toml", folder / out, **options), Progress(quiet=True), ["smajax"])
+
+
+def test_designs_lie_where_they_should():
+    axes = (Axis("a", "m", 1.0, 3.0), Axis("b", "m", 1e-3, 1.0, log=True), Axis("c", "1", 1.0, 5.0, values=(1.0, 5.0, 2.0)))
+    grid = space.draw(axes[:2], "grid", 0, 0)
+    assert grid.shape == (25, 2) and np.allclose(np.unique(grid[:, 1]), np.geomspace(1e-3, 1.0, 5))
+    assert np.array_equal(np.unique(space.draw(axes[2:], "grid", 0, 0)), [1.0, 2.0, 5.0])
+    for sampling in ("latin-hypercube", "sobol"):
+        found = space.draw(axes, sampling, 64, 3)
+        assert np.array_equal(found, space.draw(axes, sampling, 64, 3)) and not np.array_equal(found, space.draw(axes, sampling, 64, 4))
+        # Each of 64 equal parts of each axis holds one design.
+        for k, axis in enumerate(axes[:2]):
+            assert np.array_equal(np.sort((axis.share(found[:, k]) * 64).astype(int)), np.arange(64))
+        assert set(found[:, 2]) == {1.0, 5.0, 2.0}
+    share = np.linspace(0.0, 1.0, 7)
+    for axis in axes[:2]:
+        assert np.allclose(axis.share(axis.at(share)), share, atol=1e-14)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**31), st.integers(1, 60), st.integers(1, 3))
+def test_the_front_holds_what_nothing_dominates(seed, count, size):
+    costs = np.random.default_rng(seed).integers(0, 6, (count, size)).astype(float)
+    costs[np.random.default_rng(seed + 1).random(count) < 0.1] = np.nan
+    beaten = [any(np.all(b <= a) and np.any(b < a) for b in costs) or np.isnan(a).any() for a in costs]
+    assert np.array_equal(pareto(costs), np.flatnonzero(~np.array(beaten)))
+
+
+def test_sobol_indices_of_ishigamis_function():
+    axes = tuple(Axis(n, "1", -np.pi, np.pi) for n in "xyz")
+
+    def ishigami(x):
+        return np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
+
+    designs = space.pick_and_freeze(axes, 4096, 0)
+    found = indices(ishigami(designs.T), "xyz", 0)
+    assert np.allclose([found[n].first for n in "xyz"], [0.3139, 0.4424, 0.0], atol=0.01)
+    assert np.allclose([found[n].total for n in "xyz"], [0.5576, 0.4424, 0.2437], atol=0.01)
+    assert all(one.first95[0] <= one.first <= one.first95[1] and one.total95[0] <= one.total <= one.total95[1] for one in found.values())
+    theirs = sobol_indices(func=lambda x: ishigami(x)[None], n=4096, dists=[uniform(-np.pi, 2 * np.pi)] * 3, rng=np.random.default_rng(0))
+    assert np.allclose([found[n].total for n in "xyz"], theirs.total_order.ravel(), atol=0.01)
+    assert indices(np.ones(20), "xyz", 0) == {} and indices(np.append(np.ones(19), np.nan), "xyz", 0) == {}
+
+
+def test_bandwidth_is_where_the_stroke_has_fallen():
+    frequencies = jnp.geomspace(0.1, 10.0, 400)
+    low_pass = 1.0 / jnp.sqrt(1.0 + (frequencies / 2.0) ** 2)
+    wanted = 2.0 * np.sqrt(1.0 / (0.5 * float(low_pass[0]) ** 2) - 1.0)
+    assert float(bandwidth(frequencies, low_pass)) == pytest.approx(wanted, rel=1e-4)
+    assert np.isinf(float(bandwidth(frequencies, jnp.ones(400))))
+    assert np.isnan(float(bandwidth(frequencies, jnp.full(400, jnp.nan))))
+
+
+def test_waves_have_their_edges_on_the_grid():
+    wave = Wave("square", 2.0, 0.5, 0.3, 3)
+    inputs = lay(wave, 1, 40, {}, jnp.asarray(5.0))
+    time, before = np.asarray(inputs.time), np.asarray(inputs.before)[:, 0]
+    jumps = time[1:-1][np.diff(before) != 0.0]
+    assert np.allclose(jumps, [0.6, 2.0, 2.6, 4.0, 4.6, 6.0, 6.6])
+    where = span(wave, 1, 40, True)
+    assert np.allclose(time[where.cycle][[0, -1]], [4.0, 6.0]) and np.allclose(time[where.rest][[0, -1]], [6.6, 11.6])
+    both = lay(Wave("square", 1.0, 1.0, 0.25, 1), 2, 40, {"amplitude": jnp.asarray(3.0)})
+    middle = np.asarray(0.5 * (both.time[1:] + both.time[:-1]))
+    on = np.asarray(both.before) > 0.0
+    assert np.array_equal(on[:, 0], middle < 0.25) and np.array_equal(on[:, 1], (middle > 0.5) & (middle < 0.75))
+    assert float(both.before.max()) == 3.0
+    for shape in ("sine", "triangle"):
+        smooth = lay(Wave(shape, 1.0, 1.0, 0.5, 2), 2, 40, {})
+        assert np.allclose(np.asarray(smooth.after)[:-1], np.asarray(smooth.before)[1:], atol=1e-12)
+        assert np.allclose(np.asarray(smooth.after).max(axis=0), 1.0) and np.asarray(smooth.after).min() > -1e-12
+
+
+def test_as_few_programs_as_pay():
+    few = np.array([40, 50, 900])
+    assert np.array_equal(programs(few), [900, 900, 900])
+    many = np.concatenate([np.full(50_000, 40), np.full(10, 1000)])
+    given = programs(many)
+    assert np.all(given >= many) and set(given) == {40, 1000}
+
+
+def test_batches_fit_into_memory(folder):
+    study = read_sweep(folder / "sweep.toml").study()
+    assert chunks.batch_size(study, 40, False) == 64
+    long = chunks.batch_size(study, 10**6, False)
+    assert 1 <= long < 8 and long * 8 * study.numbers(10**6) <= chunks.MEMORY
+    assert chunks.batch_size(study, 10**4, True) < chunks.batch_size(study, 10**4, False)
+
+
+TWO = """
+import sys
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+import numpy as np
+from smajax.sweep import chunks
+from smajax.sweep_file import read_sweep
+sweep = read_sweep(sys.argv[1])
+designs = sweep.designs()[:64]
+found = chunks.evaluate(sweep.study(), designs, 40)
+assert jax.device_count() == 2 and len(chunks._spread(designs).sharding.device_set) == 2
+np.savez(sys.argv[2], **found)
+"""
+
+
+def test_two_devices_find_what_one_finds(folder):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "EQX_ON_ERROR": "off"}
+    call = [sys.executable, "-c", TWO, str(folder / "sweep.toml"), str(folder / "two.npz")]
+    done = subprocess.run(call, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    sweep, two = read_sweep(folder / "sweep.toml"), np.load(folder / "two.npz")
+    one = chunks.evaluate(sweep.study(), sweep.designs()[:64], 40)
+    assert all(np.array_equal(one[n], two[n]) if n == "code" else np.allclose(one[n], two[n], rtol=1e-12) for n in one)
+
+
+def test_metrics_agree_with_the_exact_reference(folder):
+    """Stroke, temperature, energy and work of the last cycle, and the time to cool, from a simulator that shares no code."""
+    sweep = read_sweep(folder / "sweep.toml")
+    study, designs = sweep.study(), sweep.designs()[:4]
+    found = chunks.evaluate(study, designs, 300)
+    plant = sweep.subject.rig.plant
+    law = Material(**{k: float(getattr(plant.material, k)) for k in Material._fields})
+    heat = Heat(
+        *(float(getattr(plant.heat, k)) for k in ("h0", "h1", "h2")),
+        2.0,
+        float(plant.heat.capacity_austenite),
+        float(plant.heat.capacity_martensite),
+        0.0,
+    )
+    for k, (diameter, mass, amplitude) in enumerate(designs):
+        # A sample every 10 ms: two cycles of 2 s, a heating of 1 s, a rest of 20 s.
+        time = np.arange(2501) * 0.01
+        current = amplitude * (((time % 2.0) < 1.0 - 1e-9) & (time < 5.0 - 1e-9))
+        wire = Wire(diameter, float(plant.wire.length), 0.0, float(plant.environment.ambient))
+        exact = rigs.dead_weight(law, heat, wire, mass, time, current, interpolation="hold")
+        cycle, rest = slice(200, 401), slice(500, None)
+        area = np.pi / 4 * diameter**2
+        assert found["stroke"][k] == pytest.approx(np.ptp(exact.position[cycle]), rel=2e-3, abs=2e-6)
+        assert found["peak_temperature"][k] == pytest.approx(exact.temperature.max(), abs=0.05)
+        assert found["force"][k] == pytest.approx(mass * 9.81, rel=1e-6) and found["peak_stress"][k] == pytest.approx(
+            mass * 9.81 / area, rel=1e-6
+        )
+        energy = np.sum((exact.resistance[:, 0] * current**2)[cycle][:-1]) * 0.01
+        assert found["energy_per_cycle"][k] == pytest.approx(energy, rel=3e-3)
+        lifted = np.sum(np.maximum(np.diff(exact.position[cycle]), 0.0)) * mass * 9.81
+        assert found["work_per_cycle"][k] == pytest.approx(lifted, rel=5e-3, abs=1e-6)
+        assert found["efficiency"][k] == pytest.approx(lifted / energy, rel=1e-2, abs=1e-6)
+        excess = exact.temperature[rest, 0] - 20.0
+        cooled = 0.01 * np.interp(-0.1 * excess[0], -excess, np.arange(len(excess)))
+        assert found["time_to_cool"][k] == pytest.approx(cooled, rel=5e-3)
+
+
+def test_derivatives_of_every_metric(folder):
+    sweep = read_sweep(folder / "sweep.toml")
+    study, designs, steps = sweep.study(), sweep.designs()[:16], 40
+    found = chunks.evaluate(study, designs, steps, gradients=True)
+    plain = chunks.evaluate(study, designs, steps)
+    for name in study.units:
+        assert np.allclose(found[name], plain[name], rtol=1e-9)
+    for k, axis in enumerate(study.names):
+        size = 1e-5 * designs[:, k]
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = designs.copy()
+            moved[:, k] += sign * size
+            ends.append(chunks.evaluate(study, moved, steps))
+        for name in study.units:
+            difference = (ends[0][name] - ends[1][name]) / (2.0 * size)
+            slope = found[chunks.slope_name(name, axis)]
+            scale = np.abs(plain[name] / designs[:, k])
+            # An extreme may move from one grid point to another between the two ends, where a metric has a kink.
+            assert np.mean(np.abs(slope - difference) <= 1e-4 * (np.abs(difference) + scale)) >= 0.9, (name, axis)
+
+
+def test_frequency_as_an_axis_and_a_recording_as_input(folder):
+    text = SWEEP.replace('input.amplitude = ["0.2 A", "0.4 A"]', 'input.frequency = ["0.2 Hz", "1 Hz"]').replace(
+        "cycles = 2", 'cycles = 2\nhighest = "4 Hz"'
+    )
+    text = text.replace('"time_to_cool"]', '"bandwidth"]').replace("designs = 130", "designs = 8")
+    (folder / "sweep.toml").write_text(text, "utf-8")
+    sweep = read_sweep(folder / "sweep.toml")
+    found = chunks.evaluate(sweep.study(), sweep.designs(), 40)
+    assert np.all(found["code"] == "done") and np.all(found["bandwidth"] > sweep.designs()[:, 2])
+    recorded = SWEEP[: SWEEP.index("[input]")].replace("input.amplitude", "drive.gain").replace('["0.2 A", "0.4 A"]', '["0.9", "1.1"]')
+    recorded = (
+        recorded.replace(', "time_to_cool"', "").replace("designs = 130", "designs = 8") + '[input]\nrecording = "in.csv"\ncycles = 2\n'
+    )
+    time = np.arange(400) * 0.01
+    rows = "\n".join(f"{t:.2f},{0.3 * ((t % 2.0) < 1.0 - 1e-9):.1f}" for t in time)
+    (folder / "rig.toml").write_text(RIG.read_text("utf-8").replace('interpolation = "linear"', 'interpolation = "hold"'), "utf-8")
+    (folder / "in.csv").write_text(f"time [s],current [A]\n{rows}\n", "utf-8")
+    (folder / "sweep.toml").write_text(recorded, "utf-8")
+    one = read_sweep(folder / "sweep.toml")
+    by_recording = chunks.evaluate(one.study(), one.designs(), 200)
+    wave = RigStudy(
+        ("wire.diameter", "load.mass", "input.amplitude"),
+        one.subject.rig.plant,
+        one.metrics,
+        Wave("square", 0.3, 0.5, 0.5, 2),
+        2,
+        "hold",
+        0.0,
+    )
+    by_wave, _ = evaluate_batch(wave, jnp.asarray(one.designs() * np.array([1.0, 1.0, 0.3])), 200)
+    # The recording ends one row before the cycle does.
+    assert np.allclose(by_recording["peak_temperature"], np.asarray(by_wave["peak_temperature"]), atol=1e-6)
+    assert np.allclose(by_recording["stroke"], np.asarray(by_wave["stroke"]), rtol=1e-2, atol=1e-6)
+
+
+def test_refined_designs_keep_their_limits_and_beat_the_samples(folder):
+    sweep = read_sweep(folder / "sweep.toml")
+    study, designs = sweep.study(), sweep.designs()
+    found = chunks.evaluate(study, designs, 40)
+    hot = found["peak_temperature"]
+    kept = np.flatnonzero((hot <= 120.0) & (found["energy_per_cycle"] <= 1.0))
+    best = kept[np.argmax(found["stroke"][kept])]
+    limits = {"peak_temperature": (-np.inf, 120.0), "energy_per_cycle": (-np.inf, 1.0)}
+    one = refine.refine(study, sweep.axes, designs[best], 40, ("stroke", "max"), limits)
+    assert one.better and one.metrics["stroke"] > 1.02 * one.before["stroke"]
+    again = chunks.evaluate(study, one.design[None], 40)
+    assert again["stroke"][0] == pytest.approx(one.metrics["stroke"], rel=1e-9)
+    assert again["peak_temperature"][0] <= 120.0 and again["energy_per_cycle"][0] <= 1.0
+    # 2,000 more designs do not have a better one.
+    more = space.draw(sweep.axes, "sobol", 2000, 5)
+    drawn = chunks.evaluate(study, more, 40)
+    fine = (drawn["peak_temperature"] <= 120.0) & (drawn["energy_per_cycle"] <= 1.0)
+    assert one.metrics["stroke"] > drawn["stroke"][fine].max() and one.simulations < 500
+
+
+def test_the_command_and_its_table(folder):
+    outcome = run(folder)
+    assert outcome.code == 0 and outcome.reason == ""
+    out = folder / "out"
+    assert not (folder / "out.partial").exists()
+    table = pyarrow.parquet.read_table(out / "sweep.parquet")
+    assert table.num_rows == 130 and table.column("design").to_pylist() == list(range(130))
+    assert {"wire.diameter [m]", "stroke [m]", "peak_temperature [degC]", "efficiency [1]", "code"} <= set(table.column_names)
+    document = json.loads((out / "sweep.json").read_text("utf-8"))
+    columns = read_table(out / "sweep.parquet")
+    assert document["feasible"] == np.sum(columns["peak_temperature"] <= 120.0) and document["codes"] == {"done": 130}
+    assert all(columns["peak_temperature"][row["design"]] <= 120.0 for row in document["front"])
+    page = (out / "report.html").read_text("utf-8")
+    assert "What it costs" in page and "Designs across all axes" in page
+    (out / "report.html").unlink()
+    assert CliRunner().invoke(app, ["report", str(out)]).exit_code == 0 and (out / "report.html").read_text("utf-8") == page
+    # The table alone makes the same table again.
+    repeated = run_sweep(SweepJob(out / "sweep.parquet", folder / "again"), Progress(quiet=True), ["smajax"])
+    assert repeated.code == 0 and (folder / "again" / "sweep.parquet").read_bytes() == (out / "sweep.parquet").read_bytes()
+
+
+def test_what_died_is_gone_on_with(folder, monkeypatch):
+    run(folder, "whole")
+    whole = (folder / "whole" / "sweep.parquet").read_bytes()
+    written = []
+
+    def fails(path, *rest, **more):
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(path)
+        return chunks_write(path, *rest, **more)
+
+    chunks_write = chunks.write_table
+    monkeypatch.setattr(chunks, "write_table", fails)
+    with pytest.raises(KeyboardInterrupt):
+        run(folder)
+    monkeypatch.setattr(chunks, "write_table", chunks_write)
+    assert len(list((folder / "out.partial").glob("chunk-*.parquet"))) == 3 and not (folder / "out").exists()
+    with pytest.raises(InputError, match=r"3 chunks of an earlier run are there: add --resume"):
+        run(folder)
+    (folder / "sweep.toml").write_text(SWEEP.replace('to = "300 g"', 'to = "310 g"'), "utf-8")
+    with pytest.raises(InputError, match="are of another sweep"):
+        run(folder, resume=True)
+    (folder / "sweep.toml").write_text(SWEEP, "utf-8")
+    assert run(folder, resume=True).code == 0
+    assert (folder / "out" / "sweep.parquet").read_bytes() == whole
+
+
+def _command(folder, *more):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    arguments = [sys.executable, "-m", "smajax.cli", "sweep", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--quiet", *more]
+    return subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def test_a_killed_run_and_a_killed_worker_lose_no_row(folder):
+    run(folder, "whole")
+    whole = (folder / "whole" / "sweep.parquet").read_bytes()
+    partial = folder / "out.partial"
+    process = _command(folder)
+    while process.poll() is None and not list(partial.glob("chunk-*.parquet")):
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    # Two workers go on; one of them is killed as soon as it is at work.
+    process = _command(folder, "--resume", "--scheduler", "local")
+    workers: list[int] = []
+    while process.poll() is None and not workers:
+        time.sleep(0.2)
+        workers = [pid for pid in _children(process.pid) if b"spawn_main" in _line(pid)]
+    if workers:
+        os.kill(workers[0], signal.SIGKILL)
+    _, errors = process.communicate(timeout=400)
+    assert process.returncode == 0, errors
+    assert (folder / "out" / "sweep.parquet").read_bytes() == whole
+
+
+def _children(parent):
+    found = [int(pid) for pid in pathlib.Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    return found + [other for pid in found for other in _children(pid)]
+
+
+def _line(pid):
+    try:
+        return pathlib.Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def test_a_full_disk_keeps_what_is_there(folder):
+    run(folder, "whole")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = max(p.stat().st_size for p in (folder / "whole").glob("*.parquet"))
+    assert size > 8192
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, before[1]))
+    try:
+        with pytest.raises(InputError, match=r"cannot be written \(File too large\): make room"):
+            run(folder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert run(folder, resume=True).code == 0
+    assert (folder / "out" / "sweep.parquet").read_bytes() == (folder / "whole" / "sweep.parquet").read_bytes()
+
+
+def test_constraints_that_nothing_keeps(folder):
+    (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
+    outcome = run(folder)
+    assert outcome.code == 3 and "none of the 130 designs keeps the constraints: the nearest, design" in outcome.reason
+    assert (folder / "out" / "sweep.parquet").is_file()
+
+
+def test_shipped_sweeps_and_a_machine(tmp_path):
+    for path in sorted((ROOT / "data" / "sweeps").glob("*.toml")):
+        sweep = read_sweep(path)
+        assert sweep.refined and sweep.designs().shape == (sweep.count, len(sweep.axes))
+    machine = (ROOT / "data" / "sweeps" / "flexural.toml").read_text("utf-8").replace("../machines", str(ROOT / "data" / "machines"))
+    machine = (
+        machine.replace('["moment", "efficiency"]', "[]").replace("designs = 256", "designs = 12").replace("cooling_time", "resistance")
+    )
+    (tmp_path / "sweep.toml").write_text(machine, "utf-8")
+    assert run(tmp_path).code == 0
+    columns = read_table(tmp_path / "out" / "sweep.parquet")
+    single = machines.read(ROOT / "data" / "machines" / "flexural.toml")
+    one = parameters.replace(single, {n: columns[n][3] for n in ("wire.diameter", "body.count")}).metrics()
+    assert columns["blocking_force"][3] == pytest.approx(float(one["blocking_force"]), rel=1e-12)
+    (tmp_path / "sweep.toml").write_text(machine + '[input]\nwave = "square"\n', "utf-8")
+    with pytest.raises(InputError, match=r"\[input\] has no place with a machine"):
+        read_sweep(tmp_path / "sweep.toml")
+
+
+BAD = [
+    (
+        'wire.diameter = ["0.14 mm", "0.2 mm"]',
+        'wire.diameter = ["0.2 mm", "0.2 mm"]',
+        "parameters.wire.diameter: the range from '0.2 mm' to '0.2 mm' is empty",
+    ),
+    ('wire.diameter = ["0.14 mm", "0.2 mm"]', 'wire.diameter = ["0.14 mm"]', "is not a range"),
+    (
+        'wire.diameter = ["0.14 mm", "0.2 mm"]',
+        'wire.diameter = ["0.14 A", "0.2 mm"]',
+        "parameters.wire.diameter: '0.14 A': the unit 'A' does not fit",
+    ),
+    ("wire.diameter", "wire.diametre", "parameters.wire.diametre is not a parameter of this rig (did you mean 'wire.diameter'?)"),
+    ('from = "100 g"', 'from = "0 g"', "a log scale cannot begin at '0 g'"),
+    ('rig = "rig.toml"', 'rig = "rigg.toml"', "there is no such file (did you mean 'rig.toml'?)"),
+    ("designs = 130", 'designs = "many"', "sweep.designs = 'many' is not a whole number"),
+    ("designs = 130", "desings = 130", "sweep.desings is not known (did you mean 'designs'?)"),
+    ('wave = "square"', 'wave = "sqare"', "is not known (did you mean 'square'?)"),
+    ('frequency = "0.5 Hz"', "", "input.frequency is missing"),
+    ('stroke = "max"', 'stroke = "most"', "objectives.stroke = 'most' is not known"),
+    ('stroke = "max"', 'strok = "max"', "objectives.strok is not a metric (did you mean 'stroke'?)"),
+    (
+        '{ at_most = "120 degC" }',
+        '{ at_least = "130 degC", at_most = "120 degC" }',
+        "nothing is at least '130 degC' and at most '120 degC'",
+    ),
+    ('peak_temperature = { at_most = "120 degC" }', 'stroke = { at_most = "-1 mm" }', "can never be kept"),
+    ('peak_temperature = { at_most = "120 degC" }', "stroke = {}", "constraints.stroke says nothing"),
+    ("[constraints]", "[constraint]", "[constraint] is not a section of a sweep (did you mean 'constraints'?)"),
+    ('"time_to_cool"]', '"bandwidth"]', "input.highest is missing"),
+    ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), BAD)
+def test_bad_sweeps_say_what_is_wrong(folder, old, new, sentence):
+    assert old in SWEEP
+    (folder / "sweep.toml").write_text(SWEEP.replace(old, new), "utf-8")
+    with pytest.raises(InputError) as caught:
+        read_sweep(folder / "sweep.toml")
+    assert sentence in str(caught.value) and "sweep.toml" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_bands_that_would_cross_and_axes_that_do_nothing(folder):
+    (folder / "sweep.toml").write_text(
+        SWEEP.replace("input.amplitude = [", 'material.martensite_finish = ["30 degC", "90 degC"]\ninput.amplitude = ['), "utf-8"
+    )
+    with pytest.raises(InputError, match=r"material.martensite_finish up to 90 degC does not stay below material.martensite_start"):
+        read_sweep(folder / "sweep.toml")
+    rotary = ROOT / "data" / "recordings" / "rotary" / "rig.toml"
+    (folder / "rig.toml").write_text(rotary.read_text("utf-8"), "utf-8")
+    (folder / "sweep.toml").write_text(
+        SWEEP.replace('load.mass = { from = "100 g", to = "300 g", scale = "log" }', 'pulley.inertia = ["1e-6 kg m^2", "2e-6 kg m^2"]'),
+        "utf-8",
+    )
+    assert not float(parameters.get(read_rig(rotary).plant, "pulley.inertia"))
+    with pytest.raises(InputError, match=r"pulley.inertia does nothing while the rig has neither inertia nor damping"):
+        read_sweep(folder / "sweep.toml")
+
+
+def test_an_unreachable_scheduler(folder, monkeypatch):
+    from smajax.sweep import cluster
+
+    monkeypatch.setattr(cluster, "_PATIENCE", 1)
+    with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there"):
+        run(folder, scheduler="tcp://127.0.0.1:9")
+    assert run(folder, resume=True).code == 0
