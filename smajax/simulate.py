@@ -114,10 +114,11 @@ def lay_out(plant: Plant, recording: Recording, *, interpolation: str = "hold", 
     Electrical inputs are held or linear between samples as ``interpolation`` says; prescribed strain, stress and temperature are linear.
     A recording without a clock takes one step a row, since only the order of its rows matters.
     """
-    step = step or default_step(plant)
     time = recording.time
     gaps = np.diff(time)
-    pieces = np.maximum(1, np.ceil(gaps / step - 1e-9).astype(int)) if recording.has_clock else np.ones(len(gaps), int)
+    pieces = np.ones(len(gaps), int)
+    if recording.has_clock:
+        pieces = np.maximum(1, np.ceil(gaps / (step or default_step(plant)) - 1e-9).astype(int))
     if interpolation == "linear" and recording.has_clock:
         # Where the input swings within one sample, heating turns to cooling somewhere inside: small steps place that reversal.
         for name in plant.signals[: plant.mechanism.wires if plant.drive.control else 0]:

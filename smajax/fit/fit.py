@@ -20,6 +20,8 @@ from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 _SCREENED = 48
+# So many recordings are a batch of their own.
+_WIDE = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,7 +133,8 @@ def fit(
     problem = build(plant, recordings, settings, interpolation=interpolation, step=step)
     starts, screened = draw_starts(problem, settings.starts, settings.seed)
     compiled = time.perf_counter()
-    solved = least_squares.Search(residual, problem, starts, *problem.box, size=problem.size).advance(max_steps, progress).result()
+    search = least_squares.Search(residual, problem, starts, *problem.box, size=problem.size, apart=len(recordings) >= _WIDE)
+    solved = search.advance(max_steps, progress).result()
     first = solved.history[0][1] if solved.history else 0.0
     later = (solved.wall - first) / max(len(solved.history) - 1, 1)
     if all(s is Stop.failed for s in solved.stops):

@@ -3,7 +3,7 @@
 Each step solves the normal equations, damped in proportion to their diagonal (Marquardt), for the parameters that are not held by a bound:
 one that sits on its bound with the gradient pushing it outwards stays there, the rest of the step is cut to the box. Residual and Jacobian
 are evaluated together at the trial point, because with forward tangents the pair costs less than two residuals; a trial that does not lower
-the cost raises the damping. A parameter whose two bounds are equal is fixed, so profiles and nested models need no other program.
+the cost raises the damping, the more the more of them were refused in a row. A parameter whose two bounds are equal is fixed, so profiles and nested models need no other program.
 
 The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``Search`` drives it step by step on a batch of starts, so
 that progress can be shown, an interruption keeps the best point so far, and one start's failure leaves the others alone.
@@ -45,7 +45,7 @@ class Stop(enum.IntEnum):
 
 
 class LMState(NamedTuple):
-    """State of one start: best point's residual, Jacobian and cost; the trial point; damping; counters."""
+    """State of one start: best point's residual, Jacobian and cost; the trial point; damping; small falls and refusals in a row."""
 
     trial: jax.Array
     residual: jax.Array
@@ -54,6 +54,7 @@ class LMState(NamedTuple):
     damping: jax.Array
     predicted: jax.Array
     small: jax.Array
+    refused: jax.Array
     steps: jax.Array
     stop: jax.Array
 
@@ -62,11 +63,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """Levenberg-Marquardt in a box. ``args`` of the residual is ``(lower, upper, rest)``; the residual is called with ``rest``.
 
     Both the unknown ``y``, shape ``(p,)``, and the residual, shape ``(m,)``, are flat arrays. ``rtol`` is the relative fall of the cost
-    below which two steps running end the search.
+    below which two steps running end the search. ``sparing`` evaluates the Jacobian after the residual, and only of trials that are taken:
+    that pays where it costs several residuals, and not in a batch.
     """
 
     rtol: Any  # an array of no dimensions: as a number, each value would be a program of its own
     atol: float = 0.0
+    sparing: bool = eqx.field(static=True, default=False)
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
 
     def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
@@ -81,6 +84,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             damping=jnp.asarray(1e-3, real),
             predicted=jnp.zeros((), real),
             small=jnp.zeros((), whole),
+            refused=jnp.zeros((), whole),
             steps=jnp.zeros((), whole),
             stop=jnp.asarray(Stop.running.value, whole),
         )
@@ -93,15 +97,21 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             r = fn(v, rest)[0]
             return r, r
 
-        jacobian, residual = jax.jacfwd(value, has_aux=True)(state.trial)
-        cost = jnp.sum(residual**2)
+        if self.sparing:
+            residual = value(state.trial)[0]
+            cost = jnp.sum(residual**2)
+            jacobian = jax.lax.cond(cost < state.cost, lambda v: jax.jacfwd(value, has_aux=True)(v)[0], lambda _: state.jacobian, state.trial)
+        else:
+            jacobian, residual = jax.jacfwd(value, has_aux=True)(state.trial)
+            cost = jnp.sum(residual**2)
         sound = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
         accept = sound & (cost < state.cost)
         first = state.steps == 0
         fall = state.cost - cost
         gain = fall / jnp.where(state.predicted > 0, state.predicted, 1.0)
         eased = state.damping * jnp.clip(1.0 - (2.0 * gain - 1.0) ** 3, 0.1, 1.0)
-        damping = jnp.where(first, state.damping, jnp.where(accept, eased, 5.0 * state.damping))
+        raised = 5.0 * 3.0**state.refused * state.damping
+        damping = jnp.where(first, state.damping, jnp.where(accept, eased, raised))
         small = jnp.where(accept & (fall <= self.rtol * state.cost) & ~first, state.small + 1, jnp.where(accept, 0, state.small))
         y = jnp.where(accept, state.trial, y)
         residual = jnp.where(accept, residual, state.residual)
@@ -114,7 +124,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             [Stop.failed.value, Stop.converged.value, Stop.stalled.value],
             Stop.running.value,
         ).astype(jnp.int64)
-        state = LMState(trial, residual, jacobian, cost, jnp.maximum(damping, 1e-12), predicted, small, state.steps + 1, stop)
+        refused = jnp.where(accept, 0, state.refused + 1)
+        state = LMState(trial, residual, jacobian, cost, jnp.maximum(damping, 1e-12), predicted, small, refused, state.steps + 1, stop)
         return y, state, residual
 
     def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
@@ -172,24 +183,30 @@ class Solved(NamedTuple):
 
 @eqx.filter_jit
 def _advance(
-    solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, states: LMState, lower: jax.Array, upper: jax.Array, rest: Any
+    solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, states: LMState, bounds: tuple, rest: Any, apart: bool
 ) -> tuple:
-    def single(y: jax.Array, state: LMState, lower: jax.Array, upper: jax.Array) -> tuple:
-        new_y, new_state, _ = solver.step(lambda v, a: (fn(v, a), None), y, (lower, upper, rest), {}, state, frozenset())
+    def further(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
+        return solver.step(lambda v, a: (fn(v, a), None), y, (*bounds, rest), {}, state, frozenset())[:2]
+
+    def together(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
         going = state.stop == Stop.running
-        return jax.tree.map(lambda a, b: jnp.where(going, a, b), (new_y, new_state), (y, state))
+        return jax.tree.map(lambda a, b: jnp.where(going, a, b), further(y, state, bounds), (y, state))
+
+    def alone(one: tuple) -> tuple:
+        return jax.lax.cond(one[1].stop == Stop.running, further, lambda y, state, bounds: (y, state), *one)
 
     if points.shape[0] == 1:  # one start needs no batch
-        one = single(points[0], jax.tree.map(lambda leaf: leaf[0], states), lower[0], upper[0])
+        one = together(*jax.tree.map(lambda leaf: leaf[0], (points, states, bounds)))
         return jax.tree.map(lambda leaf: leaf[None], one)
-    return jax.vmap(single)(points, states, lower, upper)
+    return jax.lax.map(alone, (points, states, bounds)) if apart else jax.vmap(together)(points, states, bounds)
 
 
 class Search:
     """Searches from each row of ``starts``, shape ``(s, p)``, that can be taken up again where they stood.
 
     Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``fn`` gives ``size`` residuals; ``rtol`` as in
-    ``BoundedLevenbergMarquardt``.
+    ``BoundedLevenbergMarquardt``. Starts take their steps as one batch, or ``apart``, one after another: that is as fast where ``fn`` is
+    a batch itself, and those that have ended cost nothing.
     """
 
     def __init__(
@@ -202,14 +219,15 @@ class Search:
         *,
         size: int,
         rtol: float = 1e-7,
+        apart: bool = False,
     ):
-        self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol))
+        self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol), sparing=apart)
         low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
-        self._points, self._low, self._high = map(jax.device_put, (np.clip(starts, low, high), low, high))
+        self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
         self._states = _begin(self._solver, self._points, size)
         self._wall, self._history = 0.0, []
         self.steps = self.simulations = 0
-        self._interrupted = False
+        self._interrupted, self._apart = False, apart
 
     def advance(self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None) -> "Search":
         """At most so many steps more; ``progress`` is called after each with its number and the best cost so far.
@@ -220,7 +238,7 @@ class Search:
         try:
             while self.steps < last and (running := int(np.sum(np.asarray(self._states.stop) == Stop.running))):
                 self.simulations += running * (1 + self._points.shape[1])
-                moved = _advance(self._solver, self._fn, self._points, self._states, self._low, self._high, self._rest)
+                moved = _advance(self._solver, self._fn, self._points, self._states, self._bounds, self._rest, self._apart)
                 self._points, self._states = jax.block_until_ready(moved)
                 self.steps += 1
                 self._wall = time.perf_counter() - began

@@ -53,7 +53,9 @@ class Lagoudas(AbstractMaterial):
         known = jnp.clip(jax.lax.stop_gradient(old), 0.0, 1.0)
         grows = forward > hardening(known, self.n1, self.n2)
         shrinks = ~grows & (reverse < hardening(known, self.n3, self.n4)) & (old > _NONE)
-        reached = hardened(jnp.where(grows, forward, reverse), jnp.where(grows, self.n1, self.n3), jnp.where(grows, self.n2, self.n4))
+        # Where nothing transforms, a share out of reach spares the inverse its work.
+        share = jnp.where(grows, forward, jnp.where(shrinks, reverse, 2.0))
+        reached = hardened(share, jnp.where(grows, self.n1, self.n3), jnp.where(grows, self.n2, self.n4))
         grown = jnp.where(grows, jnp.maximum(reached - old, 0.0), 0.0)
         brought = self.grown_strain(0.5 * (before + after)) * (1.0 / self.max_strain) * grown
         kept = jnp.where(shrinks, jnp.minimum(reached, some) / some, 1.0)
