@@ -1,9 +1,9 @@
 """Closed-loop rollouts: a plant and a sampled controller in one scan, differentiable in both.
 
 At each sample the controller is told what the sensor sees, and gives a command that is held for a period; meanwhile the plant takes its own
-steps. Derivatives are taken once all states are known, as those of a simulation are: nothing is searched for again. Forward mode costs
-little for a few gains; for reverse mode, ``Scenario.block`` samples at a time are remembered at their beginning only and done again on the
-way back.
+steps. Derivatives of a plant's loop are taken once all states are known, as those of a simulation are: nothing is searched for again, and
+what a sample's derivative needs is worked out anew where it is used, in forward as in reverse mode, which is faster than to remember it.
+Where nothing is searched for, ``Scenario.block`` samples at a time are remembered at their beginning only and done again on the way back.
 """
 
 import dataclasses
@@ -171,7 +171,7 @@ def _known_jvp(primals: tuple, tangents: tuple) -> tuple:
 
     first = push(lambda *all_: ravel_pytree(_first(*all_))[0], primals, tangents)
     moved_rows = jax.tree.map(lambda r, t: jnp.zeros_like(r) if t is None else t, scenario.rows, scenarios.rows, is_leaf=_none)
-    end, (channels, command) = _scan(recur, first, (carries, ways, scenario.rows, moved_rows), scenario.block)
+    end, (channels, command) = jax.lax.scan(jax.checkpoint(recur, prevent_cse=False), first, (carries, ways, scenario.rows, moved_rows))
     # Counts and flags, which some controllers keep, have no tangent.
     ends = jax.tree.map(lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, done.ends, unflatten(end))
     return done, Rollout(channels, command, cast(Any, None), ends)

@@ -3,7 +3,8 @@
 Each step solves the normal equations, damped in proportion to their diagonal (Marquardt), for the parameters that are not held by a bound:
 one that sits on its bound with the gradient pushing it outwards stays there, the rest of the step is cut to the box. Residual and Jacobian
 are evaluated together at the trial point, because with forward tangents the pair costs less than two residuals; a trial that does not lower
-the cost raises the damping, the more the more of them were refused in a row. A parameter whose two bounds are equal is fixed, so profiles and nested models need no other program.
+the cost raises the damping, the more so the more of them were refused in a row. A parameter whose two bounds are equal is fixed, so
+profiles and nested models need no other program.
 
 The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``Search`` drives it step by step on a batch of starts, so
 that progress can be shown, an interruption keeps the best point so far, and one start's failure leaves the others alone.
@@ -100,7 +101,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         if self.sparing:
             residual = value(state.trial)[0]
             cost = jnp.sum(residual**2)
-            jacobian = jax.lax.cond(cost < state.cost, lambda v: jax.jacfwd(value, has_aux=True)(v)[0], lambda _: state.jacobian, state.trial)
+            slopes = jax.jacfwd(value, has_aux=True)
+            jacobian = jax.lax.cond(cost < state.cost, lambda v: slopes(v)[0], lambda _: state.jacobian, state.trial)
         else:
             jacobian, residual = jax.jacfwd(value, has_aux=True)(state.trial)
             cost = jnp.sum(residual**2)
