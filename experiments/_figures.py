@@ -75,17 +75,24 @@ def svg(chart: Chart) -> str:
         at = up(value)
         parts.append(f'<line x1="{_LEFT}" y1="{at:.1f}" x2="{_WIDTH - _RIGHT}" y2="{at:.1f}" stroke="#e5e5e5"/>')
         parts.append(f'<text x="{_LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
-    for i, (curve, colour) in enumerate(zip(chart.curves, _cycle(len(chart.curves)), strict=True)):
-        points = [(across(x), up(y)) for x, y in zip(curve.x, curve.y, strict=True)]
+    lines = [[(across(x), up(y)) for x, y in zip(curve.x, curve.y, strict=True)] for curve in chart.curves]
+    left, first = _emptiest([p for points in lines for p in points], 17 * len(lines))
+    for i, (curve, colour, points) in enumerate(zip(chart.curves, _cycle(len(chart.curves)), lines, strict=True)):
         if curve.steps:
             points = [p for (x0, y0), (x1, _) in itertools.pairwise(points) for p in ((x0, y0), (x1, y0))] + points[-1:]
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
         style = f'stroke="{colour}" stroke-width="2"' + (' stroke-dasharray="6 4"' if curve.dashed else "")
         parts.append(f'<path d="{path}" fill="none" stroke-linejoin="round" {style}/>')
-        row = _TOP + 14 + 17 * i
-        parts.append(f'<line x1="{_WIDTH - 206}" y1="{row - 4}" x2="{_WIDTH - 184}" y2="{row - 4}" {style}/>')
-        parts.append(f'<text x="{_WIDTH - 178}" y="{row}" stroke="white" stroke-width="3" paint-order="stroke">{escape(curve.name)}</text>')
+        row = first + 14 + 17 * i
+        parts.append(f'<line x1="{left}" y1="{row - 4}" x2="{left + 22}" y2="{row - 4}" {style}/>')
+        parts.append(f'<text x="{left + 28}" y="{row}" stroke="white" stroke-width="3" paint-order="stroke">{escape(curve.name)}</text>')
     return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _emptiest(points: list[tuple[float, float]], height: int) -> tuple[float, float]:
+    """Left and top, in pixels, of the corner for the names in which the fewest points lie."""
+    corners = [(left, top) for left in (_WIDTH - 206, _LEFT + 10) for top in (_TOP, _HEIGHT - _BOTTOM - height - 6)]
+    return min(corners, key=lambda c: sum(c[0] - 10 <= x <= c[0] + 200 and c[1] <= y <= c[1] + height + 6 for x, y in points))
 
 
 class _Axis:

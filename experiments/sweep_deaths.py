@@ -5,6 +5,7 @@ processes; at a random moment either the whole run or one of its workers is kill
 byte for byte: no row lost, none doubled.
 """
 
+import contextlib
 import os
 import random
 import signal
@@ -56,7 +57,7 @@ def main() -> None:
         died = {"runs": 0, "workers": 0}
         lost, resumed = [], 0
         while died["runs"] + died["workers"] < deaths and not (folder / "torn").is_dir():
-            clustered = resumed % 2 == 1
+            clustered = resumed % 2 == 1  # every other time, and then a worker dies first
             process = command(folder, "torn", "--resume", *(("--scheduler", "local") if clustered else ()))
             resumed += 1
             before = chunks_in(folder)
@@ -66,7 +67,7 @@ def main() -> None:
             if process.poll() is not None:
                 break
             workers = [pid for pid in children(process.pid) if b"spawn_main" in line(pid)]
-            if clustered and workers and random.random() < 0.5:
+            if workers:
                 os.kill(random.choice(workers), signal.SIGKILL)
                 died["workers"] += 1
                 say(f"a worker killed with {chunks_in(folder)} chunks there")
@@ -108,11 +109,11 @@ def chunks_in(folder: Path) -> int:
 
 
 def children(parent: int) -> list[int]:
-    """All processes below one."""
-    try:
-        found = [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
-    except OSError:
-        return []
+    """All processes below one, whichever of its threads began them."""
+    found = []
+    for thread in Path(f"/proc/{parent}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            found += [int(pid) for pid in thread.read_text().split()]
     return found + [other for pid in found for other in children(pid)]
 
 

@@ -368,15 +368,16 @@ def test_a_killed_run_and_a_killed_worker_lose_no_row(folder):
     while process.poll() is None and not workers:
         time.sleep(0.2)
         workers = [pid for pid in _children(process.pid) if b"spawn_main" in _line(pid)]
-    if workers:
-        os.kill(workers[0], signal.SIGKILL)
+    assert workers, "the run ended before a worker was at work"
+    os.kill(workers[0], signal.SIGKILL)
     _, errors = process.communicate(timeout=400)
     assert process.returncode == 0, errors
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
 def _children(parent):
-    found = [int(pid) for pid in pathlib.Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    threads = pathlib.Path(f"/proc/{parent}/task").glob("*/children")
+    found = [int(pid) for thread in threads for pid in thread.read_text().split()]
     return found + [other for pid in found for other in _children(pid)]
 
 
