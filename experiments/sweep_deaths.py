@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 from _common import ROOT, Row, arguments, finish, say
 
 from smajax.sweep.table import read_table
@@ -61,17 +62,16 @@ def main() -> None:
             process = command(folder, "torn", "--resume", *(("--scheduler", "local") if clustered else ()))
             resumed += 1
             before = chunks_in(folder)
-            until = time.monotonic() + random.uniform(0.3, 1.0) * span / max(1, deaths // 4) + (8.0 if clustered else 4.0)
+            until = time.monotonic() + random.uniform(0.3, 1.0) * span / max(1, deaths // 4) + (14.0 if clustered else 4.0)
             while process.poll() is None and time.monotonic() < until:
                 time.sleep(0.02)
             if process.poll() is not None:
                 break
-            workers = [pid for pid in children(process.pid) if b"spawn_main" in line(pid)]
-            if workers:
-                os.kill(random.choice(workers), signal.SIGKILL)
+            if workers := workers_of(process):
+                random.choice(workers).kill()
                 died["workers"] += 1
                 say(f"a worker killed with {chunks_in(folder)} chunks there")
-                time.sleep(random.uniform(1.0, 3.0))
+                time.sleep(random.uniform(3.0, 8.0))
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             died["runs"] += 1
@@ -108,21 +108,11 @@ def chunks_in(folder: Path) -> int:
     return 10**9 if (folder / "torn").is_dir() else len(list((folder / "torn.partial").glob("chunk-*.parquet")))
 
 
-def children(parent: int) -> list[int]:
-    """All processes below one, whichever of its threads began them."""
-    found = []
-    for thread in Path(f"/proc/{parent}/task").glob("*/children"):
-        with contextlib.suppress(OSError):
-            found += [int(pid) for pid in thread.read_text().split()]
-    return found + [other for pid in found for other in children(pid)]
-
-
-def line(pid: int) -> bytes:
-    """The command line of a process."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
+def workers_of(process: subprocess.Popen) -> list[psutil.Process]:
+    """The worker processes of a run."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return [p for p in psutil.Process(process.pid).children(recursive=True) if any("spawn_main" in word for word in p.cmdline())]
+    return []
 
 
 if __name__ == "__main__":

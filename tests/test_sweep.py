@@ -1,5 +1,6 @@
 """Sweeps: designs, metrics against the exact reference, derivatives, the command, and what is left when a run dies."""
 
+import contextlib
 import json
 import os
 import pathlib
@@ -11,6 +12,7 @@ import time
 
 import jax.numpy as jnp
 import numpy as np
+import psutil
 import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
@@ -39,6 +41,8 @@ from tests.reference.wire import Heat, Wire
 
 ROOT = pathlib.Path(__file__).parent.parent
 RIG = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
+# CPU seconds that a worker process has taken when it has joined its cluster and is at work.
+_STARTED = 4.0
 AXES = ("wire.diameter", "load.mass", "input.amplitude")
 SWEEP = """
 [sweep]
@@ -362,30 +366,24 @@ def test_a_killed_run_and_a_killed_worker_lose_no_row(folder):
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    # Two workers go on; one of them is killed as soon as it is at work.
+    # Two workers go on; one of them is killed when it is at work.
     process = _command(folder, "--resume", "--scheduler", "local")
-    workers: list[int] = []
-    while process.poll() is None and not workers:
-        time.sleep(0.2)
-        workers = [pid for pid in _children(process.pid) if b"spawn_main" in _line(pid)]
-    assert workers, "the run ended before a worker was at work"
-    os.kill(workers[0], signal.SIGKILL)
+    busy: list[psutil.Process] = []
+    while process.poll() is None and not busy:
+        time.sleep(0.05)
+        busy = [p for p in _workers(process.pid) if p.cpu_times().user > _STARTED]
+    assert busy, "the run ended before a worker was at work"
+    busy[0].kill()
     _, errors = process.communicate(timeout=400)
     assert process.returncode == 0, errors
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
-def _children(parent):
-    threads = pathlib.Path(f"/proc/{parent}/task").glob("*/children")
-    found = [int(pid) for thread in threads for pid in thread.read_text().split()]
-    return found + [other for pid in found for other in _children(pid)]
-
-
-def _line(pid):
-    try:
-        return pathlib.Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
+def _workers(parent):
+    """The worker processes of a run."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return [p for p in psutil.Process(parent).children(recursive=True) if any("spawn_main" in word for word in p.cmdline())]
+    return []
 
 
 def test_a_full_disk_keeps_what_is_there(folder):

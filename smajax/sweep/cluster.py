@@ -33,7 +33,11 @@ def connected(address: str) -> Iterator[Any]:
     with contextlib.ExitStack() as held:
         if address == LOCAL:
             settings: Any = {"dashboard_address": None, "silence_logs": "ERROR"}
-            cluster: Any = distributed.LocalCluster(n_workers=cores(), threads_per_worker=1, processes=True, **settings)
+            try:
+                cluster: Any = distributed.LocalCluster(n_workers=cores(), threads_per_worker=1, processes=True, **settings)
+            except RuntimeError as error:
+                cure = "run again, with --resume if chunks are there, or leave --scheduler out to use this process"
+                raise InputError(f"--scheduler {LOCAL}: the worker processes did not start ({error}): {cure}") from None
             address = held.enter_context(cluster).scheduler_address
         try:
             client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
