@@ -148,19 +148,21 @@ def robust_rows(name: str, wire: Wire, rig: Rig, fitted: Fit, count: int) -> lis
         for e in fitted.estimates
     }
     told = {"parameters": entries, "correlations": {"parameters": labels, "matrix": fitted.correlation.tolist()}}
-    drawn = members.posterior(told, labels, count, rng)
+    drawn = members.posterior(told, labels, 2 * count, rng)
     air = float(rig.plant.heat.h0)
     day = {"heat.h0": (0.5 * air, 2.5 * air), "environment.ambient": (10.0, 32.0), "load.mass": (0.97 * wire.mass, 1.03 * wire.mass)}
-    drawn |= members.spread(day, count, rng)
-    everywhere = tuning_of(wire, rig, drawn)
+    drawn |= members.spread(day, 2 * count, rng)
+    known, everywhere = (tuning_of(wire, rig, {n: v[half] for n, v in drawn.items()}) for half in (slice(count), slice(count, None)))
 
-    def hottest(found: Tuned) -> np.ndarray:
-        return np.max(np.asarray(roll(everywhere, found.gains).channels["temperature"]), axis=1)
+    def hottest(found: Tuned, where: Tuning = everywhere) -> np.ndarray:
+        return np.max(np.asarray(roll(where, found.gains).channels["temperature"]), axis=1)
 
     alone = tune(tuning_of(wire, rig), WEIGHTS, {})
     own = float(np.max(np.asarray(roll(tuning_of(wire, rig), alone.gains).channels["temperature"])))
     limit = round(own + _BETWEEN * (float(np.max(hottest(alone))) - own), 1)
-    some = {n: v[:_DRAWS] for n, v in drawn.items()}
+    # Tuned for draws other than those that judge: some of them any, some the hottest.
+    picked = np.append(np.arange(_DRAWS // 2), np.argsort(hottest(alone, known))[-_DRAWS // 2 :])
+    some = {n: v[picked] for n, v in drawn.items()}
     rows = []
     for what, few in (("nominal", None), ("robust", some)):
         found = tune(tuning_of(wire, rig, few), WEIGHTS, {"temperature": limit - (_MARGIN if few else 0.0)})
