@@ -3,7 +3,8 @@
     python experiments/measured_isobaric.py [--data DIR] [--holdout MPA | --each] [--quick] [--json FILE] [--out DIR]
 
 DIR holds one text file a level, ``...MPa.txt``, with columns temperature (degC), strain (fraction, or percent: told apart by size) and
-stress (MPa). The stress is that of the file's name, since the column is the noisy measured one. Strain was zeroed by those who recorded
+stress (MPa). The stress is that of the file's name, since the column is the noisy measured one. Where the originals lie beside text files
+that were resampled from them (.mat with the curves of the figure), these are read instead. Strain was zeroed by those who recorded
 it, so each level has an offset; that of the held-out level is the one with which the model meets its hottest row, where the recording was
 zeroed. Start values and bounds come from where the fitted levels transform. Then the residual is traced to effects: they are searched for
 on all fitted levels but the one next to the held-out one, which selects, and all fitted levels are fitted again with what was accepted.
@@ -17,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import scipy.io
 from _common import DATA, Row, agreement, arguments, estimate_rows, finish, from_elsewhere, refuse, say
 from _figures import Chart, Curve, draw
 from _trace import Closed, close_loop, effect_rows
@@ -64,6 +66,8 @@ starts = 10
 "material.thermal_expansion_austenite" = ["-3e-4 1/K", "3e-4 1/K"]
 "material.thermal_expansion_martensite" = ["-3e-4 1/K", "3e-4 1/K"]
 """
+# The columns of a .mat with the curves of a figure, and into how many rows each curve is averaged.
+_WARM, _LONG, _STRETCHES = "Xdata_SampTemp_degC", "Ydata_TrueStrain_pct", 200
 # Held-out RMSE in percent that others' small models reach, without and with effects, by folder and level held out.
 USUAL = ("tamu-flexinol-isobaric", 150)
 PEERS = {USUAL: (0.20, 0.075), ("nasa-bigelow-nitihf", 200): (0.112, 0.062)}
@@ -106,8 +110,8 @@ def _halves(recording: Recording) -> tuple[float, float, float, float]:
 
 
 def read_levels(folder: Path) -> dict[int, Recording]:
-    """The recordings of a folder by stress in MPa."""
-    tables = {}
+    """The recordings of a folder by stress in MPa: of its *MPa.txt files, or of the originals from which these were resampled."""
+    tables: dict[int, tuple[str, np.ndarray]] = {}
     for path in sorted(folder.glob("*MPa.txt")):
         found = re.search(r"(\d+)\s*MPa", path.name)
         if not found:
@@ -116,6 +120,7 @@ def read_levels(folder: Path) -> dict[int, Recording]:
         if columns.shape[1] < 2 or len(columns) < 20:
             refuse(f"{path}: {columns.shape[1]} columns and {len(columns)} rows: temperature, strain and stress are needed")
         tables[int(found[1])] = (path.name, columns)
+    tables |= originals(folder, sorted(tables, reverse=True))
     percent = max((np.ptp(columns[:, 1]) for _, columns in tables.values()), default=0.0) > 0.3  # of all together: some hardly strain
     levels = {}
     for level, (name, columns) in tables.items():
@@ -123,6 +128,26 @@ def read_levels(folder: Path) -> dict[int, Recording]:
         channels = {"temperature": columns[:, 0], "stress": stress, "strain": strain}
         levels[level] = Recording.from_arrays(name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"})
     return dict(sorted(levels.items()))
+
+
+def originals(folder: Path, levels: Sequence[int]) -> dict[int, tuple[str, np.ndarray]]:
+    """The curves of a published figure kept as .mat, from the highest stress to the lowest: temperature and strain, shape ``(n, 2)``.
+
+    Each level has two curves, heating and cooling, both in the order of the temperature. They hold thousands of rows: the means of
+    ``_STRETCHES`` stretches of equal length of each are taken.
+    """
+    for path in sorted(folder.glob("*.mat")):
+        document = scipy.io.loadmat(path)
+        if not {_WARM, _LONG} <= set(document):
+            continue
+        curves = [
+            np.column_stack([np.ravel(x), np.ravel(y)]) for x, y in zip(document[_WARM].ravel(), document[_LONG].ravel(), strict=True)
+        ]
+        if len(curves) != 2 * len(levels):
+            refuse(f"{path}: {len(curves)} curves for {len(levels)} files *MPa.txt beside it: two for each are needed")
+        means = [np.array([np.mean(stretch, axis=0) for stretch in np.array_split(curve, _STRETCHES)]) for curve in curves]
+        return {level: (f"{level} MPa of {path.name}", np.vstack([means[2 * k], means[2 * k + 1][::-1]])) for k, level in enumerate(levels)}
+    return {}
 
 
 def hold_out(levels: dict[int, Recording], level: int, times: int) -> tuple[list[Fit], np.ndarray]:

@@ -6,8 +6,8 @@ DIR holds the cycles as they were prepared for SMA-REACT, ``fed_sample<N>_<stres
 is NiTiHf at six stresses, sample 1 another alloy at four. The 17 parameters and their bounds are SMA-REACT's, widened as its peers were.
 Each fit starts from a point drawn within the bounds, draws 48 more and goes on from the best of them: what is measured is the whole of
 that, from a fresh random point, in CPU seconds of one process, held to one core where the system can: these problems are too small to
-share. Compiling, which happens once for all, is told apart. On the originals of sample 2 (``--originals``, a folder of ``*MPa.txt`` files)
-each stress is left out in turn and predicted.
+share. Compiling, which happens once for all, is told apart. On the originals of sample 2 (``--originals``, a folder such as
+measured_isobaric.py reads) each stress is left out in turn and predicted.
 """
 
 from __future__ import annotations
