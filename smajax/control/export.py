@@ -141,7 +141,7 @@ _PLAYS_BEGIN = """
 def inverse_of(controller: AbstractController) -> InversePrandtlIshlinskii | None:
     """The inverse operator of a controller's feedforward, if it has one. Raises ``InputError`` for an operator of another kind."""
     inverse = getattr(controller, "inverse", None)
-    if inverse is not None and (not isinstance(inverse, InversePrandtlIshlinskii) or inverse.unloading is not None):
+    if inverse is not None and not isinstance(inverse, InversePrandtlIshlinskii):
         raise InputError("only the inverse of a Prandtl-Ishlinskii operator with one envelope can be written as a feedforward")
     return inverse
 
@@ -224,7 +224,7 @@ def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:
     ``direct`` and ``densities`` are plain numbers, ``thresholds`` in the channel's unit; so are the envelope's height and middle, its
     steepness is per unit of the command.
     """
-    envelope = inverse.loading
+    envelope = inverse.envelope
     return {
         "kind": "inverse-prandtl-ishlinskii",
         "direct": float(inverse.direct),

@@ -60,8 +60,10 @@ def identify(driven: DrivenPlant, loop: Loop, wanted: Feedforward, hottest: floa
         raise InputError(f"feedforward: the {loop.channel} does not rise with the command in a slow loop: leave [feedforward] out")
     found = fit_operator(prandtl_ishlinskii([series], wanted.operators, envelopes=1), [series], starts=4)
     assert isinstance(found.law, PrandtlIshlinskii)
+    inverse = found.law.inverse()
+    assert isinstance(inverse, InversePrandtlIshlinskii)  # of one envelope
     ends = (float(series.input.min()), float(series.input.max()))
-    return Identified(found.law.inverse(), found.rmse, stroke, ends, float(np.ptp(series.time)))
+    return Identified(inverse, found.rmse, stroke, ends, float(np.ptp(series.time)))
 
 
 def with_inverse(controller: AbstractController, inverse: InversePrandtlIshlinskii) -> AbstractController:

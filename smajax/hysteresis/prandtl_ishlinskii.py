@@ -5,7 +5,8 @@
 (Al Janaideh, Rakheja, Su; flexible-actuator paper eq. 7-9, with the envelopes g_l of increasing and g_r of decreasing input put where they
 belong). Each play operator F_j follows the envelope at a distance r_j. With g_l = g_r = g and positive densities the operator is a
 classical one of the input g(v), whose inverse is again of this kind (Krejci, Kuhnen 2001): thresholds and densities of the inverse follow
-from sums. With two envelopes the inverse uses that of the direction in which the output goes, which is near but not exact.
+from sums. With two envelopes no such form is known; but as all parts of y rise with v, there is one input that gives a wanted output from
+where the plays stand, and the inverse finds it between the ends of the envelopes.
 """
 
 import equinox as eqx
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from smajax.hysteresis.operator import AbstractOperator
 
 EDGE = 1e-12
+_HALVINGS = 60
 
 
 class Envelope(eqx.Module):
@@ -63,8 +65,10 @@ class PrandtlIshlinskii(AbstractOperator):
         upper, lower = self.loading(value), (self.unloading or self.loading)(value)
         return jnp.maximum(upper - self.thresholds, jnp.minimum(lower + self.thresholds, state))
 
-    def inverse(self) -> "InversePrandtlIshlinskii":
-        """The operator that gives the input for a wanted output: for one envelope exactly, as far as that reaches."""
+    def inverse(self) -> "InversePrandtlIshlinskii | SolvedInverse":
+        """The operator that gives the input for a wanted output, as far as that reaches: in closed form for one envelope."""
+        if self.unloading is not None:
+            return SolvedInverse(self)
         order = jnp.argsort(self.thresholds)
         thresholds, densities = self.thresholds[order], self.densities[order]
         before = self.direct + jnp.cumsum(densities) - densities  # slope up to each threshold
@@ -74,35 +78,65 @@ class PrandtlIshlinskii(AbstractOperator):
             direct=1.0 / self.direct,
             thresholds=own,
             densities=-densities / ((before + densities) * before),
-            loading=self.loading,
-            unloading=self.unloading,
+            envelope=self.loading,
         )
 
 
 class InversePrandtlIshlinskii(AbstractOperator):
-    """The inverse: plays on the wanted output itself, then the inverse of the envelope of the direction in which it goes."""
+    """The inverse of an operator with one envelope: plays on the wanted output itself, then the inverse of the envelope."""
 
     direct: jax.Array
     thresholds: jax.Array
     densities: jax.Array
-    loading: Envelope
-    unloading: Envelope | None = None
+    envelope: Envelope
 
-    def start(self, first: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """See ``AbstractOperator.start``: plays, and whether the output falls."""
-        return self._play(jnp.zeros_like(self.thresholds), first), jnp.asarray(False)
+    def start(self, first: jax.Array) -> jax.Array:
+        """See ``AbstractOperator.start``: the plays."""
+        return self._play(jnp.zeros_like(self.thresholds), first)
 
-    def advance(self, state: tuple, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def advance(self, state: jax.Array, before: jax.Array, after: jax.Array, step: jax.Array) -> jax.Array:
         """See ``AbstractOperator.advance``."""
-        plays, falls = state
-        return self._play(plays, after), jnp.where(after == before, falls, after < before)
+        return self._play(state, after)
 
-    def output(self, state: tuple, value: jax.Array) -> jax.Array:
+    def output(self, state: jax.Array, value: jax.Array) -> jax.Array:
         """See ``AbstractOperator.output``."""
-        plays, falls = state
-        level = self.direct * value + self.densities @ plays
-        rising = self.loading.inverse(level)
-        return rising if self.unloading is None else jnp.where(falls, self.unloading.inverse(level), rising)
+        return self.envelope.inverse(self.direct * value + self.densities @ state)
 
     def _play(self, plays: jax.Array, value: jax.Array) -> jax.Array:
         return jnp.maximum(value - self.thresholds, jnp.minimum(value + self.thresholds, plays))
+
+
+class SolvedInverse(AbstractOperator):
+    """The inverse of an operator with two envelopes: its plays, and the input at which it gives what is wanted."""
+
+    law: PrandtlIshlinskii
+
+    def start(self, first: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractOperator.start``: the law's plays, and its input."""
+        return self._follow(jnp.zeros_like(self.law.thresholds), first)
+
+    def advance(self, state: tuple, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractOperator.advance``."""
+        return self._follow(state[0], after)
+
+    def output(self, state: tuple, value: jax.Array) -> jax.Array:
+        """See ``AbstractOperator.output``."""
+        return state[1]
+
+    def _follow(self, plays: jax.Array, wanted: jax.Array) -> tuple[jax.Array, jax.Array]:
+        law = self.law
+
+        def left(v: jax.Array) -> jax.Array:
+            return law.output(law._play(plays, v), v) - wanted
+
+        def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            middle = 0.5 * (ends[0] + ends[1])
+            low = left(middle) < 0.0
+            return jnp.where(low, middle, ends[0]), jnp.where(low, ends[1], middle)
+
+        ends = (law.loading.inverse(-jnp.asarray(jnp.inf)), law.loading.inverse(jnp.asarray(jnp.inf)))
+        found = jax.lax.stop_gradient(sum(jax.lax.fori_loop(0, _HALVINGS, halve, ends)) * 0.5)
+        # The last step of Newton's method carries the derivative of the implicit function.
+        rest, slope = jax.jvp(left, (found,), (jnp.ones_like(found),))
+        value = found - jnp.where(slope > EDGE, rest / jnp.where(slope > EDGE, slope, 1.0), 0.0)
+        return law._play(plays, value), value
