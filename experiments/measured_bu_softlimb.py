@@ -98,6 +98,7 @@ CANDIDATES = (
 )  # fmt: skip
 CUT = 0.05
 SLOTS = 14
+BASE_STARTS = 8  # with three, the base may stay where its wire never transforms, and any effect seems to mend it
 DENSE, TAIL = 40.0, 1.1
 BLOCK = 2.0
 
@@ -390,9 +391,8 @@ def main() -> None:
     known = args.data.name == "bu-softlimb" and not args.quick
     logs = logs[:1] if args.quick else logs
     bench = Bench(logs, CANDIDATES[:3] if args.quick else CANDIDATES)
-    times = 3 if args.quick else 8
-    say(f"fitting the base model to {len(logs)} logs from {times} start points each")
-    base = [bench.drawn(i, "train", {}, times, 25 if args.quick else 60)[0] for i in range(len(logs))]
+    say(f"fitting the base model to {len(logs)} logs from {BASE_STARTS} start points each")
+    base = [bench.drawn(i, "train", {}, BASE_STARTS, 60)[0] for i in range(len(logs))]
     history = search(bench, base, 1 if args.quick else 8, 1 if args.quick else 4)
     say("fitting all once more to the whole of the first part")
     final = bench.each("fitted", history[-1].fits if history else base, {}, 40 if args.quick else 200)
