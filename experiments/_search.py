@@ -23,7 +23,7 @@ class Found(NamedTuple):
 def evolved(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int) -> Found:
     """SciPy's differential evolution."""
     size = 15 * len(one.names)
-    options = {"popsize": 15, "maxiter": max(budget // size - 1, 1), "rng": 0, "polish": False, "tol": 0.0}
+    options = {"popsize": 15, "maxiter": max(budget // (size * one.count) - 1, 1), "rng": 0, "polish": False, "tol": 0.0}
     bounds = [(0.0, 1.0)] * len(one.names)
     return _found(one, weights, ours, lambda cost: scipy.optimize.differential_evolution(cost, bounds, **options))
 
@@ -31,7 +31,10 @@ def evolved(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int)
 def simplex(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int) -> Found:
     """Nelder and Mead's simplex from the start gains."""
     return _found(
-        one, weights, ours, lambda cost: scipy.optimize.minimize(cost, one.start, method="Nelder-Mead", options={"maxfev": budget})
+        one,
+        weights,
+        ours,
+        lambda cost: scipy.optimize.minimize(cost, one.start, method="Nelder-Mead", options={"maxfev": budget // one.count}),
     )
 
 
@@ -42,7 +45,7 @@ def _found(one: Tuning, weights: Mapping[str, float], ours: Tuned, search: Calla
 
     def cost(x: np.ndarray) -> float:
         nonlocal counted, best
-        counted += 1
+        counted += one.count
         point = np.clip(x, 0.0, 1.0)
         value = cost_of(point) / mark
         if value < best.cost:

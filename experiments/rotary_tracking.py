@@ -29,7 +29,7 @@ from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
 from smajax.control.tune import tune
-from smajax.control.tuning import Tuning, roll
+from smajax.control.tuning import Tuning, noises, roll
 from smajax.fit.fit import fit
 from smajax.parameter_file import read_parameters
 from smajax.recording import Recording
@@ -141,7 +141,8 @@ def tuning_of(mode: Mode, rig: Rig, start: dict[str, float]) -> Tuning:
     ends = {name: (value / 100.0, value * 100.0) for name, value in start.items()}
     if "co_contraction" in start:
         ends["co_contraction"] = (0.01 * mode.largest, mode.largest)
-    return Tuning.of(DrivenPlant.of(rig.plant, PERIOD), loop, scenario_of(mode), ends)
+    scenario = scenario_of(mode)
+    return Tuning.of(DrivenPlant.of(rig.plant, PERIOD), loop, scenario, ends, draws=noises(loop, scenario))
 
 
 def exact(mode: Mode, truth: RigFile, gains: dict[str, float], scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -164,7 +165,7 @@ def rows_of(name: str, mode: Mode, quick: bool, folder: Path | None) -> list[Row
     rig = replace(rig, plant=fitted.plant)
     start, seen, fresh = start_of(mode), scenario_of(mode), scenario_of(mode, seed=2)
     one = tuning_of(mode, rig, start)
-    found = tune(one, WEIGHTS, {}, starts=8)
+    found = tune(one, WEIGHTS, {}, starts=4)
     both = (start, found.gains)
     promised = [rmse(np.asarray(roll(one, g).channels["angle"])[0], seen) for g in both]
     tried = [exact(mode, truth, g, seen) for g in both]
@@ -192,7 +193,7 @@ def rows_of(name: str, mode: Mode, quick: bool, folder: Path | None) -> list[Row
         rows.append(Row(f"{name}, its rollouts to within 1 % of ours", ">= 20x" if population else "-", told, late if population else None))
         say(f"{name}, {what}: {rows[-2].measured}; {told}")
     alone = {n: g for n, g in start.items() if n != "co_contraction"}
-    turns = tune(tuning_of(mode, rig, alone), WEIGHTS, {}, starts=8)
+    turns = tune(tuning_of(mode, rig, alone), WEIGHTS, {}, starts=4)
     there = rmse(exact(mode, truth, turns.gains, seen)[0], seen)
     text = f"{there:.3f} deg on the exact simulator, {there / kept[1]:.1f}x"
     rows.append(Row(f"{name}, tuned without co-contraction", "-", text, None, turns.gains))

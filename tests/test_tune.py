@@ -1,8 +1,10 @@
 """``smajax tune``: gains from gradients, by the command as a user types it, and the searches behind it."""
 
+import dataclasses
 import json
 import zipfile
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,8 +15,8 @@ from smajax.control import members
 from smajax.control.driven import DrivenPlant
 from smajax.control.rollout import Scenario
 from smajax.control.slow_loop import Feedforward, identify
-from smajax.control.tune import Tuned, tune, wanted_of
-from smajax.control.tuning import Tuning, look
+from smajax.control.tune import Tuned, objective_of, tune, wanted_of
+from smajax.control.tuning import Tuning, look, noises
 from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
 from smajax.fit.operators import Series
@@ -101,6 +103,25 @@ def test_members_count_alike():
     alone, together = tune(tuning, {"itae": 1.0}, {}), tune(several, {"itae": 1.0}, {})
     worst = [float(look(several, jnp.asarray(f.point)[None], _wanted(np.inf))[0][0, 1]) for f in (alone, together)]
     assert together.rollouts % 3 == 0 and worst[1] < worst[0]
+
+
+def test_gains_suit_more_than_one_draw_of_the_noise():
+    """Tuned for several draws of the noise, among them the scenario's own; a sensor without noise has none to draw."""
+    quiet = hip_tuning(dt=0.2, seconds=40.0)
+    loop = eqx.tree_at(lambda one: one.sensing.noise, quiet.loop, jnp.asarray(0.02))
+    scenario = dataclasses.replace(quiet.scenario, draws=jnp.asarray(np.random.default_rng(3).standard_normal(200)))
+    bounds = {n: (float(low), float(high)) for n, low, high in zip(quiet.names, quiet.lower, quiet.upper, strict=True)}
+    draws = noises(loop, scenario, 6, seed=1)
+    assert draws.shape == (6, 200) and np.array_equal(draws[0], scenario.draws)
+    assert noises(quiet.loop, scenario, 6).shape == (1, 200)
+    several = Tuning.of(quiet.driven, loop, scenario, bounds, draws=draws)
+    assert several.count == 6 and quiet.count == 1
+    weights = {"tracking": 1.0, "effort": 0.05}
+    fresh = Tuning.of(quiet.driven, loop, scenario, bounds, draws=noises(loop, scenario, 40, seed=2)[1:])
+    found, alone = tune(several, weights, {}, starts=2), tune(Tuning.of(quiet.driven, loop, scenario, bounds), weights, {})
+    assert found.rollouts % 6 == 0
+    judge = objective_of(fresh, weights)
+    assert judge(found.point) < 0.99 * judge(fresh.start) and judge(found.point) <= 1.001 * judge(alone.point)
 
 
 def test_nothing_wanted_and_nothing_possible():

@@ -2,12 +2,16 @@
 
 The gains are searched by their logarithms between bounds. Terms and limits (``objective``) make one number, whose gradient by reverse mode
 costs as much whatever the number of gains, and which a quasi-Newton search in the box makes small. Several plants (draws of a fit's
-posterior, ambients, loads) are rolled out as one batch and count alike. Near its best gains a wire's loop is rough: what noise does to the
-small loops of its hysteresis changes from gain to gain. So the search is begun anew where it ends, with smaller steps, and hops.
+posterior, ambients, loads) or draws of the noise are rolled out as one batch and count alike.
+
+Gradients end where a wire's loop is rough: its best gains lie near those with which it hunts through small loops of its hysteresis or
+chatters between its limits, where what a change of the gains does at once tells nothing of what it does in the end. From there on a
+surrogate of all that was seen, which takes roughness for noise, says where to look, and a simplex goes down what it leaves.
 
 Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -18,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from smajax.control import metrics, objective
+from smajax.control import metrics, objective, surrogate
 from smajax.control.fastest import Shape, fastest, shape_at
 from smajax.control.objective import LIMITS, TERMS, Wanted
 from smajax.control.tuning import Tuning, look, roll
@@ -30,6 +34,7 @@ _FIRST = 10  # steps of a search
 _WIDE_STEP, _SMALL_STEP = 5.0, 20.0  # one over the length of its first step at most, the box being one wide
 _REVERSE = 3  # rollouts that a gradient by reverse mode counts
 _STEEPEST = 100.0  # a slope at most, costs being near 1: steeper ones are of loops that swing themselves up, and would end a line search
+_WILD, _WILDS = 1e6, 3  # a slope that tells nothing, and how many of them end a search
 _UNUSABLE = 1e30
 _RAISES = 8
 _REACH = 0.06  # of the box: how far gains go between two looks at what limits cost; else they flee to where nothing moves
@@ -38,7 +43,10 @@ _GROSS = 1.0  # a violation from which a search is not begun
 _EVALUATIONS = 32
 _RTOL = 1e-4
 _SCREENED = 16
-_HOPS = (0.15, 0.08, 0.04, 0.02)  # of the box
+_BATCH = 8  # points looked at together
+_ROUNDS, _PATIENCE = 6, 4  # looks by the surrogate for each start, and after how many in vain it ends
+_BETTER = 2e-3  # of the cost: less is in vain
+_SIMPLEX, _LAST = 0.05, 64  # size of the simplex, of the box, and how often it looks
 
 
 class _Aim(NamedTuple):
@@ -85,6 +93,10 @@ class Tuned(NamedTuple):
     history: tuple[tuple[int, float], ...]
 
 
+class _Wild(Exception):
+    """The slope tells nothing here."""
+
+
 class _Candidate(NamedTuple):
     """A point with its largest violation (0: none) and its weighted terms."""
 
@@ -99,6 +111,7 @@ class _Tuner:
     def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], seed: int = 0) -> None:
         self.tuning, self.wanted, self.progress = tuning, wanted, progress
         self.rollouts, self.history, self.rng = 0, [], np.random.default_rng([seed, 1])
+        self.seen: list[_Candidate] = []
         terms, _ = self.look(tuning.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale = np.where(usable, terms[0], 1.0)
@@ -107,6 +120,7 @@ class _Tuner:
         if reach < _WIDE:
             self.scale[TERMS.index("effort")] = len(tuning.task.reference) * (_MOVE * reach) ** 2
         n = tuning.task.reference.shape[0]
+        self.limited = bool(np.any(np.isfinite(np.asarray(wanted.limits))))
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
 
@@ -119,7 +133,9 @@ class _Tuner:
         terms, violated = self.look(points)
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
         worst = [float(np.max(v)) for v in violated]
-        return [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
+        found = [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
+        self.seen += found
+        return found
 
     def descend(
         self, start: np.ndarray, wanted: Wanted, multipliers: jax.Array, mu: float, steps: int, scale: float, reach: float = 1.0
@@ -131,23 +147,32 @@ class _Tuner:
         """
         aim = _Aim(self.tuning, wanted, jnp.asarray(self.scale), multipliers, jnp.asarray(mu))
         best = _Candidate(0.0, math.inf, start)
-        free = np.asarray(self.tuning.upper > self.tuning.lower)
+        free, wild = np.asarray(self.tuning.upper > self.tuning.lower), 0
 
         def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-            nonlocal best
+            nonlocal best, wild
             value, slope = _slope(jnp.asarray(x / scale), aim)
             self.rollouts += _REVERSE * self.tuning.count
             found, by = float(value), np.where(free, np.asarray(slope), 0.0) / scale
             if not (math.isfinite(found) and np.all(np.isfinite(by))):
                 return _UNUSABLE, np.zeros_like(x)
+            point = _Candidate(0.0, found, x / scale)
+            if not self.limited:
+                self.seen.append(point)
             if found < best.cost:
-                best = _Candidate(0.0, found, x / scale)
+                best = point
                 self.progress(self.rollouts, found)
+            wild += scale * float(np.max(np.abs(by))) > _WILD
+            if wild == _WILDS:
+                raise _Wild
             return found, by * min(1.0, _STEEPEST / max(1e-300, scale * float(np.max(np.abs(by)))))
 
         low, high = np.maximum(0.0, start - reach) * scale, np.minimum(1.0, start + reach) * scale
         options = {"maxiter": steps, "maxfun": 2 * steps, "ftol": _RTOL}
-        scipy.optimize.minimize(cost, start * scale, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options=options)
+        with contextlib.suppress(_Wild):
+            scipy.optimize.minimize(
+                cost, start * scale, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options=options
+            )
         return best
 
 
@@ -209,11 +234,9 @@ def _starts(tuner: _Tuner, starts: int, seed: int) -> np.ndarray:
     own = tuner.tuning.start[None]
     if starts <= 1:
         return own
-    drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, 4 * starts), own.shape[1]))
-    terms, violated = tuner.look(drawn)
-    weighted = np.nan_to_num(terms @ (np.asarray(tuner.wanted.weights) / tuner.scale), nan=np.inf)
-    order = np.lexsort((weighted, np.maximum(np.max(violated, axis=1), 0.0)))
-    return np.vstack([own, drawn[order[: starts - 1]]])
+    drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, _BATCH * -(-starts // 2)), own.shape[1]))
+    found = [one for k in range(0, len(drawn), _BATCH) for one in tuner.candidates(drawn[k : k + _BATCH])]
+    return np.vstack([own, *(one.point for one in sorted(found, key=_order)[: starts - 1])])
 
 
 def _near(tuner: _Tuner, points: np.ndarray, steps: int = _FIRST) -> np.ndarray:
@@ -232,13 +255,9 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
 
     If that is far beyond a limit, from the point that violates the limits least.
     """
-    limited = bool(np.any(np.isfinite(np.asarray(tuner.wanted.limits))))
-    point = _near(tuner, points, _FIRST if limited else 2 * _FIRST)
-    if not limited:
-        found = tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP)
-        for width in _HOPS[: len(points) - 1]:
-            found = min(found, _hopped(tuner, found, width), key=lambda c: c.cost)
-        return found.point
+    if not tuner.limited:
+        return _without(tuner, points)
+    point = _near(tuner, points)
     tried = tuner.candidates(np.vstack([point, points]))
     best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
     if tried[0].worst > _GROSS:
@@ -260,11 +279,47 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     return best.point
 
 
-def _hopped(tuner: _Tuner, around: _Candidate, width: float) -> _Candidate:
-    """The best of points drawn about a candidate, and of a search from there: a way out of what noise and hysteresis make rough."""
-    steps = width * tuner.rng.standard_normal((_SCREENED, len(around.point)))
-    best = min(tuner.candidates(np.clip(around.point + steps, 0.0, 1.0)), key=lambda c: c.cost)
-    return min(best, tuner.descend(best.point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP), key=lambda c: c.cost)
+def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
+    """The terms made small where nothing limits them: by gradients from the best that is known, then by the surrogate."""
+    known = tuner.candidates(points[:1]) + tuner.seen
+    point = _near(tuner, min(known, key=_order).point[None], 2 * _FIRST)
+    found = tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP)
+    if len(points) > 1:
+        found = _by_simplex(tuner, _by_surrogate(tuner, _ROUNDS * (len(points) - 1)))
+    return found.point
+
+
+def _by_surrogate(tuner: _Tuner, rounds: int) -> _Candidate:
+    """The best of all that was seen and of what a surrogate of it proposes."""
+    process, best, vain = None, min(tuner.seen, key=_order), 0
+    for _ in range(rounds):
+        process = surrogate.fitted(
+            np.array([one.point for one in tuner.seen]), np.array([min(one.cost, _UNUSABLE) for one in tuner.seen]), process
+        )
+        now = min(tuner.candidates(surrogate.propose(process, _BATCH, tuner.rng)), key=_order)
+        vain = 0 if now.cost < (1.0 - _BETTER) * best.cost else vain + 1
+        best = min(best, now, key=_order)
+        tuner.progress(tuner.rollouts, best.cost)
+        if vain == _PATIENCE:
+            break
+    return best
+
+
+def _by_simplex(tuner: _Tuner, start: _Candidate) -> _Candidate:
+    """The best that a small simplex of Nelder and Mead finds."""
+    best = start
+
+    def cost(point: np.ndarray) -> float:
+        nonlocal best
+        now = tuner.candidates(np.clip(point, 0.0, 1.0)[None])[0]
+        best = min(best, now, key=_order)
+        return min(now.cost, _UNUSABLE)
+
+    inwards = np.where(start.point + _SIMPLEX <= 1.0, _SIMPLEX, -_SIMPLEX)
+    corners = np.vstack([start.point, start.point + np.diag(inwards)])
+    options = {"initial_simplex": corners, "maxfev": _LAST, "xatol": 1e-4, "fatol": _RTOL * start.cost}
+    scipy.optimize.minimize(cost, start.point, method="Nelder-Mead", options=options)
+    return best
 
 
 def _order(candidate: _Candidate) -> tuple[float, float]:

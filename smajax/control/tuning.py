@@ -1,5 +1,6 @@
 """What is tuned, as a function of a point: a loop around one plant or many, its gains by their logarithms in the unit box."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,15 +16,21 @@ from smajax.control.objective import Parts, Task, Wanted
 from smajax.control.rollout import Loop, Rollout, Scenario, rollout
 from smajax.errors import InputError
 
+NOISES = 8  # draws of the sensor's noise that gains are tuned for, lest they suit one only
+
 
 class Tuning(eqx.Module):
-    """What is tuned: a loop around something driven, over a scenario. ``members`` name parameters that differ, each of shape ``(m,)``."""
+    """What is tuned: a loop around something driven, over a scenario.
+
+    ``members`` name parameters that differ, each of shape ``(m,)``; ``draws``, shape ``(m, n)``, are the sensor's noise of each.
+    """
 
     driven: AbstractDriven
     loop: Loop
     scenario: Scenario
     task: Task
     members: dict[str, jax.Array]
+    draws: jax.Array
     lower: jax.Array
     upper: jax.Array
     names: tuple[str, ...] = eqx.field(static=True)
@@ -36,10 +43,12 @@ class Tuning(eqx.Module):
         scenario: Scenario,
         bounds: Mapping[str, tuple[float, float]],
         members: Mapping[str, Any] | None = None,
+        draws: Any | None = None,
     ) -> "Tuning":
         """``bounds`` name the gains to be tuned and the positive ends between which they lie.
 
-        Raises ``InputError`` for a gain that the controller has not, or whose start value does not lie between its bounds.
+        Without ``draws`` all members meet the scenario's noise. Raises ``InputError`` for a gain that the controller has not, or whose
+        start value does not lie between its bounds.
         """
         for name, (low, high) in bounds.items():
             value = float(gain(loop, name))
@@ -54,12 +63,15 @@ class Tuning(eqx.Module):
         span = float(np.max(np.append(reference, before)) - np.min(np.append(reference, before))) or abs(before) or 1.0
         task = Task(*map(jnp.asarray, (reference, found.since, found.size, span)), channel=loop.channel, period=period, wires=driven.wires)
         ends = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
-        return cls(driven, loop, scenario, task, {k: jnp.asarray(v) for k, v in (members or {}).items()}, *ends, names=tuple(bounds))
+        differ = {k: jnp.asarray(v) for k, v in (members or {}).items()}
+        count = next((len(v) for v in differ.values()), 1)
+        noise = jnp.broadcast_to(scenario.draws, (count, len(reference))) if draws is None else jnp.asarray(draws)
+        return cls(driven, loop, scenario, task, differ, noise, *ends, names=tuple(bounds))
 
     @property
     def count(self) -> int:
         """Number of members: rollouts at each look at a point."""
-        return next((len(v) for v in self.members.values()), 1)
+        return self.draws.shape[0]
 
     @property
     def jumps(self) -> metrics.Jumps:
@@ -85,13 +97,25 @@ class Tuning(eqx.Module):
     def roll(self, gains: Mapping[str, Any]) -> Rollout:
         """The rollouts of all members with other gains, in internal units; leaves with a leading axis of ``m``."""
         loop = self.steered(gains)
-        if not self.members:
-            return jax.tree.map(lambda leaf: leaf[None], rollout(self.driven, loop, self.scenario))
-        return jax.vmap(lambda values: rollout(self.driven.changed(values), loop, self.scenario))(self.members)
+
+        def one(values: dict[str, jax.Array], draws: jax.Array) -> Rollout:
+            driven = self.driven.changed(values) if values else self.driven
+            return rollout(driven, loop, dataclasses.replace(self.scenario, draws=draws))
+
+        if not self.members and self.count == 1:  # no batch is faster than a batch of one
+            return jax.tree.map(lambda leaf: leaf[None], one({}, self.draws[0]))
+        return jax.vmap(one)(self.members, self.draws)
 
     def parts(self, point: jax.Array, wanted: Wanted) -> Parts:
         """Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``."""
         return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(self.gains(point))._replace(ends=None))
+
+
+def noises(loop: Loop, scenario: Scenario, count: int = NOISES, seed: int = 0) -> jax.Array:
+    """The scenario's noise and ``count - 1`` other draws of it, shape ``(count, n)``; only the one if the sensor has no noise."""
+    count = count if float(loop.sensing.noise) > 0.0 else 1
+    more = np.random.default_rng([seed, 11]).standard_normal((count - 1, scenario.draws.shape[0]))
+    return jnp.concatenate([scenario.draws[None], jnp.asarray(more)])
 
 
 @eqx.filter_jit
