@@ -5,7 +5,6 @@ processes; at a random moment either the whole run or one of its workers is kill
 byte for byte: no row lost, none doubled.
 """
 
-import contextlib
 import os
 import random
 import signal
@@ -16,10 +15,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import psutil
 from _common import ROOT, Row, arguments, finish, say
 
 from smajax.sweep.table import read_table
+from tests.processes import workers_of
 
 SWEEP = """
 [sweep]
@@ -67,7 +66,7 @@ def main() -> None:
                 time.sleep(0.02)
             if process.poll() is not None:
                 break
-            if workers := workers_of(process):
+            if workers := workers_of(process.pid):
                 random.choice(workers).kill()
                 died["workers"] += 1
                 say(f"a worker killed with {chunks_in(folder)} chunks there")
@@ -106,13 +105,6 @@ def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
 def chunks_in(folder: Path) -> int:
     """Chunks on the disk; all of them once the folder is there."""
     return 10**9 if (folder / "torn").is_dir() else len(list((folder / "torn.partial").glob("chunk-*.parquet")))
-
-
-def workers_of(process: subprocess.Popen) -> list[psutil.Process]:
-    """The worker processes of a run."""
-    with contextlib.suppress(psutil.NoSuchProcess):
-        return [p for p in psutil.Process(process.pid).children(recursive=True) if any("spawn_main" in word for word in p.cmdline())]
-    return []
 
 
 if __name__ == "__main__":

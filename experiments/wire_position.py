@@ -182,10 +182,6 @@ def robust_rows(name: str, wire: Wire, rig: Rig, fitted: Fit, count: int) -> lis
     return rows
 
 
-def _change(errors: list[float]) -> str:
-    return f"RMSE {1e3 * errors[0]:.3f} -> {1e3 * errors[1]:.3f} mm"
-
-
 def rows_of(name: str, wire: Wire, quick: bool, folder: Path | None) -> tuple[list[Row], Rig, Fit]:
     """One wire: fit, tune, try on the exact simulator, and the searches beside it."""
     rig, truth = rig_of(wire)

@@ -86,7 +86,7 @@ def test_derivatives_of_bouc_wen(n):
 
 
 @pytest.mark.parametrize("count", [1, 10, 20])
-@pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12), (0.9, 1.6, 0.5, 0.1)])
+@pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12), (0.9, 1.6, 0.5, 0.1), (1.0, 0.4, 0.1, 0.0)])
 def test_the_inverse_gives_the_input_back(count, unloading):
     law, time = operator(unloading and envelope(*unloading), count=count), jnp.asarray(TIME)
     wanted = follow(law, time, jnp.asarray(INPUT))

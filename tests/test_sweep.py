@@ -1,6 +1,5 @@
 """Sweeps: designs, metrics against the exact reference, derivatives, the command, and what is left when a run dies."""
 
-import contextlib
 import json
 import os
 import pathlib
@@ -35,6 +34,7 @@ from smajax.sweep.study import RigStudy, evaluate_batch, programs
 from smajax.sweep.table import read_table
 from smajax.sweep.wave import Wave, lay, span
 from smajax.sweep_file import read_sweep
+from tests.processes import workers_of
 from tests.reference import rigs
 from tests.reference.brinson import Material
 from tests.reference.wire import Heat, Wire
@@ -371,19 +371,12 @@ def test_a_killed_run_and_a_killed_worker_lose_no_row(folder):
     busy: list[psutil.Process] = []
     while process.poll() is None and not busy:
         time.sleep(0.05)
-        busy = [p for p in _workers(process.pid) if p.cpu_times().user > _STARTED]
+        busy = [p for p in workers_of(process.pid) if p.cpu_times().user > _STARTED]
     assert busy, "the run ended before a worker was at work"
     busy[0].kill()
     _, errors = process.communicate(timeout=400)
     assert process.returncode == 0, errors
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
-
-
-def _workers(parent):
-    """The worker processes of a run."""
-    with contextlib.suppress(psutil.NoSuchProcess):
-        return [p for p in psutil.Process(parent).children(recursive=True) if any("spawn_main" in word for word in p.cmdline())]
-    return []
 
 
 def test_a_full_disk_keeps_what_is_there(folder):

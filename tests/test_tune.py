@@ -124,6 +124,19 @@ def test_gains_suit_more_than_one_draw_of_the_noise():
     assert judge(found.point) < 0.99 * judge(fresh.start) and judge(found.point) <= 1.001 * judge(alone.point)
 
 
+def test_slopes_that_tell_nothing_end_the_search(monkeypatch):
+    """A loop that chatters has slopes without end; three of them, of three rollouts each, end each of two descents."""
+    asked = []
+
+    def slope(point, aim):
+        asked.append(point)
+        return jnp.asarray(1.0 - 0.01 * len(asked)), jnp.full(3, 1e9 * (-1.0) ** len(asked))
+
+    monkeypatch.setattr("smajax.control.tune._slope", slope)
+    found = tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {})
+    assert len(asked) == 6 and found.rollouts == 6 * 3 + 3
+
+
 def test_nothing_wanted_and_nothing_possible():
     tuning = hip_tuning(seconds=20.0)
     with pytest.raises(InputError, match="nothing is wanted of the loop"):

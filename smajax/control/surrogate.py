@@ -8,7 +8,8 @@ plus white noise of variance e, which stands for what is rough. Lengths l, s and
 proposed at a time: after each, the process believes that it found there what it expected (the kriging believer).
 
 Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), eqs. 2.25, 2.26, 4.17, 5.8 and 5.9; Jones, Schonlau and
-Welch, J. Global Optimization 13 (1998) 455, eq. 15; Ginsbourger, Le Riche and Carraro (2010), section 3.2.
+Welch, J. Global Optimization 13 (1998) 455, eq. 15; Ginsbourger, Le Riche and Carraro, Kriging is well-suited to parallelize optimization
+(2010).
 """
 
 from typing import NamedTuple
@@ -38,13 +39,12 @@ class Process(NamedTuple):
     @classmethod
     def of(cls, points: np.ndarray, values: np.ndarray, lengths: np.ndarray, variance: float, noise: float) -> "Process":
         """The process with given lengths and variances."""
-        covariance = _covariance(_apart(points, points, lengths), variance) + (noise + 1e-8 * variance) * np.eye(len(points))
-        factor = scipy.linalg.cho_factor(covariance, lower=True)
+        factor = scipy.linalg.cho_factor(_seen(_apart(_squares(points, points), lengths), variance, noise), lower=True)
         return cls(points, values, lengths, variance, noise, factor, scipy.linalg.cho_solve(factor, values))
 
     def tell(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation at points, shape ``(m, p)``."""
-        across = _covariance(_apart(points, self.points, self.lengths), self.variance)
+        across = _covariance(_apart(_squares(points, self.points), self.lengths), self.variance)
         left = self.variance - np.sum(across * scipy.linalg.cho_solve(self.factor, across.T).T, axis=1)
         return across @ self.weights, np.sqrt(np.maximum(left, 1e-12))
 
@@ -60,7 +60,7 @@ def fitted(points: np.ndarray, costs: np.ndarray, before: Process | None = None)
     values = np.minimum(values, np.min(values) + _TALL)
     values = values - np.mean(values)
     spread, wide = float(np.var(values)) + 1e-9, points.shape[1]
-    squares = (points[:, None] - points[None]) ** 2
+    squares = _squares(points, points)
     first = np.append(np.full(wide, np.log(_LENGTH)), np.log([spread, _SLIGHT * spread]))
     if before is not None:
         first = np.append(np.log(before.lengths), np.log([before.variance, before.noise]))
@@ -78,20 +78,20 @@ def unlikelihood(at: np.ndarray, squares: np.ndarray, values: np.ndarray) -> tup
     ``squares``, shape ``(n, n, p)``, are those of the points' differences. A guess of the lengths is in it, which keeps those of which few
     points tell nothing from running to their bounds.
     """
-    wide, eye = squares.shape[2], np.eye(len(values))
+    wide = squares.shape[2]
     lengths, variance, noise = np.exp(at[:wide]), float(np.exp(at[wide])), float(np.exp(at[wide + 1]))
-    apart = np.sqrt(5.0 * squares @ lengths**-2.0)
-    covariance = _covariance(apart, variance) + (noise + 1e-8 * variance) * eye
+    apart = _apart(squares, lengths)
+    covariance = _seen(apart, variance, noise)
     factor = scipy.linalg.cho_factor(covariance, lower=True)
-    inverse = scipy.linalg.cho_solve(factor, eye)
+    inverse = scipy.linalg.cho_solve(factor, np.eye(len(values)))
     weights = inverse @ values
     away = at[:wide] - np.log(_LENGTH)
     found = 0.5 * values @ weights + np.sum(np.log(np.diag(factor[0]))) + 0.5 * away @ away
     pull = 0.5 * (inverse - np.outer(weights, weights))
     inner = pull * variance * (5.0 / 3.0) * (1.0 + apart) * np.exp(-apart)
     by_lengths = np.einsum("ij,ijk->k", inner, squares) / lengths**2 + away
-    by_variance = np.sum(pull * (covariance - noise * eye))
-    return float(found), np.append(by_lengths, [by_variance, noise * np.trace(pull)])
+    by_noise = noise * np.trace(pull)
+    return float(found), np.append(by_lengths, [np.sum(pull * covariance) - by_noise, by_noise])
 
 
 def propose(process: Process, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -113,8 +113,17 @@ def propose(process: Process, count: int, rng: np.random.Generator) -> np.ndarra
     return np.array(chosen)
 
 
-def _apart(one: np.ndarray, other: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    return np.sqrt(5.0 * np.sum(((one[:, None] - other[None]) / lengths) ** 2, axis=2))
+def _squares(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return (one[:, None] - other[None]) ** 2
+
+
+def _apart(squares: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    return np.sqrt(5.0 * squares @ lengths**-2.0)
+
+
+def _seen(apart: np.ndarray, variance: float, noise: float) -> np.ndarray:
+    """The covariance of what was seen, with noise and the little that keeps equal points apart."""
+    return _covariance(apart, variance) + (noise + 1e-8 * variance) * np.eye(len(apart))
 
 
 def _covariance(apart: np.ndarray, variance: float) -> np.ndarray:

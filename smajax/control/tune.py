@@ -200,7 +200,10 @@ def tune(
     band: float = metrics.BAND,
     progress: Callable[[int, float], None] = lambda steps, cost: None,
 ) -> Tuned:
-    """Tunes from the loop's own gains and from ``starts - 1`` drawn ones that look best.
+    """Tunes from the loop's own gains and, with ``starts`` above 1, from drawn ones that look better.
+
+    Within limits and for settling, gradients are followed from the own gains and the ``starts - 1`` best of those drawn. Without, they are
+    followed from the best of all, and the surrogate then gets ``starts - 1`` times ``_ROUNDS`` rounds at most.
 
     ``weights`` are of ``objective.TERMS``, ``limits`` of ``objective.LIMITS``; ``settle`` makes the settling time as small as it goes
     within the other limits, from where the terms are small. Raises ``InputError`` if nothing is wanted, ``NumericsError`` if no point can
@@ -281,8 +284,8 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
 
 def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     """The terms made small where nothing limits them: by gradients from the best that is known, then by the surrogate."""
-    known = tuner.candidates(points[:1]) + tuner.seen
-    point = _near(tuner, min(known, key=_order).point[None], 2 * _FIRST)
+    tuner.candidates(points[:1])
+    point = _near(tuner, min(tuner.seen, key=_order).point[None], 2 * _FIRST)
     found = tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP)
     if len(points) > 1:
         found = _by_simplex(tuner, _by_surrogate(tuner, _ROUNDS * (len(points) - 1)))

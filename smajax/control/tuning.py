@@ -47,8 +47,8 @@ class Tuning(eqx.Module):
     ) -> "Tuning":
         """``bounds`` name the gains to be tuned and the positive ends between which they lie.
 
-        Without ``draws`` all members meet the scenario's noise. Raises ``InputError`` for a gain that the controller has not, or whose
-        start value does not lie between its bounds.
+        A single row of ``draws``, or the scenario's noise without, is met by all members. Raises ``InputError`` for a gain that the
+        controller has not, or whose start value does not lie between its bounds.
         """
         for name, (low, high) in bounds.items():
             value = float(gain(loop, name))
@@ -64,8 +64,8 @@ class Tuning(eqx.Module):
         task = Task(*map(jnp.asarray, (reference, found.since, found.size, span)), channel=loop.channel, period=period, wires=driven.wires)
         ends = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
         differ = {k: jnp.asarray(v) for k, v in (members or {}).items()}
-        count = next((len(v) for v in differ.values()), 1)
-        noise = jnp.broadcast_to(scenario.draws, (count, len(reference))) if draws is None else jnp.asarray(draws)
+        noise = scenario.draws[None] if draws is None else jnp.asarray(draws)
+        noise = jnp.broadcast_to(noise, (next((len(v) for v in differ.values()), len(noise)), len(reference)))
         return cls(driven, loop, scenario, task, differ, noise, *ends, names=tuple(bounds))
 
     @property

@@ -134,7 +134,8 @@ class SolvedInverse(AbstractOperator):
             low = left(middle) < 0.0
             return jnp.where(low, middle, ends[0]), jnp.where(low, ends[1], middle)
 
-        ends = (law.loading.inverse(-jnp.asarray(jnp.inf)), law.loading.inverse(jnp.asarray(jnp.inf)))
+        reached = jnp.stack([e.inverse(jnp.asarray([-jnp.inf, jnp.inf])) for e in (law.loading, law.unloading or law.loading)])
+        ends = (jnp.min(reached), jnp.max(reached))
         found = jax.lax.stop_gradient(sum(jax.lax.fori_loop(0, _HALVINGS, halve, ends)) * 0.5)
         # The last step of Newton's method carries the derivative of the implicit function.
         rest, slope = jax.jvp(left, (found,), (jnp.ones_like(found),))

@@ -89,7 +89,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     with clock.time("tune"):
         few = {n: v[: given.robust.draws] for n, v in drawn.items()} if given.robust else {}
         draws = noises(given.loop, given.scenario, given.robust.draws if given.robust else NOISES, seed)
-        tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws if len(draws) > 1 else None)
+        tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws)
         found = tune(
             tuning, given.weights, given.limits, settle=given.settle, starts=given.starts, seed=seed, band=given.band,
             progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
