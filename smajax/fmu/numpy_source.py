@@ -175,6 +175,7 @@ class _Writer:
         return carry
 
     def scan_loop(self, given: dict, inputs: list[str]) -> list[str]:
+        """A scan as a ``for``: the names of its last carry and of the rows that it gathers."""
         fixed, length = given["num_consts"], given["length"]
         split = fixed + given["num_carry"]
         carry = self.carried(inputs[fixed:split])
