@@ -28,3 +28,27 @@ def shared() -> pathlib.Path:
     if not SHARED.is_dir():
         pytest.skip("the recordings of others are not beside this checkout (../shared)")
     return SHARED
+
+
+# What takes longest begins first, so that no process waits for another's last file.
+LONGEST = [
+    "measured",
+    "tune",
+    "simulate",
+    "lagoudas",
+    "effects",
+    "sweep",
+    "control",
+    "diagnose",
+    "knee",
+    "limb",
+    "compare",
+    "cross_section",
+    "ensemble",
+]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Orders the files of tests."""
+    rank = {f"test_{name}": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))

@@ -71,8 +71,11 @@ KEYS = [
 
 
 @functools.cache
-def bench(kind: str, seconds: float, observe: str = "") -> Bench:
-    """A shipped rig on the first seconds of its training recording, with other observed channels where these are given."""
+def bench(kind: str, seconds: float, observe: str = "", stages: tuple[str, ...] = ()) -> Bench:
+    """A shipped rig on the first seconds of its training recording, with other observed channels where these are given.
+
+    With ``stages``, only effects of these: what those of the others do is the same on every rig with wires that are heated.
+    """
     folder = shipped("recordings", kind)
     text = (folder / "rig.toml").read_text("utf-8")
     rig = parse_rig(text) if not observe else parse_rig(text.replace('observe = ["displacement"]', f"observe = [{observe}]"))
@@ -85,7 +88,11 @@ def bench(kind: str, seconds: float, observe: str = "") -> Bench:
         recording = dataclasses.replace(recording, channels=channels, units=recording.units | {"temperature": "degC", "voltage": "V"})
     noise = {"displacement": 2e-5, "temperature": 0.4, "voltage": 5e-3, "angle": 1e-3, "strain": 1e-4}
     settings = dataclasses.replace(rig.fit, noise={c: noise[c] for c in rig.fit.observe})
-    return Bench(rig.plant, [recording], settings, interpolation=rig.interpolation)
+    with pytest.MonkeyPatch.context() as patch:
+        if stages:
+            kept = {k: e for k, e in catalogue().items() if e.stage in stages or "two wires" in e.needs}
+            patch.setattr("smajax.diagnose.bench.catalogue", lambda: kept)
+        return Bench(rig.plant, [recording], settings, interpolation=rig.interpolation)
 
 
 def test_the_catalogue_is_whole():
@@ -106,17 +113,17 @@ def test_an_effect_says_what_it_is(key):
 
 
 @pytest.mark.parametrize(
-    ("kind", "seconds", "observe"),
+    ("kind", "seconds", "observe", "stages"),
     [
-        ("dead-weight", 12.0, '"displacement", "temperature", "voltage"'),
-        ("rotary", 6.0, ""),
-        ("bias-spring", 8.0, ""),
-        ("isobaric", 300.0, ""),
+        ("dead-weight", 12.0, '"displacement", "temperature", "voltage"', ()),
+        ("rotary", 6.0, "", ("mechanism", "sensor")),
+        ("bias-spring", 8.0, "", ("drive", "mechanism", "sensor")),
+        ("isobaric", 300.0, "", ()),
     ],
 )
-def test_derivatives_at_zero_strength(kind, seconds, observe):
+def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
     """All effects of a rig in one program: absent at 0, and the derivative there is that of a small step."""
-    made = bench(kind, seconds, observe)
+    made = bench(kind, seconds, observe, stages)
     nominal = made.nominal
     nothing, _ = made.evaluate(Hypothesis(), nominal, 0)
     without = np.asarray(made.plain.residual(jnp.asarray(nominal)))

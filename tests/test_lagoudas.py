@@ -253,7 +253,9 @@ def test_every_effect_goes_with_it():
     """Absent effects change nothing, and each has a derivative: the law answers whatever effects ask of a material."""
     rig, recording = dead_weight(), pulses(120)
     plain = np.asarray(simulate(rig.plant, recording).channels["displacement"])
-    kinds = {k: kind for k, kind in catalogue().items() if not kind.obstacle(rig.plant.traits(("displacement",)))}
+    traits = rig.plant.traits(("displacement",))
+    kinds = {k: kind for k, kind in catalogue().items() if kind.stage in ("heat", "material") and not kind.obstacle(traits)}
+    kinds["coulomb-friction"] = catalogue()["coulomb-friction"]  # a drag is solved for with the law
     made = tuple(
         kind(**({"strength": 0.0} | ({"reference": 0.33} if "reference" in declarations(kind) else {}))) for kind in kinds.values()
     )
@@ -269,7 +271,7 @@ def test_every_effect_goes_with_it():
         return simulate_inputs(changed, inputs).channels["displacement"]
 
     slopes = np.asarray(jax.jacfwd(response)(jnp.zeros(len(names))))
-    assert np.all(np.isfinite(slopes)) and len(kinds) > 20
+    assert np.all(np.isfinite(slopes)) and len(kinds) > 15
 
 
 def test_planted_parameters_are_found():
