@@ -1,6 +1,6 @@
 """Puts the tables of experiments into the README: ``python experiments/readme.py FILE.json ...``, files written by experiments with --json.
 
-Of recordings by others only the rows with a target go in.
+Of measured recordings by others only the rows with a target go in, and of estimates only what a bound holds and what cannot be told apart.
 A table goes between ``<!-- NAME -->`` and ``<!-- end -->``, under the command that prints it. Numbers reach the README in no other way.
 """
 
@@ -13,11 +13,13 @@ from pathlib import Path
 
 from _common import ROOT, table
 
+ESTIMATE = re.compile(r"(sample \d+: )?(heat|material|mechanism|environment)\.\w+: .*(?<!held at its bound)\)")
+
 
 def block(document: dict) -> str:
     """The table of one experiment as Markdown, under its command."""
-    brief = document["experiment"].startswith(("measured_", "sma_react"))
-    shown = [r for r in document["rows"] if r["met"] is not None or not brief]
+    brief = document["experiment"].startswith("measured_")
+    shown = [r for r in document["rows"] if r["met"] is not None or not (brief or ESTIMATE.fullmatch(f"{r['what']}: {r['measured']}"))]
     words = document.get("words", "") + (" --quick" if document["quick"] else "")
     command = f"`python experiments/{document['experiment']}.py{words}`"
     rows = [(r["what"], r["target"], r["measured"], {True: "yes", False: "no", None: "-"}[r["met"]]) for r in shown]
