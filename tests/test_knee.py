@@ -7,11 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from smajax import machines, parameters
 from smajax.datasets import shipped
 from smajax.errors import InputError
 from smajax.machines.knee import Knee
+from smajax.plant.material.base import Fractions
 from tests.reference import knee as reference
 
 # The springs alone, the motor alone, and both with the clutch slipping.
@@ -86,6 +88,33 @@ def test_figures_of_the_parts(knee):
     temperature = np.asarray(roll(knee).temperature)[:, 1]
     assert np.interp(62.0, temperature, 20.0 * np.asarray(SHARE)) == pytest.approx(time, rel=0.1)
     assert math.isinf(float(knee.heating_time(jnp.asarray(0.0)))) and math.isinf(float(knee.heating_time(jnp.asarray(1.0))))
+
+
+def test_ordinary_designs_all_arrive(knee):
+    """Springs thinner than the shipped ones stay partly twinned, so that under stress both lines of the law are passed at once."""
+    box = {"wire.diameter": (0.8e-3, 1.2e-3), "joint.radius": (15e-3, 40e-3), "command.second": (3.0, 5.5)}
+    shares = np.vstack([qmc.Sobol(3, scramble=False).random(8), [[0.18, 0.19044, 0.901485]]])
+    for share in shares:
+        design = {name: low + u * (high - low) for u, (name, (low, high)) in zip(share, box.items(), strict=True)}
+        way = roll(parameters.replace(knee, design))
+        assert np.all(np.isfinite(way.angle)), design
+        assert np.all(np.asarray(way.fractions.martensite) >= -1e-6) and np.all(np.asarray(way.fractions.martensite) <= 1.0 + 1e-6)
+
+
+def test_what_the_law_asks_is_continuous_where_both_lines_are_passed(knee):
+    law, twinned = knee.material, Fractions(jnp.asarray(0.34), jnp.asarray(0.05))
+    temperature = jnp.linspace(60.0, 80.0, 20_001)
+    due = jax.vmap(lambda t: law.due(twinned, t, jnp.asarray(110e6)))(temperature)
+    both = (np.asarray(due.twinned) < 0.0) & (np.asarray(due.detwinned) > 0.0)
+    assert np.any(both)
+    for part in due:
+        assert np.max(np.abs(np.diff(np.asarray(part)))) < 1e-4
+    # Where one line alone is passed, it is what the law's own step says.
+    for t in (65.0, 76.0):
+        step = law.evolve(twinned, (jnp.asarray(t),) * 2, (jnp.asarray(110e6),) * 2)
+        asked = law.due(twinned, jnp.asarray(t), jnp.asarray(110e6))
+        assert np.asarray(asked) == pytest.approx(np.asarray(step) - np.asarray(twinned), abs=1e-12)
+        assert abs(float(asked.martensite)) > 0.05
 
 
 def test_derivatives_and_batches(knee):

@@ -182,7 +182,7 @@ class Knee(AbstractMachine):
         joule = self.drive.joule(voltage, self._law.resistivity(state.fractions), self.wire)
         warming = self.heat.rate(joule, state.temperature, self.wire, self.environment) / self.heat.capacity(state.fractions.martensite)
         stress = self.stress(state.fractions, state.temperature, self.stretch(state.angle))
-        law = self._law.evolve(state.fractions, (state.temperature, state.temperature), (stress, stress))
+        due = self._law.due(state.fractions, state.temperature, stress)
         pull = self.wire.force_per_stress * stress
         passed = self.clutch.transmitted(self.slip(state), command.clutch)
         joint, motor = self.joint, self.motor
@@ -194,7 +194,7 @@ class Knee(AbstractMachine):
         drop = command.motor - motor.resistance * state.current - motor.back_voltage * state.shaft_rate
         return KneeState(
             warming,
-            Fractions(*((after - before) / _FOLLOWS for after, before in zip(law, state.fractions, strict=True))),
+            Fractions(*(change / _FOLLOWS for change in due)),
             state.rate,
             turning / joint.inertia,
             state.shaft_rate,
