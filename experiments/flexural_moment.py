@@ -55,7 +55,7 @@ def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__)
-    machine = machines.read(ROOT / "data" / "machines" / "flexural.toml")
+    machine = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
     assert isinstance(machine, FlexuralActuator)
     law, curvature = machine.bending, float(machine.body.curvature)
     rows: list[Row] = []

@@ -154,7 +154,7 @@ def states(knee: Knee) -> tuple[list[Row], dict[str, tuple[np.ndarray, np.ndarra
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__, quick="the same: it takes less than two minutes")
-    knee = machines.read(ROOT / "data" / "machines" / "knee.toml")
+    knee = machines.read(ROOT / "data" / "machines" / "knee" / "rig.toml")
     assert isinstance(knee, Knee)
     say("spring, motor and clutch")
     rows = spring(knee)

@@ -36,7 +36,7 @@ def balanced(force: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__)
-    machine = machines.read(ROOT / "data" / "machines" / "soft-bending.toml")
+    machine = machines.read(ROOT / "data" / "machines" / "soft-bending" / "rig.toml")
     assert isinstance(machine, SoftBending)
     told = {name: float(value) for name, value in filter_jit(lambda m: m.metrics())(machine).items()}
     rows: list[Row] = []

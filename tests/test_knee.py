@@ -27,7 +27,7 @@ SHARE = jnp.linspace(0.0, 1.0, 81)
 
 @pytest.fixture(scope="module")
 def knee() -> Knee:
-    found = machines.read(shipped("machines", "knee.toml"))
+    found = machines.read(shipped("machines", "knee", "rig.toml"))
     assert isinstance(found, Knee)
     return found
 
@@ -138,7 +138,9 @@ def test_derivatives_and_batches(knee):
 
 
 def test_bands_that_run_backwards_are_refused():
-    text = shipped("machines", "knee.toml").read_text("utf-8").replace('austenite_finish = "62 degC"', 'austenite_finish = "30 degC"')
+    text = (
+        shipped("machines", "knee", "rig.toml").read_text("utf-8").replace('austenite_finish = "62 degC"', 'austenite_finish = "30 degC"')
+    )
     with pytest.raises(
         InputError, match=r"^my.toml: material.austenite_start is not below material.austenite_finish: correct one of the two$"
     ):

@@ -18,7 +18,7 @@ KINDS = sorted(machines.MACHINES)
 
 
 def text_of(kind: str, changes: dict[str, str] | None = None) -> str:
-    text = shipped("machines", f"{kind}.toml").read_text("utf-8")
+    text = shipped("machines", kind, "rig.toml").read_text("utf-8")
     for old, new in (changes or {}).items():
         assert old in text
         text = text.replace(old, new, 1)
@@ -26,7 +26,7 @@ def text_of(kind: str, changes: dict[str, str] | None = None) -> str:
 
 
 def shipped_machine(kind: str) -> machines.AbstractMachine:
-    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    machine = machines.read(shipped("machines", kind, "rig.toml"))
     return dataclasses.replace(machine, cells=6) if isinstance(machine, FlexuralActuator) else machine
 
 
@@ -37,7 +37,7 @@ def figures(machine: machines.AbstractMachine) -> dict[str, jax.Array]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_shipped_machine_reads_back_and_tells_its_figures(kind: str, tmp_path: Path):
-    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    machine = machines.read(shipped("machines", kind, "rig.toml"))
     machines.write(tmp_path / "machine.toml", machine)
     again = machines.read(tmp_path / "machine.toml")
     assert eqx.tree_equal(machine, again)
@@ -136,7 +136,7 @@ def test_a_malformed_machine_gets_its_sentence(case: str):
 
 
 def test_new_values_have_to_make_a_machine():
-    machine = machines.read(shipped("machines", "flexural.toml"))
+    machine = machines.read(shipped("machines", "flexural", "rig.toml"))
     with pytest.raises(InputError, match="the machine with new values: wire.diameter leaves no silicone"):
         machines.to_toml(machine, {"wire.diameter": 0.7e-3})
     with pytest.raises(InputError, match="there is no parameter 'wire.diametre' in this plant"):

@@ -107,7 +107,7 @@ _figures = eqx.filter_jit(lambda machine: machine.metrics())
 
 def test_soft_bending_figures():
     """The free tip turns by the published 44.04 degrees, which the memory shape was chosen for; a cable turns it back."""
-    machine = machines.read(shipped("machines", "soft-bending.toml"))
+    machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))
     told = {name: float(value) for name, value in _figures(machine).items()}
     assert np.degrees(told["tip_slope"]) == pytest.approx(44.04, abs=2e-3)
     assert told["rigidity"] == pytest.approx(3.05e-2 + 2.8e-4, rel=2e-3)
