@@ -43,7 +43,7 @@ def by_quadrature(law: BilinearLaw, diameter: float, curvature: float) -> float:
 @filter_jit
 def figures(machine: FlexuralActuator) -> dict[str, jax.Array]:
     """All but what needs the cooling."""
-    return {name: value for name, value in machine.metrics().items() if name not in ("cooling_time", "temperature_after", "frequency")}
+    return {name: value for name, value in machine.metrics().items() if name not in ("time_to_cool", "temperature_after", "frequency")}
 
 
 def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:
@@ -115,7 +115,7 @@ def main() -> None:
     text = f"{max(done) / min(done):.2f} times from place to place: eq. 7 takes the tip's path for the force's"
     rows.append(Row("is the work the same wherever the actuator stands?", "yes", text, None, {"joule": done}))
 
-    heat, work = tested[300]["heat"], done[0]
+    heat, work = tested[300]["energy_per_cycle"], done[0]
     measured = f"{100 * 1.559e-3 / heat:.4f} % as printed, {100 * work / heat:.4f} % with the force's work; "
     measured += f"ours {100 * tested[300]['efficiency']:.4f} %, "
     measured += f"at most {100 * tested[300]['limit_efficiency']:.4f} % if all work of yielding came out"

@@ -46,7 +46,8 @@ def _machine(machine: AbstractMachine, path: Path, recordings: Sequence[Path]) -
     rows = []
     for name, known in parameters.declared(machine).items():
         ends = [as_text(end, known.unit) if math.isfinite(end) else "none" for end in (known.lower, known.upper)]
-        rows.append((name, as_text(float(parameters.get(machine, name)), known.unit), f"{ends[0]} .. {ends[1]}"))
+        value = float(parameters.get(machine, name))
+        rows.append((name, as_text(value, known.unit) if math.isfinite(value) else "not given", f"{ends[0]} .. {ends[1]}"))
     figures = ", ".join(name if unit == "1" else f"{name} [{unit}]" for name, unit in machine.units.items())
     lines = [f"{path.name}: {kind_of(machine)}, a machine, which gives its figures without a recording", ""]
     lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Figures: {figures}."]

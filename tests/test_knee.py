@@ -41,6 +41,11 @@ def exact(knee: Knee, **options: float) -> reference.Knee:
 
 
 @eqx.filter_jit
+def figures(knee: Knee):
+    return knee.metrics()
+
+
+@eqx.filter_jit
 def roll(knee: Knee):
     return knee.roll(SHARE)
 
@@ -65,7 +70,6 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
     motor, hybrid = commanded(knee, "motor"), commanded(knee, "hybrid")
     locked = exact(knee).locked(1.0, np.asarray(SHARE))
     assert np.asarray(roll(motor).angle) == pytest.approx(locked, abs=5e-3 * np.ptp(locked))
-    figures = eqx.filter_jit(lambda k: k.metrics())
     assert float(figures(motor)["clutch_sticks"]) == 1.0 and abs(float(figures(motor)["slip"])) < 0.02
     assert float(figures(hybrid)["clutch_sticks"]) == 0.0 and float(figures(hybrid)["slip"]) > 1.0
     passed = hybrid.clutch.transmitted(figures(hybrid)["slip"], jnp.asarray(0.01))
@@ -73,6 +77,21 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
     for slip in (-3.0, 0.0, 3.0):
         assert float(knee.clutch.transmitted(jnp.asarray(slip), jnp.asarray(0.0))) == 0.0
         assert slip * float(knee.clutch.transmitted(jnp.asarray(slip), jnp.asarray(0.4))) >= 0.0
+
+
+def test_figures_of_a_command(knee):
+    """Pull, stroke, temperature and energy by the way that the knee goes."""
+    springs, motor = ({n: float(v) for n, v in figures(commanded(knee, state)).items()} for state in ("springs", "motor"))
+    way = roll(knee)
+    assert springs["stroke"] == pytest.approx(np.ptp(np.asarray(way.angle)), rel=1e-3)
+    assert springs["peak_temperature"] == pytest.approx(np.max(np.asarray(way.temperature)), abs=0.1)
+    assert springs["force"] == pytest.approx(np.max(np.asarray(jax.vmap(knee.forces)(way))), rel=5e-3)
+    # 5 V for 20 s on a resistance that goes from martensite's to austenite's; the motor's current settles within a millisecond.
+    wire, law = knee.wire, knee.material
+    ends = [25.0 * 20.0 / float(rho * wire.length / wire.area) for rho in (law.resistivity_austenite, law.resistivity_martensite)]
+    assert ends[0] < springs["energy_per_cycle"] < ends[1]
+    current = np.asarray(roll(commanded(knee, "motor")).current)
+    assert motor["energy_per_cycle"] == pytest.approx(np.trapezoid(current, np.asarray(SHARE)), rel=0.02)
 
 
 def test_figures_of_the_parts(knee):
