@@ -72,6 +72,12 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
     assert np.asarray(roll(motor).angle) == pytest.approx(locked, abs=5e-3 * np.ptp(locked))
     assert float(figures(motor)["clutch_sticks"]) == 1.0 and abs(float(figures(motor)["slip"])) < 0.02
     assert float(figures(hybrid)["clutch_sticks"]) == 0.0 and float(figures(hybrid)["slip"]) > 1.0
+    # The hybrid drive with a clutch that holds: the joint keeps to the motor's pace, which a hot spring helps.
+    both = parameters.replace(hybrid, {"command.clutch": 0.5, "command.motor": 0.05})
+    way, alone = roll(both), roll(parameters.replace(both, {"command.second": 0.0}))
+    assert float(figures(both)["clutch_sticks"]) == 1.0
+    assert float(way.shaft[-1]) == pytest.approx(float(knee.clutch.belt * way.angle[-1]), rel=0.02)
+    assert float(way.angle[-1]) > 1.1 * float(alone.angle[-1]) > 0.1
     passed = hybrid.clutch.transmitted(figures(hybrid)["slip"], jnp.asarray(0.01))
     assert float(passed) == pytest.approx(6.0 * 0.01 / 0.5, rel=1e-6)
     for slip in (-3.0, 0.0, 3.0):
