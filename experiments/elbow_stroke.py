@@ -75,34 +75,44 @@ def arithmetic(plant: Plant) -> list[Row]:
     """What follows from the printed numbers alone."""
     assert isinstance(plant.mechanism, TendonLimb)
     value = {n: float(parameters.get(plant, n)) for n in parameters.declared(plant)}
-    strain, radius = 0.075 / 1.85, 0.075 / math.radians(150.0)
-    pull = 3 * RATED
+    radius, length = value["pulley.radius"], value["wire.length"]
+    stroke = radius * math.radians(150.0)
+    strain, pull = stroke / length, 3 * RATED
     moment = float(plant.mechanism.limb.moment(np.pi / 2, 9.81))
     share = moment / (pull * radius)
     grip = math.exp(value["sheath.friction"] * value["sheath.bend"])
     rows = [
-        Row("elbow: strain of 7.5 cm on 1.85 m", "about 4 %", f"{100 * strain:.2f} %", abs(strain - 0.04) < 1e-3, {"strain": strain}),
         Row(
-            "elbow: radius of a pulley that turns 150 degrees over 7.5 cm", "not printed", f"{1e3 * radius:.2f} mm (rig file: "
-            f"{1e3 * value['pulley.radius']:.1f} mm)", None, {"radius": radius},
+            "elbow: strain of 150 degrees on the wire", "4.05 %: 7.5 cm on 1.85 m, 'about 4 %'", f"{100 * strain:.2f} % of {length:g} m",
+            abs(strain - 0.0405) < 5e-5, {"strain": strain},
         ),
         Row(
-            "elbow: moment of 3 wires, rated pull", "not printed", f"{pull:.1f} N x {1e3 * radius:.1f} mm: {pull * radius:.2f} N m",
-            None, {"pull": pull, "moment": pull * radius},
+            "elbow: stroke of 150 degrees on the rig's pulley", "7.5 cm, so a radius of 28.6 mm, not printed",
+            f"{100 * stroke:.2f} cm on {1e3 * radius:.2f} mm", abs(stroke / 0.075 - 1.0) < 2e-3, {"radius": radius, "stroke": stroke},
         ),
         Row(
-            "elbow: moment of the forearm at 90 degrees", "lifted by 3 wires",
+            "elbow: moment of 3 wires, rated pull", "not printed; 3.00 N m on that pulley", f"{pull:.1f} N x {1e3 * radius:.1f} mm: "
+            f"{pull * radius:.2f} N m", abs(pull * radius / 3.0 - 1.0) < 0.1, {"pull": pull, "moment": pull * radius},
+        ),
+        Row(
+            "elbow: moment of the forearm at 90 degrees", "lifted by 3 wires; 3.09 N m of a man of 80 kg, within 10 %",
             f"{moment:.2f} N m: {100 * share:.0f} % of the rated pull without friction, {100 * share * grip:.0f} % through the sheath. The "
-            "wire's diameter is not printed (0.51 mm here); so the design has no margin", None,
+            "wire's diameter is not printed (0.51 mm here); so the design has no margin", abs(moment / 3.09 - 1.0) < 0.1,
             {"moment": moment, "share": share, "share_with_friction": share * grip},
         ),
     ]  # fmt: skip
-    for length, ratio, printed in ((2.0, 1.0, "2 m"), (0.9, 2.0, "0.9 m behind a doubling pulley")):
+    glove = template("glove-finger").plant
+    doubled = (float(parameters.get(glove, "wire.length")), float(parameters.get(glove, "transmission.ratio")))
+    for (length, ratio), expected, printed in (
+        ((2.0, 1.0), (2.5, 3.0), "2 m"), (doubled, (2.8, 3.3), "0.9 m behind a doubling pulley"),
+    ):  # fmt: skip
         low, high = (100.0 * s / ratio / length for s in (0.05, 0.06))
         text = f"{low:.1f} to {high:.1f} %" + (
             "" if ratio == 1.0 else ", at half the force: the glove uses about 3 % of its wires, not 4 %"
         )
-        rows.append(Row(f"glove: strain of 5 to 6 cm on {printed}", "not printed", text, None, {"low": low / 100, "high": high / 100}))
+        close = all(abs(ours - e) < 0.05 for ours, e in zip((low, high), expected, strict=True))
+        target = f"{expected[0]} to {expected[1]} %, of the printed lengths"
+        rows.append(Row(f"glove: strain of 5 to 6 cm on {printed}", target, text, close, {"low": low / 100, "high": high / 100}))
     return rows
 
 

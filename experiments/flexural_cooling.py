@@ -70,7 +70,7 @@ def elasticities(machine: FlexuralActuator) -> tuple[dict[str, float], dict[str,
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__)
-    machine = machines.read(ROOT / "data" / "machines" / "flexural.toml")
+    machine = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
     assert isinstance(machine, FlexuralActuator)
     rows: list[Row] = []
 

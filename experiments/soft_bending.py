@@ -36,7 +36,7 @@ def balanced(force: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__)
-    machine = machines.read(ROOT / "data" / "machines" / "soft-bending.toml")
+    machine = machines.read(ROOT / "data" / "machines" / "soft-bending" / "rig.toml")
     assert isinstance(machine, SoftBending)
     told = {name: float(value) for name, value in filter_jit(lambda m: m.metrics())(machine).items()}
     rows: list[Row] = []
@@ -67,6 +67,12 @@ def main() -> None:
     rows.append(Row("largest rotation", f"{MEASURED} degrees", f"{text}; any moment can be fitted", None, {"degrees": turn}))
     text = f"{told['rod_share']:.4f} by the elastica, 3/4 for a small moment, {prb.END_MOMENT.share} by Howell"
     rows.append(Row("lambda of the free actuator, a moment alone", "-", text, None, {"lambda": told["rod_share"]}))
+    per_length = told["rigidity"] / float(machine.bar.length)
+    ways = {"eq. 25": float(prb.stiffness(told["rod_share"], 1.0, per_length)), "Howell": prb.END_MOMENT.stiffness * per_length}
+    text = f"{told['rod_stiffness']:.3f} N m/rad, its moment over the rod's angle; {ways['Howell']:.3f} by Howell's end moment; "
+    text += f"eq. 25, derived for M = F L / 3, would have {ways['eq. 25']:.3f}"
+    close = abs(told["rod_stiffness"] / ways["Howell"] - 1.0) < 0.02
+    rows.append(Row("hinge's stiffness, free actuator", "Howell's within 2 %", text, close, {"ours": told["rod_stiffness"], **ways}))
     silicone = float(machine.bar.modulus * machine.bar.width * machine.bar.thickness**3) / 12.0
     parts = [told[name] / silicone for name in ("rigidity", "cold_rigidity")]
     text = f"{told['rigidity']:.4f} N m^2 hot, {told['cold_rigidity']:.4f} cold, {parts[0]:.0f} and {parts[1]:.0f} times the silicone's"

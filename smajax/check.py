@@ -1,4 +1,4 @@
-"""``smajax check``: what a rig file and its recordings say, and what would be fitted to what; runs nothing."""
+"""``smajax check``: what a rig and its recordings say, and what would be fitted to what; what a machine's file says. Runs nothing."""
 
 import math
 from collections.abc import Sequence
@@ -7,16 +7,22 @@ from pathlib import Path
 import numpy as np
 
 from smajax import parameters
+from smajax.errors import InputError
 from smajax.jobs.fit import read_recordings
+from smajax.machines import AbstractMachine, is_machine, kind_of, parse_machine
 from smajax.recording import Recording
 from smajax.report.summary import table
 from smajax.rig import Rig, read_rig
 from smajax.rig_schema import as_text, channel_unit
 from smajax.simulate import default_step
+from smajax.toml_file import read_text
 
 
 def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False) -> str:
     """The text of the check. Raises InputError with the first mistake in the rig or in a recording."""
+    text = read_text(path, "rig")
+    if is_machine(text):
+        return _machine(parse_machine(text, str(path)), path, recordings)
     rig = read_rig(path)
     read = [r for r, _ in read_recordings(rig, recordings, (), drop_bad_rows)]
     drive = f", driven by {rig.plant.drive.control} ({rig.interpolation} between samples)" if rig.plant.drive.control else ""
@@ -31,6 +37,21 @@ def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False
     lines += [f"Note: {note}." for note in rig.notes]
     for recording in read:
         lines += ["", *_recording(rig, recording)]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _machine(machine: AbstractMachine, path: Path, recordings: Sequence[Path]) -> str:
+    if recordings:
+        raise InputError(f"{path}: a machine gives its figures without a recording: take {recordings[0]} off the command line")
+    rows = []
+    for name, known in parameters.declared(machine).items():
+        ends = [as_text(end, known.unit) if math.isfinite(end) else "none" for end in (known.lower, known.upper)]
+        value = float(parameters.get(machine, name))
+        rows.append((name, as_text(value, known.unit) if math.isfinite(value) else "not given", f"{ends[0]} .. {ends[1]}"))
+    figures = ", ".join(name if unit == "1" else f"{name} [{unit}]" for name, unit in machine.units.items())
+    lines = [f"{path.name}: {kind_of(machine)}, a machine, which gives its figures without a recording", ""]
+    lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Figures: {figures}."]
+    lines.append("A sweep varies the parameters and asks for figures.")
     return "\n".join(line.rstrip() for line in lines)
 
 

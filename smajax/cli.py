@@ -60,7 +60,7 @@ class FitCommand(TyperCommand):
 
 
 class Kind(StrEnum):
-    """The kinds of rig that there are templates for."""
+    """The kinds of rig that there are templates for, and the machines, which come as they are."""
 
     dead_weight = "dead-weight"
     bias_spring = "bias-spring"
@@ -74,6 +74,9 @@ class Kind(StrEnum):
     elbow = "elbow"
     wrist = "wrist"
     glove_finger = "glove-finger"
+    flexural = "flexural"
+    soft_bending = "soft-bending"
+    knee = "knee"
 
 
 class Datasets(StrEnum):
@@ -294,7 +297,13 @@ def init(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder for the files; made if it is not there.")] = Path(),
 ) -> None:
     """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
-    from smajax.example import write_example
+    from smajax.example import is_machine, write_example, write_machine
+
+    if is_machine(kind.value):
+        rig, sweep_file = write_machine(kind.value, out)
+        typer.echo(f"Wrote {rig}, to be filled in with your own numbers, and {sweep_file}, a sweep of it.")
+        typer.echo(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
+        return
 
     rig, example, recording, more = write_example(kind.value, out)
     typer.echo(

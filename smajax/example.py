@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 from smajax.datasets import shipped
@@ -36,6 +37,25 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
     sweep = shipped("sweeps") / f"{example.name}.toml"
     if sweep.is_file():
         files[out / "sweep.toml"] = sweep.read_text("utf-8").replace(f"../recordings/{example.name}/rig.toml", "example.toml").encode()
+    _write(files, out)
+    rig, example_rig, recording, *rest = files
+    return rig, example_rig, recording, rest
+
+
+def is_machine(kind: str) -> bool:
+    """Whether a kind is a machine's, which has figures of its own and no recordings."""
+    return shipped("machines", kind, "rig.toml").is_file()
+
+
+def write_machine(kind: str, out: Path) -> tuple[Path, Path]:
+    """Write a machine's rig.toml, commented, and a sweep.toml of it. Returns the paths. InputError as ``write_example``."""
+    sweep = shipped("sweeps", f"{kind}.toml").read_text("utf-8").replace(f"../machines/{kind}/", "")
+    rig = shipped("machines", kind, "rig.toml").read_bytes()
+    _write({out / "rig.toml": rig, out / "sweep.toml": sweep.encode()}, out)
+    return out / "rig.toml", out / "sweep.toml"
+
+
+def _write(files: Mapping[Path, bytes], out: Path) -> None:
     for path in files:
         if path.exists():
             raise InputError(f"{path}: this file is there already and is not overwritten: name another folder with --out")
@@ -48,8 +68,6 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
                 os.fsync(file.fileno())
     except OSError as error:
         raise InputError(f"{out}: the files cannot be written ({error.strerror or error}): name another folder with --out") from None
-    rig, example_rig, recording, *rest = files
-    return rig, example_rig, recording, rest
 
 
 def _example_of(kind: str) -> Path:

@@ -26,6 +26,7 @@ from smajax.plant.sensor import Sensor
 from smajax.recording import Recording
 from smajax.rig_schema import (
     DEFAULTS,
+    KINDS,
     FitSection,
     RigSection,
     Stages,
@@ -131,6 +132,7 @@ class _Set(NamedTuple):
 
 
 def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path) -> Rig:
+    _refuse_machine(data.get("rig"))
     check_sections(data)
     if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
         raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
@@ -184,6 +186,18 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
         sources=sources | added | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
         notes=tuple(_notes(taken, {*table, *sensors}, settings)),
     )
+
+
+def _refuse_machine(head: Any) -> None:
+    """InputError for a machine's file, which is no rig's."""
+    kind = head.get("kind") if isinstance(head, dict) else None
+    if not isinstance(kind, str) or kind in KINDS:
+        return
+    from smajax.machines import MACHINES
+
+    if kind in MACHINES:
+        what = f'rig.kind = "{kind}" is a machine, which gives its figures without a recording'
+        raise InputError(f"{what}: 'smajax sweep' asks it for them, 'smajax check' shows its file")
 
 
 def _exponent(data: Mapping[str, Any], taken: _Set) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from smajax import cli, console, datasets, recording
+from smajax import cli, console, datasets, machines, recording
 from smajax.console import Progress
 from smajax.controller_file import read_controller
 from smajax.errors import InputError
@@ -320,6 +320,23 @@ def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
     )
     assert [str(path) for path in jobs[0].train] == ["a.csv", "b.csv"]
     assert [str(path) for path in jobs[0].holdout] == ["c.csv", "d.csv", "e.csv"]
+
+
+@pytest.mark.parametrize("kind", machines.MACHINES)
+def test_machines_start_and_are_checked_like_rigs(kind, tmp_path):
+    result = smajax("init", kind, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    rig = tmp_path / "rig.toml"
+    assert {path.name for path in tmp_path.iterdir()} == {"rig.toml", "sweep.toml"}
+    subject = read_sweep(tmp_path / "sweep.toml").subject
+    checked = smajax("check", rig)
+    assert checked.exit_code == 0, checked.output
+    assert kind in checked.stdout and all(name in checked.stdout for name in [*subject.table, *subject.units])
+    assert "is there already and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path), 2)
+    # What only a rig has.
+    assert "gives its figures without a recording" in sentence(smajax("check", rig, tmp_path / "a.csv"), 2)
+    refused = sentence(smajax("simulate", rig, tmp_path / "a.csv", "--out", tmp_path / "out"), 2)
+    assert f'rig.kind = "{kind}" is a machine' in refused and "smajax sweep" in refused
 
 
 def test_a_fault_of_ours_is_one_sentence_with_the_place_of_its_traceback(bench, monkeypatch):

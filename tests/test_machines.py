@@ -18,7 +18,7 @@ KINDS = sorted(machines.MACHINES)
 
 
 def text_of(kind: str, changes: dict[str, str] | None = None) -> str:
-    text = shipped("machines", f"{kind}.toml").read_text("utf-8")
+    text = shipped("machines", kind, "rig.toml").read_text("utf-8")
     for old, new in (changes or {}).items():
         assert old in text
         text = text.replace(old, new, 1)
@@ -26,7 +26,7 @@ def text_of(kind: str, changes: dict[str, str] | None = None) -> str:
 
 
 def shipped_machine(kind: str) -> machines.AbstractMachine:
-    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    machine = machines.read(shipped("machines", kind, "rig.toml"))
     return dataclasses.replace(machine, cells=6) if isinstance(machine, FlexuralActuator) else machine
 
 
@@ -37,15 +37,16 @@ def figures(machine: machines.AbstractMachine) -> dict[str, jax.Array]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_shipped_machine_reads_back_and_tells_its_figures(kind: str, tmp_path: Path):
-    machine = machines.read(shipped("machines", f"{kind}.toml"))
+    machine = machines.read(shipped("machines", kind, "rig.toml"))
     machines.write(tmp_path / "machine.toml", machine)
     again = machines.read(tmp_path / "machine.toml")
     assert eqx.tree_equal(machine, again)
     told = figures(shipped_machine(kind))
     assert set(told) == set(machine.units)
     assert all(value.shape == () and np.isfinite(value) for value in told.values())
+    unset = {"body.spacing"} if kind == "flexural" else set()
     for name, declaration in parameters.declared(machine).items():
-        assert declaration.lower <= float(parameters.get(machine, name)) <= declaration.upper
+        assert name in unset or declaration.lower <= float(parameters.get(machine, name)) <= declaration.upper
 
 
 def of_names(kind: str, names: list[str]):
@@ -83,6 +84,29 @@ def test_every_figure_has_its_derivatives(kind: str):
         assert value == pytest.approx(float(alone[name]), rel=1e-10)  # in a batch as alone
 
 
+def test_wires_at_a_spacing_cool_more_slowly_the_closer_they_are():
+    """The file's spacing is that of the section; derivatives in it and in the diameter beside it."""
+    machine = shipped_machine("flexural")
+    close = dataclasses.replace(machines.parse_machine(text_of("flexural", {"count = 2": 'count = 4\nspacing = "0.8 mm"'})), cells=6)  # pyright: ignore[reportArgumentType]
+    again = machines.parse_machine(machines.to_toml(close))
+    assert float(parameters.get(again, "body.spacing")) == pytest.approx(0.8e-3, rel=1e-12)
+    even, names = parameters.replace(machine, {"body.count": 4.0}), ("wire.diameter", "body.spacing")
+    nominal = np.array([0.3e-3, 0.8e-3])
+
+    def told(values: jax.Array) -> jax.Array:
+        found = parameters.replace(close, dict(zip(names, values, strict=True))).metrics()
+        return jnp.stack([found["time_to_cool"], found["temperature_after"]])
+
+    slopes = np.array(jax.jit(jax.jacfwd(told))(nominal))
+    ends = np.array(jax.jit(jax.vmap(told))(nominal + 1e-4 * np.vstack([np.diag(nominal), -np.diag(nominal), np.zeros((1, 2))])))
+    np.testing.assert_allclose(slopes, ((ends[:2] - ends[2:4]) / (2e-4 * nominal[:, None])).T, rtol=1e-4)
+    assert slopes[1, 0] > 0.0 > slopes[1, 1]
+    assert float(ends[4, 1]) > float(figures(even)["temperature_after"]) + 1.0
+    # A count that the grid was not made for has no answer, where even wires have one.
+    assert np.isnan(float(figures(parameters.replace(close, {"body.count": 3.0}))["time_to_cool"]))
+    assert np.isfinite(float(figures(even)["time_to_cool"]))
+
+
 def test_flexural_figures_are_those_of_its_parts():
     machine = shipped_machine("flexural")
     told = {name: float(value) for name, value in figures(machine).items()}
@@ -91,13 +115,13 @@ def test_flexural_figures_are_those_of_its_parts():
     assert told["blocking_force_of_yielding"] == pytest.approx(told["plastic_share"] * told["blocking_force"], rel=1e-12)
     assert told["plastic_share"] == pytest.approx(1 - 0.638, abs=1e-3)
     assert told["yield_diameter"] == pytest.approx(230e-6, rel=1e-3)
-    assert told["heat"] == pytest.approx(2.82 + 1.36, rel=3e-3)  # 123 mm of wire: warmed by 60 K, transformed
+    assert told["energy_per_cycle"] == pytest.approx(2.82 + 1.36, rel=3e-3)  # 123 mm of wire: warmed by 60 K, transformed
     assert told["resistance"] == pytest.approx(1.57, rel=5e-3)
-    assert told["heating_time"] == pytest.approx(told["heat"] / (3.5**2 * told["resistance"]), rel=1e-12)
-    assert 1.0 / told["frequency"] == pytest.approx(told["heating_time"] + told["cooling_time"], rel=1e-12)
-    assert told["efficiency"] < told["limit_efficiency"] == pytest.approx(told["plastic_work"] / told["heat"], rel=1e-12)
+    assert told["heating_time"] == pytest.approx(told["energy_per_cycle"] / (3.5**2 * told["resistance"]), rel=1e-12)
+    assert 1.0 / told["frequency"] == pytest.approx(told["heating_time"] + told["time_to_cool"], rel=1e-12)
+    assert told["efficiency"] < told["limit_efficiency"] == pytest.approx(told["plastic_work"] / told["energy_per_cycle"], rel=1e-12)
     # Against a bench so soft that it takes all the stroke, or so stiff that it takes none, no work is done.
-    work = [float(figures(parameters.replace(machine, {"bench.diameter": d}))["bench_work"]) for d in (1e-5, 3e-4, 0.05)]
+    work = [float(figures(parameters.replace(machine, {"bench.diameter": d}))["work_per_cycle"]) for d in (1e-5, 3e-4, 0.05)]
     assert work[0] < 1e-3 * work[1] > work[2]
     thin = figures(parameters.replace(machine, {"wire.diameter": 125e-6}))
     assert float(thin["blocking_force_of_yielding"]) == 0.0 == float(thin["plastic_work"])
@@ -107,10 +131,10 @@ def test_an_unused_figure_costs_nothing():
     """Without the cooling the compiled program has no loop over time steps."""
     machine = eqx.filter(shipped_machine("flexural"), eqx.is_array)
     loops = {}
-    for name in ("blocking_force", "cooling_time"):
+    for name in ("blocking_force", "time_to_cool"):
         lowered = jax.jit(lambda m, name=name: m.metrics()[name]).lower(machine)
-        loops[name] = "while" in (lowered.as_text() if name == "cooling_time" else lowered.compile().as_text())
-    assert loops == {"blocking_force": False, "cooling_time": True}
+        loops[name] = "while" in (lowered.as_text() if name == "time_to_cool" else lowered.compile().as_text())
+    assert loops == {"blocking_force": False, "time_to_cool": True}
 
 
 CASES = {
@@ -122,6 +146,9 @@ CASES = {
     "unit": ({'"0.3 mm"': '"0.3 kg"'}, "wire.diameter: '0.3 kg': the unit 'kg' does not fit: a unit that converts to m is expected"),
     "bound": ({'"0.3 mm"': '"-0.3 mm"'}, "wire.diameter: '-0.3 mm' is not possible for the wire diameter: give a value from 0.001 mm to 20 mm"),
     "too thick": ({'"0.3 mm"': '"0.7 mm"'}, "wire.diameter leaves no silicone above or below the wire: keep it below 0.6 mm less twice the offset"),
+    "half a wire": ({"count = 2": 'count = 2.5\nspacing = "1 mm"'}, "body.count = 2.5 is not whole: with a body.spacing give a whole number of wires"),
+    "too close": ({"count = 2": 'count = 2\nspacing = "0.3 mm"'}, "body.spacing is not above wire.diameter, so that the wires overlap: give a larger one"),
+    "too far": ({"count = 2": 'count = 3\nspacing = "11 mm"'}, "body.spacing sets the outer wires outside body.width: give a smaller one, or a wider strip"),
     "too many": ({"count = 2": "count = 80"}, "body.count wires do not fit side by side into body.width: take fewer or thinner wires, or a wider strip"),
     "schema": ({"schema = 1": "schema = 2"}, "schema = 2 is not known: this version reads schema = 1"),
 }  # fmt: skip
@@ -136,7 +163,7 @@ def test_a_malformed_machine_gets_its_sentence(case: str):
 
 
 def test_new_values_have_to_make_a_machine():
-    machine = machines.read(shipped("machines", "flexural.toml"))
+    machine = machines.read(shipped("machines", "flexural", "rig.toml"))
     with pytest.raises(InputError, match="the machine with new values: wire.diameter leaves no silicone"):
         machines.to_toml(machine, {"wire.diameter": 0.7e-3})
     with pytest.raises(InputError, match="there is no parameter 'wire.diametre' in this plant"):

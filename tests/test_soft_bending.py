@@ -107,7 +107,7 @@ _figures = eqx.filter_jit(lambda machine: machine.metrics())
 
 def test_soft_bending_figures():
     """The free tip turns by the published 44.04 degrees, which the memory shape was chosen for; a cable turns it back."""
-    machine = machines.read(shipped("machines", "soft-bending.toml"))
+    machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))
     told = {name: float(value) for name, value in _figures(machine).items()}
     assert np.degrees(told["tip_slope"]) == pytest.approx(44.04, abs=2e-3)
     assert told["rigidity"] == pytest.approx(3.05e-2 + 2.8e-4, rel=2e-3)
@@ -116,6 +116,14 @@ def test_soft_bending_figures():
     assert told["tip_deflection"] == pytest.approx(arc * (1 - np.cos(told["tip_slope"])), rel=1e-9)
     assert 0.12 - told["tip_shortening"] == pytest.approx(arc * np.sin(told["tip_slope"]), rel=1e-9)
     assert 0.72 < told["rod_share"] < 0.78  # a pure moment: 3/4 at small bends
+    # The hinge's spring holds the rod where the beam's tip is: of E I / L about Howell's 1.516, where eq. 25 would have 2.25; and 3/2 for a
+    # small moment alone, 25/12 for a small force.
+    per_length = told["rigidity"] / 0.12
+    assert told["rod_stiffness"] * told["rod_angle"] == pytest.approx(told["moment"], rel=1e-12)
+    assert told["rod_stiffness"] == pytest.approx(prb.END_MOMENT.stiffness * per_length, rel=0.02)
+    for curvature, force, share in ((1e-3, 0.0, 3 / 2), (0.0, -1e-3, 25 / 12)):
+        drawn = parameters.replace(machine, {"wires.memory_curvature": curvature, "cable.force": force})
+        assert float(_figures(drawn)["rod_stiffness"]) == pytest.approx(share * per_length, rel=1e-4)
     pulled = _figures(parameters.replace(machine, {"cable.force": 0.1 * told["blocking_force"]}))
     assert float(pulled["tip_deflection"]) == pytest.approx(0.9 * told["tip_deflection"], rel=0.05)
     small = parameters.replace(machine, {"wires.memory_curvature": 1e-3})

@@ -407,12 +407,12 @@ def test_shipped_sweeps_and_a_machine(tmp_path):
         assert sweep.refined and sweep.designs().shape == (sweep.count, len(sweep.axes))
     machine = (ROOT / "data" / "sweeps" / "flexural.toml").read_text("utf-8").replace("../machines", str(ROOT / "data" / "machines"))
     machine = (
-        machine.replace('["moment", "efficiency"]', "[]").replace("designs = 256", "designs = 12").replace("cooling_time", "resistance")
+        machine.replace('["moment", "efficiency"]', "[]").replace("designs = 256", "designs = 12").replace("time_to_cool", "resistance")
     )
     (tmp_path / "sweep.toml").write_text(machine, "utf-8")
     assert run(tmp_path).code == 0
     columns = read_table(tmp_path / "out" / "sweep.parquet")
-    single = machines.read(ROOT / "data" / "machines" / "flexural.toml")
+    single = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
     one = parameters.replace(single, {n: columns[n][3] for n in ("wire.diameter", "body.count")}).metrics()
     assert columns["blocking_force"][3] == pytest.approx(float(one["blocking_force"]), rel=1e-12)
     (tmp_path / "sweep.toml").write_text(machine + '[input]\nwave = "square"\n', "utf-8")

@@ -14,6 +14,7 @@ that which warms the wires from the ambient to the temperature where cooling beg
 in the paper's limiting efficiency.
 """
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -26,7 +27,7 @@ from smajax.machines.bending_moment import BilinearLaw
 from smajax.machines.cantilever import Cantilever
 from smajax.machines.cross_section import Cooling, CrossSection, Layer, SectionWire
 from smajax.machines.machine import AbstractMachine
-from smajax.machines.section_grid import EvenWires
+from smajax.machines.section_grid import EvenWires, SpacedWires
 from smajax.parameters import parameter
 
 
@@ -40,6 +41,7 @@ class FlexuralBody(eqx.Module):
     lever: jax.Array = parameter("m", "distance from the clamp at which the blocked tip pushes", 1e-3, 10.0)
     crossing: jax.Array = parameter("m", "length of wire that joins the wires at the ends, all of it", 0.0, 10.0, 0.0)
     rigidity: jax.Array = parameter("N m^2", "bending rigidity of the elastomers together", 0.0, 10.0, 0.0)
+    spacing: jax.Array | None = parameter("m", "distance from wire to wire, in the middle of the strip; else even", 1e-6, 1.0, math.nan)
 
 
 class FlexuralHeating(eqx.Module):
@@ -67,13 +69,14 @@ class FlexuralActuator(AbstractMachine):
         "blocking_force": "N",
         "blocking_force_of_yielding": "N",
         "plastic_work": "J",
-        "bench_work": "J",
-        "heat": "J",
+        "stroke": "m",
+        "work_per_cycle": "J",
+        "energy_per_cycle": "J",
         "efficiency": "1",
         "limit_efficiency": "1",
         "resistance": "ohm",
         "heating_time": "s",
-        "cooling_time": "s",
+        "time_to_cool": "s",
         "temperature_after": "degC",
         "frequency": "Hz",
     }
@@ -88,6 +91,11 @@ class FlexuralActuator(AbstractMachine):
     test: FlexuralTest
     bench: Cantilever
     cells: int = eqx.field(static=True, default=12)
+    wires: int = eqx.field(static=True, init=False)
+
+    def __post_init__(self) -> None:
+        # The grid of wires at a spacing has so many columns for each of them.
+        self.wires = round(float(self.body.count))
 
     def check(self) -> None:
         """See ``AbstractMachine``."""
@@ -98,11 +106,22 @@ class FlexuralActuator(AbstractMachine):
             )
         if float(wire.diameter * self.body.count) >= float(self.body.width):
             raise InputError("body.count wires do not fit side by side into body.width: take fewer or thinner wires, or a wider strip")
+        if self.body.spacing is None:
+            return
+        if float(self.body.count) != self.wires:
+            raise InputError(f"body.count = {float(self.body.count):g} is not whole: with a body.spacing give a whole number of wires")
+        if float(self.body.spacing) <= float(wire.diameter):
+            raise InputError("body.spacing is not above wire.diameter, so that the wires overlap: give a larger one")
+        if float((self.body.count - 1.0) * self.body.spacing + wire.diameter) >= float(self.body.width):
+            raise InputError("body.spacing sets the outer wires outside body.width: give a smaller one, or a wider strip")
 
     @property
     def section(self) -> CrossSection:
-        """The cross-section that cools."""
-        return CrossSection(self.tape, self.silicone, self.wire, EvenWires(self.body.count), self.cooling, self.body.width, self.cells)
+        """The cross-section that cools; of wires at a spacing only with the count that the machine was made with, else NaN."""
+        body, placement = self.body, EvenWires(self.body.count)
+        if body.spacing is not None:
+            placement = SpacedWires(self.wires, jnp.where(body.count == self.wires, body.spacing, jnp.nan))
+        return CrossSection(self.tape, self.silicone, self.wire, placement, self.cooling, body.width, self.cells)
 
     @property
     def wire_length(self) -> jax.Array:
@@ -113,7 +132,8 @@ class FlexuralActuator(AbstractMachine):
         """The figures named in ``units``.
 
         ``moment`` is one wire's, forces and works are the actuator's. ``heating_time`` is without losses to the sheets, and ``frequency``
-        that of heating and cooling in turns. ``cooling_time`` is infinite where it exceeds both 10 s and ten pauses.
+        that of heating and cooling in turns. ``stroke`` and ``work_per_cycle`` are against the bench's cantilever. ``time_to_cool``, down
+        to the test's target, is infinite where it exceeds both 10 s and ten pauses.
         """
         body, wire, heating = self.body, self.wire, self.heating
         diameter, area = wire.diameter, 0.25 * jnp.pi * wire.diameter**2
@@ -130,7 +150,7 @@ class FlexuralActuator(AbstractMachine):
         resistance = heating.resistivity * self.wire_length / area
         heating_time = heat / (heating.current**2 * resistance)
         course = self.section.cool(jnp.maximum(10.0, 10.0 * self.test.pause))
-        cooling_time = course.cooled(self.test.target)
+        time_to_cool = course.cooled(self.test.target)
         return {
             "moment": moment,
             "plastic_share": plastic / moment,
@@ -138,13 +158,14 @@ class FlexuralActuator(AbstractMachine):
             "blocking_force": force,
             "blocking_force_of_yielding": body.count * plastic / body.lever,
             "plastic_work": stored,
-            "bench_work": bench_work,
-            "heat": heat,
+            "stroke": push / bench,
+            "work_per_cycle": bench_work,
+            "energy_per_cycle": heat,
             "efficiency": bench_work / heat,
             "limit_efficiency": stored / heat,
             "resistance": resistance,
             "heating_time": heating_time,
-            "cooling_time": cooling_time,
+            "time_to_cool": time_to_cool,
             "temperature_after": course.at(self.test.pause),
-            "frequency": 1.0 / (heating_time + cooling_time),
+            "frequency": 1.0 / (heating_time + time_to_cool),
         }

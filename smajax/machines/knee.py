@@ -126,8 +126,10 @@ class Knee(AbstractMachine):
         "motor_torque_at_knee": "N m",
         "clutch_torque_at_knee": "N m",
         "angle": "rad",
-        "largest_angle": "rad",
-        "hottest": "degC",
+        "stroke": "rad",
+        "force": "N",
+        "peak_temperature": "degC",
+        "energy_per_cycle": "J",
         "slip": "rad/s",
         "clutch_sticks": "1",
     }
@@ -166,6 +168,12 @@ class Knee(AbstractMachine):
         """Pull of the springs in N, shape ``(2,)``."""
         return self.wire.force_per_stress * self.stress(state.fractions, state.temperature, self.stretch(state.angle))
 
+    def power(self, state: KneeState) -> jax.Array:
+        """Electrical power into springs and motor in W; the clutch's, whose resistance is not known, is left out."""
+        voltage = jnp.stack([self.command.first, self.command.second])
+        joule = self.drive.joule(voltage, self._law.resistivity(state.fractions), self.wire)
+        return jnp.sum(joule) * self.wire.area * self.wire.length + self.command.motor * state.current
+
     def start(self) -> KneeState:
         """At rest at angle 0 and ambient temperature, the springs drawn out cold."""
         nothing = jnp.zeros(())
@@ -182,7 +190,7 @@ class Knee(AbstractMachine):
         joule = self.drive.joule(voltage, self._law.resistivity(state.fractions), self.wire)
         warming = self.heat.rate(joule, state.temperature, self.wire, self.environment) / self.heat.capacity(state.fractions.martensite)
         stress = self.stress(state.fractions, state.temperature, self.stretch(state.angle))
-        law = self._law.evolve(state.fractions, (state.temperature, state.temperature), (stress, stress))
+        due = self._law.due(state.fractions, state.temperature, stress)
         pull = self.wire.force_per_stress * stress
         passed = self.clutch.transmitted(self.slip(state), command.clutch)
         joint, motor = self.joint, self.motor
@@ -194,7 +202,7 @@ class Knee(AbstractMachine):
         drop = command.motor - motor.resistance * state.current - motor.back_voltage * state.shaft_rate
         return KneeState(
             warming,
-            Fractions(*((after - before) / _FOLLOWS for after, before in zip(law, state.fractions, strict=True))),
+            Fractions(*(change / _FOLLOWS for change in due)),
             state.rate,
             turning / joint.inertia,
             state.shaft_rate,
@@ -226,9 +234,14 @@ class Knee(AbstractMachine):
         return jax.tree.map(lambda leaf: jnp.where(done, leaf, jnp.nan), solution.ys)
 
     def metrics(self) -> dict[str, jax.Array]:
-        """See ``AbstractMachine``: the parts' own figures, and what the command makes of them."""
+        """See ``AbstractMachine``: the parts' own figures, and what the command makes of them.
+
+        ``stroke`` is the largest less the smallest angle, ``force`` the largest pull of a spring, and ``energy_per_cycle`` what springs and
+        motor take while the command lasts, since going back takes none.
+        """
         one, none = jnp.ones(()), jnp.zeros(())
-        way = self.roll(jnp.linspace(0.0, 1.0, 201))
+        share = jnp.linspace(0.0, 1.0, 201)
+        way = self.roll(share)
         end = jax.tree.map(lambda leaf: leaf[-1], way)
         passed = jnp.abs(self.clutch.transmitted(self.slip(end), self.command.clutch))
         whole = self.clutch.torque * self.clutch.share(self.command.clutch)
@@ -244,8 +257,10 @@ class Knee(AbstractMachine):
             "motor_torque_at_knee": self.clutch.belt * self.motor.torque_constant * self.motor.current,
             "clutch_torque_at_knee": self.clutch.belt * self.clutch.torque,
             "angle": end.angle,
-            "largest_angle": jnp.max(jnp.abs(way.angle)),
-            "hottest": jnp.max(way.temperature),
+            "stroke": jnp.max(way.angle) - jnp.min(way.angle),
+            "force": jnp.max(jax.vmap(self.forces)(way)),
+            "peak_temperature": jnp.max(way.temperature),
+            "energy_per_cycle": self.command.duration * jnp.trapezoid(jax.vmap(self.power)(way), share),
             "slip": self.slip(end),
             "clutch_sticks": jnp.where((whole > 0) & (passed < whole * jnp.tanh(1.0)), 1.0, 0.0),
         }

@@ -1,4 +1,4 @@
-"""A machine's file: ``kind`` under ``[rig]``, and one section for each part of the machine, its keys the declared parameters.
+"""A machine's rig.toml: ``kind`` under ``[rig]``, and one section for each part of the machine, its keys the declared parameters.
 
 schema = 1
 
@@ -10,6 +10,7 @@ diameter = "0.3 mm"
 """
 
 import dataclasses
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,6 +40,20 @@ class _Head(BaseModel):
     kind: Annotated[str, one_of(MACHINES)] = Field(examples=['"flexural"'])
 
 
+def is_machine(text: str) -> bool:
+    """Whether a TOML text is a machine's, by its kind, and not a rig's."""
+    try:
+        head = tomllib.loads(text).get("rig")
+    except tomllib.TOMLDecodeError:
+        return False
+    return isinstance(head, dict) and head.get("kind") in MACHINES
+
+
+def kind_of(machine: AbstractMachine) -> str:
+    """The kind by which files name a machine."""
+    return next(kind for kind, made in MACHINES.items() if made is type(machine))
+
+
 def read(path: str | Path) -> AbstractMachine:
     """Read and check a machine's file. InputError: one sentence with file, section and key, and the cure."""
     return parse_machine(read_text(Path(path), "machine"), str(path))
@@ -61,8 +76,7 @@ def to_toml(machine: AbstractMachine, values: Mapping[str, Any] | None = None) -
     machine = parameters.replace(
         machine, {name: values[name] for name in values if parameters.declaration(machine, name)} if values else {}
     )
-    kind = next(kind for kind, made in MACHINES.items() if made is type(machine))
-    data: dict[str, Any] = {"schema": 1, "rig": {"kind": kind}}
+    data: dict[str, Any] = {"schema": 1, "rig": {"kind": kind_of(machine)}}
     for section, part in parameters.sections(machine).items():
         given = {key: d.unit for key, d in declarations(part).items() if getattr(part, key) is not None}
         data[section] = {key: as_text(float(getattr(part, key)), unit) for key, unit in given.items()}
@@ -99,7 +113,7 @@ def _part(kind: str, section: str, part: type[eqx.Module], content: Any) -> eqx.
     given = validate(section_model(section, table), content, section).model_dump(exclude_unset=True)
     for key, declaration in table.items():
         if key not in given and declaration.default is None:
-            template = shipped("machines", f"{kind}.toml")
-            value = parse(template.read_text("utf-8"), template.name).get(section, {}).get(key, example_of(declaration.unit))
+            template = shipped("machines", kind, "rig.toml")
+            value = parse(template.read_text("utf-8"), str(template)).get(section, {}).get(key, example_of(declaration.unit))
             raise InputError(f'{section}.{key} is missing: a machine of kind {kind} needs a line like {key} = "{value}" under [{section}]')
     return part(**{key: as_float(value) for key, value in given.items()})

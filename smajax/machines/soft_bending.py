@@ -87,8 +87,9 @@ class SoftBending(AbstractMachine):
     def metrics(self) -> dict[str, jax.Array]:
         """The figures named in ``units``.
 
-        ``rod_angle`` (2 alpha), ``rod_share`` (lambda) and ``rod_stiffness`` (eq. 25) are the pseudo-rigid body's; ``blocking_force`` is
-        the cable's that holds the tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight.
+        ``rod_angle`` (2 alpha) and ``rod_share`` (lambda) are the pseudo-rigid body's, ``rod_stiffness`` that of its hinge's spring: what
+        wires and cable turn it with over its angle (eq. 25 holds for M = F L / 3 alone). ``blocking_force`` is the cable's that holds the
+        tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wires(self.wires.modulus_austenite) * self.wires.memory_curvature
@@ -103,7 +104,7 @@ class SoftBending(AbstractMachine):
             "tip_shortening": length - bent.x,
             "rod_angle": angle,
             "rod_share": share,
-            "rod_stiffness": pseudo_rigid.stiffness(share, length, hot),
+            "rod_stiffness": (moment - self.cable.force * share * length * jnp.cos(angle)) / angle,
             "blocking_force": 1.5 * moment / length,
             "cold_strain": 0.5 * self.wires.diameter * jnp.abs(self.wires.memory_curvature),
         }

@@ -23,6 +23,7 @@ from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 from smajax.plant.material.hardening import hardened, hardening
 
 _NONE = 1e-12  # a fraction that is none
+_FEW = 1e-6  # one of which it does not matter how much of it is detwinned
 
 
 class Lagoudas(AbstractMaterial):
@@ -40,15 +41,9 @@ class Lagoudas(AbstractMaterial):
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """See ``AbstractMaterial.evolve``: as far as the driving force at the end reaches, forward or reverse."""
         (_, hot), (before, after) = temperature, stress
-        entropy, gap = self._calibrated()
-        elastic = 0.5 * self._compliance_difference * after**2
         old = fractions.martensite
         some = jnp.where(old > _NONE, old, 1.0)
-        taken = self.max_strain * fractions.detwinned / some
-        forward = (1.0 - gap) * after * self.grown_strain(after) + elastic + entropy * (hot - self.forward_start)
-        reverse = (1.0 + gap) * after * taken + elastic + entropy * (hot - self.austenite_finish - self.austenite_shift)
-        forward = forward * (1.0 / (entropy * (self.martensite_finish - self.martensite_start)))
-        reverse = reverse * (1.0 / (entropy * (self.austenite_start - self.austenite_finish)))
+        forward, reverse = self._shares(hot, after, self.max_strain * fractions.detwinned / some)
         # One inverse serves both, since a step goes one way.
         known = jnp.clip(jax.lax.stop_gradient(old), 0.0, 1.0)
         grows = forward > hardening(known, self.n1, self.n2)
@@ -60,6 +55,30 @@ class Lagoudas(AbstractMaterial):
         brought = self.grown_strain(0.5 * (before + after)) * (1.0 / self.max_strain) * grown
         kept = jnp.where(shrinks, jnp.minimum(reached, some) / some, 1.0)
         return Fractions((fractions.detwinned + brought) * kept, (fractions.twinned + grown - brought) * kept)
+
+    def due(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array) -> Fractions:
+        """The change that brings fractions to the law at a temperature and a stress: what kinetics of their own go after.
+
+        Continuous in all three. A stress raises the forward line, of martensite that grows detwinned, more than the reverse one of what is
+        partly twinned. Past both, some of it grows while some shrinks, until what there is is detwinned enough.
+        """
+        old = fractions.martensite
+        some = jnp.maximum(old, _FEW)
+        forward, reverse = self._shares(temperature, stress, self.max_strain * fractions.detwinned / some)
+        grown = jnp.maximum(hardened(forward, self.n1, self.n2) - old, 0.0)
+        brought = self.grown_strain(stress) * (1.0 / self.max_strain) * grown
+        lost = jnp.maximum(old - hardened(reverse, self.n3, self.n4), 0.0) / some
+        return Fractions(brought - lost * fractions.detwinned, grown - brought - lost * fractions.twinned)
+
+    def _shares(self, temperature: jax.Array, stress: jax.Array, taken: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """What the driving forces, forward and reverse, reach of the hardening; vanishing martensite takes the strain ``taken`` along."""
+        entropy, gap = self._calibrated()
+        elastic = 0.5 * self._compliance_difference * stress**2
+        forward = (1.0 - gap) * stress * self.grown_strain(stress) + elastic + entropy * (temperature - self.forward_start)
+        reverse = (1.0 + gap) * stress * taken + elastic + entropy * (temperature - self.austenite_finish - self.austenite_shift)
+        forward = forward * (1.0 / (entropy * (self.martensite_finish - self.martensite_start)))
+        reverse = reverse * (1.0 / (entropy * (self.austenite_start - self.austenite_finish)))
+        return forward, reverse
 
     def grown_strain(self, stress: jax.Array) -> jax.Array:
         """Transformation strain of martensite that grows under a stress, H_cur."""
