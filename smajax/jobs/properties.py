@@ -10,11 +10,10 @@ import numpy as np
 
 from smajax import __version__, recording
 from smajax.errors import InputError
-from smajax.fit.problem import difference_noise
 from smajax.parameter_file import Entry, write_parameters
 from smajax.recording import Recording
 from smajax.report.summary import table
-from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of
+from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of, unsteadiness
 
 SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
@@ -76,7 +75,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
 def _read(path: Path, smooth: int | None) -> Read:
     one = recording.read(path, required=("temperature",), observed=("strain",), clock=False)
     warm = one.channels["temperature"]
-    rows = smooth if smooth is not None else _ROWS if difference_noise(warm) > _NOISY else 1
+    rows = smooth if smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
         found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
     except InputError as error:
