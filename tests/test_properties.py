@@ -190,6 +190,43 @@ def test_the_hundred_cycles_measured_by_others(shared):
 
 
 @pytest.mark.parametrize(
+    ("file", "columns", "told"),
+    [
+        ("nasa-bigelow-nitihf/200 MPa.txt", "temperature [degC],strain [%],stress [MPa]", "1 cycle at 200 MPa"),
+        ("asmada-cyclic/Example Test Data.txt", "temperature [degC],strain", "99 cycles, temperatures smoothed over 9 rows"),
+    ],
+)
+def test_the_command_reads_the_files_of_others(shared, file, columns, told):
+    run = lambda *options: CliRunner().invoke(app, ["properties", str(shared / "data" / file), *options])  # noqa: E731
+    for options in ((), ("--columns", columns)):
+        done = run(*options)
+        assert done.exit_code == 2 and 'give --delimiter "\\t"' in done.output and "rig" not in done.output
+    done = run("--delimiter", "\\t")
+    assert done.exit_code == 2 and "name the columns by --columns" in done.output and "rig" not in done.output
+    done = run("--delimiter", "tab", "--columns", columns)
+    assert done.exit_code == 0 and told in done.output and "A_f" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--columns", "temperature [degC],strain [%]"), "row 1: the row has 3 cells, and 2 columns are named"),
+        (("--columns", "temperature,strain [%],-"), "'temperature' has no unit"),
+        (("--columns", "temperature [degC],elongation [%],-"), "rename it, or name it by --columns"),
+        (("--columns", "temperature [degC],-,-"), "the channel strain is missing"),
+        (("--columns", "temperature [degC],strain [%],-", "--delimiter", ";"), 'the columns are separated by ",": give --delimiter ","'),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused(tmp_path, options, sentence):
+    temperature, strain = made(1)
+    np.savetxt(tmp_path / "bare.csv", np.column_stack([temperature, 100 * strain, strain]), delimiter=",", fmt="%.9g")
+    done = CliRunner().invoke(app, ["properties", str(tmp_path / "bare.csv"), *options])
+    assert done.exit_code == 2 and sentence in done.output and "[channels]" not in done.output
+    good = CliRunner().invoke(app, ["properties", str(tmp_path / "bare.csv"), "--columns", "temperature [degC],strain [%],-"])
+    assert good.exit_code == 0 and "bare.csv: 1 cycle" in good.output
+
+
+@pytest.mark.parametrize(
     ("stress", "values"),
     [
         (50, (182.6, 166.2, 202.9, 215.2)),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +21,18 @@ _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
 _USUAL = 7e6  # Pa/K, where one stress does not tell
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
+_LEFT_OUT = "-"
+_NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
+_CURES = (
+    (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
+    (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
+    (
+        r"rename it, map it under \[channels\] in the rig .*",
+        f"rename it, or name it by {_NAMED}",
+    ),
+    (r"or give the unit under \[channels\]", "in the file or by --columns"),
+    (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_NAMED}"),
+)
 _LABELS = {
     "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
     "transformation_strain": "transformation strain", "actuation_strain": "actuation strain", "width": "hysteresis width",
@@ -29,12 +42,17 @@ _STRAINS = ("transformation_strain", "actuation_strain")
 
 
 class PropertiesJob(NamedTuple):
-    """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``."""
+    """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``.
+
+    ``columns`` are headers of text files without ("temperature [degC]", or "-" for one to leave out), ``delimiter`` separates them.
+    """
 
     paths: Sequence[Path]
     smooth: int | None = None
     write_set: Path | None = None
     model: str = "brinson"
+    columns: Sequence[str] | None = None
+    delimiter: str = ","
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +73,7 @@ class Read:
 
 def run_properties(job: PropertiesJob) -> dict[str, Any]:
     """Reads all recordings and gives the document that is printed. Raises ``InputError`` if no cycle of any of them can be read."""
-    read = [_read(path, job.smooth) for path in job.paths]
+    read = [_read(path, job) for path in job.paths]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):
         raise InputError("; ".join(refused))
@@ -72,15 +90,26 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     return document
 
 
-def _read(path: Path, smooth: int | None) -> Read:
-    one = recording.read(path, required=("temperature",), observed=("strain",), clock=False)
+def _read(path: Path, job: PropertiesJob) -> Read:
+    wanted = {"required": ("temperature",), "observed": ("strain",), "clock": False, "ignore": (_LEFT_OUT,)}
+    try:
+        one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter)
+    except InputError as error:
+        raise InputError(_by_options(str(error))) from None
     warm = one.channels["temperature"]
-    rows = smooth if smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
+    rows = job.smooth if job.smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
         found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
     except InputError as error:
         return Read(one, rows, [], [str(error)])
     return Read(one, rows, found, refused)
+
+
+def _by_options(sentence: str) -> str:
+    """A sentence about a file whose cure is in a rig, with the options of this command in its place."""
+    for said, instead in _CURES:
+        sentence = re.sub(said, instead, sentence)
+    return sentence
 
 
 def _entry(one: Read) -> dict[str, Any]:
