@@ -29,8 +29,8 @@ def refuse_disorder(name: str, temperature: np.ndarray, strain: np.ndarray) -> N
     both = np.flatnonzero((np.abs(off_t) > _OFF_T * np.ptp(temperature)) & (np.abs(off_e) > _OFF_E * np.ptp(strain)))
     if len(both) < _FEWEST or not np.ptp(off_t[both]) or not np.ptp(off_e[both]):
         return
-    together = pearsonr(off_t[both], off_e[both])
-    if together.pvalue < _CHANCE and abs(together.statistic) > _TOGETHER:
+    together, chance = pearsonr(off_t[both], off_e[both])
+    if chance < _CHANCE and abs(together) > _TOGETHER:
         k = int(both[np.argmax(np.abs(off_t[both] * off_e[both]))])
         told = f"{name}: row {k + 1} of the data lies {abs(off_t[k]):.3g} K and {abs(off_e[k]):.2g} of strain off the rows about it"
         raise InputError(f"{told}, and {len(both) - 1} others likewise, which noise does not do: the rows are {_CURE}")
