@@ -27,7 +27,7 @@ _CURES = (
     (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
     (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
     (
-        r"rename it, map it under \[channels\] in the rig .*",
+        r"rename it, map it under \[channels\].*",
         f"rename it, or name it by {_NAMED}",
     ),
     (r"or give the unit under \[channels\]", "in the file or by --columns"),
