@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -10,9 +11,11 @@ from typer.testing import CliRunner
 from smajax.cli import app
 from smajax.errors import InputError
 from smajax.jobs.properties import PropertiesJob, run_properties
-from smajax.rig import read_rig
+from smajax.rig import parse_rig, read_rig
 from smajax.row_order import refuse_disorder
 from smajax.thermal_cycles import NAMES, VALUES, Cycle, Value, analyse, mean_of, turns
+from tests.reference import lagoudas as lagoudas_reference
+from tests.test_lagoudas import VALUES as LAGOUDAS
 
 TRUE = {"martensite_start": 70.0, "martensite_finish": 40.0, "austenite_start": 85.0, "austenite_finish": 110.0}
 
@@ -248,3 +251,24 @@ def test_nitihf_measured_by_others(shared, stress, values):
 def test_a_document_names_its_file(tmp_path):
     document = run_properties(PropertiesJob([write(tmp_path / "a.csv", *made(1))]))
     assert document["recordings"][0]["name"] == "a.csv" and document["recordings"][0]["smoothed_rows"] == 1
+
+
+def test_several_stresses_tell_how_strain_grows(tmp_path):
+    """Cycles of the exact law at five stresses, and the set that is written."""
+    law, rng, noise = lagoudas_reference.Law(**{**LAGOUDAS, "critical_stress": 0.0}), np.random.default_rng(0), 2e-5
+    temperature = np.concatenate([np.linspace(150.0, 10.0, 90), np.linspace(10.0, 150.0, 90)[1:]])
+    paths = []
+    for stress in (20e6, 60e6, 120e6, 200e6, 300e6):
+        state, strains = lagoudas_reference.State(0.0, 0.0), []
+        for t in temperature:
+            state = lagoudas_reference.advance(law, state, float(t), (stress, stress))
+            strains.append(lagoudas_reference.strain(law, state, stress))
+        paths.append(write(tmp_path / f"{stress:.0f}.csv", temperature, strains + noise * rng.standard_normal(179), stress / 1e6))
+    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
+    text = '[rig]\nkind = "path"\n[material]\nset = "set.toml"\nmodulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\n'
+    material = parse_rig(f'{text}[fit]\nmodel = "lagoudas"\nobserve = ["strain"]\n', folder=tmp_path).plant.material
+    # What is read has the phases' elastic difference in it, up to 0.5 % at 300 MPa.
+    for stress in (20e6, 100e6, 300e6):
+        true = lagoudas_reference.current_strain(law, stress) + stress * (1 / 30e9 - 1 / 60e9)
+        assert float(material.grown_strain(jnp.asarray(stress))) == pytest.approx(true, rel=0.06)
+    assert float(material.calibration_stress) == pytest.approx(140e6)

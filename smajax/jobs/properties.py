@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from smajax import __version__, recording
 from smajax.errors import InputError
@@ -33,6 +34,7 @@ _CURES = (
     (r"or give the unit under \[channels\]", "in the file or by --columns"),
     (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_NAMED}"),
 )
+_LEVELS = 3  # stresses that tell how strain grows
 _LABELS = {
     "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
     "transformation_strain": "transformation strain", "actuation_strain": "actuation strain", "width": "hysteresis width",
@@ -179,9 +181,36 @@ def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
         for end in ("start", "finish"):
             name = f"{phase}_{end}"
             at_zero = float(np.mean(values[name] - stress / slope))
-            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - 40.0, at_zero + 40.0, source="tangents, brought to zero stress")
+            away = 40.0 + max(0.5 * (m[name].upper95 - m[name].lower95) for m in means)
+            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - away, at_zero + away, source="tangents, brought to zero stress")
     largest = float(np.clip(np.max(np.abs(values["transformation_strain"])), 1e-3, 0.1))
     entries["material.max_strain"] = Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source="largest transformation strain")
     if model == "lagoudas":
         entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
+        if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART:
+            entries |= _growing_strain(stress, np.abs(values["transformation_strain"]))
     return {n: e for n, e in entries.items() if math.isfinite(e.value)}
+
+
+def _growing_strain(stress: np.ndarray, strain: np.ndarray) -> dict[str, Entry]:
+    """H_cur(sigma) = H_sat (1 - (1 - share) exp(-k sigma)) through the transformation strains of several stresses.
+
+    The critical stress, which a few stresses do not tell from k, starts at none; the lines' slopes hold at the middle of the stresses.
+    """
+    top, told = float(np.max(stress)), f"transformation strains at {len(stress)} stresses"
+
+    def away(unknown: np.ndarray) -> np.ndarray:
+        largest, share, rate = unknown
+        return (largest * (1.0 - (1.0 - share) * np.exp(-rate * stress / top)) - strain) / np.max(strain)
+
+    bounds = ([1e-3, 0.0, 0.1], [0.12, 1.0, 50.0])
+    begin = [[min(1.2 * float(np.max(strain)), 0.11), 0.3, rate] for rate in (0.5, 2.0, 8.0)]
+    best = min((least_squares(away, at, bounds=bounds, x_scale=at) for at in begin), key=lambda found: found.cost)
+    largest, share, saturation = float(best.x[0]), float(best.x[1]), float(best.x[2]) / top
+    return {
+        "material.max_strain": Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source=told),
+        "material.min_strain_share": Entry(share, "1", 0.0, 1.0, source=told),
+        "material.strain_saturation": Entry(saturation, "1/Pa", 0.1 * saturation, 10.0 * saturation, source=told),
+        "material.critical_stress": Entry(0.0, "Pa", 0.0, max(2.0 * float(np.min(stress)), 1e6), source="usual"),
+        "material.calibration_stress": Entry(float(np.mean(stress)), "Pa", 0.0, top, source="the middle of the stresses"),
+    }
