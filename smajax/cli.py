@@ -259,13 +259,20 @@ def properties(
         Path | None, typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set that starts a fit.")
     ] = None,
     model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
+    columns: Annotated[
+        str,
+        typer.Option("--columns", metavar="A,B,...", help="Headers of a file without: 'temperature [degC],strain [%],-'; - is left out."),
+    ] = "",
+    delimiter: Annotated[str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' for tabulators.")] = ",",
     as_json: Json = False,
 ) -> None:
     """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
     from smajax.jobs.properties import PropertiesJob, run_properties, text
     from smajax.report.document import to_json
 
-    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value))
+    names = [name.strip() for name in columns.split(",")] if columns else None
+    between = "\t" if delimiter in ("tab", "\\t") else delimiter
+    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between))
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')

@@ -160,17 +160,19 @@ def read(
     delimiter: str = ",",
     decimal: str = ".",
     sheet: str | None = None,
+    headers: Sequence[str] | None = None,
     drop_bad_rows: bool = False,
 ) -> Recording:
     """Read and check the recording in ``path`` (.csv, .txt, .mat, .parquet, .xlsx).
 
     ``mapping`` names the columns of channels whose headers are not ``name [unit]``, ``ignore`` the columns that are left out on purpose;
     every other column has to be a known channel. ``required`` and ``observed`` channels have to be there, observed ones have to change.
-    Without ``clock`` the recording may do without time. ``drop_bad_rows`` leaves out rows that are ragged, blank or unreadable in a
-    wanted column, or whose time does not increase, and notes how many and which. Raises InputError: one sentence, the place, the cure.
+    ``headers`` are those of a text file without a header row. Without ``clock`` the recording may do without time. ``drop_bad_rows``
+    leaves out rows that are ragged, blank or unreadable in a wanted column, or whose time does not increase, and notes how many and
+    which. Raises InputError: one sentence, the place, the cure.
     """
     path = Path(path)
-    table = open_table(path, skip_rows=skip_rows, delimiter=delimiter, decimal=decimal, sheet=sheet)
+    table = open_table(path, skip_rows=skip_rows, delimiter=delimiter, decimal=decimal, sheet=sheet, headers=headers)
     columns = _assign(path, table.headers, mapping or {}, ignore)
     _require(path, columns, [*required, *observed, *(["time"] if clock else [])], mapping or {})
     try:

@@ -1,9 +1,12 @@
 """Thermal cycles under constant stress, and the temperatures and strains that ASTM E3097 reads off them by tangents.
 
-A cycle is a way from hot to cold and back. On each of its two branches three straight lines are laid that meet: along the cold rows, along
-the transformation, and along the hot rows; where they meet are start and finish. All three are laid at once, by least squares in the strain
-with both corners free, so that no row has to be called plateau or transformation beforehand. Intervals come from laying them again through
-blocks of the rows drawn at random.
+A cycle is a way from hot to cold and back. On each of its two branches three straight lines are laid that meet (``tangents.py``); where
+they meet are start and finish. Intervals come from redrawn branches: the lines, with blocks of the rows' distances from them put anew in
+random places, and likewise the temperatures' from their smooth course. Each is smoothed, begun and laid like the measured one.
+
+Where a transformation ends slowly, the place of its end is a matter of definition, beyond what the interval tells: a tangent at the
+steepest place ends it early, one of a symmetrical sigmoid through all rows, as other programs lay it, late. The measured NiTiHf begins
+sharply on cooling and ends slowly: at 50 to 300 MPa, M_f is 3 to 6 K above that of the sigmoid.
 """
 
 import dataclasses
@@ -14,21 +17,25 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import find_peaks
+from scipy.stats import t as student
 
 from smajax.errors import InputError
+from smajax.row_order import refuse_disorder
+from smajax.tangents import Lines, lay
 
 NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
+VALUES = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
 _TURN = 0.35  # share of the temperature's range by which it has to turn back to begin another branch
 _FEWEST = 12  # rows on a branch
-_JUMPY = 0.15  # mean step from row to row, as a share of the range, above which the rows are out of order
 _DRAWS = 60
-_BLOCKS = 24
-_CORNERS = 24  # places where a corner is tried first
-_REFINED = 10
+_BLOCKS = 24  # on a branch
+_FREE = 6  # numbers in the lines
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
 _LEAST = 1e-6  # strain
-_BESIDE = 4  # rows on each plateau
+_BESIDE = 3  # rows on each plateau
+_WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
+_HIDDEN = 0.25  # of the branch's temperatures, to either side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +51,8 @@ class Value:
 class Cycle:
     """One cycle's properties: temperatures in degC, strains as fractions, all with intervals; ``rows`` are its first and last row.
 
-    ``transformation_strain`` is between martensite start and finish on cooling, ``actuation_strain`` between the hottest and the coldest
-    rows, ``width`` between the middles of the branches, and ``span`` from martensite finish to austenite finish (K).
+    On heating, ``transformation_strain`` is between the plateaus at austenite start and finish, ``actuation_strain`` between them at the
+    coldest and the hottest row. ``width`` (K) is between the middles of the branches, ``span`` from martensite to austenite finish.
     """
 
     number: int
@@ -64,29 +71,27 @@ def turns(temperature: np.ndarray) -> list[int]:
     return [next(same)[0] for _, same in itertools.groupby(sorted(found), key=lambda turn: turn[1])]
 
 
+def unsteadiness(temperature: np.ndarray) -> float:
+    """How far temperatures (n,) scatter about their neighbours' median (standard deviation, K); none where they rise or fall steadily."""
+    return 1.4826 * float(np.median(np.abs(temperature - median_filter(temperature, 5, mode="nearest"))))
+
+
 def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rows of the cooling and of the heating branch of each cycle; temperatures are smoothed over ``smooth`` rows.
 
-    Raises ``InputError`` if the rows are not in the order in which they were recorded, or hold no cycle.
+    A heating before the first cooling, of a specimen that may just have been loaded, counts only where there is no whole cycle else.
+    Raises ``InputError`` if the rows hold no cycle.
     """
     smooth_t = median_filter(temperature, smooth, mode="nearest")
     reach = float(np.ptp(smooth_t))
     if reach < 5.0:
         raise InputError(f"{name}: the temperature moves by {reach:.3g} K: these are no thermal cycles")
-    if float(np.mean(np.abs(np.diff(temperature)))) > _JUMPY * reach:
-        told = f"{name}: the temperature jumps to and fro from row to row"
-        raise InputError(f"{told}: the rows are not in the order in which they were recorded; sort them by time")
     at = turns(smooth_t)
     branches = [np.arange(a, b + 1) for a, b in itertools.pairwise(at)]
     branches = [b for b in branches if len(b) >= _FEWEST and abs(smooth_t[b[-1]] - smooth_t[b[0]]) > 0.5 * reach]
-    pairs, k = [], 0
-    while k + 1 < len(branches):
-        first, second = branches[k], branches[k + 1]
-        if second[0] - first[-1] > 1 or (smooth_t[first[-1]] < smooth_t[first[0]]) == (smooth_t[second[-1]] < smooth_t[second[0]]):
-            k += 1
-            continue
-        pairs.append((first, second) if smooth_t[first[-1]] < smooth_t[first[0]] else (second, first))
-        k += 2
+    cools = [bool(smooth_t[b[-1]] < smooth_t[b[0]]) for b in branches]
+    follow = [k for k in range(len(branches) - 1) if branches[k + 1][0] - branches[k][-1] <= 1 and cools[k] != cools[k + 1]]
+    pairs = [(branches[k], branches[k + 1]) for k in follow if cools[k]] or [(branches[k + 1], branches[k]) for k in follow]
     if not pairs:
         raise InputError(
             f"{name}: no whole cycle is in it: a cooling and a heating branch of {_FEWEST} rows or more, over most of the temperatures"
@@ -104,14 +109,14 @@ def analyse(
 ) -> tuple[list[Cycle], list[str]]:
     """The properties of every cycle of a recording (arrays ``(n,)``: degC, fraction), and a sentence for each that cannot be read.
 
-    Raises ``InputError`` if there is no cycle at all.
+    Raises ``InputError`` if the rows are not in the order in which they were recorded, or if there is no cycle at all.
     """
     found, refused = [], []
-    warm = median_filter(temperature, smooth, mode="nearest")
-    for number, (cooling, heating) in enumerate(cycles(name, temperature, smooth=smooth), 1):
+    pairs = _in_order(name, temperature, strain, smooth)
+    for number, (cooling, heating) in enumerate(pairs, 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
         try:
-            values = _properties(warm, strain, cooling, heating, np.random.default_rng([seed, number]))
+            values = _properties(temperature, strain, cooling, heating, smooth, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
             continue
@@ -119,106 +124,105 @@ def analyse(
     return found, refused
 
 
+def _in_order(name: str, temperature: np.ndarray, strain: np.ndarray, smooth: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    if np.ptp(temperature) > 0.0:
+        refuse_disorder(name, temperature, strain)
+    return cycles(name, temperature, smooth=smooth)
+
+
 def _properties(
-    warm: np.ndarray, strain: np.ndarray, cooling: np.ndarray, heating: np.ndarray, rng: np.random.Generator
+    temperature: np.ndarray, strain: np.ndarray, cooling: np.ndarray, heating: np.ndarray, smooth: int, rng: np.random.Generator
 ) -> dict[str, Value]:
-    first = [tangents(warm[rows], strain[rows], branch) for rows, branch in ((cooling, "cooling"), (heating, "heating"))]
-
-    def all_of(cool: np.ndarray, heat: np.ndarray, near: Sequence[Sequence[float] | None]) -> np.ndarray:
-        finish, start, change = tangents(warm[cool], strain[cool], "cooling", near[0])
-        begun, ended, _ = tangents(warm[heat], strain[heat], "heating", near[1])
-        hot, cold = (strain[cool][np.argsort(warm[cool])][side].mean() for side in (slice(-3, None), slice(3)))
-        width = 0.5 * (begun + ended) - 0.5 * (start + finish)
-        return np.array([start, finish, begun, ended, change, cold - hot, width, ended - finish])
-
-    best, drawn = all_of(cooling, heating, first), []
-    for _ in range(_DRAWS):
-        try:
-            drawn.append(all_of(_blocks(cooling, rng), _blocks(heating, rng), first))
-        except InputError:
-            continue
-    if len(drawn) < _DRAWS // 2:
-        raise InputError("most redrawings of its rows show no transformation: it is hidden in the noise")
-    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
-    names = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
-    return {n: Value(float(v), float(min(a, v)), float(max(b, v))) for n, v, a, b in zip(names, best, low, high, strict=True)}
+    """Values of a cycle, each with the distance within which 95 % of its redrawings lie from what they are drawn of."""
+    branches = [_branch(temperature[rows], strain[rows], kind, smooth, rng) for rows, kind in ((cooling, "cooling"), (heating, "heating"))]
+    best, half = _joined(*(value for value, _ in branches)), np.quantile(np.abs(_joined(*(away for _, away in branches))), 0.95, axis=0)
+    return {n: Value(float(v), float(v - h), float(v + h)) for n, v, h in zip(VALUES, best[0], half, strict=True)}
 
 
-def tangents(temperature: np.ndarray, strain: np.ndarray, branch: str, near: Sequence[float] | None = None) -> tuple[float, float, float]:
-    """Lower and upper corner of a branch in degC, and how much larger the strain is at the lower; ``near`` are corners to begin with.
+def _joined(cooling: np.ndarray, heating: np.ndarray) -> np.ndarray:
+    """The properties (draws, 8) of both branches' corners and strains."""
+    (finish, start, *_), (begun, ended, change, moved) = cooling.T, heating.T
+    width = 0.5 * (begun + ended) - 0.5 * (start + finish)
+    return np.stack([start, finish, begun, ended, change, moved, width, ended - finish], axis=1)
 
-    Raises ``InputError`` if the branch shows no transformation.
+
+def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A branch's corners and strains (1, 4), and how far redrawings (draws, 4) lie from what they are drawn of."""
+    warm = median_filter(temperature, smooth, mode="nearest")[None]
+    lines = lay(warm, strain[None])
+    _refuse_unseen(warm[0], strain, lines, kind)
+    on_lines, count = lines.strain(warm)[0], len(strain)
+    length = max(1, count // _BLOCKS)
+    starts = rng.integers(0, count, (_DRAWS, -(-count // length)))
+    taken = ((starts[:, :, None] + np.arange(length)) % count).reshape(_DRAWS, -1)[:, :count]
+    louder = math.sqrt(count / (count - _FREE))
+    # Distances from a smoothed course lack what is slow, which blocks would pass on; drawn singly they have it again.
+    drawn_t = warm + (temperature - warm[0])[rng.integers(0, count, taken.shape)]
+    drawn_e = on_lines + louder * (strain - on_lines)[taken]
+    drawn_t = median_filter(drawn_t, (1, smooth), mode="nearest")
+    again = lay(drawn_t, drawn_e, lines.corners[0])
+    away = _measured(drawn_t, drawn_e, again) - _measured(warm, on_lines[None], lines)
+    unsure = float(np.max(np.quantile(np.abs(away[:, :2]), 0.95, axis=0)))
+    if unsure > _HIDDEN * float(np.ptp(warm)):
+        raise InputError(f"on {kind} start and finish are uncertain by {unsure:.2g} K: the transformation is hidden in the noise")
+    return _measured(warm, strain[None], lines), away
+
+
+def _measured(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> np.ndarray:
+    """Lower and upper corner, the strain between them, and between the coldest and the hottest rows: (draws, 4)."""
+    (cold, coldest), (hot, hottest) = (_plateau(temperature, strain, lines, side) for side in (0, 1))
+    return np.column_stack([lines.corners, cold - hot, coldest - hottest])
+
+
+def _plateau(temperature: np.ndarray, strain: np.ndarray, lines: Lines, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Strains (draws,) at the lower (side 0) or upper corner and at the rows' end, on the line along the farther half of the rows between.
+
+    The half that is nearer may belong to a transformation that ends slowly. Where the farther one has few rows, the three lines' own tells.
     """
-    order = np.argsort(temperature, kind="stable")
-    t, e = temperature[order], strain[order]
-    corners = np.array(near[:2]) if near is not None else _corners(t, e)
-    for _ in range(_REFINED):
-        lines = _lines(t, corners)
-        along = np.linalg.lstsq(lines, e, rcond=None)[0]
-        bends = -along[2:] * (t[:, None] > corners)
-        moved = np.linalg.lstsq(np.column_stack([lines, bends]), e - lines @ along, rcond=None)[0][4:]
-        reach = 0.05 * (t[-1] - t[0])
-        corners = np.sort(np.clip(corners + np.clip(moved, -reach, reach), t[1], t[-2]))
-    lines = _lines(t, corners)
-    along = np.linalg.lstsq(lines, e, rcond=None)[0]
-    low, high = corners
-    if np.sum(t < low) < _BESIDE or np.sum(t > high) < _BESIDE:
-        raise InputError(f"on {branch} there are too few rows beside the transformation: heat and cool further")
-    scatter = float(np.std(e - lines @ along))
-    middle = 0.5 * (low + high)
-    jump = float(along[2] * (low - middle) + along[3] * (high - middle))  # of the cold line above the hot one
+    corner = lines.corners[:, side, None]
+    end = temperature.min(axis=1, keepdims=True) if side == 0 else temperature.max(axis=1, keepdims=True)
+    taken = np.abs(temperature - end) <= 0.5 * np.abs(corner - end)
+    count = np.maximum(taken.sum(axis=1, keepdims=True), 1)
+    middle, level = (np.sum(np.where(taken, v, 0.0), axis=1, keepdims=True) / count for v in (temperature, strain))
+    away = np.where(taken, temperature - middle, 0.0)
+    slope = np.sum(away * strain, axis=1, keepdims=True) / np.maximum(np.sum(away**2, axis=1, keepdims=True), 1e-300)
+    at_corner, at_end = (np.where(count >= _BESIDE, level + slope * (t - middle), lines.strain(t))[:, 0] for t in (corner, end))
+    return at_corner, at_end
+
+
+def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, kind: str) -> None:
+    low, high = lines.corners[0]
+    scatter = math.sqrt(float(lines.squares[0]) / len(strain))
+    ends = lines.strain(lines.corners)[0]
+    slopes = lines.slopes[0]
+    # What the strain moves beyond the plateaus' own slopes.
+    jump = float(ends[0] - ends[1]) + 0.5 * float(slopes[0] + slopes[2]) * (high - low)
     if not abs(jump) > _SEEN * scatter + _LEAST:
-        told = f"on {branch} the strain moves by {abs(jump):.2g} between lines about which it scatters by {scatter:.2g}"
+        told = f"on {kind} the strain moves by {abs(jump):.2g} between lines about which it scatters by {scatter:.2g}"
         raise InputError(f"{told}: no transformation is seen")
-    slopes = np.abs(np.cumsum(along[1:]))
-    if slopes[1] < _STEEPER * max(slopes[0], slopes[2]):
+    within = int(np.sum((temperature >= low) & (temperature <= high)))
+    if within < _WITHIN:
+        told = f"on {kind} {within} row{'' if within == 1 else 's'} lie on the transformation, fewer than {_WITHIN}"
+        raise InputError(f"{told}: record more rows per kelvin, or heat and cool further")
+    for beside, side, cure in ((temperature < low, "colder", "cool"), (temperature > high, "hotter", "heat")):
+        if np.sum(beside) < _BESIDE:
+            told = f"on {kind} {np.sum(beside)} rows are {side} than the transformation, fewer than {_BESIDE}"
+            raise InputError(f"{told}: heat and cool further ({cure}), or record more rows per kelvin")
+    if abs(slopes[1]) < _STEEPER * max(abs(slopes[0]), abs(slopes[2])):
         raise InputError(
-            f"on {branch} a line beside the transformation is nearly as steep as it: its end was not reached, heat and cool further"
+            f"on {kind} a line beside the transformation is nearly as steep as it: its end was not reached, heat and cool further"
         )
-    ends = _lines(corners, corners) @ along
-    return float(low), float(high), float(ends[0] - ends[1])
-
-
-def _lines(t: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """A straight line and what bends it at each corner, as columns."""
-    return np.column_stack([np.ones_like(t), t, np.maximum(t - corners[0], 0.0), np.maximum(t - corners[1], 0.0)])
-
-
-def _corners(t: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """The best pair of corners among some places spread over the rows."""
-    places = np.quantile(t, np.linspace(0.04, 0.96, _CORNERS))
-    bends = np.maximum(t[:, None] - places, 0.0)
-    base = np.column_stack([np.ones_like(t), t])
-    q, _ = np.linalg.qr(base)
-    left, bent = e - q @ (q.T @ e), bends - q @ (q.T @ bends)
-    gram, toward = bent.T @ bent, bent.T @ left
-    best, found = -1.0, (places[0], places[-1])
-    for i in range(_CORNERS):
-        for j in range(i + 1, _CORNERS):
-            a, b, c = gram[i, i], gram[i, j], gram[j, j]
-            below = a * c - b * b
-            if below <= 1e-12 * a * c:
-                continue
-            explained = (c * toward[i] ** 2 - 2 * b * toward[i] * toward[j] + a * toward[j] ** 2) / below
-            if explained > best:
-                best, found = explained, (places[i], places[j])
-    return np.array(found)
-
-
-def _blocks(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Rows of a branch, drawn in blocks."""
-    parts = np.array_split(rows, min(_BLOCKS, len(rows) // 3))
-    return np.sort(np.concatenate([parts[k] for k in rng.integers(0, len(parts), len(parts))]))
 
 
 def mean_of(found: Sequence[Cycle]) -> dict[str, Value]:
-    """Means over cycles; the interval is that of the mean by the scatter between them, of a single one its own."""
-    means = {}
+    """Means over cycles with 95 % intervals: by the scatter between cycles and Student's t, or, if that is wider, by the cycles' own."""
+    count, means = len(found), {}
     for name in found[0].values:
         values = np.array([c.values[name].value for c in found])
-        if len(values) == 1:
-            means[name] = found[0].values[name]
-            continue
-        half = 1.96 * float(np.std(values, ddof=1)) / math.sqrt(len(values))
-        means[name] = Value(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
+        own = np.array([0.5 * (c.values[name].upper95 - c.values[name].lower95) for c in found])
+        half = math.sqrt(float(np.mean(own**2)) / count)
+        if count > 1:
+            half = max(half, float(student.ppf(0.975, count - 1) * np.std(values, ddof=1)) / math.sqrt(count))
+        mean = float(values.mean())
+        means[name] = Value(mean, mean - half, mean + half)
     return means

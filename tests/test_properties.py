@@ -2,15 +2,20 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import binom
 from typer.testing import CliRunner
 
 from smajax.cli import app
 from smajax.errors import InputError
 from smajax.jobs.properties import PropertiesJob, run_properties
-from smajax.rig import read_rig
-from smajax.thermal_cycles import NAMES, analyse, mean_of, turns
+from smajax.rig import parse_rig, read_rig
+from smajax.row_order import refuse_disorder
+from smajax.thermal_cycles import NAMES, VALUES, Cycle, Value, analyse, mean_of, turns
+from tests.reference import lagoudas as lagoudas_reference
+from tests.test_lagoudas import VALUES as LAGOUDAS
 
 TRUE = {"martensite_start": 70.0, "martensite_finish": 40.0, "austenite_start": 85.0, "austenite_finish": 110.0}
 
@@ -43,18 +48,77 @@ def test_corners_are_found():
     for cycle in found:
         for name, true in TRUE.items():
             assert cycle.values[name].value == pytest.approx(true, abs=0.2)
-        assert cycle.values["transformation_strain"].value == pytest.approx(0.03 + 1e-5 * 30, abs=5e-5)
+        assert cycle.values["transformation_strain"].value == pytest.approx(0.03 + 1e-5 * 25, abs=5e-5)
         assert cycle.values["actuation_strain"].value == pytest.approx(0.03 + 1e-5 * 135, abs=1e-4)
         assert cycle.values["span"].value == pytest.approx(70.0, abs=0.3)
         assert cycle.values["width"].value == pytest.approx(42.5, abs=0.3)
 
 
-def test_intervals_hold_the_truth():
-    held = []
-    for seed in range(60):
-        found, _ = analyse("made", *made(1, noise=4e-4, seed=seed, rows=80), seed=seed)
-        held += [found[0].values[n].lower95 <= t <= found[0].values[n].upper95 for n, t in TRUE.items()]
-    assert 0.85 <= np.mean(held) <= 0.995
+@pytest.mark.parametrize(
+    ("count", "rows", "strain_noise", "warm_noise", "times"),
+    [(1, 80, 4e-4, 0.0, 30), (1, 160, 1e-5, 3.0, 20), (2, 80, 4e-4, 0.0, 12), (3, 160, 1e-5, 3.0, 6), (8, 40, 4e-4, 0.0, 4), (1, 16, 1e-4, 0.0, 40)],
+)  # fmt: skip
+def test_intervals_hold_the_truth(count, rows, strain_noise, warm_noise, times):
+    """So often that 95 % is credible: at 95 %, 0.1 % of such tests would hold fewer."""
+    truth = TRUE | {"transformation_strain": 0.03 + 1e-5 * 25, "actuation_strain": 0.03 + 1e-5 * 135, "width": 42.5, "span": 70.0}
+    held = {name: 0 for name in truth}
+    for seed in range(times):
+        temperature, strain = made(count, noise=strain_noise, warm_noise=warm_noise, seed=seed, rows=rows)
+        found, refused = analyse("made", temperature, strain, smooth=9 if warm_noise else 1, seed=seed)
+        assert not refused
+        means = mean_of(found)
+        for name, true in truth.items():
+            held[name] += means[name].lower95 <= true <= means[name].upper95
+    # Eight properties are looked at.
+    assert min(held.values()) >= binom.ppf(1e-3 / len(held), times, 0.95), held
+    assert np.mean(list(held.values())) >= 0.9 * times, held
+
+
+def test_the_interval_of_a_mean_knows_how_few_its_cycles_are():
+    """Values of cycles that scatter among themselves, each thought exact, and some that agree by chance, each uncertain."""
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(400):
+        exact = [Cycle(k, (0, 1), {"span": Value(v, v, v)}) for k, v in enumerate(rng.standard_normal(2))]
+        held += abs(mean_of(exact)["span"].value) <= mean_of(exact)["span"].upper95 - mean_of(exact)["span"].value
+    assert binom.ppf(1e-3, 400, 0.95) <= held <= binom.ppf(1 - 1e-3, 400, 0.95)
+    alike = mean_of([Cycle(k, (0, 1), {"span": Value(1.0, 0.0, 2.0)}) for k in range(4)])["span"]
+    assert alike.upper95 - alike.value == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("rows", [12, 13, 16, 20, 24, 30])
+def test_short_clean_cycles_are_read(rows):
+    found, refused = analyse("short", *made(2, noise=1e-6, rows=rows))
+    assert len(found) == 2 and not refused
+    for name, true in TRUE.items():
+        assert mean_of(found)[name].value == pytest.approx(true, abs=0.1)
+
+
+def test_few_rows_are_not_taken_for_noisy_ones(tmp_path):
+    document = run_properties(PropertiesJob([write(tmp_path / "few.csv", *made(2, noise=1e-6, rows=16))]))
+    assert document["recordings"][0]["smoothed_rows"] == 1 and len(document["recordings"][0]["cycles"]) == 2
+
+
+@pytest.mark.parametrize("within", [10, 32])
+def test_rows_shuffled_within_blocks_are_refused(within):
+    temperature, strain = made()
+    order = np.concatenate([np.random.default_rng(0).permutation(block) for block in np.array_split(np.arange(960), 960 // within)])
+    with pytest.raises(InputError, match=r"row \d+ of the data lies .* not in the order"):
+        analyse("shuffled", temperature[order], strain[order])
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.2])
+def test_a_few_shuffled_rows_are_refused(share):
+    (temperature, strain), rng = made(), np.random.default_rng(0)
+    moved, order = rng.choice(960, int(share * 960), replace=False), np.arange(960)
+    order[np.sort(moved)] = moved
+    with pytest.raises(InputError, match=r"row \d+ of the data: the temperature jumps by \d+ K .* not in the order"):
+        analyse("shuffled", temperature[order], strain[order])
+
+
+@pytest.mark.parametrize(("noise", "warm_noise"), [(1e-3, 0.0), (1e-5, 5.0), (1e-3, 5.0), (0.0, 0.0)])
+def test_noise_is_not_taken_for_disorder(noise, warm_noise):
+    for seed in range(10):
+        refuse_disorder("ordered", *made(noise=noise, warm_noise=warm_noise, seed=seed))
 
 
 def test_a_noisy_thermocouple_is_smoothed():
@@ -122,18 +186,54 @@ def test_the_hundred_cycles_measured_by_others(shared):
     columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")
     found, refused = analyse("cycles", columns[:, 0], columns[:, 1], smooth=9)
     means = mean_of(found)
-    assert len(found) + len(refused) == 100 and len(refused) < 5
-    for name, value in zip((*NAMES, "width", "span"), (122.90, 94.26, 113.09, 128.11, 12.02, 33.85), strict=True):
+    assert len(found) == 99 and not refused
+    for name, value in zip(VALUES, (122.90, 94.26, 113.09, 128.11, 0.0344, 0.03791, 12.02, 33.85), strict=True):
         scatter = np.std([c.values[name].value for c in found])
-        assert abs(means[name].value - value) < scatter, name
-    assert means["transformation_strain"].value == pytest.approx(0.0344, abs=0.002)
-    assert means["actuation_strain"].value == pytest.approx(0.03791, abs=1e-4)
+        assert abs(means[name].value - value) < 0.6 * scatter, name
+
+
+@pytest.mark.parametrize(
+    ("file", "columns", "told"),
+    [
+        ("nasa-bigelow-nitihf/200 MPa.txt", "temperature [degC],strain [%],stress [MPa]", "1 cycle at 200 MPa"),
+        ("asmada-cyclic/Example Test Data.txt", "temperature [degC],strain", "99 cycles, temperatures smoothed over 9 rows"),
+    ],
+)
+def test_the_command_reads_the_files_of_others(shared, file, columns, told):
+    run = lambda *options: CliRunner().invoke(app, ["properties", str(shared / "data" / file), *options])  # noqa: E731
+    for options in ((), ("--columns", columns)):
+        done = run(*options)
+        assert done.exit_code == 2 and 'give --delimiter "\\t"' in done.output and "rig" not in done.output
+    done = run("--delimiter", "\\t")
+    assert done.exit_code == 2 and "name the columns by --columns" in done.output and "rig" not in done.output
+    done = run("--delimiter", "tab", "--columns", columns)
+    assert done.exit_code == 0 and told in done.output and "A_f" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--columns", "temperature [degC],strain [%]"), "row 1: the row has 3 cells, and 2 columns are named"),
+        (("--columns", "temperature,strain [%],-"), "'temperature' has no unit"),
+        (("--columns", "temperature [degC],elongation [%],-"), "rename it, or name it by --columns"),
+        (("--columns", "temperature [degC],-,-"), "the channel strain is missing"),
+        (("--columns", "temperature [degC],strain [%],-", "--delimiter", ";"), 'the columns are separated by ",": give --delimiter ","'),
+    ],
+)
+def test_columns_that_do_not_fit_are_refused(tmp_path, options, sentence):
+    temperature, strain = made(1)
+    np.savetxt(tmp_path / "bare.csv", np.column_stack([temperature, 100 * strain, strain]), delimiter=",", fmt="%.9g")
+    done = CliRunner().invoke(app, ["properties", str(tmp_path / "bare.csv"), *options])
+    assert done.exit_code == 2 and sentence in done.output and "[channels]" not in done.output
+    good = CliRunner().invoke(app, ["properties", str(tmp_path / "bare.csv"), "--columns", "temperature [degC],strain [%],-"])
+    assert good.exit_code == 0 and "bare.csv: 1 cycle" in good.output
 
 
 @pytest.mark.parametrize(
     ("stress", "values"),
     [
         (50, (182.6, 166.2, 202.9, 215.2)),
+        (100, (186.8, 168.9, 205.8, 218.5)),
         (200, (198.5, 175.1, 212.2, 225.8)),
         (300, (212.1, 182.0, 218.7, 236.6)),
         (400, (227.3, 188.8, 225.9, 255.1)),
@@ -142,6 +242,8 @@ def test_the_hundred_cycles_measured_by_others(shared):
 def test_nitihf_measured_by_others(shared, stress, values):
     columns = np.loadtxt(shared / "data" / "nasa-bigelow-nitihf" / f"{stress} MPa.txt")
     found, _ = analyse(f"{stress}", columns[:, 0], columns[:, 1] / 100)
+    actuation = found[0].values["actuation_strain"]
+    assert actuation.lower95 < actuation.value < actuation.upper95 and actuation.upper95 - actuation.lower95 < 0.2 * actuation.value
     for name, value in zip(NAMES, values, strict=True):
         assert found[0].values[name].value == pytest.approx(value, abs=6.0), name
 
@@ -149,3 +251,24 @@ def test_nitihf_measured_by_others(shared, stress, values):
 def test_a_document_names_its_file(tmp_path):
     document = run_properties(PropertiesJob([write(tmp_path / "a.csv", *made(1))]))
     assert document["recordings"][0]["name"] == "a.csv" and document["recordings"][0]["smoothed_rows"] == 1
+
+
+def test_several_stresses_tell_how_strain_grows(tmp_path):
+    """Cycles of the exact law at five stresses, and the set that is written."""
+    law, rng, noise = lagoudas_reference.Law(**{**LAGOUDAS, "critical_stress": 0.0}), np.random.default_rng(0), 2e-5
+    temperature = np.concatenate([np.linspace(150.0, 10.0, 90), np.linspace(10.0, 150.0, 90)[1:]])
+    paths = []
+    for stress in (20e6, 60e6, 120e6, 200e6, 300e6):
+        state, strains = lagoudas_reference.State(0.0, 0.0), []
+        for t in temperature:
+            state = lagoudas_reference.advance(law, state, float(t), (stress, stress))
+            strains.append(lagoudas_reference.strain(law, state, stress))
+        paths.append(write(tmp_path / f"{stress:.0f}.csv", temperature, strains + noise * rng.standard_normal(179), stress / 1e6))
+    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
+    text = '[rig]\nkind = "path"\n[material]\nset = "set.toml"\nmodulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\n'
+    material = parse_rig(f'{text}[fit]\nmodel = "lagoudas"\nobserve = ["strain"]\n', folder=tmp_path).plant.material
+    # What is read has the phases' elastic difference in it, up to 0.5 % at 300 MPa.
+    for stress in (20e6, 100e6, 300e6):
+        true = lagoudas_reference.current_strain(law, stress) + stress * (1 / 30e9 - 1 / 60e9)
+        assert float(material.grown_strain(jnp.asarray(stress))) == pytest.approx(true, rel=0.06)
+    assert float(material.calibration_stress) == pytest.approx(140e6)

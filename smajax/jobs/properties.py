@@ -2,25 +2,39 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from smajax import __version__, recording
 from smajax.errors import InputError
-from smajax.fit.problem import difference_noise
 from smajax.parameter_file import Entry, write_parameters
 from smajax.recording import Recording
 from smajax.report.summary import table
-from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of
+from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of, unsteadiness
 
 SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
 _USUAL = 7e6  # Pa/K, where one stress does not tell
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
+_LEFT_OUT = "-"
+_NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
+_CURES = (
+    (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
+    (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
+    (
+        r"rename it, map it under \[channels\].*",
+        f"rename it, or name it by {_NAMED}",
+    ),
+    (r"or give the unit under \[channels\]", "in the file or by --columns"),
+    (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_NAMED}"),
+)
+_LEVELS = 3  # stresses that tell how strain grows
 _LABELS = {
     "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
     "transformation_strain": "transformation strain", "actuation_strain": "actuation strain", "width": "hysteresis width",
@@ -30,12 +44,17 @@ _STRAINS = ("transformation_strain", "actuation_strain")
 
 
 class PropertiesJob(NamedTuple):
-    """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``."""
+    """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``.
+
+    ``columns`` are headers of text files without ("temperature [degC]", or "-" for one to leave out), ``delimiter`` separates them.
+    """
 
     paths: Sequence[Path]
     smooth: int | None = None
     write_set: Path | None = None
     model: str = "brinson"
+    columns: Sequence[str] | None = None
+    delimiter: str = ","
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +75,7 @@ class Read:
 
 def run_properties(job: PropertiesJob) -> dict[str, Any]:
     """Reads all recordings and gives the document that is printed. Raises ``InputError`` if no cycle of any of them can be read."""
-    read = [_read(path, job.smooth) for path in job.paths]
+    read = [_read(path, job) for path in job.paths]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):
         raise InputError("; ".join(refused))
@@ -73,15 +92,26 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     return document
 
 
-def _read(path: Path, smooth: int | None) -> Read:
-    one = recording.read(path, required=("temperature",), observed=("strain",), clock=False)
+def _read(path: Path, job: PropertiesJob) -> Read:
+    wanted = {"required": ("temperature",), "observed": ("strain",), "clock": False, "ignore": (_LEFT_OUT,)}
+    try:
+        one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter)
+    except InputError as error:
+        raise InputError(_by_options(str(error))) from None
     warm = one.channels["temperature"]
-    rows = smooth if smooth is not None else _ROWS if difference_noise(warm) > _NOISY else 1
+    rows = job.smooth if job.smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
         found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
     except InputError as error:
         return Read(one, rows, [], [str(error)])
     return Read(one, rows, found, refused)
+
+
+def _by_options(sentence: str) -> str:
+    """A sentence about a file whose cure is in a rig, with the options of this command in its place."""
+    for said, instead in _CURES:
+        sentence = re.sub(said, instead, sentence)
+    return sentence
 
 
 def _entry(one: Read) -> dict[str, Any]:
@@ -151,9 +181,36 @@ def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
         for end in ("start", "finish"):
             name = f"{phase}_{end}"
             at_zero = float(np.mean(values[name] - stress / slope))
-            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - 40.0, at_zero + 40.0, source="tangents, brought to zero stress")
+            away = 40.0 + max(0.5 * (m[name].upper95 - m[name].lower95) for m in means)
+            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - away, at_zero + away, source="tangents, brought to zero stress")
     largest = float(np.clip(np.max(np.abs(values["transformation_strain"])), 1e-3, 0.1))
     entries["material.max_strain"] = Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source="largest transformation strain")
     if model == "lagoudas":
         entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
+        if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART:
+            entries |= _growing_strain(stress, np.abs(values["transformation_strain"]))
     return {n: e for n, e in entries.items() if math.isfinite(e.value)}
+
+
+def _growing_strain(stress: np.ndarray, strain: np.ndarray) -> dict[str, Entry]:
+    """H_cur(sigma) = H_sat (1 - (1 - share) exp(-k sigma)) through the transformation strains of several stresses.
+
+    The critical stress, which a few stresses do not tell from k, starts at none; the lines' slopes hold at the middle of the stresses.
+    """
+    top, told = float(np.max(stress)), f"transformation strains at {len(stress)} stresses"
+
+    def away(unknown: np.ndarray) -> np.ndarray:
+        largest, share, rate = unknown
+        return (largest * (1.0 - (1.0 - share) * np.exp(-rate * stress / top)) - strain) / np.max(strain)
+
+    bounds = ([1e-3, 0.0, 0.1], [0.12, 1.0, 50.0])
+    begin = [[min(1.2 * float(np.max(strain)), 0.11), 0.3, rate] for rate in (0.5, 2.0, 8.0)]
+    best = min((least_squares(away, at, bounds=bounds, x_scale=at) for at in begin), key=lambda found: found.cost)
+    largest, share, saturation = float(best.x[0]), float(best.x[1]), float(best.x[2]) / top
+    return {
+        "material.max_strain": Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source=told),
+        "material.min_strain_share": Entry(share, "1", 0.0, 1.0, source=told),
+        "material.strain_saturation": Entry(saturation, "1/Pa", 0.1 * saturation, 10.0 * saturation, source=told),
+        "material.critical_stress": Entry(0.0, "Pa", 0.0, max(2.0 * float(np.min(stress)), 1e6), source="usual"),
+        "material.calibration_stress": Entry(float(np.mean(stress)), "Pa", 0.0, top, source="the middle of the stresses"),
+    }

@@ -1,5 +1,6 @@
 """Files as tables of numbers: CSV and text, MATLAB .mat, Parquet, Excel .xlsx, told apart by the file's suffix."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from smajax.errors import InputError, nearest
@@ -8,10 +9,19 @@ from smajax.tables.base import Table
 SUFFIXES = (".csv", ".txt", ".mat", ".parquet", ".xlsx")
 
 
-def open_table(path: Path, *, skip_rows: int = 0, delimiter: str = ",", decimal: str = ".", sheet: str | None = None) -> Table:
+def open_table(
+    path: Path,
+    *,
+    skip_rows: int = 0,
+    delimiter: str = ",",
+    decimal: str = ".",
+    sheet: str | None = None,
+    headers: Sequence[str] | None = None,
+) -> Table:
     """The table in the file at ``path``, its headers read and its numbers not yet; InputError with file and cure otherwise.
 
-    ``delimiter`` and ``decimal`` are those of a text file, ``sheet`` that of a workbook (the first one by default).
+    ``delimiter`` and ``decimal`` are those of a text file, ``headers`` name its columns where it has no header row; ``sheet`` is that of
+    a workbook (the first one by default).
     """
     suffix = path.suffix.lower()
     try:
@@ -26,7 +36,9 @@ def open_table(path: Path, *, skip_rows: int = 0, delimiter: str = ",", decimal:
         if suffix in (".csv", ".txt"):
             from smajax.tables.csv import CsvTable
 
-            return CsvTable(path, skip_rows, delimiter, decimal)
+            return CsvTable(path, skip_rows, delimiter, decimal, headers)
+        if headers is not None:
+            raise InputError(f"{path}: only columns of text files can be named: give the file headers like 'temperature [degC]'")
         if suffix == ".mat":
             from smajax.tables.mat import MatTable
 

@@ -25,9 +25,12 @@ _NAMES_OF_DELIMITERS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
 
 @final
 class CsvTable(Table):
-    """A text file with one header row; ``delimiter`` is one character, ``decimal`` is ``.`` or ``,``, ``skip_rows`` rows come first."""
+    """A text file with one header row, or with none if ``headers`` are given.
 
-    def __init__(self, path: Path, skip_rows: int, delimiter: str, decimal: str):
+    ``delimiter`` is one character, ``decimal`` is ``.`` or ``,``, ``skip_rows`` rows come first.
+    """
+
+    def __init__(self, path: Path, skip_rows: int, delimiter: str, decimal: str, headers: Sequence[str] | None = None):
         self.path, self.delimiter, self.decimal = path, delimiter, decimal
         self._check_dialect(skip_rows)
         self._digest = hashlib.sha256()
@@ -37,12 +40,13 @@ class CsvTable(Table):
             for skipped in range(skip_rows):
                 if not file.readline():
                     raise InputError(f"{path}: the file has {skipped} rows, and skip_rows = {skip_rows} leaves nothing: lower skip_rows")
+            begins = file.tell()
             line = file.readline(_LONGEST_ROW)
-            self._data_begins = file.tell()
+            self._data_begins = file.tell() if headers is None else begins
             next_line = file.readline(_LONGEST_ROW)
         self._header_row = skip_rows + 1
-        self.first_row = skip_rows + 2
-        self.headers = self._header_in(line, next_line)
+        self.first_row = skip_rows + (2 if headers is None else 1)
+        self.headers = self._header_in(line, next_line) if headers is None else self._given(headers, line)
 
     def load(self, wanted: Sequence[int], lenient: bool) -> list[np.ndarray]:
         refuse_if_too_large(self.path, self._likely_rows(), len(wanted))
@@ -110,6 +114,18 @@ class CsvTable(Table):
                 f"set delimiter = {_NAMES_OF_DELIMITERS[others[0]]} {comma}under [channels] in the rig"
             )
         return tuple(cells)
+
+    def _given(self, headers: Sequence[str], line: bytes) -> tuple[str, ...]:
+        cells = self._cells(line, self.first_row)
+        others = [_NAMES_OF_DELIMITERS[c] for c in _NAMES_OF_DELIMITERS if len(cells) == 1 and c != self.delimiter and c in cells[0]]
+        if others:
+            raise InputError(f"{self.path}: row {self.first_row}: the columns are separated by {others[0]}: set delimiter = {others[0]}")
+        if len(cells) != len(headers):
+            told = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
+            raise InputError(f"{self.path}: row {self.first_row}: {told}: name every column, those that are not wanted by -")
+        if number_in(cells[0], self.decimal) is None:
+            raise InputError(f"{self.path}: row {self.first_row}: '{cells[0]}' is not a number: if this is a header, name no columns")
+        return tuple(headers)
 
     def _likely_rows(self) -> float:
         with self.path.open("rb") as file:
