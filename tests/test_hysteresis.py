@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from smajax.errors import InputError
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.simulate import respond
@@ -127,6 +128,13 @@ def test_the_inverse_gives_the_input_back(count, unloading):
     law, time = operator(unloading and envelope(*unloading), count=count), jnp.asarray(TIME)
     wanted = follow(law, time, jnp.asarray(INPUT))
     np.testing.assert_allclose(follow(law.inverse(), time, wanted), INPUT, atol=1e-9)
+
+
+@pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12)])
+def test_without_a_direct_part_there_is_no_inverse(unloading):
+    law = dataclasses.replace(operator(unloading and envelope(*unloading)), direct=jnp.asarray(0.0))
+    with pytest.raises(InputError, match="has no inverse, since its direct part p_0 is 0"):
+        law.inverse()
 
 
 def test_derivatives_of_the_inverse_of_two_envelopes():

@@ -23,7 +23,7 @@ import numpy as np
 from smajax.hysteresis.operator import AbstractOperator
 
 _FULL = 36.0  # the place at which 1 - v is a rounding error
-_BELOW, _ABOVE = 72, 108
+_BELOW, _ABOVE = 112, 108
 # Closer around 0, where |v|^n with n below 2 is least smooth, and at -1, where a large n bends most.
 _FALLING = -0.5 * (1.0 + np.cos(np.pi * np.arange(_BELOW) / _BELOW))
 PLACES = np.concatenate([_FALLING, _FULL * np.linspace(0.0, 1.0, _ABOVE + 1) ** 3])
