@@ -23,7 +23,7 @@ INPUT = np.repeat(RNG.uniform(0.0, 1.0, 20), 20)
 
 
 def function(structure, **changes: float) -> TransferFunction:
-    values = {"gain": 3.0, "rest": 0.5, "first": 1.7, "second": 0.6, "damping": 0.4, "delay": 0.0} | changes
+    values = {"gain": 3.0, "rest": 0.5, "first": 1.7, "second": 0.6, "damping": 0.4, "delay": 0.0, "settled": 0.0} | changes
     return TransferFunction(**{k: jnp.asarray(v) for k, v in values.items()}, structure=structure)
 
 
@@ -37,10 +37,29 @@ DENOMINATORS = {
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_transfer_functions_are_scipys(structure):
-    values = INPUT - INPUT[0]  # from rest at no input
-    found = np.asarray(respond(function(structure), jnp.asarray(TIME), jnp.asarray(values)))
-    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), values, TIME, interp=False)
+    assert INPUT[0] > 0.1  # on from the first row, from rest
+    found = np.asarray(respond(function(structure), jnp.asarray(TIME), jnp.asarray(INPUT)))
+    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), INPUT, TIME, interp=False)
     np.testing.assert_allclose(found, 0.5 + exact, atol=1e-9)
+    steady = np.asarray(respond(function(structure, settled=1.0), jnp.asarray(TIME), jnp.asarray(INPUT)))
+    np.testing.assert_allclose(steady[:21], 0.5 + 3.0 * INPUT[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("constant", [False, True])
+def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, constant):
+    """A quarter of the recording, or a good tenth of it after a step that is on from the first row."""
+    delay = 4.5 if constant else 10.0
+    rows = round(delay / 0.1)
+    u = np.full(400, 0.8) if constant else INPUT
+    _, prompt, _ = scipy.signal.lsim(([-3.0], DENOMINATORS[structure]), u, TIME, interp=False)
+    y = 0.5 + np.append(np.zeros(rows), prompt[:-rows])
+    series = [Series("a", TIME, u, y + 1e-3 * np.random.default_rng(0).standard_normal(400))]
+    found = fit_operator(transfer_function(series, structure), series, starts=6, max_steps=60)
+    assert found.rmse < 2e-3
+    assert float(found.parameters["delay"]) == pytest.approx(delay, abs=0.1)
+    assert float(found.parameters["settled"]) == pytest.approx(0.0, abs=0.01)
+    assert found.family.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[structure] + (not constant)
 
 
 def test_the_hip_papers_flexion():

@@ -175,6 +175,8 @@ def with_law(rig: Rig, name: str) -> Rig:
 
 def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
     driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
+    if not driving:  # one that is on all the time is a step from rest, where it is the only one
+        driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
         raise InputError(f"{name} takes one input that changes, and here {told}")
