@@ -64,7 +64,11 @@ def _spread(parameters: dict) -> PrandtlIshlinskii:
 
 
 def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int = 2) -> Family:
-    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction."""
+    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction.
+
+    The height of the loading envelope is held: envelopes and thresholds so many times larger, with direct part and densities so many times
+    smaller, are the same law.
+    """
     low, span, bottom, swing = _ranges(series)
     middle = low + 0.5 * span
 
@@ -77,10 +81,11 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
         "middle": (bottom - swing, bottom + 2 * swing),
     }
     lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
-    upper = {"direct": 2.0, "densities": np.full(count, 1.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
+    upper = {"direct": 4.0, "densities": np.full(count, 2.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
     start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": envelope}
     if envelopes == 2:
         lower, upper, start = (side | {"unloading": side["loading"]} for side in (lower, upper, start))
+    lower, upper = (side | {"loading": side["loading"] | {"height": envelope["height"]}} for side in (lower, upper))
     return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
 
 

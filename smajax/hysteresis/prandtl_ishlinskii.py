@@ -12,6 +12,7 @@ where the plays stand, and the inverse finds it between the ends of the envelope
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from smajax.errors import InputError
 from smajax.hysteresis.operator import AbstractOperator
@@ -71,7 +72,7 @@ class PrandtlIshlinskii(AbstractOperator):
 
         Raises ``InputError`` where ``direct`` is not positive: within the plays' dead bands many inputs then give one output.
         """
-        if not isinstance(self.direct, jax.core.Tracer) and not bool(jnp.all(self.direct > 0.0)):
+        if not isinstance(self.direct, Tracer) and not bool(jnp.all(self.direct > 0.0)):
             raise InputError(
                 "the operator has no inverse, since its direct part p_0 is 0 and its plays stand still around each turn: give p_0 > 0"
             )
