@@ -1,5 +1,7 @@
 """Black boxes against other people's linear systems and against themselves, and fits that find what was planted."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +16,7 @@ from smajax.errors import InputError
 from smajax.fit.families import bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
 from smajax.fit.operators import Series, fit_operator
 from smajax.hysteresis.bouc_wen import BoucWen
+from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.simulate import respond
 from tests.test_hysteresis import SEVEN, original
 
@@ -23,7 +26,7 @@ INPUT = np.repeat(RNG.uniform(0.0, 1.0, 20), 20)
 
 
 def function(structure, **changes: float) -> TransferFunction:
-    values = {"gain": 3.0, "rest": 0.5, "first": 1.7, "second": 0.6, "damping": 0.4, "delay": 0.0} | changes
+    values = {"gain": 3.0, "rest": 0.5, "first": 1.7, "second": 0.6, "damping": 0.4, "delay": 0.0, "settled": 0.0} | changes
     return TransferFunction(**{k: jnp.asarray(v) for k, v in values.items()}, structure=structure)
 
 
@@ -37,10 +40,29 @@ DENOMINATORS = {
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_transfer_functions_are_scipys(structure):
-    values = INPUT - INPUT[0]  # from rest at no input
-    found = np.asarray(respond(function(structure), jnp.asarray(TIME), jnp.asarray(values)))
-    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), values, TIME, interp=False)
+    assert INPUT[0] > 0.1  # on from the first row, from rest
+    found = np.asarray(respond(function(structure), jnp.asarray(TIME), jnp.asarray(INPUT)))
+    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), INPUT, TIME, interp=False)
     np.testing.assert_allclose(found, 0.5 + exact, atol=1e-9)
+    steady = np.asarray(respond(function(structure, settled=1.0), jnp.asarray(TIME), jnp.asarray(INPUT)))
+    np.testing.assert_allclose(steady[:21], 0.5 + 3.0 * INPUT[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("constant", [False, True])
+def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, constant):
+    """A quarter of the recording, or a good tenth of it after a step that is on from the first row."""
+    delay = 4.5 if constant else 10.0
+    rows = round(delay / 0.1)
+    u = np.full(400, 0.8) if constant else INPUT
+    _, prompt, _ = scipy.signal.lsim(([-3.0], DENOMINATORS[structure]), u, TIME, interp=False)
+    y = 0.5 + np.append(np.zeros(rows), prompt[:-rows])
+    series = [Series("a", TIME, u, y + 1e-3 * np.random.default_rng(0).standard_normal(400))]
+    found = fit_operator(transfer_function(series, structure), series, starts=6, max_steps=60)
+    assert found.rmse < 2e-3
+    assert float(found.parameters["delay"]) == pytest.approx(delay, abs=0.1)
+    assert float(found.parameters["settled"]) == pytest.approx(0.0, abs=0.01)
+    assert found.family.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[structure] + (not constant)
 
 
 def test_the_hip_papers_flexion():
@@ -122,6 +144,33 @@ def test_bouc_wens_own_parameters_are_found():
     law = fit_operator(bouc_wen([Series("a", TIME, u, y)]), [Series("a", TIME, u, y)], starts=4).law
     for one, other in zip(jax.tree.leaves(law), jax.tree.leaves(BoucWen.from_seven(**SEVEN)), strict=True):
         assert float(one) == pytest.approx(float(other), rel=0.02)
+
+
+@pytest.mark.parametrize("envelopes", [1, 2])
+def test_the_operators_own_parameters_are_found(envelopes):
+    """On the scale that the fit holds, from a start a tenth off: no parameter can be traded for another."""
+    held = 0.5 * 2.2
+    tops = [{"height": held, "slope": 4.0, "shift": shift, "middle": middle} for shift, middle in ((-1.6, 0.9), (-1.0, 0.95))][:envelopes]
+    laws = [Envelope(**{k: jnp.asarray(v) for k, v in top.items()}) for top in tops]
+    law = PrandtlIshlinskii(jnp.asarray(0.5), jnp.asarray([0.2, 0.4, 0.6]), jnp.asarray([0.3, 0.2, 0.15]), *laws)
+    u = np.interp(TIME, TIME[::20], np.random.default_rng(5).uniform(0.0, 1.0, 20))
+    u[:60] = np.interp(np.arange(60), [0, 20, 40, 59], [0.0, 1.0, 0.0, u[60]])
+    y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u)))
+    series = [Series("a", TIME, u, y)]
+    family = prandtl_ishlinskii(series, 3, envelopes)
+    assert family.size == {1: 8, 2: 12}[envelopes]
+    scale = float(family.start["loading"]["height"]) / held
+    sized = [top | {"height": scale * top["height"], "middle": scale * top["middle"]} for top in tops]
+    truth = {"direct": 0.5 / scale, "densities": np.array([0.3, 0.2, 0.15]) / scale, "reach": 0.6 * scale}
+    truth |= dict(zip(("loading", "unloading"), sized, strict=False))
+    near = jax.tree.map(lambda v: jnp.asarray(1.1 * v), truth)
+    near["loading"]["height"] = family.start["loading"]["height"]
+    found = fit_operator(dataclasses.replace(family, start=near), series, starts=1)
+    assert found.rmse < 1e-5 * np.ptp(y)
+    got = found.parameters
+    assert scale * float(got["direct"]) == pytest.approx(0.5, rel=1e-2)
+    np.testing.assert_allclose(scale * np.asarray(got["densities"]), [0.3, 0.2, 0.15], rtol=2e-2)
+    assert float(got["reach"]) / scale == pytest.approx(0.6, rel=1e-2)
 
 
 def test_a_saturated_loop_is_prandtl_ishlinskiis():

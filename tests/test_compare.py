@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.cli import app
+from smajax.fit.operators import OperatorFit
 from smajax.jobs.compare import fit_percent, with_law
 from smajax.recording import Recording
 from smajax.rig import read_rig
@@ -49,6 +50,22 @@ def test_models_are_ranked_by_what_they_predict(short, tmp_path):
     assert "transfer-function-one-pole" in page
     again = CliRunner().invoke(app, ["report", str(tmp_path / "out")])
     assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
+
+
+def test_a_model_that_runs_away_is_left_out_and_the_others_are_ranked(short, tmp_path, monkeypatch):
+    honest = OperatorFit.respond
+
+    def runs_away(self, series):
+        found = honest(self, series)
+        return np.where(series.time > 50.0, np.nan, found) if self.family.name == "bouc-wen" and "holdout" in series.name else found
+
+    monkeypatch.setattr(OperatorFit, "respond", runs_away)
+    done = run(short, "bouc-wen,transfer-function-one-pole", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    found = {m["name"]: m for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]}
+    assert "holdout.csv: its prediction of displacement is no number at" in found["bouc-wen"]["why"]
+    assert found["bouc-wen"]["rmse_holdout"] is None and found["transfer-function-one-pole"]["rmse_holdout"] > 0.0
+    assert "Left out: bouc-wen" in done.output
 
 
 @pytest.mark.parametrize(

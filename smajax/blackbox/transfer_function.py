@@ -5,7 +5,8 @@
     underdamped          K / (tau^2 s^2 + 2 zeta tau s + 1)
     underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
 
-each times exp(-delay s), from rest. The input is held between rows, for which the step from row to row is exact; rows are equally far
+each times exp(-delay s). Before its first row a recording was at rest, or in the steady state of its first input, or between the two:
+``settled`` says so. The input is held between rows, for which the step from row to row is exact; rows are equally far
 apart. The delay is a number like the others: the response is computed without it and read that much earlier, between rows linearly.
 """
 
@@ -14,6 +15,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from smajax.hysteresis.operator import AbstractOperator
 
@@ -25,7 +27,8 @@ class TransferFunction(AbstractOperator):
     """A transfer function of one of the ``STRUCTURES``.
 
     ``gain`` in output per input, ``rest`` the output at no input, ``first`` and ``second`` time constants in s (of an underdamped pair the
-    first is tau), ``damping`` its zeta, ``delay`` in s. What a structure has no use for is ignored.
+    first is tau), ``damping`` its zeta, ``delay`` in s, ``settled``
+    the share of the first input to which the states had settled before it, 0 from rest. What a structure has no use for is ignored.
     """
 
     gain: jax.Array
@@ -34,19 +37,22 @@ class TransferFunction(AbstractOperator):
     second: jax.Array
     damping: jax.Array
     delay: jax.Array
+    settled: jax.Array
     structure: Structure = eqx.field(static=True)
 
     def respond(self, time: jax.Array, values: jax.Array) -> jax.Array:
         """See ``AbstractOperator.respond``; ``time`` is equally spaced."""
         kept, entering = self.held(time[1] - time[0])
-        state = jnp.full(self.order, values[0]).at[1].set(0.0) if "underdamped" in self.structure else jnp.full(self.order, values[0])
+        before = self.settled * values[0]
+        moving = np.arange(self.order) == (1 if "underdamped" in self.structure else -1)  # a rate, which is 0 at rest
+        state = jnp.where(moving, 0.0, before)
 
         def one(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
             state = kept @ state + entering * value
             return state, state[0]
 
         _, rest = jax.lax.scan(one, state, values[:-1])
-        prompt = jnp.append(values[:1], rest)
+        prompt = jnp.append(before, rest)
         return self.rest + self.gain * jnp.interp(time - self.delay, time, prompt)
 
     @property

@@ -64,7 +64,11 @@ def _spread(parameters: dict) -> PrandtlIshlinskii:
 
 
 def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int = 2) -> Family:
-    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction."""
+    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction.
+
+    The height of the loading envelope is held: envelopes and thresholds so many times larger, with direct part and densities so many times
+    smaller, are the same law.
+    """
     low, span, bottom, swing = _ranges(series)
     middle = low + 0.5 * span
 
@@ -77,25 +81,45 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
         "middle": (bottom - swing, bottom + 2 * swing),
     }
     lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
-    upper = {"direct": 2.0, "densities": np.full(count, 1.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
+    upper = {"direct": 4.0, "densities": np.full(count, 2.0), "reach": swing, "loading": {k: v[1] for k, v in ends.items()}}
     start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": envelope}
     if envelopes == 2:
         lower, upper, start = (side | {"unloading": side["loading"]} for side in (lower, upper, start))
+    lower, upper = (side | {"loading": side["loading"] | {"height": envelope["height"]}} for side in (lower, upper))
     return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
 
 
 def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:
-    """One of the four structures, with a delay of at most a twentieth of the recording."""
-    _, span, bottom, swing = _ranges(series)
+    """One of the four structures, with a delay of at most half the recording.
+
+    ``settled`` is free only where a recording begins with the input on and changes it later: without the first it makes no difference,
+    without the second it cannot be told from gain and rest.
+    """
+    low, span, bottom, swing = _ranges(series)
+    constant = all(np.ptp(s.input) == 0.0 for s in series)
+    if constant and low != 0.0:
+        span = abs(low)
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
-    names = ("gain", "rest", "first", "second", "damping", "delay")
-    lower = (-20 * swing / span, bottom - 5 * swing, 2 * step, 2 * step, 0.05, 0.0)
-    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, 1.5, duration / 20)
-    start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step)
+    names = ("gain", "rest", "first", "second", "damping", "delay", "settled")
+    on = 1.0 if not constant and any(abs(s.input[0]) > 1e-9 * span for s in series) else 0.0
+    lower = (-20 * swing / span, bottom - 5 * swing, 2 * step, 2 * step, 0.05, 0.0, 0.0)
+    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, 1.5, duration / 2, on)
+    start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step, 0.0)
     used = {"one-pole": {"first"}, "two-poles": {"first", "second"}, "underdamped": {"first", "damping"}}.get(structure, set(names))
-    held = {k: s for k, s in zip(names, start, strict=True) if k not in used | {"gain", "rest", "delay"}}
+    held = {k: s for k, s in zip(names, start, strict=True) if k not in used | {"gain", "rest", "delay", "settled"}}
     ends = (dict(zip(names, side, strict=True)) | held for side in (lower, upper, start))
-    return Family(f"transfer-function-{structure}", _functions[structure], *map(_arrays, ends), even=True)
+    first = dict(zip(names, start, strict=True)) | held
+    others = [
+        first
+        | {"gain": sign * first["gain"], "rest": rest, "delay": delay, "first": slow}
+        | ({} if "second" in held else {"second": slow / 2})
+        for delay in np.linspace(0.0, 0.45, 10) * duration
+        for slow in (duration / 50, duration / 12)
+        for sign, rest in ((1.0, bottom), (-1.0, bottom + swing))
+    ]
+    return Family(
+        f"transfer-function-{structure}", _functions[structure], *map(_arrays, ends), even=True, others=tuple(map(_arrays, others))
+    )
 
 
 def _function(parameters: dict, structure: Structure) -> TransferFunction:

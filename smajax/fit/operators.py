@@ -5,6 +5,7 @@ in the unit box between the bounds. Recordings of different length are filled up
 """
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -40,7 +41,8 @@ class Series(NamedTuple):
 class Family:
     """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
 
-    ``start`` is a first guess. ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
+    ``start`` is a first guess, ``others`` are further ones, for a forward search.
+    ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
     parameters that they are fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and longer stretches.
     """
 
@@ -51,6 +53,7 @@ class Family:
     start: Any
     even: bool = False
     by_reverse: bool = False
+    others: tuple[Any, ...] = ()
 
     @property
     def size(self) -> int:
@@ -92,6 +95,10 @@ class OperatorProblem(Searchable):
     def law(self, vector: jax.Array) -> AbstractOperator:
         """The law at a point."""
         return self.make(self.lower + vector * self.width)
+
+    def point(self, parameters: Any) -> np.ndarray:
+        """Where parameters lie in the box, shape ``(p,)``."""
+        return np.asarray(_share(ravel_pytree(parameters)[0], self.lower, self.width))
 
     def predict(self, vector: jax.Array) -> jax.Array:
         """Outputs, shape ``(r, n)``; with ``ahead``, set to the measured ones ``every`` so many rows."""
@@ -162,8 +169,12 @@ def build_operator(family: Family, series: Sequence[Series], weight: float | Non
     )
     lower, unravel = ravel_pytree(family.lower)
     width = ravel_pytree(family.upper)[0] - lower
-    first = jnp.where(width > 0, (ravel_pytree(family.start)[0] - lower) / jnp.where(width > 0, width, 1.0), 0.0)
+    first = _share(ravel_pytree(family.start)[0], lower, width)
     return OperatorProblem(data, lower, width, first, jnp.asarray(count), _Maker(family.make, unravel))
+
+
+def _share(flat: jax.Array, lower: jax.Array, width: jax.Array) -> jax.Array:
+    return jnp.where(width > 0, (flat - lower) / jnp.where(width > 0, width, 1.0), 0.0)
 
 
 class _Maker(NamedTuple):
@@ -180,7 +191,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     """Fits a family to series by least squares from several starts. Raises ``InputError`` and, if nothing fits, ``NumericsError``."""
     began = time.perf_counter()
     problem = build_operator(family, series)
-    fitted = _by_reverse if family.by_reverse else _by_forward
+    fitted = _by_reverse if family.by_reverse else functools.partial(_by_forward, others=family.others)
     vector, simulations = fitted(problem, starts, seed, max_steps)
     if vector is None:
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
@@ -197,10 +208,12 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
 _weighted = eqx.filter_jit(residual)
 
 
-def _by_forward(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
+def _by_forward(
+    problem: OperatorProblem, starts: int, seed: int, max_steps: int, others: Sequence[Any] = ()
+) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
-    drawn = _draw(problem, 8 * starts, seed)
+    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(problem.point(other)[None] for other in others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
     simulations, best = len(drawn), (math.inf, None)

@@ -4,20 +4,35 @@
 
 (Ikhouane, Rodellar 2007; flexible-actuator paper eq. 4-5). Written by increments of the input it does not depend on the rate. |w| stays
 below 1. The seven parameters of the older form, y = alpha k x + (1 - alpha) D k z, are two too many: different sets are one law.
+
+While the input goes one way, v = sgn(dx) w rises along one and the same curve, whatever rho and wherever it begins:
+
+    dv / d(rho |x|) = 1 - v^n  for v >= 0,      1 + (2 sigma - 1) |v|^n  for v < 0
+
+So this curve is integrated once, as the way rho |x| that it takes to come to a place, and each row goes its way along it. The place is v
+itself below 0 and -log(1 - v) above, where v nears 1 for ever: there the way goes straight, so that a step of the input is as exact as a
+small one, and |w| <= 1 holds by construction.
 """
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from smajax.hysteresis.operator import AbstractOperator
+
+_FULL = 36.0  # the place at which 1 - v is a rounding error
+_BELOW, _ABOVE = 112, 108
+# Closer around 0, where |v|^n with n below 2 is least smooth, and at -1, where a large n bends most.
+_FALLING = -0.5 * (1.0 + np.cos(np.pi * np.arange(_BELOW) / _BELOW))
+PLACES = np.concatenate([_FALLING, _FULL * np.linspace(0.0, 1.0, _ABOVE + 1) ** 3])
 
 
 class BoucWen(AbstractOperator):
     """The law's five parameters: ``kx``, ``kw``, ``rho`` > 0 (one over the input), ``sigma`` >= 1/2 and ``n`` >= 1.
 
-    ``simulate.respond`` integrates it; ``slope`` is its differential equation.
+    ``simulate.respond`` integrates the curve and follows it.
     """
 
     kx: jax.Array
@@ -26,13 +41,6 @@ class BoucWen(AbstractOperator):
     sigma: jax.Array
     n: jax.Array
 
-    def slope(self, w: jax.Array, direction: jax.Array) -> jax.Array:
-        """dw/dx while the input goes up (``direction`` 1) or down (-1)."""
-        size = jnp.abs(w)
-        some = jnp.where(size > 0.0, size, 1.0)
-        power = jnp.where(size > 0.0, some**self.n, 0.0)
-        return self.rho * (1.0 - self.sigma * direction * power * jnp.sign(w) + (self.sigma - 1.0) * power)
-
     def start(self, first: jax.Array) -> jax.Array:
         """See ``AbstractOperator.start``: nothing is stored yet."""
         return jnp.zeros(())
@@ -40,6 +48,31 @@ class BoucWen(AbstractOperator):
     def output(self, state: Any, value: jax.Array) -> jax.Array:
         """See ``AbstractOperator.output``; ``state`` is w."""
         return self.kx * value + self.kw * state
+
+    def follow(self, ways: jax.Array, values: jax.Array) -> jax.Array:
+        """Outputs for the inputs ``values``, shape ``(n,)`` each; ``ways`` to the ``PLACES``, shape ``(m,)``, come from ``slowness``."""
+        slownesses = jax.vmap(self.slowness)(jnp.asarray(PLACES))
+        to_way, to_place = _pieces(PLACES, ways, slownesses), _pieces(ways, PLACES, 1.0 / slownesses)
+
+        def one(w: jax.Array, moved: jax.Array) -> tuple[jax.Array, jax.Array]:
+            side = jnp.where(moved < 0.0, -1.0, 1.0)
+            way = _between(_place(side * w), to_way) + self.rho * jnp.abs(moved)
+            place = _between(jnp.clip(way, ways[0], ways[-1]), to_place)
+            w = jnp.where(moved == 0.0, w, side * _level(jnp.clip(place, PLACES[0], PLACES[-1])))
+            return w, w
+
+        first = self.start(values[0])
+        _, rest = jax.lax.scan(one, first, jnp.diff(values))
+        return jax.vmap(self.output)(jnp.append(first, rest), values)
+
+    def slowness(self, place: jax.Array) -> jax.Array:
+        """The curve's differential equation: d(rho |x|) / d(place)."""
+        size = jnp.abs(_level(place))
+        some = jnp.where(size > 0.0, size, 1.0)
+        power = jnp.where(size > 0.0, some**self.n, 0.0)
+        gap = jnp.where(place > 0.0, jnp.exp(-jnp.maximum(place, 0.0)), 0.5)
+        above = -jnp.expm1(self.n * jnp.log1p(-gap)) / gap  # (1 - v^n) / (1 - v) without differences of what is almost the same
+        return 1.0 / jnp.where(place > 0.0, above, 1.0 + (2.0 * self.sigma - 1.0) * power)
 
     @classmethod
     def from_seven(cls, alpha: Any, k: Any, d: Any, a: Any, beta: Any, gamma: Any, n: Any) -> "BoucWen":
@@ -59,3 +92,35 @@ class BoucWen(AbstractOperator):
         beta = self.sigma * both
         chosen = {"d": jnp.asarray(d), "a": jnp.asarray(a)}
         return {"alpha": self.kx / k, "k": k, "beta": beta, "gamma": both - beta, "n": self.n} | chosen
+
+
+def _level(place: jax.Array) -> jax.Array:
+    """v at a place of the curve."""
+    return jnp.where(place < 0.0, place, -jnp.expm1(-jnp.maximum(place, 0.0)))
+
+
+def _place(level: jax.Array) -> jax.Array:
+    """The place of v on the curve."""
+    gap = jnp.maximum(1.0 - jnp.maximum(level, 0.0), np.exp(-_FULL))
+    return jnp.where(level < 0.0, jnp.maximum(level, -1.0), -jnp.log(gap))
+
+
+def _pieces(knots: Any, values: Any, slopes: jax.Array) -> jax.Array:
+    """What Hermite's cubic needs between knots, shape ``(m - 1, 6)``."""
+    knots, values = jnp.asarray(knots), jnp.asarray(values)
+    return jnp.stack([knots[:-1], jnp.diff(knots), values[:-1], jnp.diff(values), slopes[:-1], slopes[1:]], axis=1)
+
+
+def _between(at: jax.Array, pieces: jax.Array) -> jax.Array:
+    """Hermite's cubic; scalar.
+
+    The piece is picked by a sum over all: the derivative of picking it by its number, a scattered sum, comes out wrong where XLA compiles
+    the loop around it as one function.
+    """
+    count = pieces.shape[0]
+    before = jnp.append(True, at >= pieces[1:, 0])
+    here = before & ~jnp.append(before[1:], False)
+    knot, wide, value, rise, slope, next_slope = jnp.where(here.reshape(count, 1), pieces, 0.0).sum(axis=0)
+    share = (at - knot) / wide
+    bend = (1.0 - share) * (slope * wide - rise) - share * (next_slope * wide - rise)
+    return value + share * rise + share * (1.0 - share) * bend

@@ -12,7 +12,9 @@ where the plays stand, and the inverse finds it between the ends of the envelope
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
+from smajax.errors import InputError
 from smajax.hysteresis.operator import AbstractOperator
 
 EDGE = 1e-12
@@ -66,7 +68,14 @@ class PrandtlIshlinskii(AbstractOperator):
         return jnp.maximum(upper - self.thresholds, jnp.minimum(lower + self.thresholds, state))
 
     def inverse(self) -> "InversePrandtlIshlinskii | SolvedInverse":
-        """The operator that gives the input for a wanted output, as far as that reaches: in closed form for one envelope."""
+        """The operator that gives the input for a wanted output, as far as that reaches: in closed form for one envelope.
+
+        Raises ``InputError`` where ``direct`` is not positive: within the plays' dead bands many inputs then give one output.
+        """
+        if not isinstance(self.direct, Tracer) and not bool(jnp.all(self.direct > 0.0)):
+            raise InputError(
+                "the operator has no inverse, since its direct part p_0 is 0 and its plays stand still around each turn: give p_0 > 0"
+            )
         if self.unloading is not None:
             return SolvedInverse(self)
         order = jnp.argsort(self.thresholds)

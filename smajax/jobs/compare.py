@@ -40,6 +40,7 @@ _OWN = {
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
 _STARTS, _STARTS_BY_REVERSE = 16, 3
+_HUGE = 1e100  # its square would be no number
 
 
 class CompareJob(NamedTuple):
@@ -127,9 +128,22 @@ def _compared(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     began, kind = time.perf_counter(), "law" if name in MATERIALS else "input-output"
     try:
         count, predictions = (_law if kind == "law" else _operator)(rig, name, recordings, channel, seed)
+        for recording, values in zip(recordings, predictions, strict=True):
+            _numbers(recording, channel, values)
     except (InputError, NumericsError) as error:
         return Compared(name, kind, why=str(error))
     return Compared(name, kind, count, predictions, time.perf_counter() - began)
+
+
+def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
+    """Raises ``NumericsError`` where a prediction is no number though there is a measurement: on fewer rows it could not be ranked."""
+    bad = np.isfinite(recording.channels[channel]) & ~(np.abs(values) < _HUGE)
+    if np.any(bad):
+        row = int(np.argmax(bad))
+        raise NumericsError(
+            f"{recording.name}: its prediction of {channel} is no number at {np.sum(bad)} of {len(values)} rows, first at row {row + 1}, "
+            f"{recording.time[row]:.6g} s"
+        )
 
 
 def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
@@ -161,6 +175,8 @@ def with_law(rig: Rig, name: str) -> Rig:
 
 def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
     driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
+    if not driving:  # one that is on all the time is a step from rest, where it is the only one
+        driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
         raise InputError(f"{name} takes one input that changes, and here {told}")
@@ -179,7 +195,7 @@ def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recordin
         rmse, percent, bic = [None, None], [None, None], None
         if not one.why:
             pairs = [(r.channels[channel], p) for r, p in zip(recordings, one.predictions, strict=True)]
-            errors = [np.sqrt(np.nanmean((m - p) ** 2)) for m, p in pairs]
+            errors = [np.sqrt(np.mean((m - p)[np.isfinite(m)] ** 2)) for m, p in pairs]
             rmse, percent = [number(e, scale) for e in errors], [number(fit_percent(m, p)) for m, p in pairs]
             samples = int(np.sum(np.isfinite(pairs[0][0])))
             bic = number(samples * math.log(max(float(errors[0]), 1e-300) ** 2) + one.parameters * math.log(samples))
