@@ -112,15 +112,23 @@ def _pieces(knots: Any, values: Any, slopes: jax.Array) -> jax.Array:
 
 
 def _between(at: jax.Array, pieces: jax.Array) -> jax.Array:
-    """Hermite's cubic; scalar.
-
-    The piece is picked by a sum over all: the derivative of picking it by its number, a scattered sum, comes out wrong where XLA compiles
-    the loop around it as one function.
-    """
-    count = pieces.shape[0]
-    before = jnp.append(True, at >= pieces[1:, 0])
-    here = before & ~jnp.append(before[1:], False)
-    knot, wide, value, rise, slope, next_slope = jnp.where(here.reshape(count, 1), pieces, 0.0).sum(axis=0)
+    """Hermite's cubic; scalar."""
+    knot, wide, value, rise, slope, next_slope = _pick(pieces, jnp.sum(at >= pieces[1:, 0]))
     share = (at - knot) / wide
     bend = (1.0 - share) * (slope * wide - rise) - share * (next_slope * wide - rise)
     return value + share * rise + share * (1.0 - share) * bend
+
+
+@jax.custom_jvp
+def _pick(pieces: jax.Array, row: jax.Array) -> jax.Array:
+    return pieces[row]
+
+
+@_pick.defjvp
+def _pick_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    """The tangent is picked by a sum over all rows: reversed, its picking by number would be a scattered sum.
+
+    That comes out wrong where XLA compiles the loop around it as one function.
+    """
+    (pieces, row), (moved, _) = primals, tangents
+    return _pick(pieces, row), jnp.where(jnp.arange(len(pieces))[:, None] == row, moved, 0.0).sum(axis=0)
