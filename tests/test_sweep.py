@@ -24,9 +24,11 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.errors import InputError
 from smajax.jobs.sweep import SweepJob, run_sweep
+from smajax.machines.knee import Knee
+from smajax.report.sweep import best_rows
 from smajax.rig import read_rig
 from smajax.sweep import chunks, refine, space
-from smajax.sweep.front import pareto
+from smajax.sweep.front import pareto, thinned
 from smajax.sweep.metrics import bandwidth
 from smajax.sweep.sensitivity import indices
 from smajax.sweep.space import Axis
@@ -487,3 +489,82 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
     with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there"):
         run(folder, scheduler="tcp://127.0.0.1:9")
     assert run(folder, resume=True).code == 0
+
+
+KNEE = """
+[sweep]
+rig = "knee.toml"
+designs = 32
+metrics = ["spring_torque"]
+[parameters]
+wire.diameter = ["0.8 mm", "1.2 mm"]
+command.second = ["3 V", "5.5 V"]
+[objectives]
+heating_time = "max"
+[refine]
+starts = 1
+"""
+
+
+def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
+    """Springs that never warm have an infinite heating time: the design is done, keeps a lower limit, and is the longest of all."""
+
+    def quick(self):  # without the motion, whose program takes long to compile
+        return {"heating_time": self.heating_time(self.command.second), "spring_torque": self.wire.prestretch}
+
+    monkeypatch.setattr(Knee, "metrics", quick)
+    machine = (ROOT / "data" / "machines" / "knee.toml").read_text("utf-8")
+    (tmp_path / "knee.toml").write_text(machine, "utf-8")
+    (tmp_path / "sweep.toml").write_text(KNEE + '[constraints]\nheating_time = { at_least = "5 s" }\n', "utf-8")
+    outcome = run(tmp_path)
+    columns = read_table(tmp_path / "out" / "sweep.parquet")
+    endless = np.isinf(columns["heating_time"])
+    assert endless.any() and not endless.all() and set(columns["code"]) == {"done"}
+    document = outcome.document
+    assert document["feasible"] == np.sum(columns["heating_time"] >= 5.0) and document["on_front"] == endless.sum()
+    assert {row["metrics"]["heating_time"] for row in document["front"]} == {"inf"} and "heating_time of these is infinite" in document[
+        "summary"
+    ]
+    # The other way round the finite ones are best, and an infinite one is beyond any upper limit.
+    (tmp_path / "sweep.toml").write_text(KNEE.replace('"max"', '"min"') + '[constraints]\nheating_time = { at_most = "1e9 s" }\n', "utf-8")
+    document = run(tmp_path, "other").document
+    assert document["feasible"] == np.sum(~endless) and document["on_front"] == 1
+    assert float(document["front"][0]["metrics"]["heating_time"]) == columns["heating_time"].min()
+    assert document["refined"][0]["better"]
+    costs = np.array([[np.inf, 0.0], [-np.inf, 1.0], [0.0, 1.0], [0.0, np.nan]])
+    assert np.array_equal(pareto(costs), [0, 1])
+
+
+def test_a_search_from_or_to_what_is_infinite():
+    class Study:
+        names, units = ("a",), {"slow": "s", "size": "m"}
+
+    def answer(study, designs, steps):
+        a = float(designs[0, 0])
+        found = {"slow": np.inf if a > 0.5 else a, "size": a}
+        slopes = {"slow": [0.0 if a > 0.5 else 1.0], "size": [1.0]}
+        return {n: [v] for n, v in found.items()}, {n: np.array([v]) for n, v in slopes.items()}, None
+
+    axes = (Axis("a", "1", 0.0, 1.0),)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "differentiate_batch", answer)
+        one = refine.refine(Study, axes, np.array([0.9]), 1, ("size", "max"), {"slow": (0.7, np.inf)})
+        assert one.better and one.metrics["size"] == 1.0
+        least = refine.refine(Study, axes, np.array([0.4]), 1, ("size", "max"), {"slow": (-np.inf, 0.45)})
+        assert least.better and least.metrics["size"] == pytest.approx(0.45, abs=1e-5)
+        most = refine.refine(Study, axes, np.array([0.4]), 1, ("slow", "max"), {})
+        assert most.better and most.metrics["slow"] == np.inf
+        assert not refine.refine(Study, axes, np.array([0.9]), 1, ("slow", "max"), {}).better
+
+
+def test_a_thinned_front_keeps_the_best_of_each_objective():
+    rng = np.random.default_rng(0)
+    angle = np.sort(rng.random(1000)) * np.pi / 2
+    costs = -np.column_stack([np.cos(angle), np.sin(angle)])[rng.permutation(1000)]
+    rows = thinned(costs, 200)
+    assert len(rows) <= 202 and set(np.argmin(costs, axis=0)) <= set(rows) and np.array_equal(thinned(costs, 1000), np.arange(1000))
+    entries = [{"design": int(k), "parameters": {}, "metrics": {"a": float(-costs[k, 0]), "b": float(-costs[k, 1])}} for k in rows]
+    document = {"front": entries, "objectives": {"a": "max", "b": "max"}, "parameters": {}, "refined": []}
+    document["metrics"] = {"a": {"unit": "1"}, "b": {"unit": "1"}}
+    labels = [row[0] for row in best_rows(document)]
+    assert {f"design {k}" for k in np.argmin(costs, axis=0)} <= set(labels)

@@ -19,11 +19,11 @@ from smajax.errors import InputError
 from smajax.jobs.record import Clock, Outcome, run_record
 from smajax.recording import Floats
 from smajax.report.document import number, to_json
-from smajax.report.sweep import SCHEMA, sentences, sweep_page
+from smajax.report.sweep import SCHEMA, figure, sentences, sweep_page
 from smajax.results import check_out, write_folder
 from smajax.sweep import cluster
 from smajax.sweep.chunks import Chunk, gather, here, run_chunks, slope_name, split
-from smajax.sweep.front import cheapest, feasible, pareto
+from smajax.sweep.front import cheapest, feasible, pareto, thinned
 from smajax.sweep.refine import Refined, refine, starts
 from smajax.sweep.sensitivity import indices
 from smajax.sweep.space import pick_and_freeze
@@ -174,7 +174,7 @@ def _document(
         "metrics": {n: {"unit": unit, **_span(main[n])} for n, unit in study.units.items()},
         "objectives": dict(given.objectives),
         "constraints": {n: {"at_least": number(low), "at_most": number(high)} for n, (low, high) in given.constraints.items()},
-        "front": [_row(given, study, main, k) for k in front[:: max(1, -(-len(front) // _FRONT_SHOWN))]],
+        "front": [_row(given, study, main, k) for k in front[thinned(costs[front], _FRONT_SHOWN)]],
         "on_front": len(front),
         "sensitivity": _sensitivity(given, study, apart),
         "refined": [_refined_entry(given, one) for one in refined],
@@ -186,13 +186,13 @@ def _document(
 
 
 def _span(values: np.ndarray) -> dict[str, Any]:
-    good = values[np.isfinite(values)]
-    return {"lowest": number(good.min()), "highest": number(good.max())} if len(good) else {"lowest": None, "highest": None}
+    good = values[~np.isnan(values)]
+    return {"lowest": figure(good.min()), "highest": figure(good.max())} if len(good) else {"lowest": None, "highest": None}
 
 
 def _row(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray], k: int) -> dict[str, Any]:
     values = {a.name: float(main[a.name][k]) for a in given.axes}
-    return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: number(float(main[n][k])) for n in study.units}}
+    return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: figure(main[n][k]) for n in study.units}}
 
 
 def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray]) -> str:
@@ -240,6 +240,7 @@ def _refined(
     moving = [k for k, a in enumerate(given.axes) if not a.values]
     shares = np.column_stack([given.axes[k].share(designs[:, k]) for k in moving])
     pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
+    pool = pool[~np.isnan(costs[pool, 0])]
     order = pool[np.argsort(costs[pool, 0], kind="stable")]
     (name, way), *others = given.objectives.items()
     rows = starts(shares, order, given.refined)
@@ -259,8 +260,8 @@ def _refined(
 def _refined_entry(given: SweepFile, one: Refined) -> dict[str, Any]:
     return {
         "parameters": {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True)},
-        "before": {n: number(v) for n, v in one.before.items()},
-        "metrics": {n: number(v) for n, v in one.metrics.items()},
+        "before": {n: figure(v) for n, v in one.before.items()},
+        "metrics": {n: figure(v) for n, v in one.metrics.items()},
         "simulations": one.simulations,
         "better": one.better,
     }

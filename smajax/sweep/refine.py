@@ -17,6 +17,8 @@ from smajax.sweep.study import AbstractStudy, differentiate_batch
 
 _INSIDE = 1e-6
 _STEPS = 60
+# What stands for an infinite cost or room in the search, in sizes of the start's.
+_FAR = 1e6
 
 
 class Refined(NamedTuple):
@@ -40,6 +42,7 @@ def refine(
     """Makes ``objective`` (metric, and ``max`` or ``min``) better from a design, shape ``(axes,)``, that keeps all ``limits``.
 
     Axes of listed values are held. The best design that was met and keeps the limits is returned, so it is never worse than the start.
+    An infinite metric is as good or bad as can be and has no slope: from a design whose objective is infinite nothing is searched.
     """
     moving = [k for k, axis in enumerate(axes) if not axis.values]
     name, sign = objective[0], -1.0 if objective[1] == "max" else 1.0
@@ -63,19 +66,21 @@ def refine(
 
     first = np.array([float(np.clip(axes[k].share(start[k]), 0.0, 1.0)) for k in moving])
     before = dict(at(first)[0])
-    scales = {n: max(abs(v), 1e-300) for n, v in before.items()}
+    if not np.isfinite(before[name]):
+        return Refined(design_of(first), before, before, 1 + len(axes), False)
+    scales = {n: max(abs(v), 1e-300) if np.isfinite(v) else 1.0 for n, v in before.items()}
     bounds = [(n, end, way) for n, ends in limits.items() for end, way in zip(ends, (1.0, -1.0), strict=True) if np.isfinite(end)]
 
     def cost(share: Floats) -> tuple[float, Floats]:
         values, slopes = at(share)
         if not np.isfinite(values[name]) or not np.all(np.isfinite(slopes[name])):
-            return 1e6, np.zeros(len(moving))
+            return (-_FAR if sign * values[name] == -np.inf else _FAR), np.zeros(len(moving))
         return sign * values[name] / scales[name], sign * slopes[name] / scales[name]
 
     def room(share: Floats) -> Floats:
         values = at(share)[0]
         left = np.array([way * (values[n] - end) / _scale(end, scales[n]) - _INSIDE for n, end, way in bounds])
-        return np.where(np.isfinite(left), left, -1e3)
+        return np.nan_to_num(left, nan=-_FAR, posinf=_FAR, neginf=-_FAR)
 
     def room_slope(share: Floats) -> Floats:
         slopes = at(share)[1]
@@ -95,7 +100,7 @@ def refine(
     good = {
         key: sign * values[name]
         for key, (values, _) in known.items()
-        if np.isfinite(values[name]) and all(low <= values[n] <= high for n, (low, high) in limits.items())
+        if not np.isnan(values[name]) and all(low <= values[n] <= high for n, (low, high) in limits.items())
     }
     best = min(good, key=lambda key: good[key]) if good else first.tobytes()
     return Refined(

@@ -203,8 +203,9 @@ class MachineStudy(AbstractStudy):
         """See ``AbstractStudy``."""
         machine = parameters.replace(self.machine, {n: design[k] for k, n in enumerate(self.names)})
         found = machine.metrics()
-        good = jnp.all(jnp.stack([jnp.isfinite(found[n]) for n in self.wanted]))
-        return {n: found[n] for n in self.wanted}, jnp.where(good, Code.done, Code.diverged)
+        # An infinite figure is one: a wire that never warms has no end to its heating time.
+        failed = jnp.any(jnp.stack([jnp.isnan(found[n]) for n in self.wanted]))
+        return {n: found[n] for n in self.wanted}, jnp.where(failed, Code.diverged, Code.done)
 
 
 def _evaluate_batch(study: AbstractStudy, designs: jax.Array, steps: int) -> tuple[dict[str, jax.Array], jax.Array]:
