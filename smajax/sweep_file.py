@@ -16,6 +16,10 @@
     [constraints]
     peak_temperature = { at_most = "120 degC" }
 
+A rig starts cold, and what is read off a cycle is that of the last one. The column ``settling``, always there, is the gap between this
+cycle's start and end over its range: 0 where the response repeats itself, and up to 1 % counts as settled. How many designs are beyond
+that is said; they stay in the table, and ``settling = { at_most = "1 %" }`` among the constraints keeps them from being the best.
+
 Every mistake is one sentence that names file and key. A sweep's ``header`` holds all that it depends on, and gives the same sweep back.
 """
 
@@ -165,8 +169,8 @@ def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> S
         raise InputError(f"the grid has {count:,} designs: take fewer points, at most {_MOST:,} in all")
     objectives, constraints = _objectives(data, units), _constraints(data, units)
     asked = subject.usual if head.metrics is None else _known("sweep.metrics", head.metrics, units)
-    metrics = tuple(dict.fromkeys([*asked, *objectives, *constraints]))
-    subject.check([axis.name for axis in axes], metrics)
+    metrics = tuple(dict.fromkeys([*asked, *objectives, *constraints, *subject.always]))
+    subject.check(axes, metrics)
     ranged = head.sampling != "grid" and not any(axis.values for axis in axes)
     if head.sensitivity and not ranged:
         raise InputError("sweep.sensitivity needs ranges drawn at random: set sampling to sobol or latin-hypercube, or take it out")

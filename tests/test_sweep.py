@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import psutil
@@ -28,6 +29,7 @@ from smajax.machines.knee import Knee
 from smajax.report.sweep import best_rows
 from smajax.rig import read_rig
 from smajax.sweep import chunks, refine, space
+from smajax.sweep.bandwidth import Reached, find
 from smajax.sweep.front import pareto, thinned
 from smajax.sweep.metrics import bandwidth
 from smajax.sweep.sensitivity import indices
@@ -129,6 +131,54 @@ def test_bandwidth_is_where_the_stroke_has_fallen():
     assert float(bandwidth(frequencies, low_pass)) == pytest.approx(wanted, rel=1e-4)
     assert np.isinf(float(bandwidth(frequencies, jnp.ones(400))))
     assert np.isnan(float(bandwidth(frequencies, jnp.full(400, jnp.nan))))
+
+
+def test_a_bandwidth_is_found_between_frequencies():
+    def low_pass(tau, frequency):  # a cliff on top, which straight lines between a few frequencies would miss by far
+        return Reached(jnp.exp(-((frequency * tau) ** 8)), frequency, jnp.asarray(0))
+
+    def of(tau, lowest, highest=10.0):
+        held = jax.lax.stop_gradient(tau)
+        return find(lambda frequency: low_pass(held, frequency), lowest, highest, lambda frequency: low_pass(tau, frequency))[0]
+
+    for tau, lowest in ((0.5, 0.1), (0.3, 0.2), (0.9, 0.05)):
+        wanted = lambda tau, lowest: (0.5 * np.log(2.0) + (lowest * tau) ** 8) ** 0.125 / tau  # noqa: E731
+        found, slopes = jax.jit(jax.value_and_grad(of, (0, 1)))(tau, lowest)
+        assert float(found) == pytest.approx(wanted(tau, lowest), rel=1e-4)
+        assert float(slopes[0]) == pytest.approx(-float(found) / tau, rel=2e-2) and abs(float(slopes[1])) < 1e-3
+        plain = find(lambda frequency, tau=tau: low_pass(tau, frequency), jnp.asarray(lowest), 10.0)
+        assert float(plain[0]) == pytest.approx(float(found), rel=1e-9) and float(plain[1]) == pytest.approx(float(found), rel=2e-2)
+    assert np.isinf(float(of(0.5, jnp.asarray(0.1), 1.0)))
+
+
+def test_bandwidth_of_a_rig_against_dense_frequencies():
+    plant, wave = read_rig(RIG).plant, Wave("square", 0.3, 0.1, 0.5, 2)
+    study = RigStudy(("heat.h0",), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
+    found, codes = evaluate_batch(study, jnp.asarray([[90.0]]), 100)
+    each = RigStudy(("heat.h0", "input.frequency"), plant, ("stroke", "settling"), wave, 2, "hold", 0.0)
+    dense = np.sort(np.concatenate([np.geomspace(0.1, 2.0, 40), float(found["bandwidth"][0]) * np.linspace(0.97, 1.03, 31)]))
+    told, _ = evaluate_batch(each, jnp.asarray(np.column_stack([np.full(len(dense), 90.0), dense])), 100)
+    first = int(np.argmax(told["stroke"] <= told["stroke"][0] / np.sqrt(2.0)))
+    assert not np.any(codes) and dense[first - 1] * 0.999 <= float(found["bandwidth"][0]) <= dense[first] * 1.001
+    # It is read off a response that is further from closing than the slow wave's.
+    assert found["settling"][0] > max(float(told["settling"][0]), 0.5 * float(told["settling"][first - 1]))
+
+
+def test_a_wire_that_still_warms_up_has_not_settled(folder):
+    plant = read_rig(RIG).plant
+    rows = {}
+    for cycles in (4, 60):
+        study = RigStudy(("heat.h0",), plant, ("stroke", "settling"), Wave("square", 0.5, 6.0, 0.5, cycles), cycles, "hold", 0.0)
+        rows[cycles] = {n: float(v[0]) for n, v in evaluate_batch(study, jnp.asarray([[100.6]]), 40)[0].items()}
+    assert rows[4]["stroke"] > 100.0 * rows[60]["stroke"] and rows[4]["settling"] > 0.5 and rows[60]["settling"] < 1e-6
+    (folder / "sweep.toml").write_text(
+        SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "6 Hz"').replace("designs = 130", "designs = 20"), "utf-8"
+    )
+    outcome = run(folder)
+    columns = read_table(folder / "out" / "sweep.parquet")
+    moving = np.sum(columns["settling"] > 0.01)
+    assert outcome.document["settling"]["unsettled"] == moving > 0
+    assert f"{moving} designs have not settled" in outcome.document["summary"] and outcome.document["feasible"] == 20
 
 
 def test_waves_have_their_edges_on_the_grid():
@@ -452,6 +502,11 @@ BAD = [
     ('peak_temperature = { at_most = "120 degC" }', "stroke = {}", "constraints.stroke says nothing"),
     ("[constraints]", "[constraint]", "[constraint] is not a section of a sweep (did you mean 'constraints'?)"),
     ('"time_to_cool"]', '"bandwidth"]', "input.highest is missing"),
+    (
+        '"time_to_cool"]\n[parameters]',
+        '"bandwidth"]\n[parameters]\ninput.frequency = ["1 Hz", "6 Hz"]',
+        "input.highest = 4 Hz is not above the range of input.frequency, which ends at 6 Hz",
+    ),
     ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
 ]
 
@@ -459,7 +514,8 @@ BAD = [
 @pytest.mark.parametrize(("old", "new", "sentence"), BAD)
 def test_bad_sweeps_say_what_is_wrong(folder, old, new, sentence):
     assert old in SWEEP
-    (folder / "sweep.toml").write_text(SWEEP.replace(old, new), "utf-8")
+    text = SWEEP.replace(old, new)
+    (folder / "sweep.toml").write_text(text.replace("[input]", '[input]\nhighest = "4 Hz"') if "highest =" in sentence else text, "utf-8")
     with pytest.raises(InputError) as caught:
         read_sweep(folder / "sweep.toml")
     assert sentence in str(caught.value) and "sweep.toml" in str(caught.value) and "\n" not in str(caught.value)

@@ -24,6 +24,7 @@ from smajax.results import check_out, write_folder
 from smajax.sweep import cluster
 from smajax.sweep.chunks import Chunk, gather, here, run_chunks, slope_name, split
 from smajax.sweep.front import cheapest, feasible, pareto, thinned
+from smajax.sweep.metrics import SETTLED
 from smajax.sweep.refine import Refined, refine, starts
 from smajax.sweep.sensitivity import indices
 from smajax.sweep.space import pick_and_freeze
@@ -176,6 +177,7 @@ def _document(
         "constraints": {n: {"at_least": number(low), "at_most": number(high)} for n, (low, high) in given.constraints.items()},
         "front": [_row(given, study, main, k) for k in front[thinned(costs[front], _FRONT_SHOWN)]],
         "on_front": len(front),
+        "settling": _settling(main, front),
         "sensitivity": _sensitivity(given, study, apart),
         "refined": [_refined_entry(given, one) for one in refined],
         "problems": problems,
@@ -208,6 +210,14 @@ def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarr
         if not low <= main[name][k] <= high:
             told.append(f"{name} {main[name][k]:.4g} {study.units[name]} (allowed: {low:.4g} to {high:.4g})")
     return f"none of the {len(miss):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has {', '.join(told)}"
+
+
+def _settling(main: Mapping[str, np.ndarray], front: np.ndarray) -> dict[str, Any]:
+    """How many designs, and how many of the best, end their last cycle elsewhere than they began it; of a machine, nothing."""
+    if "settling" not in main:
+        return {}
+    moving = (main["code"] == "done") & ~(main["settling"] <= SETTLED)
+    return {"limit": SETTLED, "unsettled": int(moving.sum()), "unsettled_on_front": int(moving[front].sum())}
 
 
 def _sensitivity(given: SweepFile, study: AbstractStudy, apart: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -57,8 +57,18 @@ def sentences(doc: Mapping[str, Any]) -> str:
             top = _top(better, name, way)
             count = sum(one["simulations"] for one in doc["refined"])
             told += f". Refined along its gradients it is {shown(top['metrics'][name], unit)}, in {count:,} simulations"
-    told += "."
+    told += "." + _unsettled(doc.get("settling", {}))
     return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
+
+
+def _unsettled(found: Mapping[str, Any]) -> str:
+    """What to say of designs whose last cycle does not end where it began."""
+    if not found.get("unsettled"):
+        return ""
+    among = f" ({found['unsettled_on_front']:,} of the best among them)" if found["unsettled_on_front"] else ""
+    many = "designs have" if found["unsettled"] > 1 else "design has"
+    what = f"the last cycle ends more than {100 * found['limit']:g} % of its range from where it began (column settling)"
+    return f" {found['unsettled']:,} {many} not settled{among}: {what}, so give the input more cycles."
 
 
 def _top(rows: Sequence[Mapping[str, Any]], name: str, way: str) -> Mapping[str, Any]:
