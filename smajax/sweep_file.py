@@ -119,13 +119,25 @@ class SweepFile:
         """How many designs Sobol indices start from, a power of two: all of theirs are at most half as many as the sweep's; 0 for none."""
         if not self.sensitivity:
             return 0
-        fitting = self.count / 2 / (len(self.axes) + 2)
+        fitting = self.count / _least_designs(len(self.axes)) * _LEAST_BASE
         return 2 ** int(math.log2(fitting)) if fitting >= _LEAST_BASE else 0
+
+    def no_indices(self) -> str:
+        """Why there are no Sobol indices, as a sentence; empty if there are, or if none were wanted."""
+        if self.sampling == "grid" or any(axis.values for axis in self.axes):
+            return "No Sobol indices, which need ranges drawn at random: sampling by sobol or latin-hypercube, and no listed values."
+        if self.sensitivity and not self.base():
+            return f"No Sobol indices, which need at least {_least_designs(len(self.axes)):,} designs of so many parameters."
+        return ""
 
     def header(self) -> dict[str, Any]:
         """All that the sweep depends on, as a JSON document: see ``from_header``."""
         own = {"rig": self.subject.to_toml(), "rig_name": self.subject.name, "recording": self.subject.recorded()}
         return {"schema": 1, "smajax": __version__, "name": self.name, "sweep": self.text, **own}
+
+
+def _least_designs(axes: int) -> int:
+    return 2 * _LEAST_BASE * (axes + 2)
 
 
 def read_sweep(path: str | Path) -> SweepFile:
@@ -174,6 +186,9 @@ def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> S
     ranged = head.sampling != "grid" and not any(axis.values for axis in axes)
     if head.sensitivity and not ranged:
         raise InputError("sweep.sensitivity needs ranges drawn at random: set sampling to sobol or latin-hypercube, or take it out")
+    if head.sensitivity and count < _least_designs(len(axes)):
+        least = f"at least {_least_designs(len(axes)):,} designs with {len(axes)} parameters"
+        raise InputError(f"sweep.sensitivity needs {least}, and sweep.designs is {count:,}: raise it, or take sensitivity out")
     if "refine" in data and not objectives:
         raise InputError('[refine] needs to know what is better: add [objectives] with a line like stroke = "max"')
     _check_order(axes, subject)

@@ -32,7 +32,7 @@ from smajax.sweep import chunks, refine, space
 from smajax.sweep.bandwidth import Reached, find
 from smajax.sweep.front import pareto, thinned
 from smajax.sweep.metrics import bandwidth
-from smajax.sweep.sensitivity import indices
+from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import Axis
 from smajax.sweep.study import RigStudy, evaluate_batch, programs
 from smajax.sweep.table import read_table
@@ -121,7 +121,19 @@ def test_sobol_indices_of_ishigamis_function():
     assert all(one.first95[0] <= one.first <= one.first95[1] and one.total95[0] <= one.total <= one.total95[1] for one in found.values())
     theirs = sobol_indices(func=lambda x: ishigami(x)[None], n=4096, dists=[uniform(-np.pi, 2 * np.pi)] * 3, rng=np.random.default_rng(0))
     assert np.allclose([found[n].total for n in "xyz"], theirs.total_order.ravel(), atol=0.01)
-    assert indices(np.ones(20), "xyz", 0) == {} and indices(np.append(np.ones(19), np.nan), "xyz", 0) == {}
+    # Rows of designs with a failed one among them are left out, and no more.
+    holed = ishigami(designs.T)
+    holed[np.random.default_rng(1).integers(0, len(holed), 50)] = np.nan
+    rest = indices(holed, "xyz", 0)
+    assert all(rest[n].total == pytest.approx(found[n].total, abs=0.02) and rest[n].total != found[n].total for n in "xyz")
+    assert 4046 <= np.sum(whole_rows(holed, 3)) < 4096
+    infinite = np.where(np.arange(len(holed)) == 7, np.inf, holed)
+    for values, reason in (
+        (np.ones(200), "does not vary"),
+        (infinite, "infinite"),
+        (np.full(200, np.nan), "has a value in all designs of 0"),
+    ):
+        assert indices(values, "xyz", 0) == {} and reason in why_not(values, 3)
 
 
 def test_bandwidth_is_where_the_stroke_has_fallen():
@@ -368,7 +380,7 @@ def test_the_command_and_its_table(folder):
     assert document["feasible"] == np.sum(columns["peak_temperature"] <= 120.0) and document["codes"] == {"done": 130}
     assert all(columns["peak_temperature"][row["design"]] <= 120.0 for row in document["front"])
     page = (out / "report.html").read_text("utf-8")
-    assert "What it costs" in page and "Designs across all axes" in page
+    assert "No Sobol indices, which need at least 640 designs" in page and "What it costs" in page and "Designs across all axes" in page
     (out / "report.html").unlink()
     assert CliRunner().invoke(app, ["report", str(out)]).exit_code == 0 and (out / "report.html").read_text("utf-8") == page
     # The table alone makes the same table again.
@@ -446,6 +458,25 @@ def test_a_full_disk_keeps_what_is_there(folder):
     assert (folder / "out" / "sweep.parquet").read_bytes() == (folder / "whole" / "sweep.parquet").read_bytes()
 
 
+def test_a_run_killed_before_its_first_file_is_gone_on_with(folder):
+    partial = folder / "out.partial"
+    partial.mkdir()
+    (partial / ".sweep.json.4711.part").write_text("{", "utf-8")
+    (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 20"), "utf-8")
+    assert run(folder, resume=True).code == 0
+    partial.mkdir()
+    (partial / "notes.part").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="smajax keeps its chunks there and did not make it"):
+        run(folder, resume=True)
+
+
+def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(InputError, match=r'pyarrow, which is not installed: run pip install "smajax\[io\]"'):
+        run(folder)
+    assert not (folder / "out.partial").exists()
+
+
 def test_constraints_that_nothing_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)
@@ -507,6 +538,7 @@ BAD = [
         '"bandwidth"]\n[parameters]\ninput.frequency = ["1 Hz", "6 Hz"]',
         "input.highest = 4 Hz is not above the range of input.frequency, which ends at 6 Hz",
     ),
+    ("designs = 130", "designs = 130\nsensitivity = true", "sweep.sensitivity needs at least 640 designs with 3 parameters"),
     ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
 ]
 
@@ -542,9 +574,46 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
     from smajax.sweep import cluster
 
     monkeypatch.setattr(cluster, "_PATIENCE", 1)
-    with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there"):
-        run(folder, scheduler="tcp://127.0.0.1:9")
+    for address, why in (("tcp://127.0.0.1:9", "Connection refused"), ("foo", "missing port number")):
+        with pytest.raises(InputError, match=rf"--scheduler {address}: no Dask scheduler answers there \(.*{why}"):
+            run(folder, scheduler=address)
     assert run(folder, resume=True).code == 0
+
+
+def test_workers_that_are_missing_or_others():
+    from smajax import __version__
+    from smajax.sweep import cluster
+
+    class Client:
+        def __init__(self, workers, there=True):
+            self.workers, self.there = workers, there
+
+        def wait_for_workers(self, count, timeout):
+            if not self.there:
+                raise TimeoutError
+
+        def run(self, function, *given, on_error):
+            return self.workers
+
+        def run_on_scheduler(self, function, *given):
+            return function(*given)
+
+    cases = [
+        (Client({}, False), "it has no workers: start some (dask worker tcp://x)"),
+        (Client({"a": None}), "worker a has no smajax"),
+        (Client({"a": ModuleNotFoundError()}), "worker a has no smajax"),
+        (Client({"a": __version__, "b": "0.0.1"}), f"worker b has smajax 0.0.1, and this is {__version__}"),
+    ]
+    for client, sentence in cases:
+        with pytest.raises(InputError) as caught:
+            cluster._check_workers(client, "tcp://x")
+        assert sentence in str(caught.value)
+    cluster._check_workers(Client({"a": __version__}), "tcp://x")
+    # Where there is no smajax, the question is answered all the same.
+    bare = subprocess.run([sys.executable, "-I", "-S", "-c", f"print(eval({cluster._VERSION!r}))"], capture_output=True, text=True, cwd="/")
+    assert bare.stdout.strip() == "None" and eval(cluster._VERSION) == __version__
+    with pytest.raises(InputError, match="a worker has smajax"):
+        cluster._study(json.dumps({"smajax": "0.0.1"}))
 
 
 KNEE = """

@@ -138,8 +138,8 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
         sections.append("<h2>What matters</h2>")
         sections.append(html.draw(sweep_plots.sensitivity_picture(doc["sensitivity"]), pictures))
         sections.append(html.table(("metric", "parameter", "alone", "95 %", "in all", "95 %"), _index_rows(doc), numbers=(2, 3, 4, 5)))
-    elif doc["sensitivity"]:
-        sections.append("<p>Sobol indices cannot be told: some of their designs could not be simulated, or nothing varies.</p>")
+    if notes := doc.get("sensitivity_notes"):
+        sections.append(f"<p>{html.escape(' '.join(notes))}</p>")
     sections += ["<h2>Ranges</h2>", html.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
     sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
     return html.page(f"Sweep of {doc['rig']}", f"{doc['designs']:,} designs, sampled by {doc['sampling']}.", sections, pictures)
