@@ -50,6 +50,8 @@ _SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraint
 _MOST = 100_000_000
 # With fewer the indices' intervals say nothing.
 _LEAST_BASE = 64
+# What some metrics cannot exceed.
+_MOST_OF = {"efficiency": 1.0, "settling": 1.0}
 
 
 class _Sweep(BaseModel):
@@ -175,11 +177,13 @@ def _head(data: Mapping[str, Any]) -> _Sweep:
 
 def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> SweepFile:
     head, units = _head(data), subject.units
-    axes = _axes(data, subject.table)
+    axes = _axes(data, subject.table, head.sampling)
+    if head.sampling == "grid" and "designs" in data["sweep"]:
+        raise InputError("sweep.designs has no place with a grid, which has as many as its axes' points make: take it out, or give points")
     count = math.prod(len(axis.grid()) for axis in axes) if head.sampling == "grid" else head.designs
     if count > _MOST:
         raise InputError(f"the grid has {count:,} designs: take fewer points, at most {_MOST:,} in all")
-    objectives, constraints = _objectives(data, units), _constraints(data, units)
+    objectives, constraints = _objectives(data, units), _constraints(data, subject, axes)
     asked = subject.usual if head.metrics is None else _known("sweep.metrics", head.metrics, units)
     metrics = tuple(dict.fromkeys([*asked, *objectives, *constraints, *subject.always]))
     subject.check(axes, metrics)
@@ -207,7 +211,7 @@ def _known(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequen
     return names
 
 
-def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration]) -> tuple[Axis, ...]:
+def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration], sampling: str) -> tuple[Axis, ...]:
     content = data.get("parameters")
     if not isinstance(content, dict) or not content:
         raise InputError('the section [parameters] is missing: say what varies, as in wire.diameter = ["0.1 mm", "0.4 mm"]')
@@ -219,6 +223,8 @@ def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration]) -> tuple[Ax
             axes.append(_axis(name, value, table[name]))
         except InputError as error:
             raise InputError(f"parameters.{name}: {error}") from None
+        if sampling != "grid" and isinstance(value, dict) and "points" in value:
+            raise InputError(f'parameters.{name}.points is of a grid only: set sweep.sampling = "grid", or take it out')
     return tuple(axes)
 
 
@@ -246,6 +252,8 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
     if given.values is not None:
         if given.from_ is not None or given.to is not None:
             raise InputError("it has both values and a range: take one of the two out")
+        if extra := [key for key in ("scale", "points") if isinstance(value, dict) and key in value]:
+            raise InputError(f"{extra[0]} has no place beside values: take one of the two out")
         values = tuple(quantity(v, declaration) for v in given.values)
         return Axis(name, declaration.unit, min(values), max(values), values=values)
     if given.from_ is None or given.to is None:
@@ -270,7 +278,8 @@ def _objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, 
     return dict(content)
 
 
-def _constraints(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+def _constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]) -> dict[str, tuple[float, float]]:
+    units = subject.units
     content = data.get("constraints", {})
     if not isinstance(content, dict):
         raise InputError('[constraints] is a section: write lines like peak_temperature = { at_most = "120 degC" } below it')
@@ -291,6 +300,13 @@ def _constraints(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str,
         if ends[1] < 0.0 and units[name] != "degC":
             raise InputError(
                 f"constraints.{name}: at_most = {show(given.at_most)} can never be kept, as a {name} is not negative: correct it"
+            )
+        if ends[1] < (coldest := subject.coldest(name, axes)):
+            end, limit = show(given.at_most), f"{coldest:g} {units[name]}"
+            raise InputError(f"constraints.{name}: at_most = {end} can never be kept, as it is never below {limit}: correct it")
+        if ends[0] > (top := _MOST_OF.get(name, math.inf)):
+            raise InputError(
+                f"constraints.{name}: at_least = {show(given.at_least)} can never be kept, as it is never above {top:g}: correct it"
             )
         found[name] = (ends[0], ends[1])
     return found

@@ -1,5 +1,6 @@
 """What a sweep sweeps: a rig under an input, or a machine that gives its own figures; what each can vary, and what can be asked of it."""
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from smajax.units import parse as parse_quantity
 
 NAMES = (*METRICS, "bandwidth")
 _USUAL = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
+_ABSOLUTE_ZERO = -273.15
 _NEEDS_WAVE = ("time_to_cool", "bandwidth")
 
 
@@ -75,6 +77,14 @@ class RigSubject:
     def units(self) -> dict[str, str]:
         """The metrics that can be asked for, with their units."""
         return RigStudy((), self.rig.plant, NAMES, self.source, self.cycles, self.rig.interpolation, 0.0).units
+
+    def coldest(self, metric: str, axes: Sequence[Axis]) -> float:
+        """What a metric never falls below, whatever the design: a peak temperature that at the start, others minus infinity."""
+        if metric != "peak_temperature":
+            return -math.inf
+        lower = {axis.name: axis.lower for axis in axes}
+        starts = [lower.get(name, self.value(name)) for name in ("environment.ambient", "initial.temperature")]
+        return float(np.nanmin(starts))
 
     @property
     def always(self) -> tuple[str, ...]:
@@ -136,6 +146,10 @@ class MachineSubject:
     def units(self) -> dict[str, str]:
         """See ``RigSubject``."""
         return dict(self.machine.units)
+
+    def coldest(self, metric: str, axes: Sequence[Axis]) -> float:
+        """See ``RigSubject``: a machine may be driven from any temperature, but none is below the absolute zero."""
+        return _ABSOLUTE_ZERO if self.units[metric] == "degC" else -math.inf
 
     @property
     def always(self) -> tuple[str, ...]:

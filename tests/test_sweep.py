@@ -480,6 +480,7 @@ def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
 def test_constraints_that_nothing_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)
+    assert "degC (allowed: at most 21)" in outcome.reason
     assert outcome.code == 3 and "none of the 130 designs keeps the constraints: the nearest, design" in outcome.reason
     assert (folder / "out" / "sweep.parquet").is_file()
 
@@ -538,6 +539,15 @@ BAD = [
         '"bandwidth"]\n[parameters]\ninput.frequency = ["1 Hz", "6 Hz"]',
         "input.highest = 4 Hz is not above the range of input.frequency, which ends at 6 Hz",
     ),
+    ("designs = 130", 'designs = 130\nsampling = "grid"', "sweep.designs has no place with a grid"),
+    ('from = "100 g"', 'points = 3, from = "100 g"', "parameters.load.mass.points is of a grid only"),
+    (
+        'load.mass = { from = "100 g", to = "300 g", scale = "log" }',
+        'load.mass = { values = ["100 g"], scale = "log" }',
+        "scale has no place beside values",
+    ),
+    ('at_most = "120 degC"', 'at_most = "19 degC"', "at_most = '19 degC' can never be kept, as it is never below 20 degC"),
+    ('peak_temperature = { at_most = "120 degC" }', 'efficiency = { at_least = "101 %" }', "can never be kept, as it is never above 1"),
     ("designs = 130", "designs = 130\nsensitivity = true", "sweep.sensitivity needs at least 640 designs with 3 parameters"),
     ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
 ]

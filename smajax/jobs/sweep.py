@@ -216,8 +216,13 @@ def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarr
     told = []
     for name, (low, high) in given.constraints.items():
         if not low <= main[name][k] <= high:
-            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} (allowed: {low:.4g} to {high:.4g})")
+            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} ({_allowed(low, high)})")
     return f"none of the {len(miss):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has {', '.join(told)}"
+
+
+def _allowed(low: float, high: float) -> str:
+    ends = [f"{word} {end:.4g}" for word, end in (("at least", low), ("at most", high)) if np.isfinite(end)]
+    return f"allowed: {' and '.join(ends)}"
 
 
 def _settling(main: Mapping[str, np.ndarray], front: np.ndarray) -> dict[str, Any]:
