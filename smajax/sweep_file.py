@@ -255,6 +255,8 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
         if extra := [key for key in ("scale", "points") if isinstance(value, dict) and key in value]:
             raise InputError(f"{extra[0]} has no place beside values: take one of the two out")
         values = tuple(quantity(v, declaration) for v in given.values)
+        if declaration.whole and (broken := [v for v, number in zip(given.values, values, strict=True) if number != round(number)]):
+            raise InputError(f"{show(broken[0])} is not a whole number, and {name} counts something: give whole ones")
         return Axis(name, declaration.unit, min(values), max(values), values=values)
     if given.from_ is None or given.to is None:
         raise InputError(f"'{'from' if given.from_ is None else 'to'}' is missing: a range has both, or give values")
@@ -263,7 +265,13 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
         raise InputError(f"the range from {show(given.from_)} to {show(given.to)} is empty: give a lower end and a higher one")
     if given.scale == "log" and not lower > 0.0:
         raise InputError(f"a log scale cannot begin at {show(given.from_)}: begin above 0")
-    return Axis(name, declaration.unit, lower, upper, given.scale == "log", given.points)
+    if declaration.whole:
+        first, last = math.ceil(lower), math.floor(upper)
+        if not first < last:
+            shown = f"from {show(given.from_)} to {show(given.to)}"
+            raise InputError(f"{name} counts something, and {shown} there are no two whole numbers: widen the range, or give values")
+        lower, upper = float(first), float(last)
+    return Axis(name, declaration.unit, lower, upper, given.scale == "log", given.points, whole=declaration.whole)
 
 
 def _objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -690,6 +691,40 @@ def test_a_search_from_or_to_what_is_infinite():
         most = refine.refine(Study, axes, np.array([0.4]), 1, ("slow", "max"), {})
         assert most.better and most.metrics["slow"] == np.inf
         assert not refine.refine(Study, axes, np.array([0.9]), 1, ("slow", "max"), {}).better
+
+
+def test_counts_are_whole_drawn_and_refined(folder):
+    count = Axis("n", "1", 2.0, 5.0, whole=True)
+    drawn = count.at(np.linspace(0.0, 1.0, 4001))
+    assert np.array_equal(np.unique(drawn), [2, 3, 4, 5]) and np.ptp(np.bincount(drawn.astype(int))[2:]) <= 2
+    assert np.array_equal(replace(count, points=20).grid(), [2, 3, 4, 5])
+    assert set(replace(count, log=True).at(np.linspace(0.0, 1.0, 99))) == {2.0, 3.0, 4.0, 5.0}
+
+    class Study:
+        names, units = ("n", "a"), {"size": "m", "cost": "1"}
+
+    def answer(study, designs, steps):  # best at n = 3.6, a = 0.5 / n
+        n, a = (float(v) for v in designs[0])
+        found = {"size": 10.0 - (n - 3.6) ** 2 - (n * a - 0.5) ** 2, "cost": n + a}
+        slopes = {"size": [-2.0 * (n - 3.6) - 2.0 * a * (n * a - 0.5), -2.0 * n * (n * a - 0.5)], "cost": [1.0, 1.0]}
+        return {m: [v] for m, v in found.items()}, {m: np.array([v]) for m, v in slopes.items()}, None
+
+    axes = (count, Axis("a", "1", 0.0, 1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "differentiate_batch", answer)
+        one = refine.refine(Study, axes, np.array([2.0, 0.9]), 1, ("size", "max"), {})
+        assert one.better and one.design[0] == 4.0 and one.design[1] == pytest.approx(0.125, abs=1e-3)
+        # Where the rounded count is beyond a limit, the count stays, and the rest is refined.
+        least = refine.refine(Study, axes, np.array([3.0, 0.5]), 1, ("size", "max"), {"cost": (0.0, 3.9)})
+        assert least.better and least.design[0] == 3.0 and least.design[1] == pytest.approx(1.0 / 6.0, abs=1e-3)
+    flexural = (ROOT / "data" / "sweeps" / "flexural.toml").read_text("utf-8").replace("../machines", str(ROOT / "data" / "machines"))
+    (folder / "sweep.toml").write_text(flexural, "utf-8")
+    assert set(read_sweep(folder / "sweep.toml").designs()[:, 1]) == set(range(2, 13))
+    for text, sentence in (('["2.2", "3.8"]', "there are no two whole numbers"), ('{ values = ["2.5"] }', "'2.5' is not a whole number")):
+        (folder / "sweep.toml").write_text(flexural.replace('["2", "12"]', text), "utf-8")
+        with pytest.raises(InputError) as caught:
+            read_sweep(folder / "sweep.toml")
+        assert sentence in str(caught.value)
 
 
 def test_a_thinned_front_keeps_the_best_of_each_objective():
