@@ -229,6 +229,29 @@ def test_batches_fit_into_memory(folder):
     assert chunks.batch_size(study, 10**4, True) < chunks.batch_size(study, 10**4, False)
 
 
+def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
+    sweep = read_sweep(folder / "sweep.toml")
+    study, parts = sweep.study(), chunks.split(sweep.study(), sweep.designs(), 20)
+    assert [len(group) for group in chunks.batches(study, parts, False)] == [1] * 7
+    narrow = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
+    sizes = []
+
+    def counted(study, designs, steps):
+        sizes.append(len(designs))
+        return evaluate_batch(study, designs, steps)
+
+    monkeypatch.setattr(chunks, "wide", lambda: True)
+    monkeypatch.setattr(chunks, "evaluate_batch", counted)
+    assert [len(group) for group in chunks.batches(study, parts, False)] == [7]
+    together = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
+    # 60 designs in one batch of 64, not three of 4096.
+    assert sizes == [64] and together.keys() == narrow.keys()
+    for number, found in together.items():
+        assert all(
+            np.array_equal(v, narrow[number][n]) if n == "code" else np.allclose(v, narrow[number][n], rtol=1e-9) for n, v in found.items()
+        )
+
+
 TWO = """
 import sys
 import jax
