@@ -46,7 +46,7 @@ def indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[str, Ind
 
 def whole_rows(values: Floats, axes: int) -> np.ndarray:
     """Which of the ``base`` rows, shape ``(base,)``, have a value at A, at B and at each mixture of the two."""
-    return ~np.isnan(values.reshape(axes + 2, -1)).any(axis=0)
+    return np.asarray(~np.isnan(values.reshape(axes + 2, -1)).any(axis=0))
 
 
 def why_not(values: Floats, axes: int) -> str:
