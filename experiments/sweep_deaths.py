@@ -46,7 +46,7 @@ stroke = "max"
 
 def main() -> None:
     args = arguments(__doc__ or "")
-    deaths, count = (2, 2_000) if args.quick else (20, 40_000)
+    deaths, count = (2, 8_000) if args.quick else (20, 40_000)
     random.seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -95,7 +95,7 @@ def main() -> None:
         [
             Row("two workers against one process, undisturbed", "the same bytes", "the same" if shared else "others", shared),
             Row("deaths", f"{deaths} runs and {deaths} workers", told, min(died.values()) >= deaths, died),
-            Row("chunks there before a death that were lost or made again", "none", f"{again:,} of {kept:,}", not again and kept > 0),
+            Row("chunks there before a death that were lost or made again", "none", f"{again:,} of {kept:,}", not again if kept else None),
             Row(
                 "rows lost or doubled", "none", f"{lost} and {doubled} of {count:,}, in {len(laps)} sweeps", not lost and not doubled,
                 {"lost": lost, "doubled": doubled, "sweeps": len(laps)},
