@@ -1,12 +1,15 @@
 """A sweep that dies: runs and workers are killed at random moments, and what is left is gone on with, until it is done.
 
-A sweep runs once in one process. Then it runs again and again from what is there, in one process or on a local Dask cluster of worker
-processes; at a random moment either the whole run or one of its workers is killed (SIGKILL). In the end the tables have to be the same,
-byte for byte: no row lost, none doubled.
+A sweep runs once in one process, and once on two workers. Then it runs again and again from what is there, in one process or on a local
+Dask cluster of worker processes; at a random moment the whole run is killed (SIGKILL), of a cluster one of its workers first. A sweep that
+is done is followed by another, until both kinds have died often enough. In the end the tables have to be the same, byte for byte: no row
+lost, none doubled; and no chunk that was there before a death may be lost or made again.
 """
 
+import contextlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -43,7 +46,7 @@ stroke = "max"
 
 def main() -> None:
     args = arguments(__doc__ or "")
-    deaths, count = (4, 2_000) if args.quick else (20, 40_000)
+    deaths, count = (2, 8_000) if args.quick else (20, 40_000)
     random.seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -54,45 +57,72 @@ def main() -> None:
         say("once, undisturbed")
         command(folder, "whole").communicate()
         span = time.perf_counter() - began
+        say("once on two workers, undisturbed")
+        command(folder, "shared", "--scheduler", "local").communicate()
+        whole = (folder / "whole" / "sweep.parquet").read_bytes()
+        shared = (folder / "shared" / "sweep.parquet").read_bytes() == whole
         died = {"runs": 0, "workers": 0}
-        lost, resumed = [], 0
-        while died["runs"] + died["workers"] < deaths and not (folder / "torn").is_dir():
-            clustered = resumed % 2 == 1  # every other time, and then a worker dies first
+        kept, again, laps = 0, 0, []
+        while min(died.values()) < deaths:
+            if (folder / "torn").is_dir():
+                laps.append(lap(folder, whole, count))
+            # Runs of one process and of a cluster in turn, until one kind has died often enough.
+            clustered = died["workers"] < deaths and (died["runs"] >= deaths or died["workers"] <= died["runs"])
             process = command(folder, "torn", "--resume", *(("--scheduler", "local") if clustered else ()))
-            resumed += 1
             before = chunks_in(folder)
-            until = time.monotonic() + random.uniform(0.3, 1.0) * span / max(1, deaths // 4) + (14.0 if clustered else 4.0)
-            while process.poll() is None and time.monotonic() < until:
-                time.sleep(0.02)
-            if process.poll() is not None:
-                break
-            if workers := workers_of(process.pid):
+            at_work = wait_for_more(process, folder, before)
+            time.sleep(random.uniform(0.0, 0.2) * span if at_work else 0.0)
+            if clustered and (workers := workers_of(process.pid)):
                 random.choice(workers).kill()
                 died["workers"] += 1
-                say(f"a worker killed with {chunks_in(folder)} chunks there")
-                time.sleep(random.uniform(3.0, 8.0))
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            died["runs"] += 1
-            lost.append(before <= chunks_in(folder))
-            say(f"killed: {chunks_in(folder)} chunks there")
+                time.sleep(random.uniform(0.5, 3.0))
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                died["runs"] += 1
+            process.communicate()
+            after = chunks_in(folder)
+            if not (folder / "torn").is_dir():
+                kept += len(before)
+                again += sum(after.get(file) != made for file, made in before.items())
+            say(f"{died['runs']} runs and {died['workers']} workers killed, {len(after)} chunks there")
         _, errors = command(folder, "torn", "--resume").communicate()
-        torn, whole = (folder / out / "sweep.parquet" for out in ("torn", "whole"))
-        same = not errors and torn.read_bytes() == whole.read_bytes()
-        rows = np.sort(read_table(torn)["design"])
-    exact = bool(np.array_equal(rows, np.arange(count)))
+        laps.append(lap(folder, whole, count))
+    lost, doubled = (sum(one[key] for one in laps) for key in ("lost", "doubled"))
+    same = not errors and all(one["same"] for one in laps)
     told = f"{died['runs']} runs and {died['workers']} workers killed"
     finish(
         "sweep_deaths",
         [
-            Row("deaths", f"{deaths}", told, None, died),
-            Row("chunks never fewer after a death than before it", "yes", f"{sum(lost)} of {len(lost)}", all(lost)),
-            Row("rows lost or doubled", "none", f"{count:,} designs, {len(rows):,} rows, {len(np.unique(rows)):,} different", exact),
+            Row("two workers against one process, undisturbed", "the same bytes", "the same" if shared else "others", shared),
+            Row("deaths", f"{deaths} runs and {deaths} workers", told, min(died.values()) >= deaths, died),
+            Row("chunks there before a death that were lost or made again", "none", f"{again:,} of {kept:,}", not again if kept else None),
+            Row(
+                "rows lost or doubled", "none", f"{lost} and {doubled} of {count:,}, in {len(laps)} sweeps", not lost and not doubled,
+                {"lost": lost, "doubled": doubled, "sweeps": len(laps)},
+            ),
             Row("the table against the undisturbed one's", "the same bytes", "the same" if same else "others", same),
         ],
         args,
         designs=count,
-    )
+    )  # fmt: skip
+
+
+def lap(folder: Path, whole: bytes, count: int) -> dict[str, int]:
+    """What a sweep that was done after deaths has: rows lost and doubled, and whether it is the undisturbed one's table; removes it."""
+    table = folder / "torn" / "sweep.parquet"
+    rows = read_table(table)["design"]
+    found = {"lost": count - len(np.unique(rows)), "doubled": len(rows) - len(np.unique(rows)), "same": table.read_bytes() == whole}
+    shutil.rmtree(folder / "torn")
+    return found
+
+
+def wait_for_more(process: subprocess.Popen, folder: Path, before: dict[str, int]) -> bool:
+    """Waits until a run has written a chunk, so that a death is one at work; False if it ended."""
+    while process.poll() is None:
+        if len(chunks_in(folder)) > len(before):
+            return True
+        time.sleep(0.02)
+    return False
 
 
 def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
@@ -102,9 +132,13 @@ def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
     return subprocess.Popen(call, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
-def chunks_in(folder: Path) -> int:
-    """Chunks on the disk; all of them once the folder is there."""
-    return 10**9 if (folder / "torn").is_dir() else len(list((folder / "torn.partial").glob("chunk-*.parquet")))
+def chunks_in(folder: Path) -> dict[str, int]:
+    """Chunks on the disk by name, with the time at which each was written."""
+    found = {}
+    for path in (folder / "torn.partial").glob("chunk-*.parquet"):
+        with contextlib.suppress(FileNotFoundError):  # the run is done and clears up
+            found[path.name] = path.stat().st_mtime_ns
+    return found
 
 
 if __name__ == "__main__":

@@ -29,7 +29,8 @@ TIES: Mapping[str, tuple[str, ...]] = {
 class Declaration:
     """What is known of a parameter before any data: internal unit, meaning, and the bounds within which the equations hold.
 
-    ``default`` is ``None`` where the rig file has to say the value, NaN where the plant derives it from others.
+    ``default`` is ``None`` where the rig file has to say the value, NaN where the plant derives it from others. A ``whole`` parameter
+    counts something: the equations take any number, and a sweep draws whole ones.
     """
 
     unit: str
@@ -37,6 +38,7 @@ class Declaration:
     lower: float
     upper: float
     default: float | None
+    whole: bool = False
 
 
 def as_float(value: Any) -> Any:
@@ -46,9 +48,11 @@ def as_float(value: Any) -> Any:
     return jnp.asarray(value, dtype=jnp.float64)
 
 
-def parameter(unit: str, meaning: str, lower: float = -math.inf, upper: float = math.inf, default: float | None = None) -> Any:
+def parameter(
+    unit: str, meaning: str, lower: float = -math.inf, upper: float = math.inf, default: float | None = None, *, whole: bool = False
+) -> Any:
     """Declares a parameter as a field of a module; see ``Declaration``."""
-    declaration = Declaration(unit, meaning, lower, upper, default)
+    declaration = Declaration(unit, meaning, lower, upper, default, whole)
     metadata = {"declaration": declaration}
     if default is None:
         return eqx.field(converter=as_float, metadata=metadata)

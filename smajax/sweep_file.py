@@ -16,6 +16,10 @@
     [constraints]
     peak_temperature = { at_most = "120 degC" }
 
+A rig starts cold, and what is read off a cycle is that of the last one. The column ``settling``, always there, is the gap between this
+cycle's start and end over its range: 0 where the response repeats itself, and up to 1 % counts as settled. How many designs are beyond
+that is said; they stay in the table, and ``settling = { at_most = "1 %" }`` among the constraints keeps them from being the best.
+
 Every mistake is one sentence that names file and key. A sweep's ``header`` holds all that it depends on, and gives the same sweep back.
 """
 
@@ -46,6 +50,8 @@ _SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraint
 _MOST = 100_000_000
 # With fewer the indices' intervals say nothing.
 _LEAST_BASE = 64
+# What some metrics cannot exceed.
+_MOST_OF = {"efficiency": 1.0, "settling": 1.0}
 
 
 class _Sweep(BaseModel):
@@ -115,13 +121,25 @@ class SweepFile:
         """How many designs Sobol indices start from, a power of two: all of theirs are at most half as many as the sweep's; 0 for none."""
         if not self.sensitivity:
             return 0
-        fitting = self.count / 2 / (len(self.axes) + 2)
+        fitting = self.count / _least_designs(len(self.axes)) * _LEAST_BASE
         return 2 ** int(math.log2(fitting)) if fitting >= _LEAST_BASE else 0
+
+    def no_indices(self) -> str:
+        """Why there are no Sobol indices, as a sentence; empty if there are, or if none were wanted."""
+        if self.sampling == "grid" or any(axis.values for axis in self.axes):
+            return "No Sobol indices, which need ranges drawn at random: sampling by sobol or latin-hypercube, and no listed values."
+        if self.sensitivity and not self.base():
+            return f"No Sobol indices, which need at least {_least_designs(len(self.axes)):,} designs of so many parameters."
+        return ""
 
     def header(self) -> dict[str, Any]:
         """All that the sweep depends on, as a JSON document: see ``from_header``."""
         own = {"rig": self.subject.to_toml(), "rig_name": self.subject.name, "recording": self.subject.recorded()}
         return {"schema": 1, "smajax": __version__, "name": self.name, "sweep": self.text, **own}
+
+
+def _least_designs(axes: int) -> int:
+    return 2 * _LEAST_BASE * (axes + 2)
 
 
 def read_sweep(path: str | Path) -> SweepFile:
@@ -159,17 +177,22 @@ def _head(data: Mapping[str, Any]) -> _Sweep:
 
 def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> SweepFile:
     head, units = _head(data), subject.units
-    axes = _axes(data, subject.table)
+    axes = _axes(data, subject.table, head.sampling)
+    if head.sampling == "grid" and "designs" in data["sweep"]:
+        raise InputError("sweep.designs has no place with a grid, which has as many as its axes' points make: take it out, or give points")
     count = math.prod(len(axis.grid()) for axis in axes) if head.sampling == "grid" else head.designs
     if count > _MOST:
         raise InputError(f"the grid has {count:,} designs: take fewer points, at most {_MOST:,} in all")
-    objectives, constraints = _objectives(data, units), _constraints(data, units)
+    objectives, constraints = _objectives(data, units), _constraints(data, subject, axes)
     asked = subject.usual if head.metrics is None else _known("sweep.metrics", head.metrics, units)
-    metrics = tuple(dict.fromkeys([*asked, *objectives, *constraints]))
-    subject.check([axis.name for axis in axes], metrics)
+    metrics = tuple(dict.fromkeys([*asked, *objectives, *constraints, *subject.always]))
+    subject.check(axes, metrics)
     ranged = head.sampling != "grid" and not any(axis.values for axis in axes)
     if head.sensitivity and not ranged:
         raise InputError("sweep.sensitivity needs ranges drawn at random: set sampling to sobol or latin-hypercube, or take it out")
+    if head.sensitivity and count < _least_designs(len(axes)):
+        least = f"at least {_least_designs(len(axes)):,} designs with {len(axes)} parameters"
+        raise InputError(f"sweep.sensitivity needs {least}, and sweep.designs is {count:,}: raise it, or take sensitivity out")
     if "refine" in data and not objectives:
         raise InputError('[refine] needs to know what is better: add [objectives] with a line like stroke = "max"')
     _check_order(axes, subject)
@@ -188,7 +211,7 @@ def _known(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequen
     return names
 
 
-def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration]) -> tuple[Axis, ...]:
+def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration], sampling: str) -> tuple[Axis, ...]:
     content = data.get("parameters")
     if not isinstance(content, dict) or not content:
         raise InputError('the section [parameters] is missing: say what varies, as in wire.diameter = ["0.1 mm", "0.4 mm"]')
@@ -200,6 +223,8 @@ def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration]) -> tuple[Ax
             axes.append(_axis(name, value, table[name]))
         except InputError as error:
             raise InputError(f"parameters.{name}: {error}") from None
+        if sampling != "grid" and isinstance(value, dict) and "points" in value:
+            raise InputError(f'parameters.{name}.points is of a grid only: set sweep.sampling = "grid", or take it out')
     return tuple(axes)
 
 
@@ -227,7 +252,11 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
     if given.values is not None:
         if given.from_ is not None or given.to is not None:
             raise InputError("it has both values and a range: take one of the two out")
+        if extra := [key for key in ("scale", "points") if isinstance(value, dict) and key in value]:
+            raise InputError(f"{extra[0]} has no place beside values: take one of the two out")
         values = tuple(quantity(v, declaration) for v in given.values)
+        if declaration.whole and (broken := [v for v, number in zip(given.values, values, strict=True) if number != round(number)]):
+            raise InputError(f"{show(broken[0])} is not a whole number, and {name} counts something: give whole ones")
         return Axis(name, declaration.unit, min(values), max(values), values=values)
     if given.from_ is None or given.to is None:
         raise InputError(f"'{'from' if given.from_ is None else 'to'}' is missing: a range has both, or give values")
@@ -236,7 +265,13 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
         raise InputError(f"the range from {show(given.from_)} to {show(given.to)} is empty: give a lower end and a higher one")
     if given.scale == "log" and not lower > 0.0:
         raise InputError(f"a log scale cannot begin at {show(given.from_)}: begin above 0")
-    return Axis(name, declaration.unit, lower, upper, given.scale == "log", given.points)
+    if declaration.whole:
+        first, last = math.ceil(lower), math.floor(upper)
+        if not first < last:
+            shown = f"from {show(given.from_)} to {show(given.to)}"
+            raise InputError(f"{name} counts something, and {shown} there are no two whole numbers: widen the range, or give values")
+        lower, upper = float(first), float(last)
+    return Axis(name, declaration.unit, lower, upper, given.scale == "log", given.points, whole=declaration.whole)
 
 
 def _objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
@@ -251,7 +286,8 @@ def _objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, 
     return dict(content)
 
 
-def _constraints(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, tuple[float, float]]:
+def _constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]) -> dict[str, tuple[float, float]]:
+    units = subject.units
     content = data.get("constraints", {})
     if not isinstance(content, dict):
         raise InputError('[constraints] is a section: write lines like peak_temperature = { at_most = "120 degC" } below it')
@@ -272,6 +308,13 @@ def _constraints(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str,
         if ends[1] < 0.0 and units[name] != "degC":
             raise InputError(
                 f"constraints.{name}: at_most = {show(given.at_most)} can never be kept, as a {name} is not negative: correct it"
+            )
+        if ends[1] < (coldest := subject.coldest(name, axes)):
+            end, limit = show(given.at_most), f"{coldest:g} {units[name]}"
+            raise InputError(f"constraints.{name}: at_most = {end} can never be kept, as it is never below {limit}: correct it")
+        if ends[0] > (top := _MOST_OF.get(name, math.inf)):
+            raise InputError(
+                f"constraints.{name}: at_least = {show(given.at_least)} can never be kept, as it is never above {top:g}: correct it"
             )
         found[name] = (ends[0], ends[1])
     return found

@@ -1,5 +1,6 @@
 """What a sweep sweeps: a rig under an input, or a machine that gives its own figures; what each can vary, and what can be asked of it."""
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from smajax.recording import Recording
 from smajax.rig import Rig, parse_rig
 from smajax.rig_schema import one_of
 from smajax.sweep.metrics import METRICS
+from smajax.sweep.space import Axis
 from smajax.sweep.study import INPUT, AbstractStudy, MachineStudy, RigStudy
 from smajax.sweep.wave import SHAPES, Wave
 from smajax.toml_file import STRICT, read_text, show, validate
@@ -26,6 +28,7 @@ from smajax.units import parse as parse_quantity
 
 NAMES = (*METRICS, "bandwidth")
 _USUAL = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
+_ABSOLUTE_ZERO = -273.15
 _NEEDS_WAVE = ("time_to_cool", "bandwidth")
 
 
@@ -75,15 +78,32 @@ class RigSubject:
         """The metrics that can be asked for, with their units."""
         return RigStudy((), self.rig.plant, NAMES, self.source, self.cycles, self.rig.interpolation, 0.0).units
 
-    def check(self, axes: Sequence[str], metrics: Sequence[str]) -> None:
+    def coldest(self, metric: str, axes: Sequence[Axis]) -> float:
+        """What a metric never falls below, whatever the design: a peak temperature that at the start, others minus infinity."""
+        if metric != "peak_temperature":
+            return -math.inf
+        lower = {axis.name: axis.lower for axis in axes}
+        starts = [lower.get(name, self.value(name)) for name in ("environment.ambient", "initial.temperature")]
+        return float(np.nanmin(starts))
+
+    @property
+    def always(self) -> tuple[str, ...]:
+        """The metrics that are told whatever is asked for."""
+        return ("settling",)
+
+    def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
         """InputError if an axis would do nothing, or a metric cannot be told under this input."""
-        for name in axes:
+        for name in (axis.name for axis in axes):
             if name in ("pulley.inertia", "pulley.damping") and isinstance(self.rig.plant.mechanism, LightRotary):
                 raise InputError(f"parameters.{name} does nothing while the rig has neither inertia nor damping: give it one in the rig")
         if not isinstance(self.source, Wave) and (only := [n for n in _NEEDS_WAVE if n in metrics]):
             raise InputError(f"{only[0]} needs a wave, and [input] has a recording: take the metric out, or give a wave")
         if "bandwidth" in metrics and not self.highest:
             raise InputError('input.highest is missing: a bandwidth is looked for up to a frequency, as in highest = "10 Hz" under [input]')
+        top = max((axis.upper for axis in axes if axis.name == f"{INPUT}frequency"), default=0.0)
+        if "bandwidth" in metrics and top >= self.highest:
+            ends = f"input.highest = {self.highest:g} Hz is not above the range of {INPUT}frequency, which ends at {top:g} Hz"
+            raise InputError(f"{ends}: raise it, or narrow the range")
 
     def study(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractStudy:
         """What is asked of each design."""
@@ -127,7 +147,16 @@ class MachineSubject:
         """See ``RigSubject``."""
         return dict(self.machine.units)
 
-    def check(self, axes: Sequence[str], metrics: Sequence[str]) -> None:
+    def coldest(self, metric: str, axes: Sequence[Axis]) -> float:
+        """See ``RigSubject``: a machine may be driven from any temperature, but none is below the absolute zero."""
+        return _ABSOLUTE_ZERO if self.units[metric] == "degC" else -math.inf
+
+    @property
+    def always(self) -> tuple[str, ...]:
+        """See ``RigSubject``: none."""
+        return ()
+
+    def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
         """See ``RigSubject``: all goes."""
 
     def study(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractStudy:

@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import psutil
@@ -24,11 +26,14 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.errors import InputError
 from smajax.jobs.sweep import SweepJob, run_sweep
+from smajax.machines.knee import Knee
+from smajax.report.sweep import best_rows
 from smajax.rig import read_rig
 from smajax.sweep import chunks, refine, space
-from smajax.sweep.front import pareto
+from smajax.sweep.bandwidth import Reached, find
+from smajax.sweep.front import pareto, thinned
 from smajax.sweep.metrics import bandwidth
-from smajax.sweep.sensitivity import indices
+from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import Axis
 from smajax.sweep.study import RigStudy, evaluate_batch, programs
 from smajax.sweep.table import read_table
@@ -117,7 +122,19 @@ def test_sobol_indices_of_ishigamis_function():
     assert all(one.first95[0] <= one.first <= one.first95[1] and one.total95[0] <= one.total <= one.total95[1] for one in found.values())
     theirs = sobol_indices(func=lambda x: ishigami(x)[None], n=4096, dists=[uniform(-np.pi, 2 * np.pi)] * 3, rng=np.random.default_rng(0))
     assert np.allclose([found[n].total for n in "xyz"], theirs.total_order.ravel(), atol=0.01)
-    assert indices(np.ones(20), "xyz", 0) == {} and indices(np.append(np.ones(19), np.nan), "xyz", 0) == {}
+    # Rows of designs with a failed one among them are left out, and no more.
+    holed = ishigami(designs.T)
+    holed[np.random.default_rng(1).integers(0, len(holed), 50)] = np.nan
+    rest = indices(holed, "xyz", 0)
+    assert all(rest[n].total == pytest.approx(found[n].total, abs=0.02) and rest[n].total != found[n].total for n in "xyz")
+    assert 4046 <= np.sum(whole_rows(holed, 3)) < 4096
+    infinite = np.where(np.arange(len(holed)) == 7, np.inf, holed)
+    for values, reason in (
+        (np.ones(200), "does not vary"),
+        (infinite, "infinite"),
+        (np.full(200, np.nan), "has a value in all designs of 0"),
+    ):
+        assert indices(values, "xyz", 0) == {} and reason in why_not(values, 3)
 
 
 def test_bandwidth_is_where_the_stroke_has_fallen():
@@ -127,6 +144,54 @@ def test_bandwidth_is_where_the_stroke_has_fallen():
     assert float(bandwidth(frequencies, low_pass)) == pytest.approx(wanted, rel=1e-4)
     assert np.isinf(float(bandwidth(frequencies, jnp.ones(400))))
     assert np.isnan(float(bandwidth(frequencies, jnp.full(400, jnp.nan))))
+
+
+def test_a_bandwidth_is_found_between_frequencies():
+    def low_pass(tau, frequency):  # a cliff on top, which straight lines between a few frequencies would miss by far
+        return Reached(jnp.exp(-((frequency * tau) ** 8)), frequency, jnp.asarray(0))
+
+    def of(tau, lowest, highest=10.0):
+        held = jax.lax.stop_gradient(tau)
+        return find(lambda frequency: low_pass(held, frequency), lowest, highest, lambda frequency: low_pass(tau, frequency))[0]
+
+    for tau, lowest in ((0.5, 0.1), (0.3, 0.2), (0.9, 0.05)):
+        wanted = lambda tau, lowest: (0.5 * np.log(2.0) + (lowest * tau) ** 8) ** 0.125 / tau  # noqa: E731
+        found, slopes = jax.jit(jax.value_and_grad(of, (0, 1)))(tau, lowest)
+        assert float(found) == pytest.approx(wanted(tau, lowest), rel=1e-4)
+        assert float(slopes[0]) == pytest.approx(-float(found) / tau, rel=2e-2) and abs(float(slopes[1])) < 1e-3
+        plain = find(lambda frequency, tau=tau: low_pass(tau, frequency), jnp.asarray(lowest), 10.0)
+        assert float(plain[0]) == pytest.approx(float(found), rel=1e-9) and float(plain[1]) == pytest.approx(float(found), rel=2e-2)
+    assert np.isinf(float(of(0.5, jnp.asarray(0.1), 1.0)))
+
+
+def test_bandwidth_of_a_rig_against_dense_frequencies():
+    plant, wave = read_rig(RIG).plant, Wave("square", 0.3, 0.1, 0.5, 2)
+    study = RigStudy(("heat.h0",), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
+    found, codes = evaluate_batch(study, jnp.asarray([[90.0]]), 100)
+    each = RigStudy(("heat.h0", "input.frequency"), plant, ("stroke", "settling"), wave, 2, "hold", 0.0)
+    dense = np.sort(np.concatenate([np.geomspace(0.1, 2.0, 40), float(found["bandwidth"][0]) * np.linspace(0.97, 1.03, 31)]))
+    told, _ = evaluate_batch(each, jnp.asarray(np.column_stack([np.full(len(dense), 90.0), dense])), 100)
+    first = int(np.argmax(told["stroke"] <= told["stroke"][0] / np.sqrt(2.0)))
+    assert not np.any(codes) and dense[first - 1] * 0.999 <= float(found["bandwidth"][0]) <= dense[first] * 1.001
+    # It is read off a response that is further from closing than the slow wave's.
+    assert found["settling"][0] > max(float(told["settling"][0]), 0.5 * float(told["settling"][first - 1]))
+
+
+def test_a_wire_that_still_warms_up_has_not_settled(folder):
+    plant = read_rig(RIG).plant
+    rows = {}
+    for cycles in (4, 60):
+        study = RigStudy(("heat.h0",), plant, ("stroke", "settling"), Wave("square", 0.5, 6.0, 0.5, cycles), cycles, "hold", 0.0)
+        rows[cycles] = {n: float(v[0]) for n, v in evaluate_batch(study, jnp.asarray([[100.6]]), 40)[0].items()}
+    assert rows[4]["stroke"] > 100.0 * rows[60]["stroke"] and rows[4]["settling"] > 0.5 and rows[60]["settling"] < 1e-6
+    (folder / "sweep.toml").write_text(
+        SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "6 Hz"').replace("designs = 130", "designs = 20"), "utf-8"
+    )
+    outcome = run(folder)
+    columns = read_table(folder / "out" / "sweep.parquet")
+    moving = np.sum(columns["settling"] > 0.01)
+    assert outcome.document["settling"]["unsettled"] == moving > 0
+    assert f"{moving} designs have not settled" in outcome.document["summary"] and outcome.document["feasible"] == 20
 
 
 def test_waves_have_their_edges_on_the_grid():
@@ -162,6 +227,29 @@ def test_batches_fit_into_memory(folder):
     long = chunks.batch_size(study, 10**6, False)
     assert 1 <= long < 8 and long * 8 * study.numbers(10**6) <= chunks.MEMORY
     assert chunks.batch_size(study, 10**4, True) < chunks.batch_size(study, 10**4, False)
+
+
+def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
+    sweep = read_sweep(folder / "sweep.toml")
+    study, parts = sweep.study(), chunks.split(sweep.study(), sweep.designs(), 20)
+    assert [len(group) for group in chunks.batches(study, parts, False)] == [1] * 7
+    narrow = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
+    sizes = []
+
+    def counted(study, designs, steps):
+        sizes.append(len(designs))
+        return evaluate_batch(study, designs, steps)
+
+    monkeypatch.setattr(chunks, "wide", lambda: True)
+    monkeypatch.setattr(chunks, "evaluate_batch", counted)
+    assert [len(group) for group in chunks.batches(study, parts, False)] == [7]
+    together = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
+    # 60 designs in one batch of 64, not three of 4096.
+    assert sizes == [64] and together.keys() == narrow.keys()
+    for number, found in together.items():
+        assert all(
+            np.array_equal(v, narrow[number][n]) if n == "code" else np.allclose(v, narrow[number][n], rtol=1e-9) for n, v in found.items()
+        )
 
 
 TWO = """
@@ -316,7 +404,7 @@ def test_the_command_and_its_table(folder):
     assert document["feasible"] == np.sum(columns["peak_temperature"] <= 120.0) and document["codes"] == {"done": 130}
     assert all(columns["peak_temperature"][row["design"]] <= 120.0 for row in document["front"])
     page = (out / "report.html").read_text("utf-8")
-    assert "What it costs" in page and "Designs across all axes" in page
+    assert "No Sobol indices, which need at least 640 designs" in page and "What it costs" in page and "Designs across all axes" in page
     (out / "report.html").unlink()
     assert CliRunner().invoke(app, ["report", str(out)]).exit_code == 0 and (out / "report.html").read_text("utf-8") == page
     # The table alone makes the same table again.
@@ -394,9 +482,29 @@ def test_a_full_disk_keeps_what_is_there(folder):
     assert (folder / "out" / "sweep.parquet").read_bytes() == (folder / "whole" / "sweep.parquet").read_bytes()
 
 
+def test_a_run_killed_before_its_first_file_is_gone_on_with(folder):
+    partial = folder / "out.partial"
+    partial.mkdir()
+    (partial / ".sweep.json.4711.part").write_text("{", "utf-8")
+    (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 20"), "utf-8")
+    assert run(folder, resume=True).code == 0
+    partial.mkdir()
+    (partial / "notes.part").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="smajax keeps its chunks there and did not make it"):
+        run(folder, resume=True)
+
+
+def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    with pytest.raises(InputError, match=r'pyarrow, which is not installed: run pip install "smajax\[io\]"'):
+        run(folder)
+    assert not (folder / "out.partial").exists()
+
+
 def test_constraints_that_nothing_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)
+    assert "degC (allowed: at most 21)" in outcome.reason
     assert outcome.code == 3 and "none of the 130 designs keeps the constraints: the nearest, design" in outcome.reason
     assert (folder / "out" / "sweep.parquet").is_file()
 
@@ -450,6 +558,21 @@ BAD = [
     ('peak_temperature = { at_most = "120 degC" }', "stroke = {}", "constraints.stroke says nothing"),
     ("[constraints]", "[constraint]", "[constraint] is not a section of a sweep (did you mean 'constraints'?)"),
     ('"time_to_cool"]', '"bandwidth"]', "input.highest is missing"),
+    (
+        '"time_to_cool"]\n[parameters]',
+        '"bandwidth"]\n[parameters]\ninput.frequency = ["1 Hz", "6 Hz"]',
+        "input.highest = 4 Hz is not above the range of input.frequency, which ends at 6 Hz",
+    ),
+    ("designs = 130", 'designs = 130\nsampling = "grid"', "sweep.designs has no place with a grid"),
+    ('from = "100 g"', 'points = 3, from = "100 g"', "parameters.load.mass.points is of a grid only"),
+    (
+        'load.mass = { from = "100 g", to = "300 g", scale = "log" }',
+        'load.mass = { values = ["100 g"], scale = "log" }',
+        "scale has no place beside values",
+    ),
+    ('at_most = "120 degC"', 'at_most = "19 degC"', "at_most = '19 degC' can never be kept, as it is never below 20 degC"),
+    ('peak_temperature = { at_most = "120 degC" }', 'efficiency = { at_least = "101 %" }', "can never be kept, as it is never above 1"),
+    ("designs = 130", "designs = 130\nsensitivity = true", "sweep.sensitivity needs at least 640 designs with 3 parameters"),
     ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
 ]
 
@@ -457,7 +580,8 @@ BAD = [
 @pytest.mark.parametrize(("old", "new", "sentence"), BAD)
 def test_bad_sweeps_say_what_is_wrong(folder, old, new, sentence):
     assert old in SWEEP
-    (folder / "sweep.toml").write_text(SWEEP.replace(old, new), "utf-8")
+    text = SWEEP.replace(old, new)
+    (folder / "sweep.toml").write_text(text.replace("[input]", '[input]\nhighest = "4 Hz"') if "highest =" in sentence else text, "utf-8")
     with pytest.raises(InputError) as caught:
         read_sweep(folder / "sweep.toml")
     assert sentence in str(caught.value) and "sweep.toml" in str(caught.value) and "\n" not in str(caught.value)
@@ -484,6 +608,156 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
     from smajax.sweep import cluster
 
     monkeypatch.setattr(cluster, "_PATIENCE", 1)
-    with pytest.raises(InputError, match=r"--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there"):
-        run(folder, scheduler="tcp://127.0.0.1:9")
+    for address, why in (("tcp://127.0.0.1:9", "Connection refused"), ("foo", "missing port number")):
+        with pytest.raises(InputError, match=rf"--scheduler {address}: no Dask scheduler answers there \(.*{why}"):
+            run(folder, scheduler=address)
     assert run(folder, resume=True).code == 0
+
+
+def test_workers_that_are_missing_or_others():
+    from smajax import __version__
+    from smajax.sweep import cluster
+
+    class Client:
+        def __init__(self, workers, there=True):
+            self.workers, self.there = workers, there
+
+        def wait_for_workers(self, count, timeout):
+            if not self.there:
+                raise TimeoutError
+
+        def run(self, function, *given, on_error):
+            return self.workers
+
+        def run_on_scheduler(self, function, *given):
+            return function(*given)
+
+    cases = [
+        (Client({}, False), "it has no workers: start some (dask worker tcp://x)"),
+        (Client({"a": None}), "worker a has no smajax"),
+        (Client({"a": ModuleNotFoundError()}), "worker a has no smajax"),
+        (Client({"a": __version__, "b": "0.0.1"}), f"worker b has smajax 0.0.1, and this is {__version__}"),
+    ]
+    for client, sentence in cases:
+        with pytest.raises(InputError) as caught:
+            cluster._check_workers(client, "tcp://x")
+        assert sentence in str(caught.value)
+    cluster._check_workers(Client({"a": __version__}), "tcp://x")
+    # Where there is no smajax, the question is answered all the same.
+    bare = subprocess.run([sys.executable, "-I", "-S", "-c", f"print(eval({cluster._VERSION!r}))"], capture_output=True, text=True, cwd="/")
+    assert bare.stdout.strip() == "None" and eval(cluster._VERSION) == __version__
+    with pytest.raises(InputError, match="a worker has smajax"):
+        cluster._study(json.dumps({"smajax": "0.0.1"}))
+
+
+KNEE = """
+[sweep]
+rig = "knee.toml"
+designs = 32
+metrics = ["spring_torque"]
+[parameters]
+wire.diameter = ["0.8 mm", "1.2 mm"]
+command.second = ["3 V", "5.5 V"]
+[objectives]
+heating_time = "max"
+[refine]
+starts = 1
+"""
+
+
+def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
+    """Springs that never warm have an infinite heating time: the design is done, keeps a lower limit, and is the longest of all."""
+
+    def quick(self):  # without the motion, whose program takes long to compile
+        return {"heating_time": self.heating_time(self.command.second), "spring_torque": self.wire.prestretch}
+
+    monkeypatch.setattr(Knee, "metrics", quick)
+    machine = (ROOT / "data" / "machines" / "knee.toml").read_text("utf-8")
+    (tmp_path / "knee.toml").write_text(machine, "utf-8")
+    (tmp_path / "sweep.toml").write_text(KNEE + '[constraints]\nheating_time = { at_least = "5 s" }\n', "utf-8")
+    outcome = run(tmp_path)
+    columns = read_table(tmp_path / "out" / "sweep.parquet")
+    endless = np.isinf(columns["heating_time"])
+    assert endless.any() and not endless.all() and set(columns["code"]) == {"done"}
+    document = outcome.document
+    assert document["feasible"] == np.sum(columns["heating_time"] >= 5.0) and document["on_front"] == endless.sum()
+    assert {row["metrics"]["heating_time"] for row in document["front"]} == {"inf"} and "heating_time of these is infinite" in document[
+        "summary"
+    ]
+    # The other way round the finite ones are best, and an infinite one is beyond any upper limit.
+    (tmp_path / "sweep.toml").write_text(KNEE.replace('"max"', '"min"') + '[constraints]\nheating_time = { at_most = "1e9 s" }\n', "utf-8")
+    document = run(tmp_path, "other").document
+    assert document["feasible"] == np.sum(~endless) and document["on_front"] == 1
+    assert float(document["front"][0]["metrics"]["heating_time"]) == columns["heating_time"].min()
+    assert document["refined"][0]["better"]
+    costs = np.array([[np.inf, 0.0], [-np.inf, 1.0], [0.0, 1.0], [0.0, np.nan]])
+    assert np.array_equal(pareto(costs), [0, 1])
+
+
+def test_a_search_from_or_to_what_is_infinite():
+    class Study:
+        names, units = ("a",), {"slow": "s", "size": "m"}
+
+    def answer(study, designs, steps):
+        a = float(designs[0, 0])
+        found = {"slow": np.inf if a > 0.5 else a, "size": a}
+        slopes = {"slow": [0.0 if a > 0.5 else 1.0], "size": [1.0]}
+        return {n: [v] for n, v in found.items()}, {n: np.array([v]) for n, v in slopes.items()}, None
+
+    axes = (Axis("a", "1", 0.0, 1.0),)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "differentiate_batch", answer)
+        one = refine.refine(Study, axes, np.array([0.9]), 1, ("size", "max"), {"slow": (0.7, np.inf)})
+        assert one.better and one.metrics["size"] == 1.0
+        least = refine.refine(Study, axes, np.array([0.4]), 1, ("size", "max"), {"slow": (-np.inf, 0.45)})
+        assert least.better and least.metrics["size"] == pytest.approx(0.45, abs=1e-5)
+        most = refine.refine(Study, axes, np.array([0.4]), 1, ("slow", "max"), {})
+        assert most.better and most.metrics["slow"] == np.inf
+        assert not refine.refine(Study, axes, np.array([0.9]), 1, ("slow", "max"), {}).better
+
+
+def test_counts_are_whole_drawn_and_refined(folder):
+    count = Axis("n", "1", 2.0, 5.0, whole=True)
+    drawn = count.at(np.linspace(0.0, 1.0, 4001))
+    assert np.array_equal(np.unique(drawn), [2, 3, 4, 5]) and np.ptp(np.bincount(drawn.astype(int))[2:]) <= 2
+    assert np.array_equal(replace(count, points=20).grid(), [2, 3, 4, 5])
+    assert set(replace(count, log=True).at(np.linspace(0.0, 1.0, 99))) == {2.0, 3.0, 4.0, 5.0}
+
+    class Study:
+        names, units = ("n", "a"), {"size": "m", "cost": "1"}
+
+    def answer(study, designs, steps):  # best at n = 3.6, a = 0.5 / n
+        n, a = (float(v) for v in designs[0])
+        found = {"size": 10.0 - (n - 3.6) ** 2 - (n * a - 0.5) ** 2, "cost": n + a}
+        slopes = {"size": [-2.0 * (n - 3.6) - 2.0 * a * (n * a - 0.5), -2.0 * n * (n * a - 0.5)], "cost": [1.0, 1.0]}
+        return {m: [v] for m, v in found.items()}, {m: np.array([v]) for m, v in slopes.items()}, None
+
+    axes = (count, Axis("a", "1", 0.0, 1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "differentiate_batch", answer)
+        one = refine.refine(Study, axes, np.array([2.0, 0.9]), 1, ("size", "max"), {})
+        assert one.better and one.design[0] == 4.0 and one.design[1] == pytest.approx(0.125, abs=1e-3)
+        # Where the rounded count is beyond a limit, the count stays, and the rest is refined.
+        least = refine.refine(Study, axes, np.array([3.0, 0.5]), 1, ("size", "max"), {"cost": (0.0, 3.9)})
+        assert least.better and least.design[0] == 3.0 and least.design[1] == pytest.approx(1.0 / 6.0, abs=1e-3)
+    flexural = (ROOT / "data" / "sweeps" / "flexural.toml").read_text("utf-8").replace("../machines", str(ROOT / "data" / "machines"))
+    (folder / "sweep.toml").write_text(flexural, "utf-8")
+    assert set(read_sweep(folder / "sweep.toml").designs()[:, 1]) == set(range(2, 13))
+    for text, sentence in (('["2.2", "3.8"]', "there are no two whole numbers"), ('{ values = ["2.5"] }', "'2.5' is not a whole number")):
+        (folder / "sweep.toml").write_text(flexural.replace('["2", "12"]', text), "utf-8")
+        with pytest.raises(InputError) as caught:
+            read_sweep(folder / "sweep.toml")
+        assert sentence in str(caught.value)
+
+
+def test_a_thinned_front_keeps_the_best_of_each_objective():
+    rng = np.random.default_rng(0)
+    angle = np.sort(rng.random(1000)) * np.pi / 2
+    costs = -np.column_stack([np.cos(angle), np.sin(angle)])[rng.permutation(1000)]
+    rows = thinned(costs, 200)
+    assert len(rows) <= 202 and set(np.argmin(costs, axis=0)) <= set(rows) and np.array_equal(thinned(costs, 1000), np.arange(1000))
+    entries = [{"design": int(k), "parameters": {}, "metrics": {"a": float(-costs[k, 0]), "b": float(-costs[k, 1])}} for k in rows]
+    document = {"front": entries, "objectives": {"a": "max", "b": "max"}, "parameters": {}, "refined": []}
+    document["metrics"] = {"a": {"unit": "1"}, "b": {"unit": "1"}}
+    labels = [row[0] for row in best_rows(document)]
+    assert {f"design {k}" for k in np.argmin(costs, axis=0)} <= set(labels)

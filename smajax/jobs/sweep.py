@@ -19,21 +19,22 @@ from smajax.errors import InputError
 from smajax.jobs.record import Clock, Outcome, run_record
 from smajax.recording import Floats
 from smajax.report.document import number, to_json
-from smajax.report.sweep import SCHEMA, sentences, sweep_page
+from smajax.report.sweep import SCHEMA, figure, sentences, sweep_page
 from smajax.results import check_out, write_folder
 from smajax.sweep import cluster
 from smajax.sweep.chunks import Chunk, gather, here, run_chunks, slope_name, split
-from smajax.sweep.front import cheapest, feasible, pareto
+from smajax.sweep.front import cheapest, feasible, pareto, thinned
+from smajax.sweep.metrics import SETTLED
 from smajax.sweep.refine import Refined, refine, starts
-from smajax.sweep.sensitivity import indices
+from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import pick_and_freeze
 from smajax.sweep.study import INPUT, AbstractStudy
-from smajax.sweep.table import write_table
+from smajax.sweep.table import need_pyarrow, write_table
 from smajax.sweep_file import SweepFile, read_sweep
 from smajax.toml_file import write_text
 
 _FRONT_SHOWN = 200
-_PARTIAL = "smajax.sweep-partial/1"
+_PARTIAL, _OWN = "smajax.sweep-partial/1", "sweep.json"
 
 
 class SweepJob(NamedTuple):
@@ -51,6 +52,7 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
     Exit code 3 if every simulation failed or no design keeps the constraints (with the nearest), 130 if interrupted; both keep what is
     there.
     """
+    need_pyarrow()
     out, clock = check_out(job.out), Clock()
     progress.phase("reading")
     with clock.time("read"):
@@ -123,7 +125,7 @@ def _digest(header: Mapping[str, Any]) -> str:
 def _partial(out: Path, header: Mapping[str, Any], *, resume: bool) -> Path:
     """The folder of chunks, made if it is not there. InputError if there is one and it may not be gone on with."""
     folder = out.with_name(out.name + ".partial")
-    own, wanted = folder / "sweep.json", {"schema": _PARTIAL, "header": _digest(header)}
+    own, wanted = folder / _OWN, {"schema": _PARTIAL, "header": _digest(header)}
     if folder.is_dir() and own.is_file():
         try:
             held = json.loads(own.read_text("utf-8"))
@@ -136,7 +138,7 @@ def _partial(out: Path, header: Mapping[str, Any], *, resume: bool) -> Path:
             raise InputError(
                 f"{folder}: its {count} chunks are of another sweep (file, rig, input or version changed): remove it, or undo that"
             )
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    elif folder.exists() and (not folder.is_dir() or any(not _unfinished(path) for path in folder.iterdir())):
         raise InputError(f"{folder}: smajax keeps its chunks there and did not make it: remove it, or name another --out")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -144,6 +146,11 @@ def _partial(out: Path, header: Mapping[str, Any], *, resume: bool) -> Path:
         raise InputError(f"{folder}: the folder cannot be made ({error.strerror or error}): name another --out") from None
     write_text(own, json.dumps(wanted) + "\n")
     return folder
+
+
+def _unfinished(path: Path) -> bool:
+    """Whether it is a file that a killed run left half written: it was about to take the name within."""
+    return path.name.startswith((f".{_OWN}.", ".chunk-")) and path.name.endswith(".part")
 
 
 def _document(
@@ -154,6 +161,7 @@ def _document(
     costs = cheapest(main, given.objectives) if given.objectives else np.zeros((len(kept), 0))
     front = np.flatnonzero(kept)[pareto(costs[kept])] if given.objectives and kept.any() else np.zeros(0, int)
     refined = _refined(given, study, main, kept, costs, front, progress)
+    sensitivity, notes = _sensitivity(given, study, apart)
     problems = []
     if not np.any(main["code"] == "done"):
         problems.append(f"none of the {len(kept):,} designs could be simulated: {', '.join(codes)}")
@@ -174,9 +182,11 @@ def _document(
         "metrics": {n: {"unit": unit, **_span(main[n])} for n, unit in study.units.items()},
         "objectives": dict(given.objectives),
         "constraints": {n: {"at_least": number(low), "at_most": number(high)} for n, (low, high) in given.constraints.items()},
-        "front": [_row(given, study, main, k) for k in front[:: max(1, -(-len(front) // _FRONT_SHOWN))]],
+        "front": [_row(given, study, main, k) for k in front[thinned(costs[front], _FRONT_SHOWN)]],
         "on_front": len(front),
-        "sensitivity": _sensitivity(given, study, apart),
+        "settling": _settling(main, front),
+        "sensitivity": sensitivity,
+        "sensitivity_notes": notes,
         "refined": [_refined_entry(given, one) for one in refined],
         "problems": problems,
         "seed": given.seed,
@@ -186,13 +196,13 @@ def _document(
 
 
 def _span(values: np.ndarray) -> dict[str, Any]:
-    good = values[np.isfinite(values)]
-    return {"lowest": number(good.min()), "highest": number(good.max())} if len(good) else {"lowest": None, "highest": None}
+    good = values[~np.isnan(values)]
+    return {"lowest": figure(good.min()), "highest": figure(good.max())} if len(good) else {"lowest": None, "highest": None}
 
 
 def _row(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray], k: int) -> dict[str, Any]:
     values = {a.name: float(main[a.name][k]) for a in given.axes}
-    return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: number(float(main[n][k])) for n in study.units}}
+    return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: figure(main[n][k]) for n in study.units}}
 
 
 def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray]) -> str:
@@ -206,18 +216,41 @@ def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarr
     told = []
     for name, (low, high) in given.constraints.items():
         if not low <= main[name][k] <= high:
-            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} (allowed: {low:.4g} to {high:.4g})")
+            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} ({_allowed(low, high)})")
     return f"none of the {len(miss):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has {', '.join(told)}"
 
 
-def _sensitivity(given: SweepFile, study: AbstractStudy, apart: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    if not len(apart["design"]):
+def _allowed(low: float, high: float) -> str:
+    ends = [f"{word} {end:.4g}" for word, end in (("at least", low), ("at most", high)) if np.isfinite(end)]
+    return f"allowed: {' and '.join(ends)}"
+
+
+def _settling(main: Mapping[str, np.ndarray], front: np.ndarray) -> dict[str, Any]:
+    """How many designs, and how many of the best, end their last cycle elsewhere than they began it; of a machine, nothing."""
+    if "settling" not in main:
         return {}
-    found = {}
+    moving = (main["code"] == "done") & ~(main["settling"] <= SETTLED)
+    return {"limit": SETTLED, "unsettled": int(moving.sum()), "unsettled_on_front": int(moving[front].sum())}
+
+
+def _sensitivity(given: SweepFile, study: AbstractStudy, apart: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], list[str]]:
+    """Sobol indices by metric, and in sentences what they leave out and why some are missing."""
+    if not len(apart["design"]):
+        return {}, [text for text in [given.no_indices()] if text]
+    done, axes = apart["code"] == "done", len(study.names)
+    found, notes = {}, []
+    failed = ~whole_rows(np.where(done, 0.0, np.nan), axes)
+    if failed.any():
+        notes.append(f"Sobol indices leave out {failed.sum():,} of {len(failed):,} rows of designs, in which a simulation failed.")
     for name in study.units:
-        told = indices(apart[name], study.names, given.seed)
+        values = np.where(done, apart[name], np.nan)
+        told = indices(values, study.names, given.seed)
+        if reason := why_not(values, axes):
+            notes.append(f"No Sobol indices of {name}: {reason}.")
+        elif more := int(np.sum(~whole_rows(values, axes)) - failed.sum()):
+            notes.append(f"Those of {name} leave out {more:,} more, in which it has no value.")
         found[name] = {axis: {key: _plain(value) for key, value in index._asdict().items()} for axis, index in told.items()}
-    return found
+    return found, notes
 
 
 def _plain(value: float | tuple[float, float]) -> Any:
@@ -240,6 +273,7 @@ def _refined(
     moving = [k for k, a in enumerate(given.axes) if not a.values]
     shares = np.column_stack([given.axes[k].share(designs[:, k]) for k in moving])
     pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
+    pool = pool[~np.isnan(costs[pool, 0])]
     order = pool[np.argsort(costs[pool, 0], kind="stable")]
     (name, way), *others = given.objectives.items()
     rows = starts(shares, order, given.refined)
@@ -259,8 +293,8 @@ def _refined(
 def _refined_entry(given: SweepFile, one: Refined) -> dict[str, Any]:
     return {
         "parameters": {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True)},
-        "before": {n: number(v) for n, v in one.before.items()},
-        "metrics": {n: number(v) for n, v in one.metrics.items()},
+        "before": {n: figure(v) for n, v in one.before.items()},
+        "metrics": {n: figure(v) for n, v in one.metrics.items()},
         "simulations": one.simulations,
         "better": one.better,
     }

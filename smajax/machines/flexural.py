@@ -34,7 +34,7 @@ from smajax.parameters import parameter
 class FlexuralBody(eqx.Module):
     """The strip as a whole: so many wires lie side by side, one wire led to and fro."""
 
-    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0)
+    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
     width: jax.Array = parameter("m", "width of the strip", 1e-4, 1.0)
     length: jax.Array = parameter("m", "length of the strip, and of each of the wires in it", 1e-3, 10.0)
     curvature: jax.Array = parameter("1/m", "curvature at rest, to which the wires are bent", 1e-3, 1e4)

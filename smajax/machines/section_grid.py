@@ -46,7 +46,7 @@ class EvenWires(AbstractPlacement):
     The section's outer sides then count as adiabatic. ``count`` need not be whole, and can be differentiated in.
     """
 
-    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0)
+    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
 
     def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
         """See ``AbstractPlacement``."""

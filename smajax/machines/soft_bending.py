@@ -35,7 +35,7 @@ class SoftBar(eqx.Module):
 class MemoryWires(eqx.Module):
     """The wires in the bar's middle plane, all alike."""
 
-    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0)
+    count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
     diameter: jax.Array = parameter("m", "wire diameter", 1e-6, 0.02)
     modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of the wires when hot", 1e9, 2e11)
     modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of the wires when cold", 1e9, 2e11)

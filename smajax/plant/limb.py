@@ -41,7 +41,9 @@ class Limb(eqx.Module):
 class Transmission(eqx.Module):
     """How many wires pull, and how their motion reaches the pulley."""
 
-    count: jax.Array = parameter("1", "number of wires that pull in parallel, each driven as the recording says", 1e-2, 1e4, 1.0)
+    count: jax.Array = parameter(
+        "1", "number of wires that pull in parallel, each driven as the recording says", 1e-2, 1e4, 1.0, whole=True
+    )
     ratio: jax.Array = parameter("1", "motion at the pulley over contraction of the wires", 1e-3, 1e3, 1.0)
 
 

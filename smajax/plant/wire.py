@@ -85,8 +85,10 @@ class Coil(AbstractWire):
     turns: jax.Array = parameter("1", "active turns of one spring", 0.25, 1e4)
     poisson_ratio: jax.Array = parameter("1", "Poisson's ratio, from Young's to the shear modulus", 0.0, 0.5, 0.33)
     prestretch: jax.Array = parameter("m", "stretch of the spring as installed, where the mechanism's coordinate is zero", -0.1, 10.0, 0.0)
-    springs: jax.Array = parameter("1", "springs side by side that pull together", 1.0, 1e3, 1.0)
-    paths: jax.Array = parameter("1", "ways side by side for the current: 1 where all springs of a bundle are in series", 1.0, 1e3, 1.0)
+    springs: jax.Array = parameter("1", "springs side by side that pull together", 1.0, 1e3, 1.0, whole=True)
+    paths: jax.Array = parameter(
+        "1", "ways side by side for the current: 1 where all springs of a bundle are in series", 1.0, 1e3, 1.0, whole=True
+    )
     free_length: jax.Array | None = parameter("m", "length of the spring without load; its turns have to fit in", 1e-5, 10.0, math.nan)
 
     @property

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from smajax.report import html, plots, sweep_plots
+from smajax.report.document import number
 from smajax.report.summary import table
 from smajax.rig_schema import display_unit
 from smajax.sweep.front import cheapest, feasible, pareto
@@ -22,12 +23,19 @@ def shown_unit(unit: str) -> str:
     return unit if unit in _AS_THEY_ARE else "deg" if unit == "rad" else display_unit(unit)
 
 
-def shown(value: float | None, unit: str) -> str:
-    """A value in its shown unit, with it; ``-`` where there is none."""
+def figure(value: float) -> float | str | None:
+    """A metric for the JSON document, which knows no infinity: ``"inf"`` and ``"-inf"`` stand for it; ``None`` where there is none."""
+    return str(float(value)) if np.isinf(value) else number(value)
+
+
+def shown(value: float | str | None, unit: str) -> str:
+    """A value of the document in its shown unit, with it; ``-`` where there is none."""
     if value is None:
         return "-"
-    number = float(from_si(float(value), shown_unit(unit), unit)) if shown_unit(unit) != unit else value
-    return f"{number:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
+    if np.isinf(float(value)):
+        return "infinite" if float(value) > 0.0 else "minus infinite"
+    size = float(from_si(float(value), shown_unit(unit), unit)) if shown_unit(unit) != unit else float(value)
+    return f"{size:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
 
 
 def sentences(doc: Mapping[str, Any]) -> str:
@@ -39,19 +47,33 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += f"; {doc['feasible']:,} keep all constraints"
     if doc["objectives"] and doc["front"]:
         name, way = next(iter(doc["objectives"].items()))
-        pick = max if way == "max" else min
-        best = pick((row for row in doc["front"]), key=lambda row: row["metrics"][name])
+        best = _top(doc["front"], name, way)
         unit = doc["metrics"][name]["unit"]
         told += f". The {'largest' if way == 'max' else 'smallest'} {name} of these is {shown(best['metrics'][name], unit)}"
         told += f", with design {best['design']}"
         told += f"; {doc['on_front']:,} designs are beaten by no other" if len(doc["objectives"]) > 1 else ""
         better = [one for one in doc["refined"] if one["better"]]
         if better:
-            top = pick(better, key=lambda one: one["metrics"][name])
+            top = _top(better, name, way)
             count = sum(one["simulations"] for one in doc["refined"])
             told += f". Refined along its gradients it is {shown(top['metrics'][name], unit)}, in {count:,} simulations"
-    told += "."
+    told += "." + _unsettled(doc.get("settling", {}))
     return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
+
+
+def _unsettled(found: Mapping[str, Any]) -> str:
+    """What to say of designs whose last cycle does not end where it began."""
+    if not found.get("unsettled"):
+        return ""
+    among = f" ({found['unsettled_on_front']:,} of the best among them)" if found["unsettled_on_front"] else ""
+    many = "designs have" if found["unsettled"] > 1 else "design has"
+    what = f"the last cycle ends more than {100 * found['limit']:g} % of its range from where it began (column settling)"
+    return f" {found['unsettled']:,} {many} not settled{among}: {what}, so give the input more cycles."
+
+
+def _top(rows: Sequence[Mapping[str, Any]], name: str, way: str) -> Mapping[str, Any]:
+    """The best of rows of the document in a metric."""
+    return (max if way == "max" else min)(rows, key=lambda row: float(row["metrics"][name]))
 
 
 def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
@@ -70,9 +92,11 @@ def _rows(doc: Mapping[str, Any], entries: Sequence[tuple[str, Mapping[str, Any]
 
 
 def best_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Some of the best designs, evenly over the front, then the refined ones."""
-    front = sorted(doc["front"], key=lambda row: row["metrics"][next(iter(doc["objectives"]))])
-    picked = [front[k] for k in np.unique(np.linspace(0, len(front) - 1, _ROWS).astype(int))] if front else []
+    """Some of the best designs, evenly over the front and with the best in each objective, then the refined ones."""
+    front = sorted(doc["front"], key=lambda row: float(row["metrics"][next(iter(doc["objectives"]))]))
+    tops = [front.index(_top(front, name, way)) for name, way in doc["objectives"].items()] if front else []
+    even = np.linspace(0, len(front) - 1, _ROWS).astype(int) if front else []
+    picked = [front[k] for k in sorted({*tops, *even})]
     entries = [(f"design {row['design']}", row) for row in picked]
     return _rows(doc, entries + [(f"refined {k}", one) for k, one in enumerate(doc["refined"], 1) if one["better"]])
 
@@ -114,8 +138,8 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
         sections.append("<h2>What matters</h2>")
         sections.append(html.draw(sweep_plots.sensitivity_picture(doc["sensitivity"]), pictures))
         sections.append(html.table(("metric", "parameter", "alone", "95 %", "in all", "95 %"), _index_rows(doc), numbers=(2, 3, 4, 5)))
-    elif doc["sensitivity"]:
-        sections.append("<p>Sobol indices cannot be told: some of their designs could not be simulated, or nothing varies.</p>")
+    if notes := doc.get("sensitivity_notes"):
+        sections.append(f"<p>{html.escape(' '.join(notes))}</p>")
     sections += ["<h2>Ranges</h2>", html.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
     sections += ["<h2>Where this comes from</h2>", html.provenance(run), html.rig_text(rig)]
     return html.page(f"Sweep of {doc['rig']}", f"{doc['designs']:,} designs, sampled by {doc['sampling']}.", sections, pictures)

@@ -34,6 +34,8 @@ def trade_picture(
         data.append(_points("refined", ends[0], ends[1], {"color": "#22272e", "size": 11, "symbol": "star"}, np.arange(1, len(better) + 1)))
     layout["xaxis"], layout["yaxis"] = (axis_style(_title(name, shown)) for name, _, shown in axes)
     caption = "Each point is a design. The best ones are those that no other one beats in all objectives."
+    if not (np.isfinite(x[kept]).all() and np.isfinite(y[kept]).all()):
+        caption += " Designs with an infinite figure, or with none, have no point."
     return Picture("What it costs", caption, {"data": data, "layout": layout}, 480)
 
 

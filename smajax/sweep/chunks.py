@@ -57,8 +57,7 @@ def split(study: AbstractStudy, designs: Floats, size: int) -> list[Chunk]:
 
 def batch_size(study: AbstractStudy, steps: int, gradients: bool) -> int:
     """Designs in one call of the compiled program, a power of two: as many as are fast, or as the memory for a batch holds."""
-    cpu = jax.default_backend() == "cpu"
-    fast, room = (study.batch, MEMORY) if cpu else (WIDE_BATCH * jax.device_count(), WIDE_MEMORY * jax.device_count())
+    fast, room = (WIDE_BATCH * jax.device_count(), WIDE_MEMORY * jax.device_count()) if wide() else (study.batch, MEMORY)
     # Derivatives keep all states beside the channels, and a tangent for each axis.
     each = 8 * study.numbers(steps) * ((1 + len(study.names)) * _STATES if gradients else 1)
     return max(1, min(fast, 2 ** int(math.log2(max(1.0, room / each)))))
@@ -66,7 +65,12 @@ def batch_size(study: AbstractStudy, steps: int, gradients: bool) -> int:
 
 def threads() -> int:
     """Batches that are worked on at once: one on each core, one in all where an accelerator does the work."""
-    return cores() if jax.default_backend() == "cpu" else 1
+    return 1 if wide() else cores()
+
+
+def wide() -> bool:
+    """Whether an accelerator does the work, whose batches may hold several chunks."""
+    return jax.default_backend() != "cpu"
 
 
 def evaluate(
@@ -77,6 +81,8 @@ def evaluate(
     Of a ``new`` program the first batch runs alone, so that it is compiled once.
     """
     size = batch_size(study, steps, gradients)
+    if wide():  # a large batch is not filled up to four times what there is
+        size = min(size, 2 ** math.ceil(math.log2(max(1, len(designs)))))
     starts = range(0, len(designs), size)
 
     def one(first: int) -> dict[str, np.ndarray]:
@@ -146,15 +152,32 @@ def run_chunks(
     return count == len(chunks)
 
 
+def batches(study: AbstractStudy, chunks: Sequence[Chunk], gradients: bool) -> list[list[Chunk]]:
+    """Chunks that are worked on at once: each alone, on an accelerator as many of equal steps as one batch holds."""
+    groups: list[list[Chunk]] = []
+    for chunk in chunks:
+        last = groups[-1] if groups else []
+        room = batch_size(study, chunk.steps, gradients) - sum(len(one.rows) for one in last)
+        if wide() and last and last[0].steps == chunk.steps and len(chunk.rows) <= room:
+            last.append(chunk)
+        else:
+            groups.append([chunk])
+    return groups
+
+
 def here(study: AbstractStudy, gradients: bool) -> Callable[[Sequence[Chunk]], Iterator[tuple[Chunk, dict[str, np.ndarray]]]]:
-    """Works on chunks in this process, its cores sharing the batches of a chunk."""
+    """Works on chunks in this process: its cores share the batches of a chunk, or an accelerator takes as many chunks as a batch holds."""
 
     def submit(chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
         compiled: set[int] = set()
-        for chunk in chunks:
-            new = chunk.steps not in compiled
-            yield chunk, evaluate(study, chunk.designs, chunk.steps, gradients=gradients, workers=threads(), new=new)
-            compiled.add(chunk.steps)
+        for group in batches(study, chunks, gradients):
+            steps = group[0].steps
+            designs = np.concatenate([chunk.designs for chunk in group])
+            found = evaluate(study, designs, steps, gradients=gradients, workers=threads(), new=steps not in compiled)
+            compiled.add(steps)
+            ends = np.cumsum([len(chunk.rows) for chunk in group])
+            for chunk, end in zip(group, ends, strict=True):
+                yield chunk, {n: values[end - len(chunk.rows) : end] for n, values in found.items()}
 
     return submit
 

@@ -2,12 +2,15 @@
 
 import contextlib
 import json
+import logging
+import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from smajax import __version__
 from smajax.console import cores, prepare_jax
 from smajax.errors import InputError
 
@@ -18,11 +21,16 @@ LOCAL = "local"
 _PATIENCE = 20
 # A chunk whose worker died is given to another one, so often.
 _DEATHS = 100
+# Evaluates to the version of smajax, or to None where it is not installed.
+_VERSION = "(lambda found: found and __import__('smajax').__version__)(__import__('importlib.util').util.find_spec('smajax'))"
 
 
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """A client of the scheduler at ``address``; of a cluster of this machine's cores for ``local``. InputError if there is none."""
+    """A client of the scheduler at ``address``; of a cluster of this machine's cores for ``local``.
+
+    InputError if there is none, if it has no workers, or if one of them has no smajax or another version of it.
+    """
     try:
         import distributed
     except ImportError:
@@ -31,6 +39,8 @@ def connected(address: str) -> Iterator[Any]:
 
     dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS, "distributed.admin.log-format": "%(message)s"})
     with contextlib.ExitStack() as held:
+        # What it says of lost connections is said in a sentence.
+        held.enter_context(_quiet("distributed", "distributed.client", "tornado.application", "asyncio"))
         if address == LOCAL:
             settings: Any = {"dashboard_address": None, "silence_logs": "ERROR"}
             try:
@@ -38,14 +48,59 @@ def connected(address: str) -> Iterator[Any]:
             except RuntimeError as error:
                 cure = "run again, with --resume if chunks are there, or leave --scheduler out to use this process"
                 raise InputError(f"--scheduler {LOCAL}: the worker processes did not start ({error}): {cure}") from None
-            address = held.enter_context(cluster).scheduler_address
+            yield held.enter_context(distributed.Client(held.enter_context(cluster).scheduler_address, set_as_default=False))
+            return
         try:
+            _reach(address)
             client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             words = (str(error).splitlines() or [type(error).__name__])[0][:160]
             cure = "check its address, or leave --scheduler out to use this machine"
             raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({words}): {cure}") from None
-        yield held.enter_context(client)
+        held.enter_context(client)
+        _check_workers(client, address)
+        yield client
+
+
+def _reach(address: str) -> None:
+    """Opens a connection and closes it: what Dask's client would go on trying. OSError or ValueError if there is nothing there."""
+    from distributed.comm import get_address_host_port
+
+    scheme, _, place = address.rpartition("://")
+    if scheme in ("", "tcp", "tls"):
+        host, port = get_address_host_port(f"tcp://{place}", strict=True)
+        socket.create_connection((host, port), timeout=_PATIENCE).close()
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """InputError unless there are workers, and they and the scheduler have this version of smajax."""
+    place = f"--scheduler {address}"
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError:
+        raise InputError(f"{place}: it has no workers: start some (dask worker {address}), then run this again") from None
+    # ``eval`` is there whatever is installed, where a function of ours would not be.
+    theirs = {f"worker {name}": told for name, told in client.run(eval, _VERSION, on_error="return").items()}
+    with contextlib.suppress(Exception):  # a scheduler may forbid it; the workers do the work
+        theirs["the scheduler"] = client.run_on_scheduler(eval, _VERSION)
+    for name, told in theirs.items():
+        if told is None or isinstance(told, BaseException):
+            raise InputError(f'{place}: {name} has no smajax: run pip install "smajax[cluster]=={__version__}" there')
+        if told != __version__:
+            raise InputError(f"{place}: {name} has smajax {told}, and this is {__version__}: install the same version everywhere")
+
+
+@contextlib.contextmanager
+def _quiet(*names: str) -> Iterator[None]:
+    loggers = [logging.getLogger(name) for name in names]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def across(client: Any, header: Mapping[str, Any], gradients: bool) -> "Callable[[Sequence[Chunk]], Iterator[tuple[Chunk, dict]]]":
@@ -97,4 +152,7 @@ def work(text: str, designs: np.ndarray, steps: int, gradients: bool) -> dict[st
 def _study(text: str) -> Any:
     from smajax.sweep_file import from_header
 
-    return from_header(json.loads(text)).study()
+    header = json.loads(text)
+    if header["smajax"] != __version__:
+        raise InputError(f"a worker has smajax {__version__}, and the sweep is of {header['smajax']}: install the same version everywhere")
+    return from_header(header).study()

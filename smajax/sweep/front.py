@@ -16,8 +16,11 @@ def feasible(columns: Mapping[str, np.ndarray], constraints: Mapping[str, tuple[
 
 
 def pareto(costs: Floats) -> np.ndarray:
-    """Rows of costs ``(m, k)``, smaller being better, that no other row dominates, in order; rows with a NaN never are."""
-    left = np.flatnonzero(np.all(np.isfinite(costs), axis=1))
+    """Rows of costs ``(m, k)``, smaller being better, that no other row dominates, in order.
+
+    Infinite costs have their order, too; rows with a NaN are never among them.
+    """
+    left = np.flatnonzero(~np.any(np.isnan(costs), axis=1))
     left = left[np.lexsort(costs[left].T[::-1])]
     found = []
     while len(left):
@@ -26,6 +29,12 @@ def pareto(costs: Floats) -> np.ndarray:
         found.append(first)
         left = rest[np.any(costs[rest] < costs[first], axis=1) | np.all(costs[rest] == costs[first], axis=1)]
     return np.sort(np.asarray(found, int))
+
+
+def thinned(costs: Floats, most: int) -> np.ndarray:
+    """Rows of a front's costs ``(m, k)``: about ``most`` of them, evenly taken, and the best in each column always."""
+    even = np.arange(0, len(costs), max(1, -(-len(costs) // most)))
+    return np.union1d(even, np.argmin(costs, axis=0)) if len(costs) else even
 
 
 def cheapest(columns: Mapping[str, np.ndarray], objectives: Mapping[str, str]) -> Floats:

@@ -14,6 +14,9 @@ from smajax.units import numbered
 Channels = Mapping[str, jax.Array]
 # The share of its excess over the surroundings that a wire has lost when it counts as cooled, and the fall that ends a bandwidth.
 COOLED, FALLEN = 0.9, 2.0**-0.5
+# Cycles that close to within this share of their range have settled.
+SETTLED = 0.01
+_STILL, _EVEN = 1e-7, 1e-3
 
 
 class Response(NamedTuple):
@@ -95,6 +98,21 @@ def time_to_cool(rest: Response) -> jax.Array:
     return crossing(rest.time - rest.time[0], excess, (1.0 - COOLED) * excess[0])
 
 
+def settling(cycle: Response) -> jax.Array:
+    """How far a cycle is from closing: the gap between its start and its end over its range, for motion and temperatures the largest.
+
+    0 where the response repeats itself. A wire that still warms up by so large a share of what a cycle's heating makes has about that
+    share of the way to its periodic state before it. Ranges below a strain of 1e-7 and 1 mK count as these.
+    """
+    closing = [_gap(cycle.channels[cycle.coordinate], _STILL * jnp.abs(cycle.motion))]
+    closing += [_gap(one, jnp.asarray(_EVEN)) for one in cycle.of("temperature")]
+    return jnp.max(jnp.stack(closing))
+
+
+def _gap(values: jax.Array, least: jax.Array) -> jax.Array:
+    return jnp.abs(values[-1] - values[0]) / jnp.maximum(jnp.ptp(values), least)
+
+
 def crossing(at: jax.Array, values: jax.Array, level: jax.Array) -> jax.Array:
     """Where values, shape ``(n,)``, first fall to a level, by straight lines between the points ``at``; NaN if they never do."""
     below = values <= level
@@ -116,6 +134,7 @@ METRICS: Mapping[str, Metric] = {
     "time_to_cool": Metric(
         "s", "time after heating in which a wire loses 90 % of its excess temperature", "rest", ("temperature",), time_to_cool
     ),
+    "settling": Metric("1", "gap between start and end of the last cycle over its range", "cycle", ("temperature",), settling),
 }
 BANDWIDTH = Metric("Hz", "frequency at which the stroke has fallen to 0.71 of that at the wave's own", "", (), stroke)
 

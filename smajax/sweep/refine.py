@@ -5,6 +5,7 @@ counts as 1 + axes simulations; the search is SciPy's sequential quadratic progr
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,6 +18,8 @@ from smajax.sweep.study import AbstractStudy, differentiate_batch
 
 _INSIDE = 1e-6
 _STEPS = 60
+# What stands for an infinite cost or room in the search, in sizes of the start's.
+_FAR = 1e6
 
 
 class Refined(NamedTuple):
@@ -40,7 +43,40 @@ def refine(
     """Makes ``objective`` (metric, and ``max`` or ``min``) better from a design, shape ``(axes,)``, that keeps all ``limits``.
 
     Axes of listed values are held. The best design that was met and keeps the limits is returned, so it is never worse than the start.
+    An infinite metric is as good or bad as can be and has no slope: from a design whose objective is infinite nothing is searched.
+    Whole axes are searched as if they were not, then rounded and held while the others are searched again; and held where they were.
     """
+    counts = [k for k, axis in enumerate(axes) if axis.whole and not axis.values]
+    if not counts:
+        return _search(study, axes, start, steps, objective, limits)
+    loose = _search(study, [replace(axis, whole=False) for axis in axes], start, steps, objective, limits)
+    found = []
+    for place in (start, loose.design):
+        place = np.array(place, dtype=np.float64)
+        place[counts] = np.rint(place[counts])
+        held = [replace(axis, values=(float(place[k]),)) if k in counts else axis for k, axis in enumerate(axes)]
+        found.append(_search(study, held, place, steps, objective, limits))
+    stays, moved = found
+    sign = -1.0 if objective[1] == "max" else 1.0
+    ahead = _keeps(moved.metrics, limits) and sign * moved.metrics[objective[0]] < sign * stays.metrics[objective[0]]
+    best = moved if ahead else stays
+    spent = loose.simulations + stays.simulations + moved.simulations
+    return best._replace(before=stays.before, simulations=spent, better=ahead or stays.better)
+
+
+def _keeps(values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> bool:
+    return all(low <= values[n] <= high for n, (low, high) in limits.items())
+
+
+def _search(
+    study: AbstractStudy,
+    axes: Sequence[Axis],
+    start: Floats,
+    steps: int,
+    objective: tuple[str, str],
+    limits: Mapping[str, tuple[float, float]],
+) -> Refined:
+    """One search, see ``refine``."""
     moving = [k for k, axis in enumerate(axes) if not axis.values]
     name, sign = objective[0], -1.0 if objective[1] == "max" else 1.0
     known: dict[bytes, tuple[dict[str, float], dict[str, Floats]]] = {}
@@ -63,19 +99,21 @@ def refine(
 
     first = np.array([float(np.clip(axes[k].share(start[k]), 0.0, 1.0)) for k in moving])
     before = dict(at(first)[0])
-    scales = {n: max(abs(v), 1e-300) for n, v in before.items()}
+    if not np.isfinite(before[name]):
+        return Refined(design_of(first), before, before, 1 + len(axes), False)
+    scales = {n: max(abs(v), 1e-300) if np.isfinite(v) else 1.0 for n, v in before.items()}
     bounds = [(n, end, way) for n, ends in limits.items() for end, way in zip(ends, (1.0, -1.0), strict=True) if np.isfinite(end)]
 
     def cost(share: Floats) -> tuple[float, Floats]:
         values, slopes = at(share)
         if not np.isfinite(values[name]) or not np.all(np.isfinite(slopes[name])):
-            return 1e6, np.zeros(len(moving))
+            return (-_FAR if sign * values[name] == -np.inf else _FAR), np.zeros(len(moving))
         return sign * values[name] / scales[name], sign * slopes[name] / scales[name]
 
     def room(share: Floats) -> Floats:
         values = at(share)[0]
         left = np.array([way * (values[n] - end) / _scale(end, scales[n]) - _INSIDE for n, end, way in bounds])
-        return np.where(np.isfinite(left), left, -1e3)
+        return np.nan_to_num(left, nan=-_FAR, posinf=_FAR, neginf=-_FAR)
 
     def room_slope(share: Floats) -> Floats:
         slopes = at(share)[1]
@@ -83,20 +121,10 @@ def refine(
         return np.where(np.isfinite(rows), rows, 0.0)
 
     kept = [{"type": "ineq", "fun": room, "jac": room_slope}] if bounds else []
-    minimize(
-        cost,
-        first,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0.0, 1.0)] * len(moving),
-        constraints=kept,
-        options={"maxiter": _STEPS, "ftol": 1e-8},
-    )
-    good = {
-        key: sign * values[name]
-        for key, (values, _) in known.items()
-        if np.isfinite(values[name]) and all(low <= values[n] <= high for n, (low, high) in limits.items())
-    }
+    if moving:
+        box, options = [(0.0, 1.0)] * len(moving), {"maxiter": _STEPS, "ftol": 1e-8}
+        minimize(cost, first, jac=True, method="SLSQP", bounds=box, constraints=kept, options=options)
+    good = {key: sign * values[name] for key, (values, _) in known.items() if not np.isnan(values[name]) and _keeps(values, limits)}
     best = min(good, key=lambda key: good[key]) if good else first.tobytes()
     return Refined(
         design_of(np.frombuffer(best)), known[best][0], before, len(known) * (1 + len(axes)), known[best][0] != before and bool(good)

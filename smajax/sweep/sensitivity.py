@@ -11,6 +11,8 @@ import numpy as np
 from smajax.recording import Floats
 
 _RESAMPLES = 500
+# With fewer rows the intervals say nothing.
+_LEAST = 32
 
 
 class Index(NamedTuple):
@@ -25,11 +27,12 @@ class Index(NamedTuple):
 def indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[str, Index]:
     """Indices of a metric by parameter, from its values, shape ``((axes + 2) * base,)``, at the designs of ``space.pick_and_freeze``.
 
-    None at all if a value is missing or the metric does not vary: then nothing can be said.
+    Rows in which a value is missing (NaN) are left out. None at all where ``why_not`` gives a reason.
     """
-    if not np.all(np.isfinite(values)) or np.ptp(values) <= 1e-12 * np.max(np.abs(values)):
+    if why_not(values, len(names)):
         return {}
-    table = (values - values.mean()).reshape(len(names) + 2, -1)
+    table = values.reshape(len(names) + 2, -1)[:, whole_rows(values, len(names))]
+    table = table - table.mean()
     base = table.shape[1]
     drawn = np.random.default_rng(seed).integers(0, base, (_RESAMPLES, base))
     told, spread = _estimates(table), np.array([_estimates(table[:, rows]) for rows in drawn])
@@ -39,6 +42,21 @@ def indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[str, Ind
         return float(low[kind, k]), float(high[kind, k])
 
     return {n: Index(float(told[0, k]), ends(0, k), float(told[1, k]), ends(1, k)) for k, n in enumerate(names)}
+
+
+def whole_rows(values: Floats, axes: int) -> np.ndarray:
+    """Which of the ``base`` rows, shape ``(base,)``, have a value at A, at B and at each mixture of the two."""
+    return np.asarray(~np.isnan(values.reshape(axes + 2, -1)).any(axis=0))
+
+
+def why_not(values: Floats, axes: int) -> str:
+    """Why a metric's values, as for ``indices``, give none; empty if they do."""
+    table = values.reshape(axes + 2, -1)[:, whole_rows(values, axes)]
+    if np.isinf(table).any():
+        return "it is infinite at some designs"
+    if table.size and np.ptp(table) <= 1e-12 * np.max(np.abs(table)):
+        return "it does not vary"
+    return f"it has a value in all designs of {table.shape[1]} rows alone, of {_LEAST} needed" if table.shape[1] < _LEAST else ""
 
 
 def _estimates(table: Floats) -> Floats:

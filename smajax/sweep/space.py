@@ -18,7 +18,7 @@ _POINTS = 5
 class Axis:
     """One parameter that varies, in its internal ``unit``: over a range, evenly or (``log``) by equal factors, or over ``values``.
 
-    On a grid a range has ``points`` points, its ends among them.
+    On a grid a range has ``points`` points, its ends among them. A ``whole`` range has whole ends and whole numbers only.
     """
 
     name: str
@@ -28,13 +28,16 @@ class Axis:
     log: bool = False
     points: int = _POINTS
     values: tuple[float, ...] = ()
+    whole: bool = False
 
     def at(self, share: Floats) -> Floats:
         """Values at shares of the axis in [0, 1], an array of the same shape; of listed ones each has an equal part of it."""
         if self.values:
             return np.asarray(self.values)[np.minimum((share * len(self.values)).astype(int), len(self.values) - 1)]
+        if self.whole and not self.log:  # an equal part for each number
+            return np.minimum(self.lower + np.floor(share * (self.upper - self.lower + 1.0)), self.upper)
         along = self.lower * (self.upper / self.lower) ** share if self.log else self.lower + (self.upper - self.lower) * share
-        return np.clip(along, self.lower, self.upper)
+        return np.clip(np.rint(along) if self.whole else along, self.lower, self.upper)
 
     def share(self, value: Floats) -> Floats:
         """The inverse of ``at`` on a range."""
@@ -44,7 +47,10 @@ class Axis:
 
     def grid(self) -> Floats:
         """The axis' points on a grid, in their order."""
-        return np.asarray(self.values) if self.values else self.at(np.linspace(0.0, 1.0, self.points))
+        if self.values:
+            return np.asarray(self.values)
+        points = self.at(np.linspace(0.0, 1.0, self.points))
+        return np.unique(points) if self.whole else points
 
 
 def draw(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> Floats:

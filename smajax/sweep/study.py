@@ -13,12 +13,13 @@ from smajax.plant.material.base import Fractions
 from smajax.plant.plant import Plant
 from smajax.recording import Floats, Recording
 from smajax.simulate import Code, Inputs
-from smajax.sweep.metrics import BANDWIDTH, METRICS, Response, bandwidth
+from smajax.sweep.bandwidth import Reached, find
+from smajax.sweep.metrics import BANDWIDTH, METRICS, Response, settling
 from smajax.sweep.wave import REST, Span, Wave, lay, span
 from smajax.units import CHANNELS, numbered
 
 INPUT = "input."
-_LEAST_STEPS, _FREQUENCIES = 40, 8
+_LEAST_STEPS = 40
 # Another program is worth its compilation if it spares so many steps of designs.
 _WORTH = 3_000_000
 CODES = tuple(code.name for code in Code)
@@ -62,7 +63,8 @@ class AbstractStudy(eqx.Module):
 class RigStudy(AbstractStudy):
     """A rig under a wave, or under a recording whose last of ``cycles`` equal parts is its last cycle.
 
-    ``highest`` is the frequency in Hz up to which a bandwidth is looked for.
+    ``highest`` is the frequency in Hz up to which a bandwidth is looked for. How far a design is from settled is said for its own
+    frequency, or for its bandwidth where it is farther there.
     """
 
     plant: Plant
@@ -86,8 +88,8 @@ class RigStudy(AbstractStudy):
         return (self.plant.mechanism.coordinate, *dict.fromkeys(n for c in reads for n in numbered(c, wires)))
 
     def numbers(self, steps: int) -> int:
-        """See ``AbstractStudy``: the channels at all steps, of all frequencies where there is a bandwidth."""
-        runs = 1 + (_FREQUENCIES if "bandwidth" in self.wanted else 0)
+        """See ``AbstractStudy``: the channels at all steps; a bandwidth is read off three simulations."""
+        runs = 1 + (3 if "bandwidth" in self.wanted else 0)
         return runs * (self.cycles + 1) * steps * (len(self.channels) + 2 * len(self.plant.signals))
 
     def steps(self, designs: Floats) -> np.ndarray:
@@ -123,20 +125,14 @@ class RigStudy(AbstractStudy):
         else:
             inputs, where = self._recorded(plant, steps)
         channels, code = self._simulate(plant, inputs, differentiable)
-        response = Response(
-            inputs.time[inputs.rows],
-            channels,
-            plant.mechanism.coordinate,
-            wires,
-            plant.wire.motion_per_strain,
-            plant.environment.ambient,
-            plant.mechanism.parallel,
-        )
+        response = self._response(plant, inputs, channels)
         parts = {"cycle": response.cut(where.cycle), "rest": response.cut(where.rest), "all": response}
         found = {n: METRICS[n].read(parts[METRICS[n].part]) for n in self.wanted if n in METRICS}
         if "bandwidth" in self.wanted:
-            found["bandwidth"], worst = self._bandwidth(plant, values, steps, differentiable)
+            found["bandwidth"], gap, worst = self._bandwidth(plant, values, steps, differentiable)
             code = jnp.maximum(code, worst)
+            if "settling" in self.wanted:
+                found["settling"] = jnp.maximum(found["settling"], gap)
         return {n: jnp.where(code == Code.done, found[n], jnp.nan) for n in self.wanted}, code
 
     def _of(self, design: jax.Array) -> tuple[Plant, dict[str, jax.Array]]:
@@ -157,26 +153,32 @@ class RigStudy(AbstractStudy):
         last = int(np.searchsorted(recording.time, recording.time[-1] - length / self.cycles * (1 + 1e-9)))
         return inputs, Span(slice(last, len(recording)), slice(0, 0))
 
+    def _response(self, plant: Plant, inputs: Inputs, channels: dict[str, jax.Array]) -> Response:
+        mechanism = plant.mechanism
+        time, motion = inputs.time[inputs.rows], plant.wire.motion_per_strain
+        return Response(time, channels, mechanism.coordinate, mechanism.wires, motion, plant.environment.ambient, mechanism.parallel)
+
     def _simulate(self, plant: Plant, inputs: Inputs, differentiable: bool) -> tuple[dict[str, jax.Array], jax.Array]:
         if not differentiable:
             return simulate.watch(plant, inputs, self.channels)
         states, code = simulate.run(plant, inputs)
         return simulate.observe(plant, states, inputs, self.channels), code
 
-    def _bandwidth(self, plant: Plant, values: Mapping[str, jax.Array], steps: int, differentiable: bool) -> tuple[jax.Array, jax.Array]:
+    def _bandwidth(self, plant: Plant, values: Mapping[str, jax.Array], steps: int, differentiable: bool) -> tuple[jax.Array, ...]:
+        """The bandwidth, how far the least settled simulation that it is read off is from settled, and the worst code of all."""
         wave = cast(Wave, self.source)
-        lowest = jnp.asarray(values.get("frequency", wave.frequency))
-        frequencies = lowest * (self.highest / lowest) ** jnp.linspace(0.0, 1.0, _FREQUENCIES)
         cycle = span(wave, plant.mechanism.wires, steps, False).cycle
-        coordinate = plant.mechanism.coordinate
 
-        def one(frequency: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def reach(plant: Plant, values: Mapping[str, jax.Array], frequency: jax.Array, differentiable: bool) -> Reached:
             inputs = lay(wave, plant.mechanism.wires, steps, {**values, "frequency": frequency})
             channels, code = self._simulate(plant, inputs, differentiable)
-            return jnp.ptp(channels[coordinate][cycle]), code
+            last = self._response(plant, inputs, channels).cut(cycle)
+            return Reached(jnp.ptp(last.channels[last.coordinate]), settling(last) if "settling" in self.wanted else jnp.zeros(()), code)
 
-        strokes, codes = jax.vmap(one)(frequencies)
-        return bandwidth(frequencies, strokes), jnp.max(codes)
+        lowest = jnp.asarray(values.get("frequency", wave.frequency), jnp.float64)
+        held, fixed = jax.lax.stop_gradient((plant, dict(values)))
+        again = (lambda frequency: reach(plant, values, frequency, True)) if differentiable else None
+        return find(lambda frequency: reach(held, fixed, frequency, False), lowest, self.highest, again)
 
 
 class MachineStudy(AbstractStudy):
@@ -203,8 +205,9 @@ class MachineStudy(AbstractStudy):
         """See ``AbstractStudy``."""
         machine = parameters.replace(self.machine, {n: design[k] for k, n in enumerate(self.names)})
         found = machine.metrics()
-        good = jnp.all(jnp.stack([jnp.isfinite(found[n]) for n in self.wanted]))
-        return {n: found[n] for n in self.wanted}, jnp.where(good, Code.done, Code.diverged)
+        # An infinite figure is one: a wire that never warms has no end to its heating time.
+        failed = jnp.any(jnp.stack([jnp.isnan(found[n]) for n in self.wanted]))
+        return {n: found[n] for n in self.wanted}, jnp.where(failed, Code.diverged, Code.done)
 
 
 def _evaluate_batch(study: AbstractStudy, designs: jax.Array, steps: int) -> tuple[dict[str, jax.Array], jax.Array]:
