@@ -1,7 +1,6 @@
 """What a sweep sweeps: a rig under an input, or a machine that gives its own figures; what each can vary, and what can be asked of it."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from pydantic import BaseModel, Field
 
 from smajax import machines, parameters
 from smajax.errors import InputError
-from smajax.machines import MACHINES, AbstractMachine
+from smajax.machines import AbstractMachine
 from smajax.parameters import Declaration
 from smajax.plant.rotary import LightRotary
 from smajax.recording import Recording
@@ -182,7 +181,7 @@ Subject = RigSubject | MachineSubject
 def read_subject(path: Path, data: Mapping[str, Any], folder: Path) -> Subject:
     """The subject in a rig's or machine's file, under the ``[input]`` of the sweep's ``data``, whose paths start at ``folder``."""
     text = read_text(path, "rig")
-    if _is_machine(text):
+    if machines.is_machine(text):
         return _machine(text, str(path), path.name, data)
     rig = parse_rig(text, str(path), path.parent)
     given = _input(data)
@@ -192,21 +191,13 @@ def read_subject(path: Path, data: Mapping[str, Any], folder: Path) -> Subject:
 
 def again(text: str, data: Mapping[str, Any], name: str, held: Mapping[str, Any] | None) -> Subject:
     """The subject of an earlier sweep, from what ``to_toml`` and ``recorded`` gave."""
-    if _is_machine(text):
+    if machines.is_machine(text):
         return _machine(text, name, name, data)
     recording = None
     if held is not None:
         channels = {n: np.array(v) for n, v in held["channels"].items()}
         recording = Recording.from_arrays(held["name"], np.array(held["time"]), channels, held["units"])
     return _rig(parse_rig(text, name), _input(data), recording)
-
-
-def _is_machine(text: str) -> bool:
-    try:
-        head = tomllib.loads(text).get("rig")
-    except tomllib.TOMLDecodeError:
-        return False
-    return isinstance(head, dict) and head.get("kind") in MACHINES
 
 
 def _machine(text: str, place: str, name: str, data: Mapping[str, Any]) -> MachineSubject:

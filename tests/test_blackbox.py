@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
+from jax.flatten_util import ravel_pytree
 
 from smajax.blackbox.hammerstein_wiener import HammersteinWiener
 from smajax.blackbox.narx import Narx
@@ -204,6 +205,37 @@ def test_open_and_closed_loop_of_a_network():
     assert float(slopes[1, 2]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-4, abs=1e-9)
 
 
+def laws() -> dict:
+    curves = (np.array([-0.1, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([-0.95, 0.6]), 0.3, np.array([0.0, 1.0, 1.5, 1.6]))
+    return {s: function(s, delay=0.37, settled=0.4) for s in STRUCTURES} | {
+        "hammerstein-wiener": HammersteinWiener(*map(jnp.asarray, curves)),
+        "narx": network(),
+        "heating-cooling": Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05))),
+    }
+
+
+@pytest.mark.parametrize("name", laws())
+def test_derivatives_and_batches(name):
+    """By every parameter, forward and reverse, against differences; a batch is a loop, and compiled is what is not."""
+    flat, unravel = ravel_pytree(laws()[name])
+    u = np.where(np.arange(400) % 100 < 60, INPUT, 0.0)  # wires cool, too
+    weights = jnp.asarray(np.random.default_rng(1).standard_normal(400))
+
+    def response(v):
+        return respond(unravel(v), jnp.asarray(TIME), jnp.asarray(u))
+
+    compiled, forward = jax.jit(response), np.asarray(weights @ jax.jit(jax.jacfwd(response))(flat))
+    reverse = np.asarray(jax.jit(jax.grad(lambda v: weights @ response(v)))(flat))
+    steps = 1e-6 * np.eye(len(flat))
+    central = np.array([float(weights @ (compiled(flat + e) - compiled(flat - e))) / 2e-6 for e in steps])
+    size = np.max(np.abs(central))
+    np.testing.assert_allclose(forward, central, atol=1e-5 * size)
+    np.testing.assert_allclose(reverse, forward, atol=1e-10 * size)
+    several = jnp.stack([flat * (1.0 + 0.01 * k) for k in range(3)])
+    np.testing.assert_allclose(jax.jit(jax.vmap(response))(several), np.stack([compiled(v) for v in several]), atol=1e-10)
+    np.testing.assert_allclose(compiled(flat), response(flat), atol=1e-12)
+
+
 def test_heating_and_cooling_take_turns():
     law = Switched(network(), *map(jnp.asarray, (0.7, 0.5, 4.0, 0.1, 0.05)))
     u = np.r_[np.full(100, 0.8), np.zeros(100), np.full(100, 0.6), np.zeros(100)]
@@ -221,5 +253,7 @@ def test_heating_and_cooling_take_turns():
 def test_uneven_rows_are_refused():
     time = np.append(TIME[:-1], TIME[-1] + 3.0)
     series = [Series("uneven.csv", time, INPUT, INPUT)]
-    with pytest.raises(InputError, match="uneven.csv: its rows are 0.1 to 3.1 s apart, and transfer-function-one-pole needs equal steps"):
+    with pytest.raises(
+        InputError, match="uneven.csv: its rows are 0.1 to 3.1 s apart, and transfer-function-one-pole needs rows every 0.1 s"
+    ):
         fit_operator(transfer_function(series, "one-pole"), series)

@@ -68,6 +68,26 @@ def test_a_model_that_runs_away_is_left_out_and_the_others_are_ranked(short, tmp
     assert "Left out: bouc-wen" in done.output
 
 
+def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, tmp_path):
+    """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, and told."""
+    rig, rng = read_rig(short / "rig.toml"), np.random.default_rng(0)
+    r = rig.read(short / "holdout.csv")
+    time = (r.time + 0.1 * np.median(np.diff(r.time)) * rng.uniform(-1.0, 1.0, len(r)))[::2]
+    channels = {c: np.interp(time, r.time, v) for c, v in r.channels.items()}
+    Recording.from_arrays("holdout", time, channels, {"displacement": "mm"}).write(tmp_path / "holdout.csv")
+    for name in ("rig.toml", "train.csv"):
+        (tmp_path / name).write_bytes((short / name).read_bytes())
+    errors = []
+    for folder in (short, tmp_path):
+        done = run(folder, "hammerstein-wiener", tmp_path / f"out{len(errors)}")
+        assert done.exit_code == 0, done.output
+        (model,) = json.loads((tmp_path / f"out{len(errors)}" / "compare.json").read_text())["models"]
+        errors.append(model["rmse_holdout"])
+        assert bool(model["note"]) is (folder is tmp_path)
+    assert "holdout.csv resampled for it" in done.output
+    assert errors[1] == pytest.approx(errors[0], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("models", "sentence"),
     [

@@ -114,7 +114,10 @@ class OperatorProblem(Searchable):
 
 @dataclasses.dataclass(frozen=True)
 class OperatorFit:
-    """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included)."""
+    """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included).
+
+    ``step`` is the time between the rows that it was fitted to, s.
+    """
 
     family: Family
     law: AbstractOperator
@@ -123,9 +126,11 @@ class OperatorFit:
     samples: int
     simulations: int
     wall: float
+    step: float
 
     def respond(self, series: Series) -> np.ndarray:
-        """The law's output on a series, shape ``(n,)``."""
+        """The law's output on a series, shape ``(n,)``. ``InputError`` if a law that goes row by row meets rows of another step."""
+        check_steps(self.family, series, self.step)
         return np.asarray(_respond(self.law, jnp.asarray(series.time), jnp.asarray(series.input)))
 
 
@@ -137,15 +142,9 @@ def build_operator(family: Family, series: Sequence[Series], weight: float | Non
 
     Raises ``InputError`` if the rows of a series are not as far apart as the law needs them.
     """
-    for s in series:
-        gaps = np.diff(s.time)
-        if family.even and np.ptp(gaps) > _UNEVEN * float(np.median(gaps)):
-            raise InputError(
-                f"{s.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {family.name} needs equal steps: resample it"
-            )
     steps = [float(np.median(np.diff(s.time))) for s in series]
-    if family.even and np.ptp(steps) > _UNEVEN * steps[0]:
-        raise InputError(f"{family.name} needs recordings of one time step, and these have {', '.join(f'{s:.4g}' for s in steps)} s")
+    for s in series:
+        check_steps(family, s, steps[0])
     count = max(len(s.time) for s in series)
 
     def filled(values: np.ndarray, last: float = math.nan) -> np.ndarray:
@@ -171,6 +170,21 @@ def build_operator(family: Family, series: Sequence[Series], weight: float | Non
     width = ravel_pytree(family.upper)[0] - lower
     first = _share(ravel_pytree(family.start)[0], lower, width)
     return OperatorProblem(data, lower, width, first, jnp.asarray(count), _Maker(family.make, unravel))
+
+
+def evenly(time: np.ndarray, step: float) -> bool:
+    """Whether rows are as far apart as ``step`` (s), all of them."""
+    return bool(np.max(np.abs(np.diff(time) - step)) <= _UNEVEN * step)
+
+
+def check_steps(family: Family, series: Series, step: float) -> None:
+    """Raises ``InputError`` if a law that goes row by row meets rows that are not ``step`` s apart."""
+    if family.even and not evenly(series.time, step):
+        gaps = np.diff(series.time)
+        raise InputError(
+            f"{series.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {family.name} needs rows every {step:.4g} s as "
+            "it was fitted with: resample it (Recording.resample)"
+        )
 
 
 def _share(flat: jax.Array, lower: jax.Array, width: jax.Array) -> jax.Array:
@@ -201,7 +215,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     maker: Any = problem.make
     return OperatorFit(
         family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
-        time.perf_counter() - began,
+        time.perf_counter() - began, float(np.median(np.diff(series[0].time))),
     )  # fmt: skip
 
 

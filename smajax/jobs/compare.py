@@ -1,7 +1,8 @@
 """The job of ``smajax compare``: several models fitted to one recording, and what each predicts of another.
 
 Material laws are fitted as the rig says, with the rig's law replaced: what both laws call the same keeps its value and stays free if it
-was, and what only the new one has starts where ``_OWN`` says. Input-output laws see one input channel and the first observed channel.
+was, and what only the new one has starts where ``_OWN`` says. Input-output laws see one input channel and the first observed channel; those
+that go row by row see both recordings at the training recording's median step, and are scored at the rows that were recorded.
 """
 
 import dataclasses
@@ -19,7 +20,7 @@ from smajax.console import Progress
 from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.families import FAMILIES
 from smajax.fit.fit import fit
-from smajax.fit.operators import Series, fit_operator
+from smajax.fit.operators import Family, Series, evenly, fit_operator
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.parameters import declarations
@@ -40,6 +41,7 @@ _OWN = {
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
 _STARTS, _STARTS_BY_REVERSE = 16, 3
+_Answer = tuple[int, tuple[np.ndarray, ...], str]
 _HUGE = 1e100  # its square would be no number
 
 
@@ -57,7 +59,10 @@ class CompareJob(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Compared:
-    """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none."""
+    """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none.
+
+    ``note`` says what was done to the recordings for it.
+    """
 
     name: str
     kind: str
@@ -65,6 +70,7 @@ class Compared:
     predictions: tuple[np.ndarray, ...] = ()
     wall: float = 0.0
     why: str = ""
+    note: str = ""
 
 
 def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -127,12 +133,12 @@ def _compared(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     """One model; what it cannot do is an answer, too, so that the others are still compared."""
     began, kind = time.perf_counter(), "law" if name in MATERIALS else "input-output"
     try:
-        count, predictions = (_law if kind == "law" else _operator)(rig, name, recordings, channel, seed)
+        count, predictions, note = (_law if kind == "law" else _operator)(rig, name, recordings, channel, seed)
         for recording, values in zip(recordings, predictions, strict=True):
             _numbers(recording, channel, values)
     except (InputError, NumericsError) as error:
         return Compared(name, kind, why=str(error))
-    return Compared(name, kind, count, predictions, time.perf_counter() - began)
+    return Compared(name, kind, count, predictions, time.perf_counter() - began, note=note)
 
 
 def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
@@ -146,14 +152,14 @@ def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
         )
 
 
-def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
+def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> _Answer:
     changed = with_law(rig, name)
     settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
     result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.code is not Code.done]
     if failed:
         raise NumericsError(f"{failed[0].recording.name}: {failed[0].code.name}: {failed[0].code.cure}")
-    return len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses)
+    return len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses), ""
 
 
 def with_law(rig: Rig, name: str) -> Rig:
@@ -173,25 +179,38 @@ def with_law(rig: Rig, name: str) -> Rig:
     return dataclasses.replace(rig, plant=plant, fit=settings)
 
 
-def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> tuple[int, tuple[np.ndarray, ...]]:
+def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> _Answer:
     driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
     if not driving:  # one that is on all the time is a step from rest, where it is the only one
         driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
         raise InputError(f"{name} takes one input that changes, and here {told}")
-    series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings]
-    family = FAMILIES[name](series[:1])
+    family = FAMILIES[name]([Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings[:1]])
+    laid, note = _laid(family, recordings, driving[0] if rig.interpolation == "hold" else "")
+    series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in laid]
     starts = _STARTS_BY_REVERSE if family.by_reverse else _STARTS
     result = fit_operator(family, series[:1], starts=starts, seed=seed)
-    return family.size, tuple(result.respond(s) for s in series)
+    found = [result.respond(s) for s in series]
+    at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
+    return family.size, tuple(at_rows), note
+
+
+def _laid(family: Family, recordings: Sequence[Recording], held: str) -> tuple[list[Recording], str]:
+    """The recordings at the step that a law which goes row by row needs, and what was done to them; ``held`` names a held input."""
+    step = float(np.median(np.diff(recordings[0].time)))
+    if not family.even or all(evenly(r.time, step) for r in recordings):
+        return list(recordings), ""
+    laid = [r if evenly(r.time, step) else r.resample(step, [held] if held else []) for r in recordings]
+    names = " and ".join(r.name for r, there in zip(recordings, laid, strict=True) if there is not r)
+    return laid, f"it needs rows every {step:.4g} s: {names} resampled for it, and scored at the rows recorded"
 
 
 def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recording], channel: str, seed: int) -> dict[str, Any]:
     unit, scale = difference_unit(recordings[0], channel)
     models = []
     for one in found:
-        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why}
+        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why, "note": one.note}
         rmse, percent, bic = [None, None], [None, None], None
         if not one.why:
             pairs = [(r.channels[channel], p) for r, p in zip(recordings, one.predictions, strict=True)]

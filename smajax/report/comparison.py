@@ -40,6 +40,7 @@ def text(doc: Mapping[str, Any], folder: str) -> str:
     """What the command prints."""
     lines = [f"{doc['channel']} in {doc['unit']}:", *texts.table([_HEAD, *rows(doc)], right=range(1, len(_HEAD))), "", doc["summary"]]
     lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
+    lines += [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
     return "\n".join([*lines, f"All of it in {folder}"])
 
 
@@ -48,8 +49,8 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     pictures: list[plots.Picture] = []
     sections = [f'<div class="verdict"><p>{html.escape(doc["summary"])}</p></div>', "<h2>Models, best first</h2>"]
     sections.append(html.table(_HEAD, rows(doc), numbers=tuple(range(1, len(_HEAD)))))
-    left_out = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
-    sections.append(html.bullets(left_out))
+    told = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
+    sections.append(html.bullets(told + [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]))
     sections.append(
         f"<p>RMSE in {html.escape(html.pretty_unit(doc['unit']))}. The fit is MATLAB's: 100 (1 - |y - model| / |y - mean|).</p>"
     )
