@@ -672,7 +672,7 @@ def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
         return {"heating_time": self.heating_time(self.command.second), "spring_torque": self.wire.prestretch}
 
     monkeypatch.setattr(Knee, "metrics", quick)
-    machine = (ROOT / "data" / "machines" / "knee.toml").read_text("utf-8")
+    machine = (ROOT / "data" / "machines" / "knee" / "rig.toml").read_text("utf-8")
     (tmp_path / "knee.toml").write_text(machine, "utf-8")
     (tmp_path / "sweep.toml").write_text(KNEE + '[constraints]\nheating_time = { at_least = "5 s" }\n', "utf-8")
     outcome = run(tmp_path)
