@@ -174,6 +174,35 @@ def test_the_operators_own_parameters_are_found(envelopes):
     assert float(got["reach"]) / scale == pytest.approx(0.6, rel=1e-2)
 
 
+def test_thresholds_and_densities_are_fitted_or_held():
+    """Uneven thresholds are found when each is free; held, they or the densities leave the others and the height to be found."""
+    top = Envelope(**{k: jnp.asarray(v) for k, v in {"height": 1.1, "slope": 4.0, "shift": -1.6, "middle": 0.9}.items()})
+    thresholds, densities = np.array([0.1, 0.35, 0.5]), np.array([0.3, 0.2, 0.15])
+    law = PrandtlIshlinskii(jnp.asarray(0.5), jnp.asarray(thresholds), jnp.asarray(densities), top, None)
+    u = np.interp(TIME, TIME[::20], np.random.default_rng(5).uniform(0.0, 1.0, 20))
+    y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u)))
+    series = [Series("a", TIME, u, y)]
+    sizes = {}
+    for name, options in {
+        "free": {"thresholds": "free"},
+        "thresholds held": {"thresholds": thresholds},
+        "densities held": {"densities": densities},
+        "both held": {"thresholds": thresholds, "densities": densities},
+    }.items():
+        family = prandtl_ishlinskii(series, 3, 1, **options)
+        sizes[name] = family.size
+        found = fit_operator(family, series, starts=4)
+        assert found.rmse < (0.02 if name == "densities held" else 2e-3) * np.ptp(y), name
+        if "thresholds" in options and name != "free":
+            np.testing.assert_allclose(found.law.thresholds, thresholds, atol=1e-12)
+        if "densities" in options:
+            np.testing.assert_allclose(found.law.densities, densities, atol=1e-12)
+    assert sizes == {"free": 10, "thresholds held": 8, "densities held": 6, "both held": 5}
+    for wrong in ({"thresholds": [0.1, 0.1, 0.2]}, {"densities": [0.1, 0.2]}):
+        with pytest.raises(InputError, match=f"{next(iter(wrong))} have to be 3"):
+            prandtl_ishlinskii(series, 3, 1, **wrong)
+
+
 def test_a_saturated_loop_is_prandtl_ishlinskiis():
     """The tanh envelopes saturate at the ends, where Bouc-Wen goes on straight: the paper's finding."""
     u = np.concatenate([np.linspace(0, 1, 100), np.linspace(1, 0, 100), np.linspace(0, 0.8, 100), np.linspace(0.8, 0, 100)])

@@ -27,8 +27,8 @@ class TransferFunction(AbstractOperator):
     """A transfer function of one of the ``STRUCTURES``.
 
     ``gain`` in output per input, ``rest`` the output at no input, ``first`` and ``second`` time constants in s (of an underdamped pair the
-    first is tau), ``damping`` its zeta, ``delay`` in s, ``settled``
-    the share of the first input to which the states had settled before it, 0 from rest. What a structure has no use for is ignored.
+    first is tau), ``damping`` its zeta, ``delay`` in s, ``settled`` the share of the first input to which the states had settled before it,
+    0 from rest. What a structure has no use for is ignored.
     """
 
     gain: jax.Array
@@ -37,8 +37,8 @@ class TransferFunction(AbstractOperator):
     second: jax.Array
     damping: jax.Array
     delay: jax.Array
-    settled: jax.Array
-    structure: Structure = eqx.field(static=True)
+    settled: jax.Array = eqx.field(default=0.0, converter=jnp.asarray)
+    structure: Structure = eqx.field(static=True, kw_only=True)
 
     def respond(self, time: jax.Array, values: jax.Array) -> jax.Array:
         """See ``AbstractOperator.respond``; ``time`` is equally spaced."""

@@ -175,12 +175,14 @@ def differential_evolution(
     population: int = 15,
     vectorized: bool = False,
     polish: bool = False,
+    settles: bool = True,
     progress: Progress = _nothing,
 ) -> Search:
     """SciPy's differential evolution with its own defaults, but for the local search at its end, which ``polish`` switches on.
 
     ``population`` is the number of members per parameter. ``vectorized`` simulates each generation as one batch and so replaces members
-    only between generations. It ends at a cost of ``target``, at ``budget`` simulations, or when SciPy finds the population settled.
+    only between generations. It ends at a cost of ``target``, at ``budget`` simulations, or, unless ``settles`` is off, when SciPy finds
+    the population settled.
     """
     lower, upper = problem.search_box()
     meter = _Meter(problem, population * len(lower) if vectorized else 1, budget, target, progress)
@@ -194,6 +196,7 @@ def differential_evolution(
             list(zip(lower, upper, strict=True)),
             popsize=population,
             maxiter=10**9,
+            tol=0.01 if settles else 0.0,
             rng=seed,
             polish=polish,
             updating="deferred" if vectorized else "immediate",

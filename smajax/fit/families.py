@@ -6,7 +6,7 @@ the ranges of input and output.
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from smajax.blackbox.hammerstein_wiener import HammersteinWiener
 from smajax.blackbox.narx import Narx
 from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, Structure, TransferFunction
+from smajax.errors import InputError
 from smajax.fit.operators import Family, Series
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
@@ -56,19 +57,34 @@ def bouc_wen(series: Sequence[Series]) -> Family:
 def _spread(parameters: dict) -> PrandtlIshlinskii:
     densities = parameters["densities"]
     count = densities.shape[0]
-    thresholds = parameters["reach"] * jnp.arange(1, count + 1) / count
+    thresholds = jnp.cumsum(parameters["gaps"]) if "gaps" in parameters else parameters["reach"] * jnp.arange(1, count + 1) / count
     unloading = parameters.get("unloading")
     return PrandtlIshlinskii(
         parameters["direct"], thresholds, densities, Envelope(**parameters["loading"]), Envelope(**unloading) if unloading else None
     )
 
 
-def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int = 2) -> Family:
-    """``count`` plays with evenly spread thresholds, and one tanh envelope or one for each direction.
+def prandtl_ishlinskii(
+    series: Sequence[Series],
+    count: int = 10,
+    envelopes: int = 2,
+    *,
+    thresholds: Sequence[float] | np.ndarray | Literal["even", "free"] = "even",
+    densities: Sequence[float] | np.ndarray | Literal["free"] = "free",
+) -> Family:
+    """``count`` plays, and one tanh envelope or one for each direction.
 
-    The height of the loading envelope is held: envelopes and thresholds so many times larger, with direct part and densities so many times
-    smaller, are the same law.
+    ``thresholds``, in the output's unit, are fitted as evenly spread ones up to a largest (``"even"``), each for itself (``"free"``), or
+    held at rising values, shape ``(count,)``; ``densities`` are fitted or held at values of that shape. While both are fitted, the height
+    of the loading envelope is held: envelopes and thresholds so many times larger, with direct part and densities so many times smaller,
+    are the same law. Raises ``InputError`` for values that no operator has.
     """
+    gaps = np.diff(np.asarray(thresholds, float), prepend=0.0) if not isinstance(thresholds, str) else None
+    held = np.asarray(densities, float) if not isinstance(densities, str) else None
+    if gaps is not None and (gaps.shape != (count,) or not np.all(gaps > 0.0)):
+        raise InputError(f"thresholds have to be {count} rising numbers above 0: give as many as plays, or 'even' or 'free'")
+    if held is not None and (held.shape != (count,) or not np.all(held >= 0.0)):
+        raise InputError(f"densities have to be {count} numbers of at least 0: give as many as plays, or 'free'")
     low, span, bottom, swing = _ranges(series)
     middle = low + 0.5 * span
 
@@ -85,7 +101,17 @@ def prandtl_ishlinskii(series: Sequence[Series], count: int = 10, envelopes: int
     start = {"direct": 0.6, "densities": np.full(count, 0.4 / count), "reach": 0.5 * swing, "loading": envelope}
     if envelopes == 2:
         lower, upper, start = (side | {"unloading": side["loading"]} for side in (lower, upper, start))
-    lower, upper = (side | {"loading": side["loading"] | {"height": envelope["height"]}} for side in (lower, upper))
+    if gaps is not None or thresholds == "free":
+        least, most = (gaps, gaps) if gaps is not None else (np.full(count, 1e-4 * swing), np.full(count, swing))
+        first = gaps if gaps is not None else np.full(count, 0.5 * swing / count)
+        lower, upper, start = (
+            {k: v for k, v in side.items() if k != "reach"} | {"gaps": g}
+            for side, g in zip((lower, upper, start), (least, most, first), strict=True)
+        )
+    if held is not None:
+        lower, upper, start = (side | {"densities": held} for side in (lower, upper, start))
+    if gaps is None and held is None:
+        lower, upper = (side | {"loading": side["loading"] | {"height": envelope["height"]}} for side in (lower, upper))
     return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
 
 
