@@ -8,6 +8,8 @@ gives the paper's yield diameter; its own curve is a picture only. Its work on t
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +24,8 @@ from smajax.machines.flexural import FlexuralActuator
 from smajax.plant.material.brinson import Brinson
 
 TESTED = (125, 250, 300, 375)
+COUNTS = (2, 4, 6)
+Tested = dict[int, dict[str, float]]  # figures by diameter in um
 # Position from the clamp, deflection of the tip, and the work that the paper prints (table 2), in m and J.
 TABLE_2 = ((109.2e-3, 22e-3, 1.559e-3), (157.5e-3, 30e-3, 1.470e-3), (88.9e-3, 18e-3, 1.536e-3))
 
@@ -52,15 +56,11 @@ def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:
     return {name: float(value) for name, value in figures(changed).items()}
 
 
-def main() -> None:
-    """Prints the table."""
-    args = arguments(__doc__)
-    machine = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
-    assert isinstance(machine, FlexuralActuator)
+def moment_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
+    """The moment of one bent wire against quadrature, its limits, and how it grows with the diameter."""
     law, curvature = machine.bending, float(machine.body.curvature)
     rows: list[Row] = []
-
-    grid = [(d * 1e-6, k) for d in ((100, 300, 500) if args.quick else range(100, 501, 25)) for k in (20.0, 60.0, 120.0)]
+    grid = [(d * 1e-6, k) for d in ((100, 300, 500) if quick else range(100, 501, 25)) for k in (20.0, 60.0, 120.0)]
     apart = max(abs(float(law.moment(d, k)) / by_quadrature(law, d, k) - 1.0) for d, k in grid)
     text = f"{apart:.1e} over {len(grid)} diameters and curvatures"
     rows.append(Row("eqs. 2 and 3 against quadrature of the fibres", "1e-12", text, apart < 1e-12, {"relative": apart}))
@@ -87,7 +87,6 @@ def main() -> None:
         )
     )
 
-    diameters = np.arange(100, 501, 5.0)
     slope = jax.jit(jax.vmap(jax.grad(lambda d: jnp.log(law.moment(jnp.exp(d), curvature)))))
     powers = {d: float(slope(jnp.log(jnp.asarray([d * 1e-6])))[0]) for d in (100, 200, 250, 300, 375, 500)}
     text = ", ".join(f"{d} um: {p:.2f}" for d, p in powers.items())
@@ -96,8 +95,12 @@ def main() -> None:
     moments = {d: 1e3 * float(law.moment(d * 1e-6, curvature)) for d in (100, 125, 200, 250, 300, 375, 400, 500)}
     text = ", ".join(f"{d} um: {m:.4g}" for d, m in moments.items())
     rows.append(Row("moment of one wire, mN m", "in a picture only", text, None, {"mNm": moments}))
+    return rows
 
-    tested = {d: of(machine, wire_diameter=d * 1e-6) for d in TESTED}
+
+def force_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
+    """Blocking forces of two wires, and the currents that heat them."""
+    rows: list[Row] = []
     whole = [tested[d]["blocking_force"] for d in TESTED]
     yielding = [tested[d]["blocking_force_of_yielding"] for d in TESTED]
     text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, yielding, strict=True))
@@ -108,7 +111,7 @@ def main() -> None:
     factor = 0.25 / max(whole)
     why = f"{factor:.2f} times lower: lever (55 mm taken), stress-strain curve and the tests' temperatures are not published"
     rows.append(Row("blocking force of the whole moment, N", "up to ~0.25, within a factor 2", f"{text}; {why}", fits, {"N": whole}))
-    needed = 1e3 * 2 * float(law.moment(375e-6, curvature)) / 0.25
+    needed = 1e3 * 2 * float(machine.bending.moment(375e-6, machine.body.curvature)) / 0.25
     rows.append(Row("lever that would give 0.25 N at 375 um", "-", f"{needed:.1f} mm", None, {"mm": needed}))
     ratio = tested[250]["resistance"] / tested[375]["resistance"]
     rows.append(
@@ -120,6 +123,12 @@ def main() -> None:
         )
     )
 
+    return rows
+
+
+def work_rows(machine: FlexuralActuator) -> list[Row]:
+    """The work on the bench of table 2, as printed and as the force does it."""
+    rows: list[Row] = []
     for place, tip, printed in TABLE_2:
         bench = parameters.replace(machine, {"bench.position": place}).bench
         as_printed, done = float(bench.work_as_printed(tip)), float(bench.work(tip))
@@ -128,11 +137,21 @@ def main() -> None:
         rows.append(
             Row(f"work at {1e3 * place:.1f} mm", f"{1e3 * printed:.3f} N mm within 1 %", text, fine, {"printed": as_printed, "done": done})
         )
-    done = [float(parameters.replace(machine, {"bench.position": p}).bench.work(t)) for p, t, _ in TABLE_2]
+    done = works(machine)
     text = f"{max(done) / min(done):.2f} times from place to place: eq. 7 takes the tip's path for the force's"
     rows.append(Row("is the work the same wherever the actuator stands?", "yes", text, None, {"joule": done}))
+    return rows
 
-    heat, work = tested[300]["energy_per_cycle"], done[0]
+
+def works(machine: FlexuralActuator) -> list[float]:
+    """The work that the force does at each place of table 2, J."""
+    return [float(parameters.replace(machine, {"bench.position": p}).bench.work(t)) for p, t, _ in TABLE_2]
+
+
+def efficiency_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
+    """The efficiency, and how it goes with diameter and number of wires."""
+    rows: list[Row] = []
+    heat, work = tested[300]["energy_per_cycle"], works(machine)[0]
     measured = f"{100 * 1.559e-3 / heat:.4f} % as printed, {100 * work / heat:.4f} % with the force's work; "
     measured += f"ours {100 * tested[300]['efficiency']:.4f} %, "
     measured += f"at most {100 * tested[300]['limit_efficiency']:.4f} % if all work of yielding came out"
@@ -149,34 +168,49 @@ def main() -> None:
     peak = wide[int(np.argmax(curve))]
     text = f"at {peak:.0f} um, where actuator and beam are about as stiff: no plateau follows from stiffness between 250 and 375 um"
     rows.append(Row("where it stops rising", "within 250 to 375 um", text, bool(250 <= peak <= 375), {"um": float(peak)}))
-    counts = (2, 4, 6)
-    by_count = [100 * of(machine, body_count=float(n))["efficiency"] for n in counts]
-    text = ", ".join(f"{n}: {e:.5f} %" for n, e in zip(counts, by_count, strict=True))
-    shares = [e / by_count[0] / (n / 2) for n, e in zip(counts, by_count, strict=True)]
+    by_count = [100 * of(machine, body_count=float(n))["efficiency"] for n in COUNTS]
+    text = ", ".join(f"{n}: {e:.5f} %" for n, e in zip(COUNTS, by_count, strict=True))
+    shares = [e / by_count[0] / (n / 2) for n, e in zip(COUNTS, by_count, strict=True)]
     why = f"{', '.join(f'{s:.2f}' for s in shares)} of proportional: less as the actuator gets stiff against the beam"
     rows.append(
         Row("efficiency against wires", "rises in proportion, then less", f"{text}; {why}", by_count[0] < by_count[1] < by_count[2])
     )
 
+    return rows
+
+
+def pictures(machine: FlexuralActuator, folder: Path) -> None:
+    """Moment, blocking force and efficiency against the diameter."""
+    law, diameters = machine.bending, np.arange(100, 501, 5.0)
+    curves = []
+    for k in (30.0, 60.0, 120.0):
+        curves.append(Curve(f"{k:.0f} 1/m", diameters, [1e3 * float(law.moment(d * 1e-6, k)) for d in diameters]))
+    bends = np.linspace(28.0, 138.0, 60)
+    onset = [float(law.yield_diameter(k)) for k in bends]
+    yields = [1e3 * float(law.moment(d, k)) for d, k in zip(onset, bends, strict=True)]
+    curves.append(Curve("yield", [1e6 * d for d in onset], yields, dashed=True))
+    draw(Chart("Moment of one bent wire", "wire diameter [um]", "moment [mN m]", curves), folder, "flexural_moment")
+    line = np.arange(125, 401, 5.0)
+    found = [of(machine, wire_diameter=d * 1e-6) for d in line]
+    forces = [Curve("whole moment", line, [f["blocking_force"] for f in found])]
+    forces.append(Curve("what yields", line, [f["blocking_force_of_yielding"] for f in found]))
+    draw(Chart("Blocking force of two wires", "wire diameter [um]", "force [N]", forces), folder, "flexural_blocking_force")
+    efficiency = []
+    for n in COUNTS:
+        found = [of(machine, wire_diameter=d * 1e-6, body_count=float(n))["efficiency"] for d in line]
+        efficiency.append(Curve(f"{n} wires", line, [100 * e for e in found]))
+    draw(Chart("Efficiency on the bench", "wire diameter [um]", "efficiency [%]", efficiency), folder, "flexural_efficiency")
+
+
+def main() -> None:
+    """Prints the table."""
+    args = arguments(__doc__)
+    machine = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
+    assert isinstance(machine, FlexuralActuator)
+    tested = {d: of(machine, wire_diameter=d * 1e-6) for d in TESTED}
+    rows = moment_rows(machine, args.quick) + force_rows(machine, tested) + work_rows(machine) + efficiency_rows(machine, tested)
     if args.out:
-        curves = []
-        for k in (30.0, 60.0, 120.0):
-            curves.append(Curve(f"{k:.0f} 1/m", diameters, [1e3 * float(law.moment(d * 1e-6, k)) for d in diameters]))
-        bends = np.linspace(28.0, 138.0, 60)
-        onset = [float(law.yield_diameter(k)) for k in bends]
-        yields = [1e3 * float(law.moment(d, k)) for d, k in zip(onset, bends, strict=True)]
-        curves.append(Curve("yield", [1e6 * d for d in onset], yields, dashed=True))
-        draw(Chart("Moment of one bent wire", "wire diameter [um]", "moment [mN m]", curves), args.out, "flexural_moment")
-        line = np.arange(125, 401, 5.0)
-        found = [of(machine, wire_diameter=d * 1e-6) for d in line]
-        forces = [Curve("whole moment", line, [f["blocking_force"] for f in found])]
-        forces.append(Curve("what yields", line, [f["blocking_force_of_yielding"] for f in found]))
-        draw(Chart("Blocking force of two wires", "wire diameter [um]", "force [N]", forces), args.out, "flexural_blocking_force")
-        efficiency = []
-        for n in counts:
-            found = [of(machine, wire_diameter=d * 1e-6, body_count=float(n))["efficiency"] for d in line]
-            efficiency.append(Curve(f"{n} wires", line, [100 * e for e in found]))
-        draw(Chart("Efficiency on the bench", "wire diameter [um]", "efficiency [%]", efficiency), args.out, "flexural_efficiency")
+        pictures(machine, args.out)
     finish("flexural_moment", rows, args)
 
 

@@ -6,7 +6,7 @@ random places, and likewise the temperatures' from their smooth course. Each is 
 
 Where a transformation ends slowly, the place of its end is a matter of definition, beyond what the interval tells: a tangent at the
 steepest place ends it early, one of a symmetrical sigmoid through all rows, as other programs lay it, late. The measured NiTiHf begins
-sharply on cooling and ends slowly: at 50 to 300 MPa, M_f is 3 to 6 K above that of the sigmoid.
+sharply on cooling and ends slowly, and its M_f lies some kelvins above that of the sigmoid.
 """
 
 import dataclasses

@@ -29,8 +29,9 @@ from smajax.sweep.refine import Refined, refine, starts
 from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import pick_and_freeze
 from smajax.sweep.study import INPUT, AbstractStudy
-from smajax.sweep.table import need_pyarrow, write_table
+from smajax.sweep.table import write_table
 from smajax.sweep_file import SweepFile, read_sweep
+from smajax.tables.parquet import pyarrow_parquet
 from smajax.toml_file import write_text
 
 _FRONT_SHOWN = 200
@@ -52,8 +53,8 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
     Exit code 3 if every simulation failed or no design keeps the constraints (with the nearest), 130 if interrupted; both keep what is
     there.
     """
-    need_pyarrow()
     out, clock = check_out(job.out), Clock()
+    pyarrow_parquet(out, instead="")  # before anything is computed
     progress.phase("reading")
     with clock.time("read"):
         given = read_sweep(job.sweep)

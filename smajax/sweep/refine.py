@@ -32,6 +32,20 @@ class Refined(NamedTuple):
     better: bool
 
 
+class _Asked(NamedTuple):
+    """What a search is asked for, see ``refine``, wherever it begins."""
+
+    study: AbstractStudy
+    steps: int
+    name: str
+    sign: float
+    limits: Mapping[str, tuple[float, float]]
+
+    def keeps(self, values: Mapping[str, float]) -> bool:
+        """Whether metrics keep all limits."""
+        return all(low <= values[n] <= high for n, (low, high) in self.limits.items())
+
+
 def refine(
     study: AbstractStudy,
     axes: Sequence[Axis],
@@ -46,39 +60,28 @@ def refine(
     An infinite metric is as good or bad as can be and has no slope: from a design whose objective is infinite nothing is searched.
     Whole axes are searched as if they were not, then rounded and held while the others are searched again; and held where they were.
     """
+    asked = _Asked(study, steps, objective[0], -1.0 if objective[1] == "max" else 1.0, limits)
     counts = [k for k, axis in enumerate(axes) if axis.whole and not axis.values]
     if not counts:
-        return _search(study, axes, start, steps, objective, limits)
-    loose = _search(study, [replace(axis, whole=False) for axis in axes], start, steps, objective, limits)
+        return _search(asked, axes, start)
+    loose = _search(asked, [replace(axis, whole=False) for axis in axes], start)
     found = []
     for place in (start, loose.design):
         place = np.array(place, dtype=np.float64)
         place[counts] = np.rint(place[counts])
         held = [replace(axis, values=(float(place[k]),)) if k in counts else axis for k, axis in enumerate(axes)]
-        found.append(_search(study, held, place, steps, objective, limits))
+        found.append(_search(asked, held, place))
     stays, moved = found
-    sign = -1.0 if objective[1] == "max" else 1.0
-    ahead = _keeps(moved.metrics, limits) and sign * moved.metrics[objective[0]] < sign * stays.metrics[objective[0]]
+    ahead = asked.keeps(moved.metrics) and asked.sign * moved.metrics[asked.name] < asked.sign * stays.metrics[asked.name]
     best = moved if ahead else stays
     spent = loose.simulations + stays.simulations + moved.simulations
     return best._replace(before=stays.before, simulations=spent, better=ahead or stays.better)
 
 
-def _keeps(values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> bool:
-    return all(low <= values[n] <= high for n, (low, high) in limits.items())
-
-
-def _search(
-    study: AbstractStudy,
-    axes: Sequence[Axis],
-    start: Floats,
-    steps: int,
-    objective: tuple[str, str],
-    limits: Mapping[str, tuple[float, float]],
-) -> Refined:
+def _search(asked: _Asked, axes: Sequence[Axis], start: Floats) -> Refined:
     """One search, see ``refine``."""
     moving = [k for k, axis in enumerate(axes) if not axis.values]
-    name, sign = objective[0], -1.0 if objective[1] == "max" else 1.0
+    study, steps, name, sign, limits = asked
     known: dict[bytes, tuple[dict[str, float], dict[str, Floats]]] = {}
 
     def design_of(share: Floats) -> Floats:
@@ -124,7 +127,7 @@ def _search(
     if moving:
         box, options = [(0.0, 1.0)] * len(moving), {"maxiter": _STEPS, "ftol": 1e-8}
         minimize(cost, first, jac=True, method="SLSQP", bounds=box, constraints=kept, options=options)
-    good = {key: sign * values[name] for key, (values, _) in known.items() if not np.isnan(values[name]) and _keeps(values, limits)}
+    good = {key: sign * values[name] for key, (values, _) in known.items() if not np.isnan(values[name]) and asked.keeps(values)}
     best = min(good, key=lambda key: good[key]) if good else first.tobytes()
     return Refined(
         design_of(np.frombuffer(best)), known[best][0], before, len(known) * (1 + len(axes)), known[best][0] != before and bool(good)

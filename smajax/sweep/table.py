@@ -14,14 +14,6 @@ from smajax.tables.parquet import pyarrow_parquet
 KEY = b"smajax.sweep"
 
 
-def need_pyarrow() -> None:
-    """InputError, before anything is computed, if the package that tables are written with is not there."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError:
-        raise InputError('a sweep writes Parquet files with pyarrow, which is not installed: run pip install "smajax[io]"') from None
-
-
 def write_table(
     path: Path, columns: Mapping[str, np.ndarray], header: Mapping[str, Any] | None = None, units: Mapping[str, str] | None = None
 ) -> None:

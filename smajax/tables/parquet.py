@@ -10,11 +10,12 @@ from smajax.errors import InputError
 from smajax.tables.base import REPAIR, Table, file_sha256, refuse_if_too_large
 
 
-def pyarrow_parquet(path: Path) -> Any:
+def pyarrow_parquet(path: Path, instead: str = ", or use CSV") -> Any:
+    """The module; InputError, which may name what to do ``instead``, where it is not installed."""
     try:
         import pyarrow.parquet
     except ImportError:
-        raise InputError(f'{path}: Parquet files need pyarrow: run pip install "smajax[io]", or use CSV') from None
+        raise InputError(f'{path}: Parquet files need pyarrow: run pip install "smajax[io]"{instead}') from None
     return pyarrow.parquet
 
 
