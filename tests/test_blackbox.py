@@ -66,6 +66,15 @@ def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, c
     assert found.family.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[structure] + (not constant)
 
 
+def test_a_parameter_that_ends_at_its_bound_is_named():
+    """A delay of 30 s in a recording of 40 s, where half of it is the most that is looked for; and one that is within."""
+    _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)
+    for rows, told in ((300, ("delay (19.95)",)), (20, ("settled (0)",))):
+        series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(rows), prompt[:-rows]))]
+        found = fit_operator(transfer_function(series, "one-pole"), series, starts=6, max_steps=60)
+        assert found.at_bound == told
+
+
 def test_the_hip_papers_flexion():
     """Open-loop unit step of 648.2 / (348.8 s^2 + 37.35 s + 1) e^(-6.46 s)."""
     tau = np.sqrt(348.8)
