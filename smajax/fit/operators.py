@@ -243,7 +243,7 @@ def _by_forward(
 ) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
-    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(problem.point(other)[None] for other in others)])
+    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
     simulations, best = len(drawn), (math.inf, None)
