@@ -123,6 +123,20 @@ def test_derivatives_of_bouc_wen(n):
         assert forward[k] == pytest.approx((ends[0] - ends[1]) / (1e-6 * (2 if n > 1.0 else 1)), rel=1e-3, abs=1e-7)
 
 
+def test_batches_of_bouc_wens_derivatives_are_single_ones():
+    leaves, form = jax.tree.flatten(BoucWen.from_seven(**SEVEN))
+    time, values = jnp.asarray(TIME[:120]), jnp.asarray(INPUT[:120])
+    points = jnp.stack(leaves)[None, :] * jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (3, 5)))
+
+    def response(point):
+        return respond(jax.tree.unflatten(form, point), time, values)
+
+    forward, reverse = jax.jit(jax.vmap(jax.jacfwd(response)))(points), jax.jit(jax.vmap(jax.jacrev(response)))(points)
+    np.testing.assert_allclose(reverse, forward, atol=1e-11)
+    for point, slopes in zip(points, forward, strict=True):
+        np.testing.assert_allclose(jax.jacfwd(response)(point), slopes, atol=1e-12)
+
+
 @pytest.mark.parametrize("count", [1, 10, 20])
 @pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12), (0.9, 1.6, 0.5, 0.1), (1.0, 0.4, 0.1, 0.0)])
 def test_the_inverse_gives_the_input_back(count, unloading):
