@@ -66,6 +66,15 @@ def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, c
     assert found.family.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[structure] + (not constant)
 
 
+def test_a_parameter_that_ends_at_its_bound_is_named():
+    """A delay of 30 s in a recording of 40 s, where half of it is the most that is looked for; and one that is within."""
+    _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)
+    for rows, told in ((300, ("delay (19.95)",)), (20, ("settled (0)",))):
+        series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(rows), prompt[:-rows]))]
+        found = fit_operator(transfer_function(series, "one-pole"), series, starts=6, max_steps=60)
+        assert found.at_bound == told
+
+
 def test_the_hip_papers_flexion():
     """Open-loop unit step of 648.2 / (348.8 s^2 + 37.35 s + 1) e^(-6.46 s)."""
     tau = np.sqrt(348.8)
@@ -172,6 +181,22 @@ def test_the_operators_own_parameters_are_found(envelopes):
     assert scale * float(got["direct"]) == pytest.approx(0.5, rel=1e-2)
     np.testing.assert_allclose(scale * np.asarray(got["densities"]), [0.3, 0.2, 0.15], rtol=2e-2)
     assert float(got["reach"]) / scale == pytest.approx(0.6, rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 7])
+def test_two_envelopes_are_found_from_far(seed):
+    """Steep ones beside the middle of the input's range, and ten plays: where a search from the first guess and drawn points alone ends
+    at another minimum, some 1e-4 of the output's range away."""
+    rng = np.random.default_rng(seed)
+    u = np.interp(TIME, TIME[::20], rng.uniform(0.0, 1.0, 20))
+    u[:60] = np.interp(np.arange(60), [0, 20, 40, 59], [0.0, 1.0, 0.0, u[60]])
+    centre, slope = rng.uniform(0.3, 0.6), rng.uniform(4.0, 10.0)
+    densities, other = jnp.asarray(rng.uniform(0.02, 0.12, 10)), slope * rng.uniform(0.7, 1.3)
+    tops = [(1.0, slope, -slope * (centre + 0.1), 0.9), (1.05, other, -other * (centre - 0.1), 0.9)]
+    law = PrandtlIshlinskii(jnp.asarray(0.4), jnp.linspace(0.08, 0.8, 10), densities, *(Envelope(*map(jnp.asarray, t)) for t in tops))
+    series = [Series("a", TIME, u, np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u))))]
+    found = fit_operator(prandtl_ishlinskii(series), series, starts=8, seed=seed)
+    assert found.rmse < 1e-6 * np.ptp(series[0].output)
 
 
 def test_thresholds_and_densities_are_fitted_or_held():

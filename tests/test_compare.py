@@ -45,11 +45,31 @@ def test_models_are_ranked_by_what_they_predict(short, tmp_path):
     assert errors == sorted(errors) and found["unit"] == "mm" and errors[0] < 0.3 * errors[1]
     for m in found["models"]:
         assert m["fit_percent_holdout"] < 100.0 and m["parameters"] > 3 and np.isfinite(m["bic"]) and m["wall_s"] > 0.0
+        told = f"{m['name']}: at its bound: {', '.join(m['at_bound'])}"
+        assert (told in done.output) is bool(m["at_bound"])
     assert "brinson predicts the holdout best" in done.output
     page = (tmp_path / "out" / "report.html").read_text()
     assert "transfer-function-one-pole" in page
     again = CliRunner().invoke(app, ["report", str(tmp_path / "out")])
     assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
+
+
+def test_what_ends_at_its_bound_is_said_of_laws_and_of_operators(short, tmp_path):
+    """A law that has no room for the truth, and a displacement that answers before it is asked."""
+    text = (short / "rig.toml").read_text().replace("[fit]", '[fit]\nbounds = {"heat.h0" = ["100 W/m^2/K", "101 W/m^2/K"]}')
+    (tmp_path / "rig.toml").write_text(text)
+    for part in ("train", "holdout"):
+        r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
+        early = np.interp(r.time + 0.5, r.time, r.channels["displacement"])
+        Recording.from_arrays(part, r.time, {**r.channels, "displacement": early}, {"displacement": "mm"}).write(tmp_path / f"{part}.csv")
+    done = run(tmp_path, "brinson,transfer-function-one-pole", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    found = {m["name"]: m["at_bound"] for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]}
+    assert {"heat.h0 (100 W/m^2/K)", "heat.h0 (101 W/m^2/K)"} & set(found["brinson"])
+    assert "delay (0)" in found["transfer-function-one-pole"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    for name, told in found.items():
+        assert f"{name}: at its bound: {', '.join(told)}" in done.output and f"{name}: at its bound: " in page
 
 
 def test_a_model_that_runs_away_is_left_out_and_the_others_are_ranked(short, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from smajax.errors import InputError
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.simulate import respond
+from tests.reference import prandtl_ishlinskii as reference
 
 SEVEN = {"alpha": 0.3, "k": 2.0, "d": 1.5, "a": 1.2, "beta": 0.8, "gamma": -0.1, "n": 1.7}
 TIME = np.linspace(0.0, 20.0, 400)
@@ -122,6 +123,21 @@ def test_derivatives_of_bouc_wen(n):
         assert forward[k] == pytest.approx((ends[0] - ends[1]) / (1e-6 * (2 if n > 1.0 else 1)), rel=1e-3, abs=1e-7)
 
 
+def test_batches_of_bouc_wens_derivatives_are_single_ones():
+    leaves, form = jax.tree.flatten(BoucWen.from_seven(**SEVEN))
+    time, values = jnp.asarray(TIME[:120]), jnp.asarray(INPUT[:120])
+    points = jnp.stack(leaves)[None, :] * jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (3, 5)))
+
+    def response(point):
+        return respond(jax.tree.unflatten(form, point), time, values)
+
+    forward, reverse = jax.jit(jax.vmap(jax.jacfwd(response)))(points), jax.jit(jax.vmap(jax.jacrev(response)))(points)
+    np.testing.assert_allclose(reverse, forward, atol=1e-11)
+    single = jax.jit(jax.jacfwd(response))
+    for point, slopes in zip(points, forward, strict=True):
+        np.testing.assert_allclose(single(point), slopes, atol=1e-12)
+
+
 @pytest.mark.parametrize("count", [1, 10, 20])
 @pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12), (0.9, 1.6, 0.5, 0.1), (1.0, 0.4, 0.1, 0.0)])
 def test_the_inverse_gives_the_input_back(count, unloading):
@@ -156,16 +172,34 @@ def plays(law: PrandtlIshlinskii, values: list[float]) -> np.ndarray:
     return np.asarray(state)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+# One envelope, two that lie side by side, and two of other slopes, the unloading one above wherever the input comes.
+UNLOADING = [None, (1.0, 2.0, 0.3, 0.12), (1.1, 1.6, 0.5, 0.4)]
+
+
+@pytest.mark.parametrize("count", [10, 20])
+@pytest.mark.parametrize("unloading", UNLOADING)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=8), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_return_points_are_remembered_and_small_loops_wiped_out(history, inner, outer):
-    law = operator()
+def test_return_points_are_remembered_and_small_loops_wiped_out(unloading, count, history, inner, outer):
+    law = operator(unloading and envelope(*unloading), count)
     last, before = history[-1], plays(law, history)
     # A loop that returns to where it began leaves no trace; going beyond the last turn wipes out what was inside.
     turn = min(max(inner, min(history[-2], last)), max(history[-2], last))
     np.testing.assert_allclose(plays(law, [*history, turn, last]), before, atol=1e-12)
     beyond = 1.5 if outer >= last else -1.5
     np.testing.assert_allclose(plays(law, [*history, turn, last, beyond]), plays(law, [*history, beyond]), atol=1e-12)
+    # What is left of a whole history are the turns that nothing after them lies around.
+    np.testing.assert_allclose(plays(law, reference.essential(history)), before, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [10, 20])
+@pytest.mark.parametrize("unloading", UNLOADING)
+def test_the_operator_is_the_definition_play_by_play(unloading, count):
+    law, walk = operator(unloading and envelope(*unloading), count), np.random.default_rng(4).uniform(-1.4, 1.4, 300)
+    values = np.concatenate([INPUT, walk, np.repeat(walk[:20], 2)])
+    sides = [reference.Envelope(*side) for side in ((1.0, 2.0, 0.2, 0.1), unloading or (1.0, 2.0, 0.2, 0.1))]
+    exact = reference.respond(0.5, list(np.linspace(0.1, 1.0, count)), list(np.linspace(0.3, 0.05, count)), *sides, list(values))
+    np.testing.assert_allclose(follow(law, jnp.arange(len(values)) * 1.0, jnp.asarray(values)), exact, atol=1e-12)
 
 
 def test_one_operator_is_the_textbook_play():

@@ -170,3 +170,12 @@ def test_bands_that_run_backwards_are_refused():
         InputError, match=r"^my.toml: material.austenite_start is not below material.austenite_finish: correct one of the two$"
     ):
         machines.parse_machine(text, "my.toml")
+
+
+def test_moduli_that_mix_give_a_stiffness_linear_in_martensite(knee):
+    """Eq. 11; by default compliances mix."""
+    xi = jnp.array([0.0, 0.5, 1.0])
+    for share in (0.0, 1.0):
+        k = parameters.replace(knee, {"material.voigt_share": share}).stiffness(xi)
+        mean = 0.5 * (k[0] + k[2]) if share else 2.0 / (1.0 / k[0] + 1.0 / k[2])
+        assert float(k[1]) == pytest.approx(float(mean), rel=1e-12)

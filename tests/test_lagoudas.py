@@ -106,6 +106,22 @@ def test_exponents_of_one_give_the_older_law(temperature, stress, forward, rever
     assert advance(law, reference.State(1.0, 0.05), temperature, (stress, stress)).martensite == pytest.approx(reverse, abs=1e-6)
 
 
+@pytest.mark.parametrize(("share", "half"), [("0", 42.857142857), ("1", 52.5), ("0.5", 47.678571429)])
+def test_a_rig_chooses_the_knee_ankle_papers_law_and_how_the_moduli_mix(share, half):
+    """Temperatures, slope, moduli and strain alone are the law with linear hardening; the paper mixes moduli."""
+    law = path_rig(
+        "strain", martensite_start="60 degC", martensite_finish="32 degC", austenite_start="34 degC", austenite_finish="62 degC",
+        clausius_clapeyron_austenite="7 MPa/K", clausius_clapeyron_martensite="7 MPa/K", modulus_austenite="75 GPa",
+        modulus_martensite="30 GPa", max_strain="5 %", voigt_share=share,
+    ).plant.material  # fmt: skip
+    xi = jnp.array([0.0, 0.5, 1.0])
+    modulus = jax.vmap(lambda v: law.modulus(Fractions(v, jnp.zeros(()))))(xi)
+    np.testing.assert_allclose(modulus, [75e9, 1e9 * half, 30e9], rtol=1e-9)
+    for temperature, stress, forward in ((60.0, 50e6, 0.257653), (50.0, 20e6, 0.459592)):  # the lines do not follow the mixture
+        assert advance(law, reference.State(0.0, 0.0), temperature, (stress, stress)).martensite == pytest.approx(forward, abs=1e-6)
+    assert path_rig("strain", **TEXT).plant.material.voigt_share == 0.0
+
+
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(st.floats(0.0, 1.0), st.floats(0.01, 1.0), st.floats(0.01, 1.0))
 def test_hardening_is_inverted(share, n, m):
@@ -161,6 +177,86 @@ def test_steps_of_stress_converge_on_the_reference():
             state = advance(LAW, state, temperature, (float(before), float(after)))
         errors.append(abs(state.strain - exact.strain))
     assert errors[-1] < 1e-7 and np.log2(errors[0] / errors[-1]) / 3 > 1.8, errors
+
+
+@eqx.filter_jit
+def led(law: Lagoudas, start: Fractions, temperature: jax.Array, stress: jax.Array) -> tuple[Fractions, jax.Array]:
+    """States and strains along a path."""
+
+    def step(state, ends):
+        state = law.evolve(state, ends[:2], ends[2:])
+        return state, state
+
+    _, states = jax.lax.scan(step, start, (temperature[:-1], temperature[1:], stress[:-1], stress[1:]))
+    states = jax.tree.map(jnp.append, start, states)
+    return states, law.strain(states, temperature, stress, temperature)
+
+
+NOTHING = Fractions(jnp.asarray(0.0), jnp.asarray(0.0))
+
+
+def round_trip(count: int, warm: tuple[float, float], load: tuple[float, float], ahead: float) -> tuple[np.ndarray, np.ndarray]:
+    """A closed way on which temperature and stress (middle and reach of each) change together, the temperature ahead by an angle."""
+    phase = np.linspace(0.0, 2.0 * np.pi, count + 1)
+    return warm[0] + warm[1] * np.sin(phase + ahead), load[0] + load[1] * np.sin(phase)
+
+
+@pytest.mark.parametrize("voigt_share", [0.0, 1.0])
+def test_paths_of_temperature_and_stress_together_converge_on_the_reference(voigt_share):
+    """Two round trips, wide and narrow, on which martensite comes and goes under a stress that changes."""
+
+    def walked(count):
+        one, two = round_trip(count, (75.0, 35.0), (180e6, 150e6), 2.0), round_trip(count, (75.0, 22.0), (180e6, 90e6), 2.4)
+        lead = np.linspace(one[0][-1], two[0][0], count + 1), np.linspace(one[1][-1], two[1][0], count + 1)
+        return (np.concatenate([a[:-1], b[:-1], c]) for a, b, c in zip(one, lead, two, strict=True))
+
+    law, known = Lagoudas(**VALUES, voigt_share=voigt_share), EXACT._replace(voigt_share=voigt_share)
+    finest = 1600
+    state, exact, previous = reference.State(0.0, 0.0), [], 0.0
+    for t, s in zip(*walked(finest), strict=True):
+        state = reference.advance(known, state, float(t), (previous, float(s)) if exact else (float(s), float(s)))
+        previous = float(s)
+        exact.append((state.martensite, reference.strain(known, state, float(s))))
+    martensite, strain = np.array(exact).T
+    assert np.ptp(martensite) > 0.9
+    errors = []
+    for count in (50, 100, 200, 400):
+        t, s = walked(count)
+        begun = law.evolve(NOTHING, (jnp.asarray(200.0), jnp.asarray(t[0])), (jnp.asarray(s[0]), jnp.asarray(s[0])))
+        states, found = led(law, begun, jnp.asarray(t), jnp.asarray(s))
+        errors.append(float(np.max(np.abs(np.asarray(found) - strain[:: finest // count]))))
+        np.testing.assert_allclose(states.martensite, martensite[:: finest // count], atol=2e-3 * (50 / count))
+    assert errors[-1] < 2e-6 and errors[0] > 16 * errors[-1], errors
+
+
+compiled = eqx.filter_jit(Lagoudas.evolve)
+
+
+def test_compiled_is_eager():
+    rng = np.random.default_rng(3)
+    for temperature, stress, share in zip(rng.uniform(20.0, 110.0, 40), rng.uniform(0.0, 3e8, 40), rng.uniform(0.0, 0.5, 40), strict=True):
+        given = (
+            Fractions(jnp.asarray(share), jnp.asarray(0.3)),
+            (jnp.asarray(0.0), jnp.asarray(temperature)),
+            (jnp.asarray(1e8), jnp.asarray(stress)),
+        )
+        for one, other in zip(LAW.evolve(*given), compiled(LAW, *given), strict=True):
+            assert float(one) == pytest.approx(float(other), abs=1e-14)
+
+
+@pytest.mark.parametrize("voigt_share", [0.0, 1.0])
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(st.tuples(st.floats(0.0, 130.0), st.floats(0.0, 4e8)), min_size=5, max_size=5))
+def test_no_closed_cycle_yields_energy(voigt_share, turns):
+    """Austenite led any way and back: work less the heat that goes with the entropy is what is dissipated."""
+    corners = np.array([(200.0, 0.0), *turns, (200.0, turns[-1][1]), (200.0, 0.0)])
+    t, s = (np.interp(np.linspace(0.0, len(corners) - 1.0, 701), np.arange(len(corners)), side) for side in corners.T)
+    states, strain = led(Lagoudas(**VALUES, voigt_share=voigt_share), NOTHING, jnp.asarray(t), jnp.asarray(s))
+    martensite, strain = np.asarray(states.martensite), np.asarray(strain)
+    assert martensite[-1] < 1e-12 and abs(strain[-1]) < 1e-12
+    work = np.sum(0.5 * (s[1:] + s[:-1]) * np.diff(strain))
+    heat = reference.energy(EXACT).ds * np.sum(0.5 * (martensite[1:] + martensite[:-1]) * np.diff(t))
+    assert work - heat > (1e5 if np.max(martensite) > 0.1 else -1.0)  # J/m^3; a full cycle's is 1e7
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

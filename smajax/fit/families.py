@@ -5,6 +5,7 @@ the ranges of input and output.
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -64,6 +65,10 @@ def _spread(parameters: dict) -> PrandtlIshlinskii:
     )
 
 
+# Other first guesses: slopes times the input's range, centres and distance of the envelopes over it, and a factor on the plays' reach.
+_ELSEWHERE = ((2.0, 4.0, 8.0, 16.0), (0.2, 0.35, 0.5, 0.65, 0.8), (0.0, 0.1, 0.25), (0.2, 1.0))
+
+
 def prandtl_ishlinskii(
     series: Sequence[Series],
     count: int = 10,
@@ -112,7 +117,16 @@ def prandtl_ishlinskii(
         lower, upper, start = (side | {"densities": held} for side in (lower, upper, start))
     if gaps is None and held is None:
         lower, upper = (side | {"loading": side["loading"] | {"height": envelope["height"]}} for side in (lower, upper))
-    return Family(f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii", _spread, *map(_arrays, (lower, upper, start)))
+    others = []
+    # Two envelopes can stand in for each other's plays: from those of another slope in another place a search ends there. One cannot.
+    for slope, place, gap, far in itertools.product(*_ELSEWHERE) if envelopes == 2 else ():
+        other = start | ({"reach": far * start["reach"]} if "reach" in start else {})
+        for name, side in (("loading", 0.5), ("unloading", -0.5)):
+            centre = low + (place + side * gap) * span
+            other |= {name: envelope | {"slope": slope / span, "shift": -slope / span * centre}}
+        others.append(_arrays(other))
+    name = f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii"
+    return Family(name, _spread, *map(_arrays, (lower, upper, start)), others=tuple(others))
 
 
 def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:

@@ -26,6 +26,7 @@ from smajax.hysteresis.operator import AbstractOperator
 
 _UNEVEN = 0.01
 _WIDE = 30.0
+_AT = 1e-6  # a parameter this share of its room away from a bound is at it
 
 
 class Series(NamedTuple):
@@ -128,6 +129,21 @@ class OperatorFit:
     wall: float
     step: float
 
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """The free parameters that ended at a bound, each with its value there; of an array, how many of its entries."""
+        told = []
+        sides = zip(
+            *(jax.tree_util.tree_leaves_with_path(side) for side in (self.parameters, self.family.lower, self.family.upper)), strict=True
+        )
+        for (path, value), (_, low), (_, high) in sides:
+            away = np.minimum(np.asarray(value - low), np.asarray(high - value))
+            held = (away <= _AT * np.asarray(high - low)) & np.asarray(low < high)
+            if np.any(held):
+                where = f"{np.sum(held)} of {held.size}" if held.ndim else f"{float(value):.4g}"
+                told.append(f"{'.'.join(str(key.key) for key in path)} ({where})")
+        return tuple(told)
+
     def respond(self, series: Series) -> np.ndarray:
         """The law's output on a series, shape ``(n,)``. ``InputError`` if a law that goes row by row meets rows of another step."""
         check_steps(self.family, series, self.step)
@@ -227,7 +243,7 @@ def _by_forward(
 ) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
-    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(problem.point(other)[None] for other in others)])
+    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
     simulations, best = len(drawn), (math.inf, None)

@@ -52,17 +52,9 @@ class BoucWen(AbstractOperator):
     def follow(self, ways: jax.Array, values: jax.Array) -> jax.Array:
         """Outputs for the inputs ``values``, shape ``(n,)`` each; ``ways`` to the ``PLACES``, shape ``(m,)``, come from ``slowness``."""
         slownesses = jax.vmap(self.slowness)(jnp.asarray(PLACES))
-        to_way, to_place = _pieces(PLACES, ways, slownesses), _pieces(ways, PLACES, 1.0 / slownesses)
-
-        def one(w: jax.Array, moved: jax.Array) -> tuple[jax.Array, jax.Array]:
-            side = jnp.where(moved < 0.0, -1.0, 1.0)
-            way = _between(_place(side * w), to_way) + self.rho * jnp.abs(moved)
-            place = _between(jnp.clip(way, ways[0], ways[-1]), to_place)
-            w = jnp.where(moved == 0.0, w, side * _level(jnp.clip(place, PLACES[0], PLACES[-1])))
-            return w, w
-
+        curve = _pieces(PLACES, ways, slownesses), _pieces(ways, PLACES, 1.0 / slownesses)
         first = self.start(values[0])
-        _, rest = jax.lax.scan(one, first, jnp.diff(values))
+        rest = _walk(first, curve, self.rho, ways[-1], jnp.diff(values))
         return jax.vmap(self.output)(jnp.append(first, rest), values)
 
     def slowness(self, place: jax.Array) -> jax.Array:
@@ -111,24 +103,65 @@ def _pieces(knots: Any, values: Any, slopes: jax.Array) -> jax.Array:
     return jnp.stack([knots[:-1], jnp.diff(knots), values[:-1], jnp.diff(values), slopes[:-1], slopes[1:]], axis=1)
 
 
-def _between(at: jax.Array, pieces: jax.Array) -> jax.Array:
-    """Hermite's cubic; scalar."""
-    knot, wide, value, rise, slope, next_slope = _pick(pieces, jnp.sum(at >= pieces[1:, 0]))
+def _found(at: jax.Array, pieces: jax.Array) -> jax.Array:
+    """The row of the piece in which a scalar lies."""
+    return jnp.sum(at >= pieces[1:, 0])
+
+
+def _between(at: jax.Array, piece: jax.Array) -> jax.Array:
+    """Hermite's cubic on a piece, shape ``(6,)``; scalar."""
+    knot, wide, value, rise, slope, next_slope = piece
     share = (at - knot) / wide
     bend = (1.0 - share) * (slope * wide - rise) - share * (next_slope * wide - rise)
     return value + share * rise + share * (1.0 - share) * bend
 
 
+def _way(w: jax.Array, side: jax.Array, piece: jax.Array, rho: jax.Array, end: jax.Array, moved: jax.Array) -> jax.Array:
+    """How far along the curve w is after the input has ``moved``, up to the curve's ``end``."""
+    return jnp.clip(_between(_place(side * w), piece) + rho * jnp.abs(moved), 0.0, end)
+
+
+def _reached(w: jax.Array, side: jax.Array, way: jax.Array, piece: jax.Array, moved: jax.Array) -> jax.Array:
+    """The new w."""
+    place = jnp.clip(_between(way, piece), PLACES[0], PLACES[-1])
+    return jnp.where(moved == 0.0, w, side * _level(place))
+
+
+def _steps(first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, moved: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """w after each change of the input, shape ``(k,)``, and the rows of the pieces that it went by, shape ``(k, 2)``."""
+
+    def one(w: jax.Array, moved: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        side = jnp.where(moved < 0.0, -1.0, 1.0)
+        start = _found(_place(side * w), curve[0])
+        way = _way(w, side, curve[0][start], rho, end, moved)
+        stop = _found(way, curve[1])
+        w = _reached(w, side, way, curve[1][stop], moved)
+        return w, (w, jnp.stack([start, stop]))
+
+    return jax.lax.scan(one, first, moved)[1]
+
+
 @jax.custom_jvp
-def _pick(pieces: jax.Array, row: jax.Array) -> jax.Array:
-    return pieces[row]
+def _walk(first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, moved: jax.Array) -> jax.Array:
+    return _steps(first, curve, rho, end, moved)[0]
 
 
-@_pick.defjvp
-def _pick_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    """The tangent is picked by a sum over all rows: reversed, its picking by number would be a scattered sum.
+@_walk.defjvp
+def _walk_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    """Along the pieces that the walk went by, picked for all its steps at once.
 
-    That comes out wrong where XLA compiles the loop around it as one function.
+    Picked within the loop, each step's tangent would cost a sum over all pieces, or a scattered sum once reversed: that comes out wrong
+    where XLA compiles the loop around it as one function.
     """
-    (pieces, row), (moved, _) = primals, tangents
-    return _pick(pieces, row), jnp.where(jnp.arange(len(pieces))[:, None] == row, moved, 0.0).sum(axis=0)
+    rows = _steps(*primals)[1]
+
+    def again(first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, moved: jax.Array) -> jax.Array:
+        def one(w: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
+            moved, start, stop = step
+            side = jnp.where(moved < 0.0, -1.0, 1.0)
+            w = _reached(w, side, _way(w, side, start, rho, end, moved), stop, moved)
+            return w, w
+
+        return jax.lax.scan(one, first, (moved, curve[0][rows[:, 0]], curve[1][rows[:, 1]]))[1]
+
+    return jax.jvp(again, primals, tangents)

@@ -30,7 +30,7 @@ from smajax.report.comparison import SCHEMA, comparison_page, summary
 from smajax.report.document import difference_unit, number, recording_entry, to_json
 from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
-from smajax.rig_schema import MATERIALS
+from smajax.rig_schema import MATERIALS, as_text
 from smajax.simulate import Code
 
 TRANSFER = tuple(name for name in FAMILIES if name.startswith("transfer-function-"))
@@ -41,7 +41,6 @@ _OWN = {
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
 _STARTS, _STARTS_BY_REVERSE = 16, 3
-_Answer = tuple[int, tuple[np.ndarray, ...], str]
 _HUGE = 1e100  # its square would be no number
 
 
@@ -61,7 +60,7 @@ class CompareJob(NamedTuple):
 class Compared:
     """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none.
 
-    ``note`` says what was done to the recordings for it.
+    ``note`` says what was done to the recordings for it, ``at_bound`` which parameters ended at a bound, and where.
     """
 
     name: str
@@ -71,6 +70,7 @@ class Compared:
     wall: float = 0.0
     why: str = ""
     note: str = ""
+    at_bound: tuple[str, ...] = ()
 
 
 def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -131,14 +131,14 @@ def _names(models: Sequence[str]) -> list[str]:
 
 def _compared(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
     """One model; what it cannot do is an answer, too, so that the others are still compared."""
-    began, kind = time.perf_counter(), "law" if name in MATERIALS else "input-output"
+    began, fitted = time.perf_counter(), _law if name in MATERIALS else _operator
     try:
-        count, predictions, note = (_law if kind == "law" else _operator)(rig, name, recordings, channel, seed)
-        for recording, values in zip(recordings, predictions, strict=True):
+        found = fitted(rig, name, recordings, channel, seed)
+        for recording, values in zip(recordings, found.predictions, strict=True):
             _numbers(recording, channel, values)
     except (InputError, NumericsError) as error:
-        return Compared(name, kind, why=str(error))
-    return Compared(name, kind, count, predictions, time.perf_counter() - began, note=note)
+        return Compared(name, "law" if name in MATERIALS else "input-output", why=str(error))
+    return dataclasses.replace(found, wall=time.perf_counter() - began)
 
 
 def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
@@ -152,14 +152,15 @@ def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
         )
 
 
-def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> _Answer:
+def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
     changed = with_law(rig, name)
     settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
     result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.code is not Code.done]
     if failed:
         raise NumericsError(f"{failed[0].recording.name}: {failed[0].code.name}: {failed[0].code.cure}")
-    return len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses), ""
+    held = tuple(f"{e.name} ({as_text(e.estimate, e.unit)})" for e in result.estimates if e.at_bound)
+    return Compared(name, "law", len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses), at_bound=held)
 
 
 def with_law(rig: Rig, name: str) -> Rig:
@@ -179,7 +180,7 @@ def with_law(rig: Rig, name: str) -> Rig:
     return dataclasses.replace(rig, plant=plant, fit=settings)
 
 
-def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> _Answer:
+def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
     driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
     if not driving:  # one that is on all the time is a step from rest, where it is the only one
         driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
@@ -193,7 +194,7 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     result = fit_operator(family, series[:1], starts=starts, seed=seed)
     found = [result.respond(s) for s in series]
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
-    return family.size, tuple(at_rows), note
+    return Compared(name, "input-output", family.size, tuple(at_rows), note=note, at_bound=result.at_bound)
 
 
 def _laid(family: Family, recordings: Sequence[Recording], held: str) -> tuple[list[Recording], str]:
@@ -210,7 +211,7 @@ def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recordin
     unit, scale = difference_unit(recordings[0], channel)
     models = []
     for one in found:
-        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why, "note": one.note}
+        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why, "note": one.note, "at_bound": list(one.at_bound)}
         rmse, percent, bic = [None, None], [None, None], None
         if not one.why:
             pairs = [(r.channels[channel], p) for r, p in zip(recordings, one.predictions, strict=True)]

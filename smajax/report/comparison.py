@@ -36,12 +36,17 @@ def rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return shown
 
 
+def notes(doc: Mapping[str, Any]) -> list[str]:
+    """What has to be known of single models: what was done to the recordings for them, and which parameters ended at a bound."""
+    told = [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
+    return told + [f"{m['name']}: at its bound: {', '.join(m['at_bound'])}" for m in doc["models"] if m.get("at_bound")]
+
+
 def text(doc: Mapping[str, Any], folder: str) -> str:
     """What the command prints."""
     lines = [f"{doc['channel']} in {doc['unit']}:", *texts.table([_HEAD, *rows(doc)], right=range(1, len(_HEAD))), "", doc["summary"]]
     lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
-    lines += [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
-    return "\n".join([*lines, f"All of it in {folder}"])
+    return "\n".join([*lines, *notes(doc), f"All of it in {folder}"])
 
 
 def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -50,7 +55,7 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     sections = [f'<div class="verdict"><p>{html.escape(doc["summary"])}</p></div>', "<h2>Models, best first</h2>"]
     sections.append(html.table(_HEAD, rows(doc), numbers=tuple(range(1, len(_HEAD)))))
     told = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
-    sections.append(html.bullets(told + [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]))
+    sections.append(html.bullets(told + notes(doc)))
     sections.append(
         f"<p>RMSE in {html.escape(html.pretty_unit(doc['unit']))}. The fit is MATLAB's: 100 (1 - |y - model| / |y - mean|).</p>"
     )

@@ -32,6 +32,7 @@ class Law(NamedTuple):
     n2: float
     n3: float
     n4: float
+    voigt_share: float = 0.0
 
 
 class Energy(NamedTuple):
@@ -121,6 +122,7 @@ def advance(law: Law, state: State, temperature: float, stress: tuple[float, flo
 
 
 def strain(law: Law, state: State, stress: float) -> float:
-    """Total strain without thermal expansion."""
-    compliance = 1 / law.modulus_austenite + state.martensite * (1 / law.modulus_martensite - 1 / law.modulus_austenite)
-    return compliance * stress + state.strain
+    """Total strain without thermal expansion; Young's modulus lies by ``voigt_share`` between the mixtures of compliances and of moduli."""
+    xi, warm, cold = state.martensite, law.modulus_austenite, law.modulus_martensite
+    modulus = (1 - law.voigt_share) / ((1 - xi) / warm + xi / cold) + law.voigt_share * ((1 - xi) * warm + xi * cold)
+    return stress / modulus + state.strain

@@ -1,0 +1,151 @@
+"""A wire with the laws of Tanaka or of Liang and Rogers against a spring, exactly: the published closed forms, with memory of their legs.
+
+    cooling   1 - xi = (1 - xi_0) g(p) / g(p_0),    p = (M_s + sigma / C_M - T) / (M_s - M_f)
+    heating       xi =      xi_0  g(q) / g(q_0),    q = (T - A_s - sigma / C_A) / (A_f - A_s)
+
+with g = 0.01^p (Tanaka) or half a cosine, and xi_0, p_0, q_0 where the driving variable last began to rise (Elahinia and Ahmadian 2005).
+Heat by the classical Runge-Kutta rule, the stress by bisection at each of its stages; time is not cut at events.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+NONE, FORWARD, REVERSE = 0, 1, 2
+
+
+class Rig(NamedTuple):
+    """Law (``tanaka`` or not), its constants in degC, Pa and Pa/K, and the wire, its heat and its spring in SI; T in degC."""
+
+    tanaka: bool
+    martensite_start: float
+    martensite_finish: float
+    austenite_start: float
+    austenite_finish: float
+    clausius_clapeyron_austenite: float
+    clausius_clapeyron_martensite: float
+    modulus_austenite: float
+    modulus_martensite: float
+    max_strain: float
+    resistivity_austenite: float
+    resistivity_martensite: float
+    thermal_expansion: float
+    diameter: float
+    length: float
+    h0: float
+    h2: float
+    capacity: float
+    stiffness: float
+    preload: float
+    ambient: float
+
+
+class Leg(NamedTuple):
+    """Where the wire is, and where the leg that it is on began: its kind, its driving variable there and the fraction there."""
+
+    martensite: float
+    temperature: float
+    stress: float
+    kind: int
+    begun: float
+    had: float
+
+
+@njit(cache=True)
+def left(tanaka, share):
+    """g: what is left to transform."""
+    if tanaka:
+        return math.exp(-max(share, 0.0) * math.log(100.0))
+    return 0.5 * (1.0 + math.cos(math.pi * min(max(share, 0.0), 1.0)))
+
+
+@njit(cache=True)
+def drives(r, temperature, stress):
+    """p and q."""
+    p = (r.martensite_start + stress / r.clausius_clapeyron_martensite - temperature) / (r.martensite_start - r.martensite_finish)
+    q = (temperature - r.austenite_start - stress / r.clausius_clapeyron_austenite) / (r.austenite_finish - r.austenite_start)
+    return p, q
+
+
+@njit(cache=True)
+def follow(r, leg, temperature, stress):
+    """The state at a temperature and a stress; on the way there no driving variable turns."""
+    p0, q0 = drives(r, leg.temperature, leg.stress)
+    p, q = drives(r, temperature, stress)
+    if p > p0 and p > 0.0:
+        begun, had = (leg.begun, leg.had) if leg.kind == FORWARD else (p0, leg.martensite)
+        whole = left(r.tanaka, begun)
+        martensite = 1.0 - (1.0 - had) * left(r.tanaka, p) / whole if whole > 0.0 else 1.0
+        return Leg(martensite, temperature, stress, FORWARD, begun, had)
+    if q > q0 and q > 0.0:
+        begun, had = (leg.begun, leg.had) if leg.kind == REVERSE else (q0, leg.martensite)
+        whole = left(r.tanaka, begun)
+        martensite = had * left(r.tanaka, q) / whole if whole > 0.0 else 0.0
+        return Leg(martensite, temperature, stress, REVERSE, begun, had)
+    return Leg(leg.martensite, temperature, stress, NONE, 0.0, leg.martensite)
+
+
+@njit(cache=True)
+def strain(r, martensite, temperature, stress):
+    """Total strain; thermal strain counts from ambient."""
+    modulus = r.modulus_austenite + martensite * (r.modulus_martensite - r.modulus_austenite)
+    return stress / modulus + r.max_strain * martensite + r.thermal_expansion * (temperature - r.ambient)
+
+
+@njit(cache=True)
+def _settled(r, leg, temperature, origin):
+    """The state at a temperature at which the wire's pull is the spring's."""
+    area = 0.25 * math.pi * r.diameter**2
+    low, high = 0.0, 3e9
+    if r.stiffness == 0.0:
+        return follow(r, leg, temperature, r.preload / area)
+    for _ in range(70):
+        middle = 0.5 * (low + high)
+        there = strain(r, follow(r, leg, temperature, middle).martensite, temperature, middle)
+        if middle * area > r.preload + r.stiffness * r.length * (origin - there):
+            high = middle
+        else:
+            low = middle
+    return follow(r, leg, temperature, 0.5 * (low + high))
+
+
+@njit(cache=True)
+def _rate(r, leg, current):
+    resistivity = r.resistivity_austenite + leg.martensite * (r.resistivity_martensite - r.resistivity_austenite)
+    joule = resistivity * (current / (0.25 * math.pi * r.diameter**2)) ** 2
+    lost = 4.0 / r.diameter * (r.h0 + r.h2 * leg.temperature**2) * (leg.temperature - r.ambient)
+    return (joule - lost) / r.capacity
+
+
+@njit(cache=True)
+def _march(r, time, current, substeps):
+    stress = r.preload / (0.25 * math.pi * r.diameter**2)
+    leg = Leg(1.0, r.ambient, stress, NONE, 0.0, 1.0)
+    origin = strain(r, 1.0, r.ambient, stress)
+    out = np.empty((time.size, 4))
+    for k in range(time.size):
+        out[k] = (r.length * (origin - strain(r, leg.martensite, leg.temperature, leg.stress)), leg.temperature, leg.stress, leg.martensite)
+        if k == time.size - 1:
+            break
+        step = (time[k + 1] - time[k]) / substeps
+        for _ in range(substeps):
+            warm = leg.temperature
+            a = _rate(r, leg, current[k])
+            b = _rate(r, _settled(r, leg, warm + 0.5 * step * a, origin), current[k])
+            c = _rate(r, _settled(r, leg, warm + 0.5 * step * b, origin), current[k])
+            d = _rate(r, _settled(r, leg, warm + step * c, origin), current[k])
+            leg = _settled(r, leg, warm + step / 6.0 * (a + 2.0 * (b + c) + d), origin)
+    return out
+
+
+def simulate(rig: Rig, time: Floats, current: Floats, substeps: int = 20) -> Floats:
+    """A wire that begins all detwinned at ambient under its preload, the current held from row to row.
+
+    Returns contraction in m, temperature, stress and martensite fraction, shape (n, 4). Without stiffness the preload is a dead weight.
+    """
+    made = Rig(bool(rig.tanaka), *map(float, rig[1:]))
+    return _march(made, np.ascontiguousarray(time, float), np.ascontiguousarray(current, float), substeps)
