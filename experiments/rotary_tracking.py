@@ -29,7 +29,7 @@ from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
 from smajax.control.tune import tune
-from smajax.control.tuning import Tuning, noises, roll
+from smajax.control.tuning import SPREAD, Tuning, noises, roll
 from smajax.fit.fit import fit
 from smajax.parameter_file import read_parameters
 from smajax.recording import Recording
@@ -142,7 +142,7 @@ def tuning_of(mode: Mode, rig: Rig, start: dict[str, float]) -> Tuning:
     if "co_contraction" in start:
         ends["co_contraction"] = (0.01 * mode.largest, mode.largest)
     scenario = scenario_of(mode)
-    return Tuning.of(DrivenPlant.of(rig.plant, PERIOD), loop, scenario, ends, draws=noises(loop, scenario))
+    return Tuning.of(DrivenPlant.of(rig.plant, PERIOD), loop, scenario, ends, draws=noises(loop, scenario), spread=SPREAD)
 
 
 def exact(mode: Mode, truth: RigFile, gains: dict[str, float], scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

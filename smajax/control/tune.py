@@ -4,9 +4,10 @@ The gains are searched by their logarithms between bounds. Terms and limits (``o
 costs as much whatever the number of gains, and which a quasi-Newton search in the box makes small. Several plants (draws of a fit's
 posterior, ambients, loads) or draws of the noise are rolled out as one batch and count alike.
 
-Gradients end where a wire's loop is rough: its best gains lie near those with which it hunts through small loops of its hysteresis or
-chatters between its limits, where what a change of the gains does at once tells nothing of what it does in the end. From there on a
-surrogate of all that was seen, which takes roughness for noise, says where to look, and a simplex goes down what it leaves.
+Gradients are followed by one member first, since all go the same way from afar, and by all of them then. They end where a wire's loop is
+rough: some gains let it hunt through small loops of its hysteresis or chatter between its limits, and there what a change of the gains
+does at once tells nothing of what it does in the end. If more than one start is asked for, a surrogate of all that was seen, which takes
+roughness for noise, says where to look from there on, and a simplex goes down what it leaves.
 
 Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
@@ -22,9 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from smajax.control import metrics, objective, surrogate
+from smajax.control import metrics, objective, surrogate, trust_region
 from smajax.control.fastest import Shape, fastest, shape_at
 from smajax.control.objective import LIMITS, TERMS, Wanted
+from smajax.control.trust_region import Place
 from smajax.control.tuning import Tuning, look, roll
 from smajax.errors import InputError, NumericsError
 
@@ -44,6 +46,9 @@ _EVALUATIONS = 32
 _RTOL = 1e-4
 _SCREENED = 16
 _BATCH = 8  # points looked at together
+_REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and that of all members from where one has led
+_ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
+_COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
 _ROUNDS, _PATIENCE = 6, 4  # looks by the surrogate for each start, and after how many in vain it ends
 _BETTER = 2e-3  # of the cost: less is in vain
 _SIMPLEX, _LAST = 0.05, 64  # size of the simplex, of the box, and how often it looks
@@ -137,6 +142,24 @@ class _Tuner:
         self.seen += found
         return found
 
+    def follow(self, place: Place, tuning: Tuning, least: float, steps: int) -> Place:
+        """The best place found by gradients of the cost's logarithm, of all members or of some in ``tuning``, where nothing limits."""
+        aim = _Aim(tuning, self.unlimited, jnp.asarray(self.scale), self.none[: tuning.count], jnp.asarray(1.0))
+        free = np.asarray(self.tuning.upper > self.tuning.lower)
+
+        def slope(point: np.ndarray) -> tuple[float, np.ndarray]:
+            value, by = _slope(jnp.asarray(point), aim)
+            self.rollouts += _REVERSE * tuning.count
+            cost, by = float(value), np.where(free, np.asarray(by), 0.0)
+            if not (0.0 < cost < math.inf and np.all(np.isfinite(by))):
+                return math.inf, np.zeros_like(point)
+            if tuning.count == self.tuning.count:
+                self.seen.append(_Candidate(0.0, cost, point))
+            self.progress(self.rollouts, cost)
+            return math.log(cost), by / cost
+
+        return trust_region.descend(slope, place, least, steps)
+
     def descend(
         self, start: np.ndarray, wanted: Wanted, multipliers: jax.Array, mu: float, steps: int, scale: float, reach: float = 1.0
     ) -> _Candidate:
@@ -157,8 +180,6 @@ class _Tuner:
             if not (math.isfinite(found) and np.all(np.isfinite(by))):
                 return _UNUSABLE, np.zeros_like(x)
             point = _Candidate(0.0, found, x / scale)
-            if not self.limited:
-                self.seen.append(point)
             if found < best.cost:
                 best = point
                 self.progress(self.rollouts, found)
@@ -242,15 +263,19 @@ def _starts(tuner: _Tuner, starts: int, seed: int) -> np.ndarray:
     return np.vstack([own, *(one.point for one in sorted(found, key=_order)[: starts - 1])])
 
 
-def _near(tuner: _Tuner, points: np.ndarray, steps: int = _FIRST) -> np.ndarray:
+def _near(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     """The terms made small without regard to limits: the best point."""
-    found = min((tuner.descend(p, tuner.unlimited, tuner.none, 1.0, steps, _WIDE_STEP) for p in points), key=lambda c: c.cost)
+    found = min((tuner.descend(p, tuner.unlimited, tuner.none, 1.0, _FIRST, _WIDE_STEP) for p in points), key=lambda c: c.cost)
+    return _usable(tuner, found).point
+
+
+def _usable(tuner: _Tuner, found: _Candidate) -> _Candidate:
     if not math.isfinite(found.cost):
         raise NumericsError(
             "the closed loop does not give numbers from the start gains, nor from any that was drawn: start from smaller gains",
-            {name: float(v) for name, v in tuner.tuning.gains(points[0]).items()},
+            {name: float(v) for name, v in tuner.tuning.gains(found.point).items()},
         )
-    return found.point
+    return found
 
 
 def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
@@ -285,16 +310,26 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
 def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     """The terms made small where nothing limits them: by gradients from the best that is known, then by the surrogate."""
     tuner.candidates(points[:1])
-    point = _near(tuner, min(tuner.seen, key=_order).point[None], 2 * _FIRST)
-    found = tuner.descend(point, tuner.wanted, tuner.none, 1.0, _FIRST, _SMALL_STEP)
+    place = Place(_known(tuner).point, math.inf, None, _REGION)
+    steps = _ALL
+    if tuner.tuning.count > 1:
+        place = tuner.follow(place, tuner.tuning.alone(), _COARSE, _ALONE)
+        place, steps = place._replace(radius=max(place.radius, _CLOSE)), _FEW
+    tuner.follow(place, tuner.tuning, _FINE, steps)
+    found = _known(tuner)
     if len(points) > 1:
         found = _by_simplex(tuner, _by_surrogate(tuner, _ROUNDS * (len(points) - 1)))
     return found.point
 
 
+def _known(tuner: _Tuner) -> _Candidate:
+    """The best of all that all members were looked at."""
+    return _usable(tuner, min(tuner.seen, key=_order))
+
+
 def _by_surrogate(tuner: _Tuner, rounds: int) -> _Candidate:
     """The best of all that was seen and of what a surrogate of it proposes."""
-    process, best, vain = None, min(tuner.seen, key=_order), 0
+    process, best, vain = None, _known(tuner), 0
     for _ in range(rounds):
         process = surrogate.fitted(
             np.array([one.point for one in tuner.seen]), np.array([min(one.cost, _UNUSABLE) for one in tuner.seen]), process

@@ -1,6 +1,7 @@
 """What is tuned, as a function of a point: a loop around one plant or many, its gains by their logarithms in the unit box."""
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.stats
 
 from smajax.control import metrics, objective
 from smajax.control.driven import AbstractDriven
@@ -17,12 +19,15 @@ from smajax.control.rollout import Loop, Rollout, Scenario, rollout
 from smajax.errors import InputError
 
 NOISES = 8  # draws of the sensor's noise that gains are tuned for, lest they suit one only
+SPREAD = 0.1  # of a gain: how far each may be off, lest they suit the moments of one reference only
 
 
 class Tuning(eqx.Module):
     """What is tuned: a loop around something driven, over a scenario.
 
-    ``members`` name parameters that differ, each of shape ``(m,)``; ``draws``, shape ``(m, n)``, are the sensor's noise of each.
+    ``members`` name parameters that differ, each of shape ``(m,)``; ``draws``, shape ``(m, n)``, are the sensor's noise of each. A member
+    judges gains that are off by its row of ``offsets``, shape ``(m, p)``, of the box: a wire that hunts meets the reference's jumps in
+    better and worse moments, and what is good for one row of moments only is no good gain.
     """
 
     driven: AbstractDriven
@@ -31,6 +36,7 @@ class Tuning(eqx.Module):
     task: Task
     members: dict[str, jax.Array]
     draws: jax.Array
+    offsets: jax.Array
     lower: jax.Array
     upper: jax.Array
     names: tuple[str, ...] = eqx.field(static=True)
@@ -44,10 +50,12 @@ class Tuning(eqx.Module):
         bounds: Mapping[str, tuple[float, float]],
         members: Mapping[str, Any] | None = None,
         draws: Any | None = None,
+        spread: float = 0.0,
     ) -> "Tuning":
         """``bounds`` name the gains to be tuned and the positive ends between which they lie.
 
-        A single row of ``draws``, or the scenario's noise without, is met by all members. Raises ``InputError`` for a gain that the
+        A single row of ``draws``, or the scenario's noise without, is met by all members. With a ``spread``, the gains that several members
+        judge lie up to such a share above and below those asked for. Raises ``InputError`` for a gain that the
         controller has not, or whose start value does not lie between its bounds.
         """
         for name, (low, high) in bounds.items():
@@ -66,12 +74,22 @@ class Tuning(eqx.Module):
         differ = {k: jnp.asarray(v) for k, v in (members or {}).items()}
         noise = scenario.draws[None] if draws is None else jnp.asarray(draws)
         noise = jnp.broadcast_to(noise, (next((len(v) for v in differ.values()), len(noise)), len(reference)))
-        return cls(driven, loop, scenario, task, differ, noise, *ends, names=tuple(bounds))
+        lower, upper = ends
+        wide = np.log(np.where(upper > lower, upper / lower, math.inf))
+        even = scipy.stats.qmc.Halton(len(bounds), rng=0).random(len(noise)) if len(noise) > 1 else np.full((1, len(bounds)), 0.5)
+        offsets = jnp.asarray(math.log1p(spread) / wide * (2.0 * even - 1.0))
+        return cls(driven, loop, scenario, task, differ, noise, offsets, lower, upper, names=tuple(bounds))
 
     @property
     def count(self) -> int:
         """Number of members: rollouts at each look at a point."""
         return self.draws.shape[0]
+
+    def alone(self) -> "Tuning":
+        """The same with its first member only."""
+        return dataclasses.replace(
+            self, members={name: values[:1] for name, values in self.members.items()}, draws=self.draws[:1], offsets=0.0 * self.offsets[:1]
+        )
 
     @property
     def jumps(self) -> metrics.Jumps:
@@ -86,9 +104,9 @@ class Tuning(eqx.Module):
         return np.log(values / low) / np.where(high > low, np.log(high / low), 1.0)
 
     def gains(self, point: Any) -> dict[str, jax.Array]:
-        """The gains at a point of the unit box, in internal units."""
-        values = self.lower * (self.upper / self.lower) ** jnp.asarray(point)
-        return {name: values[i] for i, name in enumerate(self.names)}
+        """The gains at a point of the unit box, or at several as columns, in internal units."""
+        values = jnp.asarray(point)
+        return {name: self.lower[i] * (self.upper[i] / self.lower[i]) ** values[i] for i, name in enumerate(self.names)}
 
     def steered(self, gains: Mapping[str, Any]) -> Loop:
         """The loop with other gains, in internal units."""
@@ -96,19 +114,24 @@ class Tuning(eqx.Module):
 
     def roll(self, gains: Mapping[str, Any]) -> Rollout:
         """The rollouts of all members with other gains, in internal units; leaves with a leading axis of ``m``."""
-        loop = self.steered(gains)
+        return self._roll({name: jnp.broadcast_to(value, self.count) for name, value in gains.items()})
 
-        def one(values: dict[str, jax.Array], draws: jax.Array) -> Rollout:
+    def _roll(self, gains: dict[str, jax.Array]) -> Rollout:
+        """The rollouts of all members, each with gains of its own, arrays of shape ``(m,)``."""
+
+        def one(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
             driven = self.driven.changed(values) if values else self.driven
-            return rollout(driven, loop, dataclasses.replace(self.scenario, draws=draws))
+            return rollout(driven, self.steered(gains), dataclasses.replace(self.scenario, draws=draws))
 
         if not self.members and self.count == 1:  # no batch is faster than a batch of one
-            return jax.tree.map(lambda leaf: leaf[None], one({}, self.draws[0]))
-        return jax.vmap(one)(self.members, self.draws)
+            alone = one({}, self.draws[0], {name: value[0] for name, value in gains.items()})
+            return jax.tree.map(lambda leaf: leaf[None], alone)
+        return jax.vmap(one)(self.members, self.draws, gains)
 
     def parts(self, point: jax.Array, wanted: Wanted) -> Parts:
         """Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``."""
-        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(self.roll(self.gains(point))._replace(ends=None))
+        done = self._roll(self.gains((point[None] + self.offsets).T))
+        return jax.vmap(lambda done: objective.parts(done, self.task, wanted))(done._replace(ends=None))
 
 
 def noises(loop: Loop, scenario: Scenario, count: int = NOISES, seed: int = 0) -> jax.Array:

@@ -20,7 +20,7 @@ from smajax.control.margins import Margins, margins, restless
 from smajax.control.rollout import Loop, Rollout, Scenario
 from smajax.control.slow_loop import Identified, identify, with_inverse
 from smajax.control.tune import Tuned, tune
-from smajax.control.tuning import NOISES, Tuning, noises, roll
+from smajax.control.tuning import NOISES, SPREAD, Tuning, noises, roll
 from smajax.controller_file import ControllerFile, read_controller
 from smajax.errors import InputError
 from smajax.fmu.models import controller_model, plant_model
@@ -89,7 +89,8 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     with clock.time("tune"):
         few = {n: v[: given.robust.draws] for n, v in drawn.items()} if given.robust else {}
         draws = noises(given.loop, given.scenario, given.robust.draws if given.robust else NOISES, seed)
-        tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws)
+        sharp = bool(given.limits or given.settle or given.robust)  # what is limited, or spread already, is judged as it is
+        tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws, 0.0 if sharp else SPREAD)
         found = tune(
             tuning, given.weights, given.limits, settle=given.settle, starts=given.starts, seed=seed, band=given.band,
             progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
