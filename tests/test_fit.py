@@ -169,7 +169,7 @@ def test_fits_repeat_and_scaling_of_noise_changes_nothing():
 
 def test_starts_that_all_fail_end_with_a_reason():
     with pytest.raises(NumericsError, match=r"at the start values: .*wire.diameter"):
-        fit(parameters.replace(plants.dead_weight(), {"drive.gain": 1e6}), [recorded({}, rows=100)], Settings(), step=0.08)
+        fit(parameters.replace(plants.dead_weight(), {"drive.gain": 1e6}), [recorded({})], Settings(), step=0.04)
 
 
 def test_bad_settings_are_refused():
@@ -183,7 +183,7 @@ def test_bad_settings_are_refused():
 
 
 def test_drawn_starts_lie_in_the_box_and_repeat():
-    problem = build(plants.dead_weight(), [recorded({}, rows=100)], Settings(), step=0.08)
+    problem = build(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04)
     starts, count = draw_starts(problem, 4, 3)
     again, _ = draw_starts(problem, 4, 3)
     lower, upper = problem.search_box()
