@@ -176,16 +176,24 @@ def test_gradients_forward_and_reverse():
         course = at.cool(5.0)
         return jnp.stack([course.cooled(p[6]), course.at(2.0)])
 
-    start = jnp.array([3e-4, 11.0, 0.2, 10.0, 1e-5, 6e-4, 55.0])
-    along = jnp.array([1.0, -0.3])
-    forward, reverse = jax.jit(jax.jacfwd(figures))(start), jax.jit(jax.grad(lambda p: along @ figures(p)))(start)
-    slopes = np.array(forward)
-    np.testing.assert_allclose(along @ slopes, reverse, rtol=1e-8, atol=1e-8 * np.abs(slopes).max())
-    steps = np.diag(1e-4 * np.array(start))
-    ends = np.array(jax.jit(jax.vmap(figures))(np.concatenate([np.array(start) + steps, np.array(start) - steps])))
-    by_difference = (ends[: len(start)] - ends[len(start) :]).T / 2
-    np.testing.assert_allclose(slopes * np.diag(steps), by_difference, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(ends[3], jax.jit(figures)(start.at[3].mul(1.0 + 1e-4)), rtol=1e-12)  # in a batch as alone
+    start, along = np.array([3e-4, 11.0, 0.2, 10.0, 1e-5, 6e-4, 55.0]), np.array([1.0, -0.3])
+
+    @jax.jit
+    @jax.vmap
+    def moved(point: jax.Array, direction: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The figures, how they move in a direction, and the gradient of what lies ``along`` them."""
+        value, push = jax.linearize(figures, point)
+        return value, push(direction), jax.linear_transpose(push, point)(jnp.asarray(along))[0]
+
+    steps = np.diag(1e-4 * start)
+    points = np.concatenate([start + 0.0 * steps, start + steps, start - steps])
+    values, pushed, gradients = map(np.array, moved(points, np.tile(np.eye(len(start)), (3, 1))))
+    slopes = pushed[: len(start)].T
+    np.testing.assert_allclose(along @ slopes, gradients[0], rtol=1e-8, atol=1e-8 * np.abs(slopes).max())
+    _, above, below = np.split(values, 3)
+    np.testing.assert_allclose(slopes * np.diag(steps), (above - below).T / 2, rtol=1e-5, atol=1e-9)
+    alone = section(cells=6, placement=EvenWires(11.0), offset=1e-5, convection=10.0 * (1.0 + 1e-4))
+    np.testing.assert_allclose(above[3], cool(alone)[1:], rtol=1e-12)  # in a batch as alone
 
 
 def test_gradient_in_the_spacing():
@@ -195,10 +203,10 @@ def test_gradient_in_the_spacing():
         at = section(cells=6, placement=SpacedWires(3, 0.8e-3), width=6e-3)
         return eqx.tree_at(lambda s: (s.placement.pitch, s.width), at, (spacing[0], spacing[1])).cool(5.0).at(2.0)
 
-    at = jnp.array([0.8e-3, 6e-3])
-    slopes = np.array(jax.jit(jax.grad(later))(at))
-    ends = jax.jit(jax.vmap(later))(np.array(at) * (1.0 + 1e-4 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])))
-    np.testing.assert_allclose(slopes * 1e-4 * np.array(at), np.array(ends[:2] - ends[2:]) / 2, rtol=1e-5)
+    at, sides = np.array([0.8e-3, 6e-3]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    ends, gradients = map(np.array, jax.jit(jax.vmap(jax.value_and_grad(later)))(at * (1.0 + 1e-4 * sides)))
+    slopes = gradients[0]
+    np.testing.assert_allclose(slopes * 1e-4 * at, (ends[1:3] - ends[3:]) / 2, rtol=1e-5)
     assert slopes[0] < -100.0 * abs(slopes[1])  # further apart they get colder; the section ends far from them
 
 

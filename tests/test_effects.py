@@ -17,6 +17,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis
 from smajax.diagnose.preflight import preflight
 from smajax.errors import InputError
+from smajax.fit.problem import Problem
 from smajax.parameters import declarations
 from smajax.plant.effect import AbstractEffect
 from smajax.plant.sensor import lagged
@@ -74,7 +75,8 @@ KEYS = [
 def bench(kind: str, seconds: float, observe: str = "", stages: tuple[str, ...] = ()) -> Bench:
     """A shipped rig on the first seconds of its training recording, with other observed channels where these are given.
 
-    With ``stages``, only effects of these: what those of the others do is the same on every rig with wires that are heated.
+    With ``stages``, only effects of these: what those of the others do is the same on every rig with wires that are heated. The terms of
+    free form are left out: they are half of such a program.
     """
     folder = shipped("recordings", kind)
     text = (folder / "rig.toml").read_text("utf-8")
@@ -89,6 +91,7 @@ def bench(kind: str, seconds: float, observe: str = "", stages: tuple[str, ...] 
     noise = {"displacement": 2e-5, "temperature": 0.4, "voltage": 5e-3, "angle": 1e-3, "strain": 1e-4}
     settings = dataclasses.replace(rig.fit, noise={c: noise[c] for c in rig.fit.observe})
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smajax.diagnose.freeform.absent", tuple)
         if stages:
             kept = {k: e for k, e in catalogue().items() if e.stage in stages or "two wires" in e.needs}
             patch.setattr("smajax.diagnose.bench.catalogue", lambda: kept)
@@ -117,7 +120,7 @@ def test_an_effect_says_what_it_is(key):
     [
         ("dead-weight", 12.0, '"displacement", "temperature", "voltage"', ()),
         ("rotary", 6.0, "", ("mechanism", "sensor")),
-        ("bias-spring", 8.0, "", ("drive", "mechanism", "sensor")),
+        ("bias-spring", 8.0, "", ("drive", "mechanism")),
         ("isobaric", 300.0, "", ()),
     ],
 )
@@ -126,7 +129,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
     made = bench(kind, seconds, observe, stages)
     nominal = made.nominal
     nothing, _ = made.evaluate(Hypothesis(), nominal, 0)
-    without = np.asarray(made.plain.residual(jnp.asarray(nominal)))
+    without = np.asarray(eqx.filter_jit(Problem.residual)(made.plain, nominal))
     assert np.max(np.abs(made.flat(nothing) - without)) < 1e-6 * np.linalg.norm(without)
     silent = set()
     for (key, shape), column in made.columns(Hypothesis(), nominal).items():

@@ -15,6 +15,8 @@ from tests.reference import limb as reference
 from tests.reference.brinson import Material
 from tests.reference.wire import Heat, Wire
 
+STEP = 0.0125
+GRID = 4 * 599 + 1  # of such steps
 HEAT = PolynomialHeat(h0=100.6, capacity_austenite=2.046e6, capacity_martensite=2.046e6)
 
 
@@ -40,16 +42,17 @@ def recording():
 
 
 def misses(plant: Plant, recording, steps: tuple[float, ...]) -> list[float]:
-    """RMS difference to the reference over the range, for each step."""
+    """RMS difference to the reference over the range, for each step: all on the grid of the shortest, so that they are one program."""
     true, finer = (exact(plant, recording, substeps) for substeps in (50, 100))
     assert np.max(np.abs(true - finer)) < 2e-4 * np.ptp(true)
-    angles = [np.asarray(simulate.simulate(plant, recording, step=step).channels["angle"]) for step in steps]
+    laid = [simulate.lay_out(plant, recording, step=step).padded(GRID, len(recording)) for step in steps]
+    angles = [np.asarray(simulate.simulate_inputs(plant, inputs).channels["angle"]) for inputs in laid]
     return [float(np.sqrt(np.mean((a - finer) ** 2)) / np.ptp(finer)) for a in angles]
 
 
 def test_converges_to_the_reference(recording):
     assert misses(air(plants.limb(sheathed=False)), recording, (0.05,))[0] < 5e-3
-    found = misses(air(plants.limb()), recording, (0.05, 0.0125))
+    found = misses(air(plants.limb()), recording, (0.05, STEP))
     # Friction turns around within a step: its error falls with the first order, all other with the second.
     assert found[1] < found[0] / 3.0, found
     assert found[1] < 1e-3, found
@@ -58,7 +61,8 @@ def test_converges_to_the_reference(recording):
 def test_the_capstan_multiplies_and_divides_the_tension(recording):
     plant = plants.limb()
     slow = np.interp(recording.time, [0.0, 14.0, 30.0], [0.0, 0.65, 0.0])
-    result = simulate.simulate(plant, plants.recording({"current": slow, "angle": 0 * slow}, recording.time))
+    inputs = simulate.lay_out(plant, plants.recording({"current": slow, "angle": 0 * slow}, recording.time)).padded(GRID, len(recording))
+    result = simulate.simulate_inputs(plant, inputs)
     angle, torque = np.asarray(result.channels["angle"]), np.asarray(result.channels["torque"])
     joint = torque / (2.0 * float(plant.wire.area) * 0.03 / 1.5)
     grip = np.log(np.asarray(result.channels["stress"]) / joint)
@@ -80,8 +84,8 @@ def test_without_friction_and_conduction_there_is_no_sheath():
 
 
 def test_a_vanishing_sheath_is_none(recording):
-    plain = np.asarray(simulate.simulate(plants.limb(sheathed=False), recording).channels["angle"])
-    inputs = simulate.lay_out(plants.limb(), recording)
+    plain = np.asarray(simulate.simulate(plants.limb(sheathed=False), recording, step=STEP).channels["angle"])
+    inputs = simulate.lay_out(plants.limb(), recording, step=STEP)
     friction = jnp.asarray([0.0, 1e-4, 1e-3, 0.07])
     values = {"sheath.friction": friction, "sheath.conduction": jnp.asarray([0.0, 0.0, 0.0, 3.0])}
     batch, codes = simulate.simulate_batch(plants.limb(), values, inputs, ("angle",))
@@ -89,18 +93,18 @@ def test_a_vanishing_sheath_is_none(recording):
     gap = np.sqrt(np.mean((np.asarray(batch["angle"]) - plain) ** 2, axis=1))
     assert gap[0] < 1e-8
     assert gap[2] == pytest.approx(10.0 * gap[1], rel=0.2)
-    single = simulate.simulate(plants.limb(), recording).channels["angle"]
+    single = simulate.simulate(plants.limb(), recording, step=STEP).channels["angle"]
     assert np.asarray(batch["angle"][3]) == pytest.approx(np.asarray(single), abs=1e-9)
 
 
 def test_wires_share_the_load_and_a_doubling_pulley_halves_the_arm(recording):
-    angle = np.asarray(simulate.simulate(plants.limb(), recording).channels["angle"])
+    angle = np.asarray(simulate.simulate(plants.limb(), recording, step=STEP).channels["angle"])
     loads = ("limb.mass", "limb.stiffness", "limb.preload", "pulley.inertia", "pulley.damping")
     half = {n: 0.5 * parameters.get(plants.limb(), n) for n in loads}
     one = parameters.replace(plants.limb(), half | {"transmission.count": 1.0})
-    assert np.asarray(simulate.simulate(one, recording).channels["angle"]) == pytest.approx(angle, abs=1e-7)
+    assert np.asarray(simulate.simulate(one, recording, step=STEP).channels["angle"]) == pytest.approx(angle, abs=1e-7)
     direct = parameters.replace(plants.limb(), {"transmission.ratio": 1.0, "pulley.radius": 0.02})
-    assert np.asarray(simulate.simulate(direct, recording).channels["angle"]) == pytest.approx(angle, abs=1e-7)
+    assert np.asarray(simulate.simulate(direct, recording, step=STEP).channels["angle"]) == pytest.approx(angle, abs=1e-7)
 
 
 def test_the_liner_takes_its_heat_and_gives_it_back(recording):
@@ -108,7 +112,7 @@ def test_the_liner_takes_its_heat_and_gives_it_back(recording):
     plant = parameters.replace(air(plants.limb()), {"material.resistivity_martensite": 1e-6})
     time = recording.time
     current = np.full(600, 0.3)
-    result = simulate.simulate(plant, plants.recording({"current": current, "angle": 0 * time}, time), step=0.0125)
+    result = simulate.simulate(plant, plants.recording({"current": current, "angle": 0 * time}, time), step=STEP)
     power = 0.3**2 * float(result.channels["resistance"][0])
     volume = float(plant.wire.area * plant.wire.length)
     steady = 4.0 / 0.2e-3 * 100.6
@@ -130,7 +134,7 @@ def test_an_idle_arm_hangs_where_its_weight_and_spring_say(recording):
     moment = 0.12 * 9.81 * 0.15 * np.sin(0.3) + 0.02
     assert float(start.stress[0]) == pytest.approx(moment * 1.5 / (2.0 * float(plant.wire.area) * 0.03), rel=1e-12)
     idle = parameters.replace(plant, {"limb.mass": 0.0, "limb.stiffness": 0.0, "limb.preload": 0.0})
-    result = simulate.simulate(idle, recording)
+    result = simulate.simulate(idle, recording, step=STEP)
     angle, stress = np.asarray(result.channels["angle"]), np.asarray(result.channels["stress"])
     assert np.min(stress) == 0.0 and angle[-1] > 0.5
     assert np.max(-np.diff(angle)) < 0.02 * np.ptp(angle)

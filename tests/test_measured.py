@@ -1,28 +1,70 @@
 """The experiments on recordings by others: what they read, and what they say of folders that they cannot use. Their fits are no tests."""
 
+import ast
+import importlib
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from tests.conftest import ROOT
 
+EXPERIMENTS = ROOT / "experiments"
 
-def run(name: str, *words: str) -> subprocess.CompletedProcess:
+
+def run_alone(name: str, *words: str) -> subprocess.CompletedProcess:
     """An experiment in a process that inherits nothing of how the tests set up JAX, as a user starts it."""
-    command = [sys.executable, str(ROOT / "experiments" / f"{name}.py"), *words]
+    command = [sys.executable, str(EXPERIMENTS / f"{name}.py"), *words]
     environment = {k: v for k, v in os.environ.items() if k not in ("EQX_ON_ERROR", "XLA_FLAGS")}
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, env=environment)
 
 
-@pytest.mark.parametrize("name", sorted(p.stem for p in (ROOT / "experiments").glob("[a-z]*.py") if p.stem != "readme"))
-def test_every_experiment_starts(name):
+class Ended(NamedTuple):
+    """How an experiment ended, and what it said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs an experiment in this process, where all that it imports is loaded already."""
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+
+    def ended(name: str, *words: str) -> Ended:
+        monkeypatch.setattr(sys, "argv", [str(EXPERIMENTS / f"{name}.py"), *words])
+        with pytest.raises(SystemExit) as left:
+            importlib.import_module(name).main()
+        said = capsys.readouterr()
+        return Ended(int(left.value.code or 0), said.out, said.err)
+
+    return ended
+
+
+@pytest.mark.parametrize("name", sorted(p.stem for p in EXPERIMENTS.glob("[a-z]*.py") if p.stem != "readme"))
+def test_every_experiment_starts(name, run):
     done = run(name, "--help")
     assert done.returncode == 0 and "--json" in done.stdout, done.stderr
+    # Alone, each has to prepare JAX before it loads anything that needs it prepared.
+    assert first_loaded(name) == "_common"
+
+
+def first_loaded(name: str) -> str:
+    """What an experiment's module imports first of all that prepares JAX or needs it prepared."""
+    for node in ast.parse((EXPERIMENTS / f"{name}.py").read_text("utf-8")).body:
+        for root in [str(node.module)] if isinstance(node, ast.ImportFrom) else [a.name for a in getattr(node, "names", [])]:
+            root = root.partition(".")[0]
+            if root in ("_common", "smajax", "tests", "equinox", "diffrax", "optimistix", "lineax"):
+                return root
+            if (EXPERIMENTS / f"{root}.py").is_file() and (found := first_loaded(root)):
+                return found
+    return ""
 
 
 def levels(folder: Path, *stresses: int) -> Path:
@@ -37,25 +79,25 @@ def levels(folder: Path, *stresses: int) -> Path:
 @pytest.mark.parametrize(
     "name", ["measured_isobaric", "measured_muscle_electric", "measured_cyclic", "measured_superelastic", "measured_bu_softlimb"]
 )
-def test_a_folder_that_is_not_there_is_named(name, tmp_path):
+def test_a_folder_that_is_not_there_is_named(name, tmp_path, run):
     done = run(name, "--data", str(tmp_path / "nowhere"))
     assert done.returncode == 2
     assert "nowhere" in done.stderr and "--data" in done.stderr
 
 
-def test_a_level_that_is_not_there_is_refused_with_those_that_are(tmp_path):
+def test_a_level_that_is_not_there_is_refused_with_those_that_are(tmp_path, run):
     done = run("measured_isobaric", "--data", str(levels(tmp_path, 50, 100, 200)), "--holdout", "150")
     assert done.returncode == 2
     assert "50, 100, 200 MPa" in done.stderr
 
 
-def test_two_levels_are_too_few(tmp_path):
+def test_two_levels_are_too_few(tmp_path, run):
     done = run("measured_isobaric", "--data", str(levels(tmp_path, 50, 150)), "--holdout", "150")
     assert done.returncode == 2
     assert "at least three" in done.stderr
 
 
-def test_the_measured_levels_are_found(shared):
+def test_the_measured_levels_are_found(shared, run):
     done = run("measured_isobaric", "--data", str(shared / "data" / "tamu-flexinol-isobaric"), "--holdout", "1")
     assert done.returncode == 2
     assert "50, 100, 150, 172, 200 MPa" in done.stderr
@@ -69,14 +111,14 @@ def test_the_measured_levels_are_found(shared):
         ("20 0.01\n" * 20, "0 cycles go above 200 degC"),
     ],
 )
-def test_cycles_that_cannot_be_read_are_refused(text, said, tmp_path):
+def test_cycles_that_cannot_be_read_are_refused(text, said, tmp_path, run):
     (tmp_path / "Example Test Data.txt").write_text(text)
     done = run("measured_cyclic", "--data", str(tmp_path))
     assert done.returncode == 2
     assert "Example Test Data.txt" in done.stderr and said in done.stderr
 
 
-def test_a_workbook_that_is_none_is_refused(tmp_path):
+def test_a_workbook_that_is_none_is_refused(tmp_path, run):
     for temperature in (0, 40, 100):
         (tmp_path / f"pseudoelastic_{temperature}C.xlsx").write_text("no workbook")
     done = run("measured_superelastic", "--data", str(tmp_path))
@@ -86,7 +128,7 @@ def test_a_workbook_that_is_none_is_refused(tmp_path):
 
 def quick_rows(name: str, folder: Path, tmp_path: Path) -> dict[str, dict]:
     """The rows of a quick run by what they say."""
-    done = run(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
+    done = run_alone(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
     assert done.returncode == 0, done.stderr
     return {row["what"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
 
@@ -128,7 +170,7 @@ def arm_log(folder: Path, pulses: tuple[float, ...] = (1.0, 91.0), tags: tuple[i
     return folder
 
 
-def test_a_log_without_pulses_or_tags_is_refused(tmp_path):
+def test_a_log_without_pulses_or_tags_is_refused(tmp_path, run):
     done = run("measured_bu_softlimb", "--data", str(arm_log(tmp_path, pulses=())))
     assert done.returncode == 2 and "0 pulses" in done.stderr
     done = run("measured_bu_softlimb", "--data", str(arm_log(tmp_path, tags=())))
@@ -153,7 +195,7 @@ def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
 
 def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     target = tmp_path / "table.json"
-    done = run("measured_bu_softlimb", "--data", str(shared / "data" / "bu-softlimb"), "--quick", "--json", str(target))
+    done = run_alone("measured_bu_softlimb", "--data", str(shared / "data" / "bu-softlimb"), "--quick", "--json", str(target))
     assert done.returncode == 0, done.stderr
     rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
     assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]

@@ -218,7 +218,7 @@ class Knee(AbstractMachine):
         command = command or self.command
         # Time counts in durations, so that the duration has its derivative.
         solution = dfx.diffeqsolve(
-            dfx.ODETerm(lambda t, y, args: jax.tree.map(lambda rate: command.duration * rate, self.slope(y, command))),
+            dfx.ODETerm(lambda t, y, args: _course(self, y, command)),
             dfx.Kvaerno3(),
             0.0,
             1.0,
@@ -285,3 +285,9 @@ class Knee(AbstractMachine):
     @property
     def _law(self) -> Lagoudas:
         return self.material.stiffened(self.wire.modulus_factor)  # pyright: ignore[reportReturnType]
+
+
+@eqx.filter_jit  # traced once for all stages of a step, their Jacobians and tangents
+def _course(knee: Knee, state: KneeState, command: KneeCommand) -> KneeState:
+    """Rate of change of the state by the share of the command's duration."""
+    return jax.tree.map(lambda rate: command.duration * rate, knee.slope(state, command))
