@@ -43,6 +43,11 @@ def judged(holds: bool, quick: bool) -> bool | None:
     return None if quick and holds else holds
 
 
+def spent(ours: Tuned) -> int:
+    """The rollouts after which our search was within 1 % of its own end."""
+    return next(count for count, cost in ours.history if cost <= 1.01 * ours.history[-1][1])
+
+
 def _found(one: Tuning, weights: Mapping[str, float], ours: Tuned, search: Callable) -> Found:
     cost_of = objective_of(one, weights)
     mark, counted = cost_of(ours.point), 0

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from _common import ROOT, Row, arguments, finish, medians, say
 from _figures import Chart, Curve, draw
-from _search import evolved, judged, simplex
+from _search import evolved, judged, simplex, spent
 
 from smajax.control import members
 from smajax.control.allocation import Allocation
@@ -217,12 +217,18 @@ def rows_of(name: str, wire: Wire, quick: bool, folder: Path | None) -> tuple[li
     beaten = rmse(wire, exact(wire, truth, theirs)[0])
     told = f"objective {ratio:.3f} of ours, exact simulator {1e3 * beaten:.3f} mm, in {budget:,} rollouts"
     rows.append(Row(f"{name}, differential evolution", ">= 0.99 of ours", told, judged(ratio >= 0.99, quick)))
-    text = f"{reached / found.rollouts:.0f}x" if reached else f"> {budget / found.rollouts:.0f}x: not reached"
+    there = spent(found)
+    text = f"{reached / there:.0f}x" if reached else f"> {budget / there:.0f}x: not reached"
     rows.append(
-        Row(f"{name}, its rollouts to within 1 % of ours", ">= 20x", text, judged(reached is None or reached >= 20 * found.rollouts, quick))
+        Row(
+            f"{name}, its rollouts to within 1 % of ours",
+            ">= 20x",
+            f"{text} of the {there} after which ours were",
+            judged(reached is None or reached >= 20 * there, quick),
+        )
     )
     _, other, when = simplex(one, WEIGHTS, found, budget)
-    text = f"objective {other:.3f} of ours; " + (f"{when / found.rollouts:.1f}x our rollouts to within 1 %" if when else "not reached")
+    text = f"objective {other:.3f} of ours; " + (f"{when / there:.1f}x our rollouts to within 1 %" if when else "not reached")
     rows.append(Row(f"{name}, Nelder-Mead", "-", text, None))
     wild = tune(one, RESTLESS, {}, starts=4)
     _, ratio, _ = evolved(one, RESTLESS, wild, budget)

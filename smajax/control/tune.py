@@ -113,7 +113,7 @@ class _Candidate(NamedTuple):
 class _Tuner:
     """Counts rollouts and keeps the best point."""
 
-    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], seed: int = 0) -> None:
+    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], seed: int = 0, settle: bool = False) -> None:
         self.tuning, self.wanted, self.progress = tuning, wanted, progress
         self.rollouts, self.history, self.rng = 0, [], np.random.default_rng([seed, 1])
         self.seen: list[_Candidate] = []
@@ -125,7 +125,7 @@ class _Tuner:
         if reach < _WIDE:
             self.scale[TERMS.index("effort")] = len(tuning.task.reference) * (_MOVE * reach) ** 2
         n = tuning.task.reference.shape[0]
-        self.limited = bool(np.any(np.isfinite(np.asarray(wanted.limits))))
+        self.limited = settle or bool(np.any(np.isfinite(np.asarray(wanted.limits))))
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
 
@@ -139,8 +139,15 @@ class _Tuner:
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
         worst = [float(np.max(v)) for v in violated]
         found = [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
-        self.seen += found
+        for one in found:
+            self.keep(one)
         return found
+
+    def keep(self, one: _Candidate) -> None:
+        """Keeps what all members were looked at; the history tells where nothing limits."""
+        if not self.limited and one.cost < min((c.cost for c in self.seen), default=math.inf):
+            self.history.append((self.rollouts, one.cost))
+        self.seen.append(one)
 
     def follow(self, place: Place, tuning: Tuning, least: float, steps: int) -> Place:
         """The best place found by gradients of the cost's logarithm, of all members or of some in ``tuning``, where nothing limits."""
@@ -154,7 +161,7 @@ class _Tuner:
             if not (0.0 < cost < math.inf and np.all(np.isfinite(by))):
                 return math.inf, np.zeros_like(point)
             if tuning.count == self.tuning.count:
-                self.seen.append(_Candidate(0.0, cost, point))
+                self.keep(_Candidate(0.0, cost, point))
             self.progress(self.rollouts, cost)
             return math.log(cost), by / cost
 
@@ -235,7 +242,7 @@ def tune(
     if settle and not np.any(np.asarray(tuning.task.size)):
         raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
     wanted = wanted_of(weights or SETTLING, limits, band)
-    tuner = _Tuner(tuning, wanted, progress, seed)
+    tuner = _Tuner(tuning, wanted, progress, seed, settle)
     points = _starts(tuner, starts, seed)
     found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
     terms, violated = tuner.look(found[None])
