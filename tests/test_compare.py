@@ -108,6 +108,14 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
     assert errors[1] == pytest.approx(errors[0], rel=0.1)
 
 
+def test_what_holds_a_network_is_said(short, tmp_path):
+    done = run(short, "narx", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "chosen by the last quarter of train.csv, holds its weights" in done.output
+    (found,) = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
+    assert found["fit_percent_holdout"] > 0.0  # better than the mean
+
+
 @pytest.mark.parametrize(
     ("models", "sentence"),
     [
