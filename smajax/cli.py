@@ -261,7 +261,7 @@ def properties(
     model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
     columns: Annotated[
         str,
-        typer.Option("--columns", metavar="A,B,...", help="Headers of a file without: 'temperature [degC],strain [%],-'; - is left out."),
+        typer.Option("--columns", metavar="A,B,...", help=r"Headers of a file without: 'temperature \[degC],strain [%],-'; - is left out."),
     ] = "",
     delimiter: Annotated[str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' for tabulators.")] = ",",
     as_json: Json = False,

@@ -336,6 +336,13 @@ def test_heating_and_cooling_take_turns():
     np.testing.assert_allclose(told, y, atol=1e-12)  # never told, it says what it says by itself
 
 
+def test_fewer_rows_than_parameters_are_refused():
+    """Through three rows goes any law of three parameters, with no error at all."""
+    series = [Series("short.csv", TIME[:4], INPUT[18:22], np.array([0.0, 1.0, 2.0, 3.0]))]
+    with pytest.raises(InputError, match="short.csv: 4 measured rows do not tell the 5 parameters of bouc-wen: record more rows"):
+        fit_operator(bouc_wen(series), series)
+
+
 def test_uneven_rows_are_refused():
     time = np.append(TIME[:-1], TIME[-1] + 3.0)
     series = [Series("uneven.csv", time, INPUT, INPUT)]

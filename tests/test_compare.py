@@ -137,6 +137,16 @@ def test_the_same_recording_twice_tests_nothing(short, tmp_path):
     assert done.exit_code == 2 and "tests nothing" in done.output
 
 
+def test_a_training_recording_that_is_never_driven_tells_nothing(short, tmp_path):
+    (tmp_path / "rig.toml").write_bytes((short / "rig.toml").read_bytes())
+    (tmp_path / "holdout.csv").write_bytes((short / "holdout.csv").read_bytes())
+    r = read_rig(short / "rig.toml").read(short / "train.csv")
+    still = r.channels | {"current": np.zeros(len(r))}
+    Recording.from_arrays("train", r.time, still, {"displacement": "mm"}).write(tmp_path / "train.csv")
+    done = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
+    assert done.exit_code == 3 and "current is 0 in all rows of train.csv" in done.output
+
+
 def test_a_rig_with_two_inputs_leaves_operators_out_and_says_why(tmp_path):
     rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
     part = next((ROOT / "data" / "recordings" / "rotary").glob("*.csv"))

@@ -248,15 +248,20 @@ class _Maker(NamedTuple):
 
 
 def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150) -> OperatorFit:
-    """Fits a family to series by least squares from several starts. Raises ``InputError`` and, if nothing fits, ``NumericsError``.
+    """Fits a family to series by least squares from several starts.
+
+    Raises ``NumericsError`` if nothing fits, and ``InputError`` where no more rows are measured than the family has parameters.
 
     A network has more weights than a recording can tell: its cost, the mean square over the output's variance, has ``ridge``^2 times the
     sum of squares of how far its weights went from the first guess. The ridge is the one of a few that predicts the last quarter of each
     series best when fitted to the rows before it; with that one it is then fitted to all rows.
     """
     began = time.perf_counter()
-    problem = build_operator(family, series)
-    ridge = 0.0
+    problem, ridge = build_operator(family, series), 0.0
+    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
+    if samples <= family.size:
+        names = " and ".join(s.name for s in series)
+        raise InputError(f"{names}: {samples} measured rows do not tell the {family.size} parameters of {family.name}: record more rows")
     if family.weights is None:
         vector, simulations = _by_forward(problem, starts, seed, max_steps, family.others)
     else:
@@ -264,7 +269,6 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     if vector is None:
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
     left = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
-    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     flat = problem.lower + jnp.asarray(vector) * problem.width
     maker: Any = problem.make
     return OperatorFit(

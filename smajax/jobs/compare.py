@@ -187,6 +187,8 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
         raise InputError(f"{name} takes one input that changes, and here {told}")
+    if not np.any(recordings[0].channels[driving[0]]):
+        raise InputError(f"{driving[0]} is 0 in all rows of {recordings[0].name}, which does not tell its effect: give one that is driven")
     family = FAMILIES[name]([Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings[:1]])
     laid, note = _laid(family, recordings, driving[0] if rig.interpolation == "hold" else "")
     series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in laid]
