@@ -168,6 +168,18 @@ def test_a_network_does_not_run_away_on_another_input(wire, seed):
     assert found.ridge > 0.0
 
 
+def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
+    """Of a recovery that goes on rising before it falls, as no share between 0 and 1 has it."""
+    law = Switched(network(), *map(jnp.asarray, (-2.0, 0.6, 4.0, 0.1, 0.05)))
+    u = np.where(np.arange(400) % 80 < 30, 0.8, 0.0)
+    series = [Series("a", TIME, u, np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u))))]
+    found = fit_operator(heating_cooling(series, hidden=3), series, starts=1)
+    for value, low, high in zip(*map(jax.tree.leaves, (found.parameters, found.family.lower, found.family.upper)), strict=True):
+        room = 1e-9 * (high - low)
+        assert np.all((value >= low - room) & (value <= high + room))
+    assert any(told.startswith("share") for told in found.at_bound)
+
+
 def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
     """The last quarter of what was measured, of each recording; together they are the problem."""
     time, voltage, displacement = (values[:100] for values in wire[1][1:])

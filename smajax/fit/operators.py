@@ -364,7 +364,7 @@ def _trained(ridged: Ridged, rng: np.random.Generator, max_steps: int) -> _Train
         solved = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size).advance(steps).result()
         simulations += solved.simulations
         point = solved.points[0]
-    vector, cost, taken = _closed(jnp.asarray(point), ridged)
+    vector, cost, taken = _closed(jnp.asarray(point), ridged, (jnp.asarray(lower), jnp.asarray(upper)))
     ends = (float(cost), np.asarray(vector)), (float(costs(ridged, jnp.asarray(point)[None])[0]), point)
     least, best = min(ends, key=lambda end: end[0] if math.isfinite(end[0]) else math.inf)
     # A gradient in reverse mode counts three.
@@ -372,9 +372,11 @@ def _trained(ridged: Ridged, rng: np.random.Generator, max_steps: int) -> _Train
 
 
 @eqx.filter_jit
-def _closed(point: jax.Array, ridged: Ridged) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _closed(point: jax.Array, ridged: Ridged, box: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where BFGS ends, the cost there, and its steps. It knows no box: points outside stand for the nearest ones inside."""
+
     def cost(vector: jax.Array, ridged: Ridged) -> jax.Array:
-        return jnp.mean(ridged.residual(vector) ** 2)
+        return jnp.mean(ridged.residual(jnp.clip(vector, *box)) ** 2)
 
     solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=ridged, max_steps=300, throw=False)
-    return solution.value, cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]
+    return jnp.clip(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]
