@@ -80,10 +80,14 @@ def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple
     """Rows of the cooling and of the heating branch of each cycle; temperatures are smoothed over ``smooth`` rows.
 
     A heating before the first cooling, of a specimen that may just have been loaded, counts only where there is no whole cycle else.
-    Raises ``InputError`` if the rows hold no cycle.
+    Raises ``InputError`` if the rows hold no cycle, or if ``smooth`` is even: a median without a middle row puts all a row aside.
     """
+    if smooth % 2 == 0:
+        raise InputError(f"{name}: temperatures are smoothed over an odd number of rows, and {smooth} is even: give {smooth + 1}")
     smooth_t = median_filter(temperature, smooth, mode="nearest")
     reach = float(np.ptp(smooth_t))
+    if reach < 5.0 <= float(np.ptp(temperature)):
+        raise InputError(f"{name}: smoothed over {smooth} rows the temperature moves by {reach:.3g} K: smooth over fewer")
     if reach < 5.0:
         raise InputError(f"{name}: the temperature moves by {reach:.3g} K: heat and cool through the transformation")
     at = turns(smooth_t)

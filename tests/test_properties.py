@@ -265,6 +265,15 @@ def staircase(tmp_path, stresses: list[float], ramp: float = 0.0):
     return path
 
 
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [("4", "4 is even: give 5"), ("99999", "smoothed over 99999 rows the temperature moves by 0 K: smooth over fewer")],
+)
+def test_smoothing_that_moves_or_hides_the_corners_is_refused(tmp_path, rows, sentence):
+    done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", *made())), "--smooth", rows])
+    assert done.exit_code == 2 and sentence in done.output
+
+
 def test_cycles_of_one_file_are_read_stress_by_stress(tmp_path):
     path = staircase(tmp_path, [50.0, 50.0, 110.0])
     document = run_properties(PropertiesJob([path], write_set=tmp_path / "set.toml"))
