@@ -253,7 +253,10 @@ class StartModel(StrEnum):
 def properties(
     recordings: Annotated[list[Path], typer.Argument(metavar="CYCLES.csv [MORE.csv ...]", help="Thermal cycles: temperature and strain.")],
     smooth: Annotated[
-        int | None, typer.Option("--smooth", min=1, metavar="ROWS", help="Smooth temperatures over so many rows (default: as noise asks).")
+        int | None,
+        typer.Option(
+            "--smooth", min=1, metavar="ROWS", help="Smooth temperatures over so many rows, an odd number (default: as noise asks)."
+        ),
     ] = None,
     write_set: Annotated[
         Path | None, typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set that starts a fit.")
@@ -261,7 +264,7 @@ def properties(
     model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
     columns: Annotated[
         str,
-        typer.Option("--columns", metavar="A,B,...", help="Headers of a file without: 'temperature [degC],strain [%],-'; - is left out."),
+        typer.Option("--columns", metavar="A,B,...", help=r"Headers of a file without: 'temperature \[degC],strain [%],-'; - is left out."),
     ] = "",
     delimiter: Annotated[str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' for tabulators.")] = ",",
     as_json: Json = False,

@@ -80,12 +80,16 @@ def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple
     """Rows of the cooling and of the heating branch of each cycle; temperatures are smoothed over ``smooth`` rows.
 
     A heating before the first cooling, of a specimen that may just have been loaded, counts only where there is no whole cycle else.
-    Raises ``InputError`` if the rows hold no cycle.
+    Raises ``InputError`` if the rows hold no cycle, or if ``smooth`` is even: a median without a middle row puts all a row aside.
     """
+    if smooth % 2 == 0:
+        raise InputError(f"{name}: temperatures are smoothed over an odd number of rows, and {smooth} is even: give {smooth + 1}")
     smooth_t = median_filter(temperature, smooth, mode="nearest")
     reach = float(np.ptp(smooth_t))
+    if reach < 5.0 <= float(np.ptp(temperature)):
+        raise InputError(f"{name}: smoothed over {smooth} rows the temperature moves by {reach:.3g} K: smooth over fewer")
     if reach < 5.0:
-        raise InputError(f"{name}: the temperature moves by {reach:.3g} K: these are no thermal cycles")
+        raise InputError(f"{name}: the temperature moves by {reach:.3g} K: heat and cool through the transformation")
     at = turns(smooth_t)
     branches = [np.arange(a, b + 1) for a, b in itertools.pairwise(at)]
     branches = [b for b in branches if len(b) >= _FEWEST and abs(smooth_t[b[-1]] - smooth_t[b[0]]) > 0.5 * reach]
@@ -164,7 +168,8 @@ def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int,
     away = _measured(drawn_t, drawn_e, again) - _measured(warm, on_lines[None], lines)
     unsure = float(np.max(np.quantile(np.abs(away[:, :2]), 0.95, axis=0)))
     if unsure > _HIDDEN * float(np.ptp(warm)):
-        raise InputError(f"on {kind} start and finish are uncertain by {unsure:.2g} K: the transformation is hidden in the noise")
+        told = f"on {kind} start and finish are uncertain by {unsure:.2g} K: the transformation is hidden in the noise"
+        raise InputError(f"{told}; load more, or measure with less noise")
     return _measured(warm, strain[None], lines), away
 
 
@@ -199,7 +204,7 @@ def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, ki
     jump = float(ends[0] - ends[1]) + 0.5 * float(slopes[0] + slopes[2]) * (high - low)
     if not abs(jump) > _SEEN * scatter + _LEAST:
         told = f"on {kind} the strain moves by {abs(jump):.2g} between lines about which it scatters by {scatter:.2g}"
-        raise InputError(f"{told}: no transformation is seen")
+        raise InputError(f"{told}: no transformation is seen; load more, or heat and cool further")
     within = int(np.sum((temperature >= low) & (temperature <= high)))
     if within < _WITHIN:
         told = f"on {kind} {within} row{'' if within == 1 else 's'} lie on the transformation, fewer than {_WITHIN}"

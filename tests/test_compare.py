@@ -108,6 +108,14 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
     assert errors[1] == pytest.approx(errors[0], rel=0.1)
 
 
+def test_what_holds_a_network_is_said(short, tmp_path):
+    done = run(short, "narx", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "chosen by the last quarter of train.csv, holds its weights" in done.output
+    (found,) = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
+    assert found["fit_percent_holdout"] > 0.0  # better than the mean
+
+
 @pytest.mark.parametrize(
     ("models", "sentence"),
     [
@@ -127,6 +135,16 @@ def test_the_same_recording_twice_tests_nothing(short, tmp_path):
         app, ["compare", *words, "--holdout", str(tmp_path / "copy.csv"), "--models", "brinson", "--out", str(tmp_path / "out")]
     )
     assert done.exit_code == 2 and "tests nothing" in done.output
+
+
+def test_a_training_recording_that_is_never_driven_tells_nothing(short, tmp_path):
+    (tmp_path / "rig.toml").write_bytes((short / "rig.toml").read_bytes())
+    (tmp_path / "holdout.csv").write_bytes((short / "holdout.csv").read_bytes())
+    r = read_rig(short / "rig.toml").read(short / "train.csv")
+    still = r.channels | {"current": np.zeros(len(r))}
+    Recording.from_arrays("train", r.time, still, {"displacement": "mm"}).write(tmp_path / "train.csv")
+    done = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
+    assert done.exit_code == 3 and "current is 0 in all rows of train.csv" in done.output
 
 
 def test_a_rig_with_two_inputs_leaves_operators_out_and_says_why(tmp_path):

@@ -59,6 +59,13 @@ def test_the_normalised_form_is_the_seven_parameter_one():
         assert float(one) == pytest.approx(float(other), rel=1e-12)
 
 
+@pytest.mark.parametrize("wrong", [{"gamma": -SEVEN["beta"]}, {"a": -SEVEN["a"]}, {"d": 0.0}, {"n": 0.5}])
+def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
+    """They would give no numbers, or a law that grows for ever."""
+    with pytest.raises(InputError, match="of one sign, and n of at least 1"):
+        BoucWen.from_seven(**(SEVEN | wrong))
+
+
 def test_bouc_wen_does_not_know_the_rate_and_stays_within_its_bound():
     law = BoucWen.from_seven(**SEVEN)
     slow = follow(law, jnp.asarray(TIME), jnp.asarray(INPUT))

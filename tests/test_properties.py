@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from smajax.cli import app
 from smajax.errors import InputError
 from smajax.jobs.properties import PropertiesJob, run_properties
+from smajax.parameter_file import read_parameters
 from smajax.rig import parse_rig, read_rig
 from smajax.row_order import refuse_disorder
 from smajax.thermal_cycles import NAMES, VALUES, Cycle, Value, analyse, mean_of, turns
@@ -139,7 +140,7 @@ def test_turns_are_found_in_noise():
     ("change", "sentence"),
     [
         (lambda t, e: (np.random.default_rng(0).permutation(t), e), "not in the order in which they were recorded"),
-        (lambda t, e: (np.full_like(t, 20.0), e), "these are no thermal cycles"),
+        (lambda t, e: (np.full_like(t, 20.0), e), "heat and cool through the transformation"),
         (lambda t, e: (t[:100], e[:100]), "no whole cycle is in it"),
         (lambda t, e: (t, 2e-3 * np.random.default_rng(1).standard_normal(len(e)) - 1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
@@ -256,6 +257,67 @@ def test_nitihf_measured_by_others(shared, stress, values):
 def test_a_document_names_its_file(tmp_path):
     document = run_properties(PropertiesJob([write(tmp_path / "a.csv", *made(1))]))
     assert document["recordings"][0]["name"] == "a.csv" and document["recordings"][0]["smoothed_rows"] == 1
+
+
+def staircase(tmp_path, stresses: list[float], ramp: float = 0.0):
+    """One file: a cycle under each stress (MPa), which may rise by ``ramp`` meanwhile; temperatures of 6 MPa/K."""
+    parts = []
+    for k, stress in enumerate(stresses):
+        t, e = made(1, seed=k)
+        parts.append(np.column_stack([t + stress / 6.0, 100 * e, stress + ramp * np.linspace(0.0, 1.0, len(t))]))
+    path = tmp_path / "staircase.csv"
+    np.savetxt(path, np.concatenate(parts), delimiter=",", header="temperature [degC],strain [%],stress [MPa]", comments="", fmt="%.9g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [("4", "4 is even: give 5"), ("99999", "smoothed over 99999 rows the temperature moves by 0 K: smooth over fewer")],
+)
+def test_smoothing_that_moves_or_hides_the_corners_is_refused(tmp_path, rows, sentence):
+    done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", *made())), "--smooth", rows])
+    assert done.exit_code == 2 and sentence in done.output
+
+
+def test_cycles_of_one_file_are_read_stress_by_stress(tmp_path):
+    path = staircase(tmp_path, [50.0, 50.0, 110.0])
+    document = run_properties(PropertiesJob([path], write_set=tmp_path / "set.toml"))
+    assert [(one["stress_Pa"], len(one["cycles"])) for one in document["recordings"]] == [(50e6, 2), (110e6, 1)]
+    for one in document["recordings"]:
+        assert one["mean"]["martensite_start"]["value"] == pytest.approx(70.0 + one["stress_Pa"] / 6e6, abs=0.3)
+    told = read_parameters(tmp_path / "set.toml")
+    assert told["material.clausius_clapeyron_martensite"].value == pytest.approx(6e6, rel=0.02)
+    assert told["material.martensite_start"].value == pytest.approx(70.0, abs=0.5)
+
+
+def test_a_stress_that_moves_within_a_cycle_is_refused(tmp_path):
+    done = CliRunner().invoke(app, ["properties", str(staircase(tmp_path, [50.0], ramp=100.0))])
+    assert done.exit_code == 2 and "cycle 1 (rows 1 to 320): its stress goes from 50 to 150 MPa: hold one stress" in done.output
+
+
+def test_compression_lowers_the_temperatures_at_no_stress_like_tension(tmp_path):
+    starts = []
+    for sign in (1.0, -1.0):
+        t, e = made(1)
+        run_properties(PropertiesJob([write(tmp_path / "a.csv", t, sign * e, sign * 100.0)], write_set=tmp_path / "set.toml"))
+        starts.append(read_parameters(tmp_path / "set.toml")["material.martensite_start"].value)
+    assert starts[1] == pytest.approx(starts[0], abs=1e-6) and starts[0] == pytest.approx(70.0 - 100.0 / 7.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("row", "value", "sentence"),
+    [(5, np.nan, "row 7, column 'strain [%]': 'nan' is not a finite number: correct it, or take its row out"), (slice(None), 0.01, "check the sensor")],
+)  # fmt: skip
+def test_cures_are_this_commands(tmp_path, row, value, sentence):
+    """It has neither --drop-bad-rows nor a rig."""
+    temperature, strain = made(1)
+    strain[row] = value
+    done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", temperature, strain))])
+    assert done.exit_code == 2 and sentence in done.output and "--drop-bad-rows" not in done.output and "[fit]" not in done.output
+
+
+def test_the_help_shows_a_header_with_its_unit():
+    assert "[degC]" in CliRunner().invoke(app, ["properties", "--help"]).output
 
 
 def test_several_stresses_tell_how_strain_grows(tmp_path):

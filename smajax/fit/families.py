@@ -216,8 +216,14 @@ def _network(series: Sequence[Series], hidden: int, order: int) -> tuple[dict, d
 
 
 def narx(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
-    """Ten neurons on the last two outputs and inputs, fitted in open and then in closed loop."""
-    return Family("narx", _narx, *map(_arrays, _network(series, hidden, order)), even=True, by_reverse=True)
+    """Ten neurons on the last two outputs and inputs, fitted in open and then in closed loop, under a ridge."""
+    lower, upper, start = map(_arrays, _network(series, hidden, order))
+    return Family("narx", _narx, lower, upper, start, even=True, weights=_weights(start))
+
+
+def _weights(network: dict) -> dict:
+    """Which of a network's parameters are weights."""
+    return {k: jnp.full_like(v, k not in ("rest", "scale")) for k, v in network.items()}
 
 
 def _switched(parameters: dict) -> Switched:
@@ -235,8 +241,9 @@ def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) 
         {"share": 1.0, "fast": 0.2 * duration, "slow": duration, "rest": bottom + 0.3 * swing},
         {"share": 0.6, "fast": duration / 100, "slow": duration / 20, "rest": bottom},
     )
-    sides = ({"heating": side} | end | known for side, end in zip(network, ends, strict=True))
-    return Family("heating-cooling", _switched, *map(_arrays, sides), even=True, by_reverse=True)
+    lower, upper, start = (_arrays({"heating": side} | end | known) for side, end in zip(network, ends, strict=True))
+    weights = jax.tree.map(jnp.zeros_like, start) | {"heating": _weights(start["heating"])}
+    return Family("heating-cooling", _switched, lower, upper, start, even=True, weights=weights)
 
 
 FAMILIES: Mapping[str, Callable[[Sequence[Series]], Family]] = {

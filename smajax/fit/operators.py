@@ -5,7 +5,6 @@ in the unit box between the bounds. Recordings of different length are filled up
 """
 
 import dataclasses
-import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -26,6 +25,8 @@ from smajax.hysteresis.operator import AbstractOperator
 
 _UNEVEN = 0.01
 _WIDE = 30.0
+_RIDGES = (0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
+_EARLIER = 0.75  # the share of the rows that are fitted while a ridge is chosen
 _AT = 1e-6  # a parameter this share of its room away from a bound is at it
 
 
@@ -43,8 +44,9 @@ class Family:
     """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
 
     ``start`` is a first guess, ``others`` are further ones, for a forward search.
-    ``even`` laws need rows that are equally far apart. ``by_reverse`` laws have so many
-    parameters that they are fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and longer stretches.
+    ``even`` laws need rows that are equally far apart. ``weights``, alike, says by 1 which parameters are weights of a network and by 0
+    which are not: such a law has so many that it is fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and
+    longer stretches, its weights held near the first guess by a ridge (see ``fit_operator``).
     """
 
     name: str
@@ -53,7 +55,7 @@ class Family:
     upper: Any
     start: Any
     even: bool = False
-    by_reverse: bool = False
+    weights: Any = None
     others: tuple[Any, ...] = ()
 
     @property
@@ -113,11 +115,38 @@ class OperatorProblem(Searchable):
         return jnp.where(self.data.weight > 0, (self.predict(vector) - self.data.measured) * self.data.weight, 0.0).ravel()
 
 
+class Ridged(Searchable):
+    """A problem whose numbers are held near the first guess: its residual, and ``pull``, shape ``(p,)``, times how far each went."""
+
+    data: Measured
+    problem: OperatorProblem
+    pull: jax.Array
+
+    @property
+    def size(self) -> int:
+        """Length of the residual."""
+        return self.problem.size + self.pull.shape[0]
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """The first guess."""
+        return self.problem.nominal
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The problem's."""
+        return self.problem.box
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """The problem's residual, then how far each number is from the first guess, shape ``(r * n + p,)``."""
+        return jnp.append(self.problem.residual(vector), self.pull * (vector - self.problem.first))
+
+
 @dataclasses.dataclass(frozen=True)
 class OperatorFit:
     """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included).
 
-    ``step`` is the time between the rows that it was fitted to, s.
+    ``step`` is the time between the rows that it was fitted to, s; ``ridge`` what held a network's weights, 0 of other laws.
     """
 
     family: Family
@@ -128,6 +157,7 @@ class OperatorFit:
     simulations: int
     wall: float
     step: float
+    ridge: float = 0.0
 
     @property
     def at_bound(self) -> tuple[str, ...]:
@@ -218,20 +248,32 @@ class _Maker(NamedTuple):
 
 
 def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150) -> OperatorFit:
-    """Fits a family to series by least squares from several starts. Raises ``InputError`` and, if nothing fits, ``NumericsError``."""
+    """Fits a family to series by least squares from several starts.
+
+    Raises ``NumericsError`` if nothing fits, and ``InputError`` where no more rows are measured than the family has parameters.
+
+    A network has more weights than a recording can tell: its cost, the mean square over the output's variance, has ``ridge``^2 times the
+    sum of squares of how far its weights went from the first guess. The ridge is the one of a few that predicts the last quarter of each
+    series best when fitted to the rows before it; with that one it is then fitted to all rows.
+    """
     began = time.perf_counter()
-    problem = build_operator(family, series)
-    fitted = _by_reverse if family.by_reverse else functools.partial(_by_forward, others=family.others)
-    vector, simulations = fitted(problem, starts, seed, max_steps)
+    problem, ridge = build_operator(family, series), 0.0
+    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
+    if samples <= family.size:
+        names = " and ".join(s.name for s in series)
+        raise InputError(f"{names}: {samples} measured rows do not tell the {family.size} parameters of {family.name}: record more rows")
+    if family.weights is None:
+        vector, simulations = _by_forward(problem, starts, seed, max_steps, family.others)
+    else:
+        vector, simulations, ridge = _by_reverse(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
     if vector is None:
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
     left = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
-    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     flat = problem.lower + jnp.asarray(vector) * problem.width
     maker: Any = problem.make
     return OperatorFit(
         family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
-        time.perf_counter() - began, float(np.median(np.diff(series[0].time))),
+        time.perf_counter() - began, float(np.median(np.diff(series[0].time))), ridge,
     )  # fmt: skip
 
 
@@ -269,30 +311,72 @@ def _draw(problem: OperatorProblem, count: int, seed: int) -> np.ndarray:
     return np.where(rng.random(drawn.shape) < 0.5, problem.nominal, drawn)
 
 
-def _by_reverse(problem: OperatorProblem, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
+def _by_reverse(
+    problem: OperatorProblem, weights: jax.Array, starts: int, seed: int, max_steps: int
+) -> tuple[np.ndarray | None, int, float]:
+    """Fits under each ridge to the first rows, then under the one that predicts the last ones best to all of them, from several starts.
+
+    A ridge is as good as the worse of two fits under it: one that leaves networks which run away may still be lucky once.
+    """
+    earlier, later = parted(problem)
+    errors, simulations = [], 0
+    for ridge in _RIDGES:
+        found = [_trained(_ridged(earlier, weights, ridge), np.random.default_rng([seed, number]), max_steps) for number in range(2)]
+        simulations += sum(one.simulations for one in found)
+        away = [float(costs(later, jnp.asarray(one.vector)[None])[0]) for one in found]
+        errors.append(max(away) if np.all(np.isfinite(away)) else math.inf)
+    ridge = _RIDGES[int(np.argmin(errors))] if min(errors) < math.inf else _RIDGES[-1]
+    held = _ridged(problem, weights, ridge)
+    found = [_trained(held, np.random.default_rng([seed, number]), max_steps) for number in range(starts)]
+    simulations += sum(one.simulations for one in found)
+    best = min(found, key=lambda one: one.cost)
+    return best.vector if best.cost < math.inf else None, simulations * problem.data.measured.shape[0], ridge
+
+
+def parted(problem: OperatorProblem) -> tuple[OperatorProblem, OperatorProblem]:
+    """The problem that sees the first rows of each recording only, and the one that sees the others only."""
+    seen = np.cumsum(np.asarray(problem.data.weight) > 0, axis=1)
+    early = jnp.asarray(seen <= _EARLIER * seen[:, -1:])
+    parts = (jnp.where(rows, problem.data.weight, 0.0) for rows in (early, ~early))
+    return tuple(dataclasses.replace(problem, data=dataclasses.replace(problem.data, weight=part)) for part in parts)  # type: ignore
+
+
+def _ridged(problem: OperatorProblem, weights: jax.Array, ridge: float) -> Ridged:
+    return Ridged(problem.data, problem, ridge * jnp.sqrt(jnp.sum(problem.data.weight > 0)) * weights * problem.width)
+
+
+class _Trained(NamedTuple):
+    """Where one search ended, its cost, infinite where that is no number, and the simulations of each recording that it took."""
+
+    vector: np.ndarray
+    cost: float
+    simulations: int
+
+
+def _trained(ridged: Ridged, rng: np.random.Generator, max_steps: int) -> _Trained:
     """Open loop by Levenberg-Marquardt from drawn weights, then longer and longer stretches, then closed loop by BFGS in reverse mode."""
-    lower, upper = problem.box
-    rng = np.random.default_rng(seed)
-    best, simulations = (math.inf, None), 0
-    for _ in range(starts):
-        point = np.clip(problem.nominal + (upper > lower) * 0.05 * rng.standard_normal(len(lower)), lower, upper)
-        for every in (1, 5, 25, 125, problem.data.time.shape[1]):
-            stage = dataclasses.replace(problem, ahead=True, every=jnp.asarray(every))
-            solved = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size).advance(max_steps // 4).result()
-            simulations += solved.simulations
-            point = solved.points[0]
-        vector, cost, steps = _closed(jnp.asarray(point), problem)
-        simulations += 3 * int(steps)  # a gradient in reverse mode counts three
-        for found, value in ((np.asarray(vector), float(cost)), (point, float(costs(problem, jnp.asarray(point[None]))[0]))):
-            if value < best[0]:
-                best = (value, found)
-    return best[1], simulations * problem.data.measured.shape[0]
+    problem, (lower, upper) = ridged.problem, ridged.box
+    rows, simulations = problem.data.time.shape[1], 0
+    point = np.clip(problem.nominal + (upper > lower) * 0.05 * rng.standard_normal(len(lower)), lower, upper)
+    for every in (1, 5, 25, 125, rows):
+        stage = dataclasses.replace(ridged, problem=dataclasses.replace(problem, ahead=True, every=jnp.asarray(every)))
+        steps = max_steps if every == rows else max_steps // 4
+        solved = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size).advance(steps).result()
+        simulations += solved.simulations
+        point = solved.points[0]
+    vector, cost, taken = _closed(jnp.asarray(point), ridged, (jnp.asarray(lower), jnp.asarray(upper)))
+    ends = (float(cost), np.asarray(vector)), (float(costs(ridged, jnp.asarray(point)[None])[0]), point)
+    least, best = min(ends, key=lambda end: end[0] if math.isfinite(end[0]) else math.inf)
+    # A gradient in reverse mode counts three.
+    return _Trained(best, least if math.isfinite(least) else math.inf, simulations + 3 * int(taken))
 
 
 @eqx.filter_jit
-def _closed(point: jax.Array, problem: OperatorProblem) -> tuple[jax.Array, jax.Array, jax.Array]:
-    def cost(vector: jax.Array, problem: OperatorProblem) -> jax.Array:
-        return jnp.mean(problem.residual(vector) ** 2)
+def _closed(point: jax.Array, ridged: Ridged, box: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where BFGS ends, the cost there, and its steps. It knows no box: points outside stand for the nearest ones inside."""
 
-    solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=problem, max_steps=300, throw=False)
-    return solution.value, cost(solution.value, problem) * problem.size, solution.stats["num_steps"]
+    def cost(vector: jax.Array, ridged: Ridged) -> jax.Array:
+        return jnp.mean(ridged.residual(jnp.clip(vector, *box)) ** 2)
+
+    solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=ridged, max_steps=300, throw=False)
+    return jnp.clip(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]

@@ -19,7 +19,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
+from smajax.errors import InputError
 from smajax.hysteresis.operator import AbstractOperator
 
 _FULL = 36.0  # the place at which 1 - v is a rounding error
@@ -70,9 +72,13 @@ class BoucWen(AbstractOperator):
     def from_seven(cls, alpha: Any, k: Any, d: Any, a: Any, beta: Any, gamma: Any, n: Any) -> "BoucWen":
         """The law of z' = (A x' - beta |x'| |z|^(n-1) z - gamma x' |z|^n) / D, y = alpha k x + (1 - alpha) D k z.
 
-        z_0 = (A / (beta + gamma))^(1/n) is the largest value that z comes near to.
+        z_0 = (A / (beta + gamma))^(1/n) is the largest value that z comes near to. Raises ``InputError`` where there is none, where z runs
+        away from it, or where n is below 1.
         """
         alpha, k, d, a, beta, gamma, n = (jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n))
+        traced = any(isinstance(v, Tracer) for v in (d, a, beta, gamma, n))
+        if not traced and not bool(jnp.all((a * (beta + gamma) > 0.0) & (a * d > 0.0) & (n >= 1.0))):
+            raise InputError("no normalised form has these: give A, D and beta + gamma of one sign, and n of at least 1")
         largest = (a / (beta + gamma)) ** (1.0 / n)
         return cls(alpha * k, (1.0 - alpha) * d * k * largest, a / (d * largest), beta / (beta + gamma), n)
 

@@ -40,7 +40,7 @@ _OWN = {
     "lagoudas": ({"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}, {}),
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
-_STARTS, _STARTS_BY_REVERSE = 16, 3
+_STARTS, _STARTS_OF_NETWORKS = 16, 2
 _HUGE = 1e100  # its square would be no number
 
 
@@ -187,12 +187,17 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
         raise InputError(f"{name} takes one input that changes, and here {told}")
+    if not np.any(recordings[0].channels[driving[0]]):
+        raise InputError(f"{driving[0]} is 0 in all rows of {recordings[0].name}, which does not tell its effect: give one that is driven")
     family = FAMILIES[name]([Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings[:1]])
     laid, note = _laid(family, recordings, driving[0] if rig.interpolation == "hold" else "")
     series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in laid]
-    starts = _STARTS_BY_REVERSE if family.by_reverse else _STARTS
+    starts = _STARTS if family.weights is None else _STARTS_OF_NETWORKS
     result = fit_operator(family, series[:1], starts=starts, seed=seed)
     found = [result.respond(s) for s in series]
+    if result.ridge:
+        told = f"a ridge of {result.ridge:g}, chosen by the last quarter of {recordings[0].name}, holds its weights"
+        note = f"{note}; {told}" if note else told
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     return Compared(name, "input-output", family.size, tuple(at_rows), note=note, at_bound=result.at_bound)
 

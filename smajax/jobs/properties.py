@@ -32,8 +32,13 @@ _CURES = (
         f"rename it, or name it by {_NAMED}",
     ),
     (r"or give the unit under \[channels\]", "in the file or by --columns"),
+    (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or take its row out"),
+    (r", or take it out of \[fit\] observe", ""),
     (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_NAMED}"),
 )
+_HELD = (0.1, 5e6)  # share of a cycle's stress, and Pa: within the sum of both its rows stand under one stress
+_STEADY = 0.9  # of its rows that have to
+_SAME = (0.02, 2e6)  # likewise for cycles that stand under the same stress
 _LEVELS = 3  # stresses that tell how strain grows
 _LABELS = {
     "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
@@ -59,23 +64,18 @@ class PropertiesJob(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Read:
-    """What was read of one recording."""
+    """What was read of one recording, or of its cycles at one stress: their ``stress`` in Pa where it was recorded."""
 
     recording: Recording
     smooth: int
     cycles: list[Cycle]
     refused: list[str]
-
-    @property
-    def stress(self) -> float | None:
-        """Mean stress in Pa where it was recorded."""
-        known = self.recording.channels.get("stress")
-        return None if known is None else float(np.mean(known))
+    stress: float | None
 
 
 def run_properties(job: PropertiesJob) -> dict[str, Any]:
     """Reads all recordings and gives the document that is printed. Raises ``InputError`` if no cycle of any of them can be read."""
-    read = [_read(path, job) for path in job.paths]
+    read = [one for path in job.paths for one in _read(path, job)]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):
         raise InputError("; ".join(refused))
@@ -87,12 +87,12 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     }
     if job.write_set is not None:
         entries = parameter_set([one for one in read if one.cycles], job.model)
-        names = ", ".join(one.recording.name for one in read if one.cycles)
+        names = ", ".join(dict.fromkeys(one.recording.name for one in read if one.cycles))
         write_parameters(job.write_set, entries, {"title": f"read by tangents from {names}", "source": "smajax properties"})
     return document
 
 
-def _read(path: Path, job: PropertiesJob) -> Read:
+def _read(path: Path, job: PropertiesJob) -> list[Read]:
     wanted = {"required": ("temperature",), "observed": ("strain",), "clock": False, "ignore": (_LEFT_OUT,)}
     try:
         one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter)
@@ -103,8 +103,37 @@ def _read(path: Path, job: PropertiesJob) -> Read:
     try:
         found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
     except InputError as error:
-        return Read(one, rows, [], [str(error)])
-    return Read(one, rows, found, refused)
+        return [Read(one, rows, [], [str(error)], None)]
+    if "stress" not in one.channels:
+        return [Read(one, rows, found, refused, None)]
+    levels, moving = _by_stress(one, found)
+    if not levels:
+        return [Read(one, rows, [], refused + moving, None)]
+    return [Read(one, rows, cycles, [] if k else refused + moving, stress) for k, (stress, cycles) in enumerate(levels)]
+
+
+def _by_stress(one: Recording, found: Sequence[Cycle]) -> tuple[list[tuple[float, list[Cycle]]], list[str]]:
+    """Stresses with the cycles at each, in the order of the cycles, and a sentence for each cycle in which the stress moves."""
+    levels: list[tuple[float, list[Cycle]]] = []
+    moving = []
+    for cycle in found:
+        stress = one.channels["stress"][cycle.rows[0] : cycle.rows[1] + 1]
+        middle = float(np.median(stress))
+        if np.mean(_near(stress, middle, _HELD)) < _STEADY:
+            told = f"its stress goes from {np.min(stress) / 1e6:.4g} to {np.max(stress) / 1e6:.4g} MPa"
+            rows = f"rows {cycle.rows[0] + 1} to {cycle.rows[1] + 1}"
+            moving.append(f"{one.name}, cycle {cycle.number} ({rows}): {told}: hold one stress throughout a cycle")
+            continue
+        known = next((level for level in levels if _near(level[0], middle, _SAME)), None)
+        if known is None:
+            levels.append((middle, [cycle]))
+        else:
+            known[1].append(cycle)
+    return levels, moving
+
+
+def _near(stress: np.ndarray | float, level: float, within: tuple[float, float]) -> np.ndarray:
+    return np.abs(stress - level) <= within[0] * abs(level) + within[1]
 
 
 def _by_options(sentence: str) -> str:
@@ -157,6 +186,8 @@ def text(document: Mapping[str, Any]) -> str:
 def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
     """Start values for a law: temperatures at zero stress, slopes of the lines, and the largest transformation strain.
 
+    Compression counts like tension: both raise the temperatures.
+
     The lines' slopes follow from the recordings' stresses where these differ by 10 MPa or more; else they are 7 MPa/K, and said to be.
     Raises ``InputError`` where the stress is not known.
     """
@@ -165,7 +196,7 @@ def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
         raise InputError(
             f"{unknown[0]} has no column stress, so its temperatures cannot be brought to zero stress: add one, as in 'stress [MPa]'"
         )
-    stress = np.array([one.stress for one in read])
+    stress = np.abs(np.array([one.stress for one in read]))
     means = [mean_of(one.cycles) for one in read]
     values = {n: np.array([m[n].value for m in means]) for n in (*NAMES, "transformation_strain")}
     entries: dict[str, Entry] = {}
