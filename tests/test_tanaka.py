@@ -20,6 +20,8 @@ from smajax.rig import parse_rig
 from smajax.simulate import lay_out, simulate, simulate_batch, simulate_inputs
 from tests import plants
 from tests.reference import one_fraction as reference
+from tests.reference.brinson import Material
+from tests.reference.wire import Wire, polynomial_heat
 
 VALUES = {k: v for k, v in plants.MATERIAL.items() if not k.startswith("detwinning")}
 MS, MF, AS, AF, CA, CM = 50.0, 36.0, 64.0, 80.0, 6.73e6, 6.32e6
@@ -92,11 +94,8 @@ def rig_of(law: str, **changed: str):
 
 
 def exact_rig(law: str) -> reference.Rig:
-    return reference.Rig(
-        law == "tanaka", MS, MF, AS, AF, CA, CM, modulus_austenite=31.5e9, modulus_martensite=20e9, max_strain=0.041,
-        resistivity_austenite=1e-6, resistivity_martensite=0.8e-6, thermal_expansion=8e-6, diameter=0.15e-3, length=0.23, h0=100.6, h2=0.001,
-        capacity=2.046e6, stiffness=300.0, preload=2.0, ambient=20.0,
-    )  # fmt: skip
+    material = Material(**plants.MATERIAL | {"thermal_expansion_austenite": 8e-6, "thermal_expansion_martensite": 8e-6})
+    return reference.Rig(law == "tanaka", material, polynomial_heat(100.6, 2.046e6, h2=0.001), Wire(0.15e-3, 0.23, 0.0, 20.0), 300.0, 2.0)
 
 
 def pulses(rows: int = 400) -> Recording:

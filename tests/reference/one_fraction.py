@@ -4,7 +4,8 @@
     heating       xi =      xi_0  g(q) / g(q_0),    q = (T - A_s - sigma / C_A) / (A_f - A_s)
 
 with g = 0.01^p (Tanaka) or half a cosine, and xi_0, p_0, q_0 where the driving variable last began to rise (Elahinia and Ahmadian 2005).
-Heat by the classical Runge-Kutta rule, the stress by bisection at each of its stages; time is not cut at events.
+Heat by the classical Runge-Kutta rule, the stress by bisection at each of its stages; time is not cut at events. The wire's heat, strain
+and resistance are those of the other references (``wire.py``, ``brinson.py``); the kinetics are its own.
 """
 
 import math
@@ -14,34 +15,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from tests.reference.brinson import Material, half_cosine, strain_of
+from tests.reference.wire import CURRENT, Heat, State, Wire, area, floats, heating
+
 Floats = NDArray[np.float64]
 NONE, FORWARD, REVERSE = 0, 1, 2
 
 
 class Rig(NamedTuple):
-    """Law (``tanaka`` or not), its constants in degC, Pa and Pa/K, and the wire, its heat and its spring in SI; T in degC."""
+    """The law is Tanaka's or not; all martensite is detwinned. A spring in N/m with its preload in N; without stiffness a dead weight."""
 
     tanaka: bool
-    martensite_start: float
-    martensite_finish: float
-    austenite_start: float
-    austenite_finish: float
-    clausius_clapeyron_austenite: float
-    clausius_clapeyron_martensite: float
-    modulus_austenite: float
-    modulus_martensite: float
-    max_strain: float
-    resistivity_austenite: float
-    resistivity_martensite: float
-    thermal_expansion: float
-    diameter: float
-    length: float
-    h0: float
-    h2: float
-    capacity: float
+    material: Material
+    heat: Heat
+    wire: Wire
     stiffness: float
     preload: float
-    ambient: float
+    control: int = CURRENT
 
 
 class Leg(NamedTuple):
@@ -60,22 +50,22 @@ def left(tanaka, share):
     """g: what is left to transform."""
     if tanaka:
         return math.exp(-max(share, 0.0) * math.log(100.0))
-    return 0.5 * (1.0 + math.cos(math.pi * min(max(share, 0.0), 1.0)))
+    return half_cosine(share)
 
 
 @njit(cache=True)
-def drives(r, temperature, stress):
+def drives(m, temperature, stress):
     """p and q."""
-    p = (r.martensite_start + stress / r.clausius_clapeyron_martensite - temperature) / (r.martensite_start - r.martensite_finish)
-    q = (temperature - r.austenite_start - stress / r.clausius_clapeyron_austenite) / (r.austenite_finish - r.austenite_start)
+    p = (m.martensite_start + stress / m.clausius_clapeyron_martensite - temperature) / (m.martensite_start - m.martensite_finish)
+    q = (temperature - m.austenite_start - stress / m.clausius_clapeyron_austenite) / (m.austenite_finish - m.austenite_start)
     return p, q
 
 
 @njit(cache=True)
 def follow(r, leg, temperature, stress):
     """The state at a temperature and a stress; on the way there no driving variable turns."""
-    p0, q0 = drives(r, leg.temperature, leg.stress)
-    p, q = drives(r, temperature, stress)
+    p0, q0 = drives(r.material, leg.temperature, leg.stress)
+    p, q = drives(r.material, temperature, stress)
     if p > p0 and p > 0.0:
         begun, had = (leg.begun, leg.had) if leg.kind == FORWARD else (p0, leg.martensite)
         whole = left(r.tanaka, begun)
@@ -90,23 +80,21 @@ def follow(r, leg, temperature, stress):
 
 
 @njit(cache=True)
-def strain(r, martensite, temperature, stress):
+def strain(r, leg):
     """Total strain; thermal strain counts from ambient."""
-    modulus = r.modulus_austenite + martensite * (r.modulus_martensite - r.modulus_austenite)
-    return stress / modulus + r.max_strain * martensite + r.thermal_expansion * (temperature - r.ambient)
+    return strain_of(r.material, leg.temperature, leg.stress, leg.martensite, 0.0, r.wire.ambient)
 
 
 @njit(cache=True)
 def _settled(r, leg, temperature, origin):
     """The state at a temperature at which the wire's pull is the spring's."""
-    area = 0.25 * math.pi * r.diameter**2
-    low, high = 0.0, 3e9
+    section, low, high = area(r.wire), 0.0, 3e9
     if r.stiffness == 0.0:
-        return follow(r, leg, temperature, r.preload / area)
+        return follow(r, leg, temperature, r.preload / section)
     for _ in range(70):
         middle = 0.5 * (low + high)
-        there = strain(r, follow(r, leg, temperature, middle).martensite, temperature, middle)
-        if middle * area > r.preload + r.stiffness * r.length * (origin - there):
+        there = strain(r, follow(r, leg, temperature, middle))
+        if middle * section > r.preload + r.stiffness * r.wire.length * (origin - there):
             high = middle
         else:
             low = middle
@@ -115,20 +103,16 @@ def _settled(r, leg, temperature, origin):
 
 @njit(cache=True)
 def _rate(r, leg, current):
-    resistivity = r.resistivity_austenite + leg.martensite * (r.resistivity_martensite - r.resistivity_austenite)
-    joule = resistivity * (current / (0.25 * math.pi * r.diameter**2)) ** 2
-    lost = 4.0 / r.diameter * (r.h0 + r.h2 * leg.temperature**2) * (leg.temperature - r.ambient)
-    return (joule - lost) / r.capacity
+    return heating(r, current, State(leg.temperature, leg.stress, leg.martensite, 0.0)) / r.heat.capacity_austenite
 
 
 @njit(cache=True)
 def _march(r, time, current, substeps):
-    stress = r.preload / (0.25 * math.pi * r.diameter**2)
-    leg = Leg(1.0, r.ambient, stress, NONE, 0.0, 1.0)
-    origin = strain(r, 1.0, r.ambient, stress)
+    leg = Leg(1.0, r.wire.ambient, r.preload / area(r.wire), NONE, 0.0, 1.0)
+    origin = strain(r, leg)
     out = np.empty((time.size, 4))
     for k in range(time.size):
-        out[k] = (r.length * (origin - strain(r, leg.martensite, leg.temperature, leg.stress)), leg.temperature, leg.stress, leg.martensite)
+        out[k] = (r.wire.length * (origin - strain(r, leg)), leg.temperature, leg.stress, leg.martensite)
         if k == time.size - 1:
             break
         step = (time[k + 1] - time[k]) / substeps
@@ -145,7 +129,7 @@ def _march(r, time, current, substeps):
 def simulate(rig: Rig, time: Floats, current: Floats, substeps: int = 20) -> Floats:
     """A wire that begins all detwinned at ambient under its preload, the current held from row to row.
 
-    Returns contraction in m, temperature, stress and martensite fraction, shape (n, 4). Without stiffness the preload is a dead weight.
+    Returns contraction in m, temperature, stress and martensite fraction, shape (n, 4). Both phases have the capacity of austenite.
     """
-    made = Rig(bool(rig.tanaka), *map(float, rig[1:]))
+    made = rig._replace(**dict(zip(("material", "heat", "wire"), floats(rig.material, rig.heat, rig.wire), strict=True)))
     return _march(made, np.ascontiguousarray(time, float), np.ascontiguousarray(current, float), substeps)
