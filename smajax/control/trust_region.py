@@ -18,6 +18,7 @@ _POOR, _GOOD = 0.1, 0.6  # gain over the expected one from which on a step disap
 _SHRUNK, _GROWN = 0.35, 2.0
 _DAMPED = 0.2
 _SLIGHT = 1e-4  # an expected gain that ends the search
+_STEEPEST = 1e140  # a slope at most: what is steeper tells nothing, and its square would be no number
 
 Slope = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
@@ -38,7 +39,7 @@ def descend(slope: Slope, place: Place, least: float, steps: int) -> Place:
     than ``least``, or when little is to be gained.
     """
     point, radius = place.point, place.radius
-    cost, by = slope(point)
+    cost, by = _cut(slope, point)
     curvature = place.curvature
     if curvature is None:  # the first step then goes to the region's end where the slope is greatest
         curvature = np.eye(len(point)) * max(float(np.max(np.abs(by))), 1e-12) / radius
@@ -48,7 +49,7 @@ def descend(slope: Slope, place: Place, least: float, steps: int) -> Place:
         step, expected = _step(by, curvature, np.maximum(-radius, -point), np.minimum(radius, 1.0 - point))
         if expected < _SLIGHT:
             break
-        then, slope_then = slope(point + step)
+        then, slope_then = _cut(slope, point + step)
         reach = float(np.max(np.abs(step)))
         gained = (cost - then) / expected if np.isfinite(then) else -np.inf
         if np.isfinite(then):
@@ -62,6 +63,11 @@ def descend(slope: Slope, place: Place, least: float, steps: int) -> Place:
         if radius < least:
             break
     return Place(point, cost, curvature, radius)
+
+
+def _cut(slope: Slope, point: np.ndarray) -> tuple[float, np.ndarray]:
+    cost, by = slope(point)
+    return cost, by * min(1.0, _STEEPEST / max(float(np.max(np.abs(by))), 1e-300))
 
 
 def _step(by: np.ndarray, curvature: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, float]:

@@ -125,7 +125,7 @@ class _Tuner:
         if reach < _WIDE:
             self.scale[TERMS.index("effort")] = len(tuning.task.reference) * (_MOVE * reach) ** 2
         n = tuning.task.reference.shape[0]
-        self.limited = settle or bool(np.any(np.isfinite(np.asarray(wanted.limits))))
+        self.plain = not (settle or np.any(np.isfinite(np.asarray(wanted.limits))))  # the terms are all there is
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
 
@@ -145,7 +145,7 @@ class _Tuner:
 
     def keep(self, one: _Candidate) -> None:
         """Keeps what all members were looked at; the history tells where nothing limits."""
-        if not self.limited and one.cost < min((c.cost for c in self.seen), default=math.inf):
+        if self.plain and one.cost < min((c.cost for c in self.seen), default=math.inf):
             self.history.append((self.rollouts, one.cost))
         self.seen.append(one)
 
@@ -290,7 +290,7 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
 
     If that is far beyond a limit, from the point that violates the limits least.
     """
-    if not tuner.limited:
+    if tuner.plain:
         return _without(tuner, points)
     point = _near(tuner, points)
     tried = tuner.candidates(np.vstack([point, points]))

@@ -55,8 +55,8 @@ class Tuning(eqx.Module):
         """``bounds`` name the gains to be tuned and the positive ends between which they lie.
 
         A single row of ``draws``, or the scenario's noise without, is met by all members. With a ``spread``, the gains that several members
-        judge lie up to such a share above and below those asked for. Raises ``InputError`` for a gain that the
-        controller has not, or whose start value does not lie between its bounds.
+        judge lie up to such a share above and below those asked for. Raises ``InputError`` for a gain that the controller has not, or whose
+        start value does not lie between its bounds.
         """
         for name, (low, high) in bounds.items():
             value = float(gain(loop, name))
@@ -70,11 +70,10 @@ class Tuning(eqx.Module):
         found = metrics.jumps(reference, before, period)
         span = float(np.max(np.append(reference, before)) - np.min(np.append(reference, before))) or abs(before) or 1.0
         task = Task(*map(jnp.asarray, (reference, found.since, found.size, span)), channel=loop.channel, period=period, wires=driven.wires)
-        ends = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
+        lower, upper = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
         differ = {k: jnp.asarray(v) for k, v in (members or {}).items()}
         noise = scenario.draws[None] if draws is None else jnp.asarray(draws)
         noise = jnp.broadcast_to(noise, (next((len(v) for v in differ.values()), len(noise)), len(reference)))
-        lower, upper = ends
         wide = np.log(np.where(upper > lower, upper / lower, math.inf))
         even = scipy.stats.qmc.Halton(len(bounds), rng=0).random(len(noise)) if len(noise) > 1 else np.full((1, len(bounds)), 0.5)
         offsets = jnp.asarray(math.log1p(spread) / wide * (2.0 * even - 1.0))

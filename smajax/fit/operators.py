@@ -337,8 +337,11 @@ def parted(problem: OperatorProblem) -> tuple[OperatorProblem, OperatorProblem]:
     """The problem that sees the first rows of each recording only, and the one that sees the others only."""
     seen = np.cumsum(np.asarray(problem.data.weight) > 0, axis=1)
     early = jnp.asarray(seen <= _EARLIER * seen[:, -1:])
-    parts = (jnp.where(rows, problem.data.weight, 0.0) for rows in (early, ~early))
-    return tuple(dataclasses.replace(problem, data=dataclasses.replace(problem.data, weight=part)) for part in parts)  # type: ignore
+
+    def of(rows: jax.Array) -> OperatorProblem:
+        return dataclasses.replace(problem, data=dataclasses.replace(problem.data, weight=jnp.where(rows, problem.data.weight, 0.0)))
+
+    return of(early), of(~early)
 
 
 def _ridged(problem: OperatorProblem, weights: jax.Array, ridge: float) -> Ridged:

@@ -20,11 +20,11 @@ alone has it. The knee-ankle paper takes this law and mixes the moduli: that is 
 How the phases share the modulus is a choice. Lagoudas mixes compliances (Reuss), E_R = 1 / (S_A + xi dS); the paper mixes moduli (Voigt),
 E_V = E_A + xi (E_M - E_A); ``voigt_share`` w weighs them, E = (1 - w) E_R + w E_V, a half being Hill's mean. The free energy's elastic
 part, -sigma^2 / (2 E(xi)), puts sigma^2 / 2 times d(1/E)/d(xi) into the driving forces. With Reuss that is dS; with Voigt it is
-(E_A - E_M) / E_V^2, which makes the conditions implicit in xi and, above some 400 MPa, of more than one root. Its mean over a whole
+(E_A - E_M) / E_V^2, which makes the conditions implicit in xi and, under large stresses, of more than one root. Its mean over a whole
 transformation is dS for every w, since at the ends there is one phase alone, and this mean is what is taken here: strains follow the
 choice, the lines of transformation do not. With w > 0 a loop that transforms forward under one stress and back under another one
 dissipates more or less than the thresholds say by half the difference of the squared stresses times that of 1/E_R - 1/E at its ends:
-nothing for a whole transformation, below 3 per cent for a partial one up to 300 MPa (60 and 30 GPa).
+nothing for a whole transformation, little for a partial one.
 """
 
 import jax
