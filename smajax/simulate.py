@@ -78,6 +78,26 @@ class Inputs(eqx.Module):
             np.concatenate([sampled, np.repeat(sampled[-1:], later, axis=0)]),
         )
 
+    def halved(self) -> tuple["Inputs", int]:
+        """The same inputs on steps half as long, as far as they go on a grid of this length; and at how many samples that is.
+
+        The samples after these stay at the grid's end.
+        """
+        time, before, after, rows, sampled = map(np.asarray, (self.time, self.before, self.after, self.rows, self.sampled))
+        steps = (len(time) - 1) // 2
+        rest = len(time) - 1 - 2 * steps
+        middle = 0.5 * (before + after)[:steps]
+        first, last = (np.stack(pair, axis=1).reshape(2 * steps, -1) for pair in ((before[:steps], middle), (middle, after[:steps])))
+        clock = np.stack([time[:steps], 0.5 * (time[:steps] + time[1 : steps + 1])], axis=1).ravel()
+        found = _inputs(
+            np.concatenate([clock, np.repeat(time[steps], 1 + rest)]),
+            np.concatenate([first, np.repeat(last[-1:], rest, axis=0)]),
+            np.concatenate([last, np.repeat(last[-1:], rest, axis=0)]),
+            np.minimum(2 * rows, 2 * steps),
+            sampled,
+        )
+        return found, int(np.sum(rows <= steps))
+
 
 def _inputs(*arrays: np.ndarray) -> Inputs:
     return Inputs(*map(jax.device_put, arrays))  # jnp.asarray would compile a program for each shape

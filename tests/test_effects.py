@@ -23,6 +23,8 @@ from smajax.plant.effect import AbstractEffect
 from smajax.plant.sensor import lagged
 from smajax.rig import parse_rig, read_rig
 from tests import plants
+from tests.reference.hidden import Hidden, displacement
+from tests.reference.rig_file import read_rig as reference_rig
 
 KEYS = [
     "latent-heat",
@@ -172,6 +174,38 @@ def test_what_is_planted_is_recovered():
     assert len(recovered) > 12, sorted(recovered)
     wrong = {k: v for k, v in recovered.items() if not (abs(v[0] - 1.0) < 0.03 and v[1] < 0.05)}
     assert not wrong, wrong
+
+
+@pytest.mark.parametrize(
+    ("hidden", "effects"),
+    [
+        ({"latent_heat": 8e7}, {"latent-heat": {"strength": 8e7}}),
+        ({"drift": 0.05}, {"ambient-drift": {"strength": 0.05}}),
+        ({"coating": 0.5, "coating_time": 4.0}, {"coating": {"strength": 0.5, "time_constant": 4.0}}),
+        ({"convection_slope": 0.3}, {"convection-temperature": {"strength": 0.3}}),
+        ({"draught": 0.3, "draught_instant": 6.0}, {"airflow-change": {"strength": 0.3, "instant": 6.0}}),
+        ({"friction": 1.2e7}, {"coulomb-friction": {"strength": 1.2e7}}),
+        ({"friction": 1.2e7, "latent_heat": 8e7}, {"coulomb-friction": {"strength": 1.2e7}, "latent-heat": {"strength": 8e7}}),
+        ({"play": 1.5e-4}, {"backlash": {"strength": 1.5e-4, "begin": -1.0}}),
+        ({"lag": 0.05}, {"sensor-lag": {"strength": 0.05}}),
+        ({"skew": 0.08}, {"time-skew": {"strength": 0.08}}),
+        ({"exponent": 0.35}, {"minor-loop-shape": {"strength": 0.35}}),
+        ({"exponent": -0.3}, {"minor-loop-shape": {"strength": -0.3}}),
+        ({"encoder_drift": 1.5e-5}, {"encoder-drift": {"strength": 1.5e-5}}),
+    ],
+    ids=lambda value: "+".join(value) if "strength" in str(value) else "",
+)
+def test_an_effect_does_what_the_reference_does_in_another_form(hidden, effects):
+    """Fine steps, rigid friction, play and lag between samples, a sudden draught: the motions differ by a fraction of the noise."""
+    made = bench("dead-weight", 12.0, '"displacement", "temperature", "voltage"')
+    (recording,) = made.parts[0].recordings
+    rig = reference_rig(shipped("recordings", "dead-weight") / "rig.toml")
+    truth = [displacement(rig, Hidden(**own), recording.time, recording.channels["current"]) for own in ({}, hidden)]
+    values = {f"effects.{key}.{name}": value for key, own in effects.items() for name, value in own.items()}
+    residual = made.series(made.evaluate(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0)[0])["displacement"]
+    moved = recording.channels["displacement"] + residual * made.noise["displacement"]
+    apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
+    assert apart < 0.2 * made.noise["displacement"] < 0.05 * effect
 
 
 def test_what_a_rig_cannot_have_is_not_tried_and_said():

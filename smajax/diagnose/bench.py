@@ -353,6 +353,22 @@ class Bench:
         data = dataclasses.replace(mine.data, inputs=inputs)
         return self._weighted(dataclasses.replace(mine, data=data), [np.arange(len(recording))])
 
+    def step_error(self, refit: Refit) -> np.ndarray:
+        """How much of the training part's residual, shape of ``flat``, comes from the finite length of the steps.
+
+        Steps half as long are simulated on the same program, which takes them through the first half of each recording only. The
+        rows there count twice, and those after them nothing.
+        """
+        mine, count = self.problems[0], len(self.parts[0].recordings)
+        each = [jax.tree.map(lambda leaf, k=k: leaf[k], mine.data.inputs).halved() for k in range(len(mine.data.measured))]
+        inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(inputs for inputs, _ in each))
+        halved = dataclasses.replace(mine, data=dataclasses.replace(mine.data, inputs=inputs))
+        finer, _ = self.evaluate_at(halved, refit.hypothesis, refit.base)
+        by = (refit.residual - finer).reshape(len(each), len(self.channels), -1)
+        for k, (_, samples) in enumerate(each[:count]):
+            by[k, :, samples:] = 0.0
+        return 2.0 * 4.0 / 3.0 * self.flat(by.ravel())
+
     def columns(self, hypothesis: Hypothesis, base: np.ndarray) -> dict[tuple[str, tuple[tuple[str, float], ...]], np.ndarray]:
         """The residual's derivative by the strength of every effect that is not there yet, at each value of its shape's grid.
 

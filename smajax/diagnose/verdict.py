@@ -167,23 +167,27 @@ def _conclude(
 
 
 def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
-    """95 % intervals of the effects' parameters, by the residual's own autocorrelation."""
+    """95 % intervals of the effects' parameters: by the residual's own autocorrelation, and as far as the length of the steps moves them."""
     bench, moved = tracer.bench, tracer.bench.moved(refit.hypothesis)
     if not moved:
         return {}
     free = tracer.free(refit)
-    jacobians, residuals = [], []
+    jacobians, residuals, whole = [], [], []
     for k in (0, 1)[: 1 if bench.own else 2]:
         left, jacobian = bench.evaluate(refit.hypothesis, refit.base, k, moved)
         columns = [bench.series(c, k) for c in jacobian[:, free].T]
         for name, series in bench.series(left, k).items():
             jacobians.append(np.column_stack([c[name] for c in columns]))
             residuals.append(series)
+        whole.append(np.concatenate(jacobians[-len(bench.channels) :]))
     covariance = uncertainty.covariance(jacobians, residuals, int(np.sum(free)))
-    spread = np.sqrt(np.diag(covariance))[-len(moved) :] * 1.96
+    spread = 1.96 * np.sqrt(np.diag(covariance))
+    # Steps of finite length pull the parameters on the other recordings as they do on the first one.
+    normal = np.linalg.pinv(sum(j.T @ j for j in whole), hermitian=True)
+    spread += np.abs(normal @ (whole[0].T @ bench.step_error(refit))) * len(whole)
     return {
         name: (refit.values[name] - s * bench.scale(name), refit.values[name] + s * bench.scale(name))
-        for name, s in zip(moved, spread, strict=True)
+        for name, s in zip(moved, spread[-len(moved) :], strict=True)
         if math.isfinite(s)
     }
 

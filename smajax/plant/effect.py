@@ -17,8 +17,6 @@ from smajax.plant.heat import AbstractHeat
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.wire import AbstractWire, Environment
 
-_YIELD = 5e-5  # contraction, as a strain, over which dry friction turns around
-
 
 class Instant(NamedTuple):
     """What effects see of a plant at one instant: arrays of shape ``(wires,)``, but for ``time`` and ``contraction`` (a strain).
@@ -146,9 +144,9 @@ class SecondNode(HeatEffect):
         return -self.strength * per_kelvin * (now.temperature - where.environment.ambient - memory)
 
 
-def engaged(z: jax.Array, contracted: jax.Array) -> jax.Array:
-    """How far dry friction is engaged after a contraction by so much strain: z in -1..1, which turns around elastically."""
-    return jnp.clip(z + contracted / _YIELD, -1.0, 1.0)
+def engaged(z: jax.Array, contracted: jax.Array, reversal: jax.Array | float = 5e-5) -> jax.Array:
+    """How far dry friction is engaged after a contraction by so much strain: z in -1..1, from the middle to an end over ``reversal``."""
+    return jnp.clip(z + contracted / reversal, -1.0, 1.0)
 
 
 def relaxed(value: jax.Array, towards: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:

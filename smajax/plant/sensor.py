@@ -43,19 +43,36 @@ class Sensor(eqx.Module):
         return self.gain[channel] * value + self.offset[channel]
 
 
-def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
-    """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s, exact for what is straight between samples.
+_INSTANT = 1e-9  # s; samples no further apart are one, as fillings are
 
-    Differentiable at 0, where it is the series itself. Samples at one instant, as fillings are, are one sample.
+
+def slopes(series: jax.Array, time: jax.Array) -> jax.Array:
+    """How fast a series, shape ``(n,)``, changes at its samples, per second: as it does between the samples beside each."""
+    return jnp.asarray(jnp.gradient(series)) / jnp.maximum(jnp.asarray(jnp.gradient(time)), _INSTANT)
+
+
+def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
+    """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s, exact for cubics with its ``slopes`` between samples.
+
+    Differentiable at 0, where it is the series itself.
     """
-    share = constant / jnp.maximum(jnp.diff(time), 1e-9)
+    gap, slope = jnp.diff(time), slopes(series, time)
+    share = constant / jnp.maximum(gap, _INSTANT)
     decays = share > 0.02  # below, what is left of the last sample is under rounding
     stays = jnp.where(decays, jnp.exp(-1.0 / jnp.where(decays, share, 1.0)), 0.0)
+    # x = x_0 + b u + c u^2 + d u^3 from one sample to the next one; behind the lag each power loses so much of what it has come to.
+    rise, first, last = jnp.diff(series), slope[:-1] * gap, slope[1:] * gap
+    linear = share * (1.0 - stays)
+    quadratic = 2.0 * share * (1.0 - linear)
+    cubic = 3.0 * share * (1.0 - quadratic)
+    lost = first * linear + (3.0 * rise - 2.0 * first - last) * quadratic + (first + last - 2.0 * rise) * cubic
+    apart = gap > _INSTANT
+    stays, towards = jnp.where(apart, stays, 1.0), jnp.where(apart, series[1:] - lost, series[:-1])
 
     def follow(y: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
-        last, value, share, stays = row
-        y = value + stays * (y - last) - (value - last) * share * (1.0 - stays)
+        before, towards, stays = row
+        y = towards + stays * (y - before)
         return y, y
 
-    _, rest = jax.lax.scan(follow, series[0], (series[:-1], series[1:], share, stays), unroll=8)
+    _, rest = jax.lax.scan(follow, series[0], (series[:-1], towards, stays), unroll=8)
     return jnp.append(series[:1], rest)

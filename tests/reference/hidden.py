@@ -21,8 +21,9 @@ Floats = NDArray[np.float64]
 class Hidden(NamedTuple):
     """What the rig has beside its file, SI and K; all absent by default.
 
-    ``exponent`` is that of the remaining share in every transformation (1: the law's own), ``load_step`` a relative change of the load
-    from ``load_instant`` on, ``cubic`` a bend of the sensor per stroke squared: these are in no catalogue.
+    ``exponent`` is an additional one of the remaining share in every transformation. ``pace`` is a wave of a transformation's pace, which
+    is its own one times 1 + pace sin(2 pi share); ``load_step`` a relative change of the load from ``load_instant`` on; ``cubic`` a bend
+    of the sensor per stroke squared: these three are in no catalogue.
     """
 
     latent_heat: float = 0.0
@@ -45,23 +46,30 @@ class Hidden(NamedTuple):
     creep: float = 0.0
     creep_time: float = 15.0
     encoder_drift: float = 0.0
-    exponent: float = 1.0
+    exponent: float = 0.0
+    pace: float = 0.0
     load_step: float = 0.0
     load_instant: float = 0.0
     cubic: float = 0.0
 
 
 @njit(cache=True)
+def _pace(hidden, left):
+    """How fast what is left of a phase goes, over the law's own pace."""
+    return left**hidden.exponent * (1.0 + hidden.pace * math.sin(2.0 * math.pi * left))
+
+
+@njit(cache=True)
 def _fractions(m, hidden, d0, w0, t0, s0, t1, s1):
     d1, w1 = advance(m, d0, w0, t0, s0, t1, s1)
-    if hidden.exponent != 1.0:
+    if hidden.exponent != 0.0 or hidden.pace != 0.0:
         before, after = d0 + w0, d1 + w1
         if after < before and before > 0.0:
-            share = (after / before) ** (before ** (hidden.exponent - 1.0)) if after > 0.0 else 0.0
+            share = (after / before) ** _pace(hidden, before) if after > 0.0 else 0.0
             return d0 * share, w0 * share
         if after > before and before < 1.0:
             left = 1.0 - before
-            share = ((1.0 - after) / left) ** (left ** (hidden.exponent - 1.0)) if after < 1.0 else 0.0
+            share = ((1.0 - after) / left) ** _pace(hidden, left) if after < 1.0 else 0.0
             whole = 1.0 - left * share
             return d1 * whole / after, w1 * whole / after
     return d1, w1
@@ -70,6 +78,30 @@ def _fractions(m, hidden, d0, w0, t0, s0, t1, s1):
 @njit(cache=True)
 def _strain(m, d, w, t, s, ambient, h):
     return strain_of(m, t, s, d, w, ambient) - h * m.max_strain * d
+
+
+@njit(cache=True)
+def _stress(m, hidden, wire, load, d, w, t, s, after, lost):
+    """The stress within the reach of friction that keeps the length while the wire goes to a temperature, or that at the end of its reach."""
+    if hidden.friction == 0.0:
+        return load
+    ambient = wire.ambient
+    held = _strain(m, d, w, t, s, ambient, lost)
+    below, above = load - hidden.friction, load + hidden.friction
+    d1, w1 = _fractions(m, hidden, d, w, t, s, after, below)
+    if _strain(m, d1, w1, after, below, ambient, lost) >= held:
+        return below
+    d1, w1 = _fractions(m, hidden, d, w, t, s, after, above)
+    if _strain(m, d1, w1, after, above, ambient, lost) <= held:
+        return above
+    for _ in range(30):
+        stress = 0.5 * (below + above)
+        d1, w1 = _fractions(m, hidden, d, w, t, s, after, stress)
+        if _strain(m, d1, w1, after, stress, ambient, lost) > held:
+            above = stress
+        else:
+            below = stress
+    return 0.5 * (below + above)
 
 
 @njit(cache=True)
@@ -100,12 +132,12 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
             xi = d + w
             capacity = heat.capacity_austenite + xi * (heat.capacity_martensite - heat.capacity_austenite)
             capacity *= 1.0 + hidden.capacity_change * xi
-            low, high = t - 20.0, t + 20.0
-            held = _strain(m, d, w, t, s, ambient, hidden.fatigue * 0.5 * travel)
+            low, high, lost = t - 20.0, t + 20.0, hidden.fatigue * 0.5 * travel
             for _ in range(44):
                 middle = 0.5 * (low + high)
                 half = 0.5 * (t + middle)
-                d1, w1 = _fractions(m, hidden, d, w, t, s, middle, s)
+                stress = _stress(m, hidden, wire, load, d, w, t, s, middle, lost)
+                d1, w1 = _fractions(m, hidden, d, w, t, s, middle, stress)
                 flow = resistivity(m, 0.5 * (xi + d1 + w1)) * (i / section) ** 2 - cool * h * (half - air)
                 flow -= cool * base * (hidden.coating * (half - ambient - sleeve) + hidden.ends * (half - ambient - crimps))
                 missing = capacity * (middle - t) + hidden.latent_heat * (xi - d1 - w1) - step * flow
@@ -114,25 +146,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
                 else:
                     low = middle
             after = 0.5 * (low + high)
-            # Friction: the stress within its reach that keeps the length, or that at the end of its reach.
-            lost = hidden.fatigue * 0.5 * travel
-            below, above = load - hidden.friction, load + hidden.friction
-            stress = load
-            if hidden.friction > 0.0:
-                dl, wl = _fractions(m, hidden, d, w, t, s, after, below)
-                dh, wh = _fractions(m, hidden, d, w, t, s, after, above)
-                if _strain(m, dl, wl, after, below, ambient, lost) >= held:
-                    stress = below
-                elif _strain(m, dh, wh, after, above, ambient, lost) <= held:
-                    stress = above
-                else:
-                    for _ in range(44):
-                        stress = 0.5 * (below + above)
-                        dm, wm = _fractions(m, hidden, d, w, t, s, after, stress)
-                        if _strain(m, dm, wm, after, stress, ambient, lost) > held:
-                            above = stress
-                        else:
-                            below = stress
+            stress = _stress(m, hidden, wire, load, d, w, t, s, after, lost)
             d1, w1 = _fractions(m, hidden, d, w, t, s, after, stress)
             travel += abs(d1 + w1 - xi)
             over = 0.5 * (t + after) - ambient

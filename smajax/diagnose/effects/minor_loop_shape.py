@@ -7,15 +7,26 @@ from smajax.parameters import parameter
 from smajax.plant.effect import MaterialEffect
 from smajax.plant.material.base import Fractions
 
-_LEAST = 1e-6
+_LEAST = 1e-6  # what is less is nothing
+_COMPLETE = 1e-3
+_FLAT = 1e-4  # below it the series is exact to rounding
 
 
 def _slowed(before: jax.Array, after: jax.Array, exponent: jax.Array) -> jax.Array:
-    """What remains if d(x)/x goes with x^exponent times the law's own rate."""
+    """What remains if d(x)/x goes with x^exponent times the law's own rate: x^-exponent grows by exponent times what -ln(x) would grow by.
+
+    With a negative exponent, nothing remains from a finite growth on.
+    """
     falling = (after < before) & (before > _LEAST)
-    share = jnp.where(falling, jnp.maximum(after, 1e-12) / jnp.where(falling, before, 1.0), 1.0)
-    pace = jnp.where(falling, before, 1.0) ** exponent
-    return jnp.where(falling, before * share**pace, after)
+    first = jnp.where(falling, before, 1.0)
+    own = jnp.log(first) - jnp.log(jnp.where(falling, jnp.maximum(after, 1e-30), 1.0))
+    growth = first**exponent * own
+    u = exponent * growth
+    flat = jnp.abs(u) < _FLAT
+    wide = jnp.where(flat, 1.0, jnp.maximum(u, -1.0 + 1e-12))
+    mean = jnp.where(flat, 1.0 - u / 2.0 + u * u / 3.0 - u**3 / 4.0, jnp.log1p(wide) / wide)
+    slowed = jnp.where(after > _COMPLETE * before, first * jnp.exp(-growth * mean), 0.0)
+    return jnp.where(falling, slowed, after)
 
 
 class MinorLoopShape(MaterialEffect):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from smajax.parameters import parameter
 from smajax.plant.effect import SensorEffect
+from smajax.plant.sensor import slopes
 
 
 class TimeSkew(SensorEffect):
@@ -24,8 +25,7 @@ class TimeSkew(SensorEffect):
 
 def _at(wanted: jax.Array, time: jax.Array, series: jax.Array) -> jax.Array:
     """A series between its samples by cubics through them, whose slope at a sample is the same from both sides; its ends go on level."""
-    # A filling repeats the last instant: its gaps are none, and nothing is asked for inside them.
-    slope = jnp.asarray(jnp.gradient(series)) / jnp.maximum(jnp.asarray(jnp.gradient(time)), 1e-9)
+    slope = slopes(series, time)
     wanted = jnp.clip(wanted, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(wanted), side="right") - 1, 0, len(time) - 2)
     gap = jnp.maximum(time[i + 1] - time[i], 1e-9)
