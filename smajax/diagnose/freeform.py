@@ -31,7 +31,10 @@ class FreeForm(AbstractEffect):
     adds: ClassVar[str]
 
     def term(self, now: Instant) -> jax.Array:
-        """Its value, shape ``(wires,)``."""
+        """Its value, shape ``(wires,)``; without a state to stand against it costs nothing."""
+        return jax.lax.cond(jnp.any(self.mix != 0.0), lambda: self._looked_up(now), lambda: jnp.zeros_like(now.temperature))
+
+    def _looked_up(self, now: Instant) -> jax.Array:
         states = (jnp.broadcast_to(now.time, now.temperature.shape), now.temperature, now.fractions.martensite, now.travel)
         place = sum(m * (s - a) / (b - a) for m, s, a, b in zip(self.mix, states, self.low, self.high, strict=True))
         place = jnp.clip(place, 0.0, 1.0) * (KNOTS - 1)

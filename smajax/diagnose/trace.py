@@ -2,9 +2,9 @@
 
 One round: the effects' scores say whether anything is missing and what is worth refitting; each of the best is added to the plant and all
 is fitted again; the one that explains the training recording and predicts the selection recording best is accepted, if it lowers the error
-there by more than ``CUT``. What explains both as well is its equivalence. Where more than noise is left, the best few of them get another
-effect each, so that a first choice can still be changed for a better pair. In the end each accepted effect has to be missed if it is taken
-away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the end.
+there by more than ``CUT``, and the mean square of a later one by ``MATERIAL``. What explains both as well is its equivalence. Where more
+than noise is left, the best few of them get another effect each, so that a first choice can still be changed for a better pair. In the end
+each accepted effect has to be missed if it is taken away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the end.
 """
 
 import dataclasses
@@ -27,6 +27,7 @@ from smajax.fit.problem import Problem
 
 DETECTED = 0.01
 CUT = 0.05
+MATERIAL = 1.0  # over the noise: kinetics that are a little off leave a residual that many an effect fits in part
 EXPLAINED = 0.5
 WORTH = 0.75
 ROUNDS = 3
@@ -202,6 +203,11 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
         return []
     if cut < CUT:
         told = f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
+        story.rejected.append((added, told))
+        return []
+    if turn and current.select - best.select < MATERIAL:
+        beside = " and ".join(current.keys)
+        told = f"moves the selection recording's prediction by less than the noise beside {beside}: perhaps a surrogate"
         story.rejected.append((added, told))
         return []
     say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")

@@ -167,7 +167,7 @@ def _conclude(
 
 
 def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
-    """95 % intervals of the effects' parameters: by the residual's own autocorrelation, and as far as the length of the steps moves them."""
+    """95 % intervals of the effects' parameters: by the residual's own autocorrelation, and as far as the steps' length moves them."""
     bench, moved = tracer.bench, tracer.bench.moved(refit.hypothesis)
     if not moved:
         return {}

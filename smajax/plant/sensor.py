@@ -52,9 +52,9 @@ def slopes(series: jax.Array, time: jax.Array) -> jax.Array:
 
 
 def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
-    """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s, exact for cubics with its ``slopes`` between samples.
+    """A series, shape ``(n,)``, behind a first-order lag of time constant ``constant`` s.
 
-    Differentiable at 0, where it is the series itself.
+    Exact for what is, between samples, a cubic with the series' ``slopes``. Differentiable at 0, where it is the series itself.
     """
     gap, slope = jnp.diff(time), slopes(series, time)
     share = constant / jnp.maximum(gap, _INSTANT)
