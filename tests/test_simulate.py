@@ -55,6 +55,16 @@ def test_rotary_converges_to_the_exact_reference():
     assert np.degrees(found[-1]) < 2e-3
 
 
+def test_halved_steps_are_those_of_half_the_step_as_far_as_the_grid_goes():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.08)
+    inputs = simulate.lay_out(plant, recording, interpolation="hold", step=0.08)
+    halved, samples = inputs.halved()
+    assert samples == 200 and all(a.shape == b.shape for a, b in zip(jax.tree.leaves(inputs), jax.tree.leaves(halved), strict=True))
+    finer = simulate.lay_out(plant, recording, interpolation="hold", step=0.04)
+    coarse, half, fine = (simulate.simulate_inputs(plant, i).channels["displacement"] for i in (inputs, halved, finer))
+    assert np.max(np.abs(half - fine)[:samples]) < 1e-12 < 1e-3 * np.max(np.abs(coarse - fine)[:samples])
+
+
 def test_smoothing_vanishes_on_the_wire_with_first_order():
     recording = plants.inputs("dead_weight", 400, 0.08)
     sharp = simulate.simulate(plants.dead_weight(), recording).channels["displacement"]

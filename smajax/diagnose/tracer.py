@@ -18,6 +18,8 @@ from smajax.parameters import declarations
 _HEATS = ((99, 5), (8, 4), (5, 8), (3, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
 _HOPELESS = 30.0
+_BEHIND = 4.0  # times the least cost: no search from there wins any more
+_LOOK = 8
 _JOINED = 12  # evaluations of the joint fit
 
 
@@ -167,7 +169,7 @@ class Tracer:
             fields = [sorted((s for s in f if not s.search.cost > _HOPELESS * least), key=lambda s: s.search.cost)[:count] for f in fields]
             if steps > _APART:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
-                fields = [[s for s in whole if s.search.cost < 4.0 * whole[0].search.cost][:count]]
+                fields = [[s for s in whole if s.search.cost < _BEHIND * whole[0].search.cost][:count]]
             in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
         best: dict[frozenset, Refit] = {}
         for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
@@ -176,9 +178,9 @@ class Tracer:
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
 
     def kin(self, trial: Trial) -> list[Trial]:
-        """Fits in which an effect that is known to be confused with a trial's last one stands in its place, each to its end.
+        """Fits in which an effect that is known to be confused with a trial's last one stands in its place.
 
-        They start at the trial's own point, with its shape where theirs is called the same.
+        They start at the trial's own point, with its shape where theirs is called the same, and go to their end unless they lag far behind.
         """
         effects, key, refit = self.bench.effects, trial.key, trial.refit
         rest = refit.hypothesis.without(key)
@@ -187,7 +189,9 @@ class Tracer:
         for other in known:
             values = {f"effects.{other}.strength": 0.3 * effects[other].typical, **self._shape(other, key, refit)}
             starts.append(rest.extended(other, values))
-        found = in_pairs(lambda h: self.judged(self.bench.fit(h, refit.base, max_steps=40, rtol=1e-7)), starts)
+        searches = in_pairs(lambda h: self.bench.search(h, refit.base, rtol=1e-7).advance(_LOOK), starts)
+        near = [s for s in searches if s.search.cost < _BEHIND * refit.chi2]
+        found = in_pairs(lambda s: self.judged(self.bench.reached(s.advance(40 - _LOOK))), near)
         return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
 
     def _shape(self, other: str, key: str, refit: Refit) -> dict[str, float]:
