@@ -31,7 +31,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _arm_log import Log, read_logs
+from _arm_log import REST, Log, read_logs
 from _common import Row, arguments, finish, say
 from _figures import Chart, Curve, draw
 from equinox import Module, field, filter_jit
@@ -135,6 +135,18 @@ def naive(log: Log) -> tuple[np.ndarray, np.ndarray]:
         known = np.isfinite(series)
         residuals.append((series - np.interp(then, log.time[known], series[known]))[scored])
     return residuals[0], residuals[1]
+
+
+def begun(log: Log) -> str:
+    """Where the first two pulses, of the same duty, begin and how far they go: what the first one does not tell of the second."""
+    words = []
+    for first in log.pulses[:2]:
+        for series, unit in ((log.temperature, "degC"), (log.bend, "deg")):
+            known = np.isfinite(series) & (log.time < first + REST)
+            before = series[known & (log.time >= first - REST) & (log.time <= first)]
+            pulse = series[known & (log.time > first)]
+            words.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
+    return "{}, {}; then {}, {}".format(*words)
 
 
 class Model(Module):
@@ -325,6 +337,7 @@ def compared(what: str, errors: tuple[float, float], targets: tuple[float, float
 def report(bench: Bench, logs: Sequence[Log], base: list[Fitted], history: list[Round], final: list[Fitted], known: bool) -> list[Row]:
     """The table but for the agreement of start points."""
     rows = [Row(f"{log.name}: found", "-", f"{log.found}; fitted to {log.until:g} s, scored from {log.scored:g} s", None) for log in logs]
+    rows += [Row(f"{log.name}: the fitted and the held-out pulse go from and to", "-", begun(log), None) for log in logs]
     guess = [naive(log) for log in logs]
     repeated = rms([g[0] for g in guess]), rms([g[1] for g in guess])
     whole = bench.each("fitted", base, {}, 80)

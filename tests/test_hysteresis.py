@@ -59,6 +59,13 @@ def test_the_normalised_form_is_the_seven_parameter_one():
         assert float(one) == pytest.approx(float(other), rel=1e-12)
 
 
+def test_a_normalised_form_without_a_seven_parameter_one_is_refused():
+    law = BoucWen(kx=-1.0, kw=2.0, rho=0.5, sigma=0.6, n=1.5)
+    assert float(law.to_seven(a=2.0)["k"]) == pytest.approx(-0.5)
+    with pytest.raises(InputError, match="choose another a"):
+        law.to_seven(d=1.0, a=1.0)
+
+
 @pytest.mark.parametrize("wrong", [{"gamma": -SEVEN["beta"]}, {"a": -SEVEN["a"]}, {"d": 0.0}, {"n": 0.5}])
 def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
     """They would give no numbers, or a law that grows for ever."""

@@ -183,6 +183,12 @@ def test_one_that_cannot_be_read_leaves_the_others(tmp_path):
     assert lacking.exit_code == 2 and "has no column stress" in lacking.output and not (tmp_path / "set.toml").exists()
 
 
+def test_a_file_given_twice_is_refused(tmp_path):
+    path = write(tmp_path / "good.csv", *made(1))
+    done = CliRunner().invoke(app, ["properties", str(path), str(tmp_path / "." / "good.csv")])
+    assert done.exit_code == 2 and "good.csv: this file is given twice" in done.output
+
+
 def test_the_hundred_cycles_measured_by_others(shared):
     """Means by another tool, its values as that tool prints them."""
     columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")

@@ -83,10 +83,15 @@ class BoucWen(AbstractOperator):
         return cls(alpha * k, (1.0 - alpha) * d * k * largest, a / (d * largest), beta / (beta + gamma), n)
 
     def to_seven(self, d: float = 1.0, a: float = 1.0) -> dict[str, jax.Array]:
-        """alpha, k, beta, gamma, n of the older form with ``d`` and ``a`` chosen, and these two."""
+        """alpha, k, beta, gamma, n of the older form with ``d`` and ``a`` chosen, and these two.
+
+        Raises ``InputError`` where k is 0, so that no alpha makes k_x of it.
+        """
         largest = a / (d * self.rho)
         both = a / largest**self.n
         k = self.kx + self.kw / (d * largest)
+        if not isinstance(k, Tracer) and bool(jnp.any(k == 0.0)):
+            raise InputError("kx and kw cancel with this a, and the older form has no stiffness k: choose another a")
         beta = self.sigma * both
         chosen = {"d": jnp.asarray(d), "a": jnp.asarray(a)}
         return {"alpha": self.kx / k, "k": k, "beta": beta, "gamma": both - beta, "n": self.n} | chosen

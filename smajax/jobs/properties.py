@@ -74,7 +74,14 @@ class Read:
 
 
 def run_properties(job: PropertiesJob) -> dict[str, Any]:
-    """Reads all recordings and gives the document that is printed. Raises ``InputError`` if no cycle of any of them can be read."""
+    """Reads all recordings and gives the document that is printed.
+
+    Raises ``InputError`` if no cycle of any of them can be read, or for a file that is given twice.
+    """
+    files = [path.resolve() for path in job.paths]
+    for k, path in enumerate(job.paths):
+        if files[k] in files[:k]:
+            raise InputError(f"{path}: this file is given twice, so its cycles would count twice: give each file once")
     read = [one for path in job.paths for one in _read(path, job)]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):

@@ -8,7 +8,7 @@ from smajax.plant.effect import MaterialEffect
 from smajax.plant.material.base import Fractions
 
 _LEAST = 1e-6  # what is less is nothing
-_COMPLETE = 1e-3
+_COMPLETE = 1e-3  # a step that leaves less is the law's last one: it ends at a temperature, where a power would leave some
 _FLAT = 1e-4  # below it the series is exact to rounding
 
 
