@@ -132,7 +132,7 @@ class Tracer:
     def expected(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
         """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on part ``k``: at least 1.
 
-        ``fitted`` are the parts that the parameters were fitted to.
+        ``fitted`` are the parts that the parameters were fitted to. What they do not tell may be as far off as is typical.
         """
         bench, free = self.bench, self.free(refit)
         foreign = (np.arange(len(free)) >= bench.shared) & (np.arange(len(free)) < bench.size)  # another recording's own parameters
@@ -143,7 +143,8 @@ class Tracer:
             return np.column_stack([bench.flat(c, part) for c in jacobian[:, free].T])
 
         known, asked = np.concatenate([columns(part) for part in fitted]), columns(k)
-        return 1.0 + float(np.mean(np.sum((asked @ np.linalg.pinv(known.T @ known)) * asked, axis=1)))
+        covariance = np.linalg.inv(known.T @ known + np.eye(known.shape[1]))
+        return 1.0 + float(np.mean(np.sum((asked @ covariance) * asked, axis=1)))
 
     def race(self, extensions: Sequence[Extension], also: Collection[str] = ()) -> list[Trial]:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
