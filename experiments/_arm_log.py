@@ -110,3 +110,26 @@ def read_logs(folder: Path) -> list[Log]:
     if not paths:
         refuse(f"{folder} holds no CSV file: give a folder with logs of an arm by --data")
     return [read_log(path) for path in paths]
+
+
+def naive(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (K, deg) in the scored part of the forecast that the first pulse repeats itself."""
+    then = log.time - (log.pulses[1] - log.pulses[0])
+    scored = log.time > log.scored
+    residuals = []
+    for series in (log.temperature, log.bend):
+        known = np.isfinite(series)
+        residuals.append((series - np.interp(then, log.time[known], series[known]))[scored])
+    return residuals[0], residuals[1]
+
+
+def begun(log: Log) -> str:
+    """Where the first two pulses, of the same duty, begin and how far they go: what the first one does not tell of the second."""
+    words = []
+    for first in log.pulses[:2]:
+        for series, unit in ((log.temperature, "degC"), (log.bend, "deg")):
+            known = np.isfinite(series) & (log.time < first + REST)
+            before = series[known & (log.time >= first - REST) & (log.time <= first)]
+            pulse = series[known & (log.time > first)]
+            words.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
+    return "{}, {}; then {}, {}".format(*words)

@@ -31,7 +31,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _arm_log import REST, Log, read_logs
+from _arm_log import Log, begun, naive, read_logs
 from _common import Row, arguments, finish, say
 from _figures import Chart, Curve, draw
 from equinox import Module, field, filter_jit
@@ -124,29 +124,6 @@ def parts(log: Log) -> dict[str, Recording]:
         role: Recording.from_arrays(log.name, time, duty | {c: np.where(own, v, np.nan) for c, v in channels.items()}, units)
         for role, own in rows.items()
     }
-
-
-def naive(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (K, deg) in the scored part of the forecast that the first pulse repeats itself."""
-    then = log.time - (log.pulses[1] - log.pulses[0])
-    scored = log.time > log.scored
-    residuals = []
-    for series in (log.temperature, log.bend):
-        known = np.isfinite(series)
-        residuals.append((series - np.interp(then, log.time[known], series[known]))[scored])
-    return residuals[0], residuals[1]
-
-
-def begun(log: Log) -> str:
-    """Where the first two pulses, of the same duty, begin and how far they go: what the first one does not tell of the second."""
-    words = []
-    for first in log.pulses[:2]:
-        for series, unit in ((log.temperature, "degC"), (log.bend, "deg")):
-            known = np.isfinite(series) & (log.time < first + REST)
-            before = series[known & (log.time >= first - REST) & (log.time <= first)]
-            pulse = series[known & (log.time > first)]
-            words.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
-    return "{}, {}; then {}, {}".format(*words)
 
 
 class Model(Module):

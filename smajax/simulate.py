@@ -81,21 +81,14 @@ class Inputs(eqx.Module):
     def halved(self) -> tuple["Inputs", int]:
         """The same inputs on steps half as long, as far as they go on a grid of this length; and at how many samples that is.
 
-        The samples after these stay at the grid's end.
+        The samples after these stay where they end.
         """
         time, before, after, rows, sampled = map(np.asarray, (self.time, self.before, self.after, self.rows, self.sampled))
         steps = (len(time) - 1) // 2
-        rest = len(time) - 1 - 2 * steps
         middle = 0.5 * (before + after)[:steps]
         first, last = (np.stack(pair, axis=1).reshape(2 * steps, -1) for pair in ((before[:steps], middle), (middle, after[:steps])))
         clock = np.stack([time[:steps], 0.5 * (time[:steps] + time[1 : steps + 1])], axis=1).ravel()
-        found = _inputs(
-            np.concatenate([clock, np.repeat(time[steps], 1 + rest)]),
-            np.concatenate([first, np.repeat(last[-1:], rest, axis=0)]),
-            np.concatenate([last, np.repeat(last[-1:], rest, axis=0)]),
-            np.minimum(2 * rows, 2 * steps),
-            sampled,
-        )
+        found = _inputs(np.append(clock, time[steps]), first, last, np.minimum(2 * rows, 2 * steps), sampled).padded(len(time), len(rows))
         return found, int(np.sum(rows <= steps))
 
 
