@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jsonschema
@@ -19,7 +20,7 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
-from smajax.diagnose.trace import Story
+from smajax.diagnose.trace import Story, objection
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import judge, take_back
 from smajax.fit.least_squares import Stop
@@ -259,12 +260,39 @@ def test_the_parameters_own_uncertainty_excuses_a_miss():
     assert list(told.values()) == ["partial", "partial", "partial", "named"]
 
 
+@pytest.mark.parametrize(
+    ("keys", "before", "after", "why"),
+    [
+        ((), (2.0, 2.0), (1.999, 1.0), "no better than chance"),
+        ((), (2.0, 2.0), (1.0, 1.9), "cuts the error on the selection recording by 2.5 %"),
+        ((), (1.6, 1.7), (1.0, 1.0), ""),  # the first effect may be small
+        (("latent-heat",), (1.6, 1.7), (1.0, 1.0), "by less than the noise beside latent-heat"),
+        (("latent-heat",), (1.6, 2.1), (1.0, 1.0), ""),
+        (("latent-heat",), (90.0, 80.0), (70.0, 60.0), ""),  # one of several, so that much is left
+    ],
+)
+def test_what_is_said_against_an_effect(keys, before, after, why):
+    said = objection(trial(keys, *before), trial((*keys, "backlash"), *after), 4000)
+    assert why in said and bool(said) == bool(why)
+
+
+def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
+    """Two parameters, the second without any influence on what was fitted, and with some on what is predicted."""
+    jacobians = {0: np.array([[100.0, 0.0], [100.0, 0.0]]), 1: np.array([[100.0, 3.0], [100.0, 0.0]])}
+    bench = SimpleNamespace(
+        evaluate=lambda hypothesis, base, k, moved: (np.zeros(2), jacobians[k]), moved=lambda hypothesis: (), flat=lambda column, k: column,
+        shared=2, size=2, box=(np.full(2, -np.inf), np.full(2, np.inf)),
+    )  # fmt: skip
+    refit = Refit(Hypothesis(), np.zeros(2), np.zeros(2), jacobians[0], Stop.converged)
+    assert Tracer(bench, 0).expected(refit, 1) == pytest.approx(1.0 + 0.5 + 0.5 * 3.0**2, rel=1e-3)
+
+
+def trial(keys, train, select):
+    return Trial(Refit(Hypothesis(keys), np.zeros(1), np.zeros(1), np.zeros((1, 1)), Stop.converged), train, select, 0.0)
+
+
 def judged(keys, train, select, held, equivalent, expected):
     """The word for mean squares of a fit on the three recordings, where ``expected`` may be left on the second and third."""
-
-    def trial(keys, train, select):
-        return Trial(Refit(Hypothesis(keys), np.zeros(1), np.zeros(1), np.zeros((1, 1)), Stop.converged), train, select, 0.0)
-
     first = trial((), 100.0, 100.0) if keys else trial((), train, select)
     story = Story({}, {}, first, trial(keys, train, select), 1.05, {}, equivalent={k: equivalent for k in keys})
     take_back(story)

@@ -195,20 +195,8 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     if turn == 0:
         for t in trials:
             story.ranking[t.key] = dataclasses.replace(story.ranking[t.key], refit_rmse_select=t.rmse_select)
-    fall = (current.train - best.train) * samples
-    cut = 1.0 - math.sqrt(best.select / current.select)
-    added = next((k for k in best.keys if k not in current.keys), best.key)
-    if fall < _FALL * max(1.0, best.train):
-        story.rejected.append((added, "fits the training recording no better than chance would"))
-        return []
-    if cut < CUT:
-        told = f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
-        story.rejected.append((added, told))
-        return []
-    if turn and current.select - best.select < MATERIAL:
-        beside = " and ".join(current.keys)
-        told = f"moves the selection recording's prediction by less than the noise beside {beside}: perhaps a surrogate"
-        story.rejected.append((added, told))
+    if why := objection(current, best, samples):
+        story.rejected.append((next((k for k in best.keys if k not in current.keys), best.key), why))
         return []
     say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")
     story.last = best
@@ -219,6 +207,19 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
             story.rivals[key] = swapped[:_RIVALS]
             story.equivalent[key] = tuple((set(t.keys) - set(best.keys)).pop() for t in swapped if _as_good(t, best, samples))
     return [best, *others[: _BEAM - 1]]
+
+
+def objection(current: Trial, best: Trial, samples: int) -> str:
+    """Why ``best``, with an effect more than ``current``, is not accepted; empty if it is. ``samples`` count in the training recording."""
+    if (current.train - best.train) * samples < _FALL * max(1.0, best.train):
+        return "fits the training recording no better than chance would"
+    cut = 1.0 - math.sqrt(best.select / current.select)
+    if cut < CUT:
+        return f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
+    if current.keys and current.select - best.select < MATERIAL:
+        beside = " and ".join(current.keys)
+        return f"moves the selection recording's prediction by less than the noise beside {beside}: perhaps a surrogate"
+    return ""
 
 
 def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], None]) -> list[Trial]:
