@@ -74,6 +74,20 @@ def arguments(
     return given
 
 
+def read_cases(folder: Path | None) -> list[dict[str, Any]]:
+    """The cases of ``cases.jsonl`` in a folder, none without; a line that a killed run left unfinished is none."""
+    path = folder / "cases.jsonl" if folder else None
+    lines = path.read_text("utf-8").splitlines(keepends=True) if path and path.is_file() else []
+    return [json.loads(line) for line in lines if line.endswith("}\n")]
+
+
+def add_case(folder: Path | None, case: dict[str, Any]) -> None:
+    """Writes a case that has ended to ``cases.jsonl`` in a folder, if there is one, so that a later run need not run it again."""
+    if folder:
+        with (folder / "cases.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(case) + "\n")
+
+
 def shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
     """Rig and recording of a folder in data/recordings/."""
     folder = ROOT / "data" / "recordings" / name

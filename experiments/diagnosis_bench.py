@@ -17,16 +17,14 @@ effect and one case without.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _common import ROOT, Row, arguments, finish, say
+from _common import ROOT, Row, add_case, arguments, finish, read_cases, say
 
 from smajax import parameters
 from smajax.diagnose import score
@@ -186,23 +184,15 @@ def main() -> None:
     """Runs all cases and prints the table."""
     args = arguments(__doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 10}})
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
-    kept = args.out / "cases.jsonl" if args.out else None
-    done = {(c["group"], c["case"], c["seed"]): c for c in read(kept)}
+    done = {(c["group"], c["case"], c["seed"]): c for c in read_cases(args.out)}
     facts = []
     for group, name, keys, hidden, seed in cases(range(1 if args.quick else args.seeds), args.quick):
-        one = done.get((group, name, seed)) or run(rig, group, name, keys, hidden, seed)
-        if kept and (group, name, seed) not in done:
-            with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(one) + "\n")
-        facts.append(one)
+        if (group, name, seed) not in done:
+            done[group, name, seed] = run(rig, group, name, keys, hidden, seed)
+            add_case(args.out, done[group, name, seed])
+        facts.append(done[group, name, seed])
     words = "" if args.quick or args.seeds == 10 else f" --seeds {args.seeds}"
     finish("diagnosis_bench", rows(facts), args, cases=facts, words=words)
-
-
-def read(path: Path | None) -> list[Facts]:
-    """The cases of a file that has them line by line; a line that a killed run left unfinished is none."""
-    lines = path.read_text("utf-8").splitlines(keepends=True) if path and path.is_file() else []
-    return [json.loads(line) for line in lines if line.endswith("}\n")]
 
 
 def named(case: Facts, key: str) -> bool:

@@ -10,7 +10,8 @@
 - Universal differential equation: a small network of temperature, martensite fraction and stress adds heat to the balance, fitted
   together with the rig's parameters from two draws of weights, of which the selection recording chooses. It names nothing.
 
-Cases, truth and noise are those of diagnosis_bench.py. Needs pysindy: ``pip install "smajax[rivals]"``.
+Cases, truth and noise are those of diagnosis_bench.py. With --out, each answer is written to DIR/cases.jsonl as it comes, and none that is
+there is sought again. Needs pysindy: ``pip install "smajax[rivals]"``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from _common import ROOT, Row, arguments, finish, say
+from _common import ROOT, Row, add_case, arguments, finish, read_cases, say
 from diagnosis_bench import NOISE, draw, record
 
 from smajax.diagnose.bench import Bench, in_pairs
@@ -207,15 +208,19 @@ def main() -> None:
         sys.exit('sparse regression needs pysindy: pip install "smajax[rivals]"')
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
     answers: dict[str, list[tuple[str, Answer]]] = {name: [] for name in METHODS}
+    done = {(c["seed"], c["case"], c["method"]): Answer(c["named"], c["ratio"], c["seconds"]) for c in read_cases(args.out)}
     for seed in range(1 if args.quick else args.seeds):
         for key in CASES[:1] if args.quick else CASES:
             rng = np.random.default_rng([seed, 7, *key.encode()])
             recordings = record(rig, draw(rng, (key,)) if key else {}, rng)
             for name, method in METHODS.items():
-                began = time.perf_counter()
-                named, ratio = method(rig, recordings, key)
-                answers[name].append((key, Answer(named, ratio, time.perf_counter() - began)))
-                say(f"{key or 'nothing'} ({seed}), {name}: {named or 'nothing'}, {ratio:.2f} of the noise")
+                if (seed, key, name) not in done:
+                    began = time.perf_counter()
+                    named, ratio = method(rig, recordings, key)
+                    done[seed, key, name] = Answer(named, ratio, time.perf_counter() - began)
+                    add_case(args.out, {"seed": seed, "case": key, "method": name, **dataclasses.asdict(done[seed, key, name])})
+                    say(f"{key or 'nothing'} ({seed}), {name}: {named or 'nothing'}, {ratio:.2f} of the noise")
+                answers[name].append((key, done[seed, key, name]))
     rows = []
     for name, all_of_them in answers.items():
         hidden = [(key, a) for key, a in all_of_them if key]
