@@ -1,6 +1,7 @@
 """``smajax compare``: laws and input-output laws on one recording, by the command as a user types it."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -106,6 +107,21 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
         assert bool(model["note"]) is (folder is tmp_path)
     assert "holdout.csv resampled for it" in done.output
     assert errors[1] == pytest.approx(errors[0], rel=0.1)
+
+
+def test_what_few_rows_do_not_tell_is_said(short, tmp_path):
+    """Twelve rows, in which the wire is heated only, and fewer than there are parameters."""
+    for name in ("rig.toml", "holdout.csv"):
+        shutil.copy(short / name, tmp_path)
+    rows = (short / "train.csv").read_text().splitlines()
+    (tmp_path / "train.csv").write_text("\n".join(rows[:13]))
+    done = run(tmp_path, "brinson", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert "brinson: not determined by the training recording: material.martensite_shift" in done.output
+    (tmp_path / "train.csv").write_text("\n".join(rows[:6]))
+    done = run(tmp_path, "brinson", tmp_path / "more")
+    assert done.exit_code == 3
+    assert "train.csv: 5 measured rows do not tell the 6 parameters of brinson: record more rows" in done.output
 
 
 def test_what_holds_a_network_is_said(short, tmp_path):

@@ -273,3 +273,14 @@ def test_intervals_cover_the_truth_under_autocorrelated_noise():
         spread = np.sqrt(np.diag(uncertainty.covariance([columns], [noise[100:] - columns @ estimate], 3)))
         inside.append(np.abs(estimate) < uncertainty.critical(600, 3) * spread)
     assert np.all(np.abs(np.mean(inside, axis=0) - 0.94) < 0.04), np.mean(inside, axis=0)
+
+
+def test_what_no_residual_tells_has_no_interval():
+    """Two columns that are one another's multiple, beside a third; and fewer samples than parameters."""
+    draw = np.random.default_rng(2)
+    columns = draw.standard_normal((300, 3))
+    columns[:, 2] = -4.0 * columns[:, 0]
+    known = np.isfinite(np.diag(uncertainty.covariance([columns], [draw.standard_normal(300)], 3)))
+    assert known.tolist() == [False, True, False]
+    few = uncertainty.covariance([draw.standard_normal((4, 4))], [draw.standard_normal(4)], 4)
+    assert np.all(np.isinf(np.diag(few)))

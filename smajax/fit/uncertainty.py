@@ -68,19 +68,26 @@ def noise_in_normal(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
 def covariance(jacobians: list[np.ndarray], residuals: list[np.ndarray], parameters: int) -> np.ndarray:
     """Covariance of the estimates, shape ``(p, p)``, from the series of all channels and recordings (one array of each per series).
 
-    Columns that are zero throughout give infinite variance. Raises nothing: a singular direction shows as a huge variance.
+    Parameters that a direction moves along which no residual changes have infinite variance, all of them where there are no more samples
+    than ``parameters``.
     """
+    samples = sum(len(r) for r in residuals)
+    if samples <= parameters:
+        return np.diag(np.full(jacobians[0].shape[1], np.inf))
     normal = np.sum([j.T @ j for j in jacobians], axis=0)
     middle = np.sum([noise_in_normal(j, r) for j, r in zip(jacobians, residuals, strict=True)], axis=0)
-    samples = sum(len(r) for r in residuals)
     seen = np.diag(normal) > 0
     size = np.sqrt(np.where(seen, np.diag(normal), 1.0))
-    inverse = np.linalg.pinv((normal / np.outer(size, size))[np.ix_(seen, seen)], rcond=1e-14, hermitian=True)
+    values, vectors = np.linalg.eigh((normal / np.outer(size, size))[np.ix_(seen, seen)])
+    flat = values <= 1e-14 * np.max(values, initial=0.0)
+    inverse = (vectors[:, ~flat] / values[~flat]) @ vectors[:, ~flat].T
     result = np.full(normal.shape, 0.0)
     result[np.ix_(seen, seen)] = inverse @ (middle / np.outer(size, size))[np.ix_(seen, seen)] @ inverse
-    result *= samples / max(samples - parameters, 1)
+    result *= samples / (samples - parameters)
     result /= np.outer(size, size)
-    result[~seen, ~seen] = np.inf
+    moved = np.flatnonzero(seen)[np.any(np.abs(vectors[:, flat]) > 1e-3, axis=1)]
+    unknown = np.union1d(np.flatnonzero(~seen), moved)
+    result[unknown, unknown] = np.inf
     return result
 
 

@@ -27,7 +27,8 @@ from smajax.parameters import declarations
 from smajax.recording import Recording
 from smajax.report import prediction
 from smajax.report.comparison import SCHEMA, comparison_page, summary
-from smajax.report.document import difference_unit, number, recording_entry, to_json
+from smajax.report.document import difference_unit, estimate_entry, number, recording_entry, to_json
+from smajax.report.summary import undetermined
 from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 from smajax.rig_schema import MATERIALS, as_text
@@ -60,7 +61,8 @@ class CompareJob(NamedTuple):
 class Compared:
     """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none.
 
-    ``note`` says what was done to the recordings for it, ``at_bound`` which parameters ended at a bound, and where.
+    ``note`` says what was done to the recordings for it, ``at_bound`` which parameters ended at a bound, and where, ``undetermined`` which
+    ones the training recording does not tell.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Compared:
     why: str = ""
     note: str = ""
     at_bound: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
 
 def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -155,12 +158,18 @@ def _numbers(recording: Recording, channel: str, values: np.ndarray) -> None:
 def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
     changed = with_law(rig, name)
     settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
+    rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
+    if rows <= len(settings.free):
+        told = f"{rows} measured rows do not tell the {len(settings.free)} parameters of {name}: record more rows"
+        raise InputError(f"{recordings[0].name}: {told}")
     result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.code is not Code.done]
     if failed:
         raise NumericsError(f"{failed[0].recording.name}: {failed[0].code.name}: {failed[0].code.cure}")
     held = tuple(f"{e.name} ({as_text(e.estimate, e.unit)})" for e in result.estimates if e.at_bound)
-    return Compared(name, "law", len(result.problem.unknowns), tuple(r.model[channel] for r in result.responses), at_bound=held)
+    open_ = tuple(e.name for e in result.estimates if undetermined(estimate_entry(e)))
+    predictions = tuple(r.model[channel] for r in result.responses)
+    return Compared(name, "law", len(result.problem.unknowns), predictions, at_bound=held, undetermined=open_)
 
 
 def with_law(rig: Rig, name: str) -> Rig:
@@ -216,7 +225,8 @@ def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recordin
     unit, scale = difference_unit(recordings[0], channel)
     models = []
     for one in found:
-        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why, "note": one.note, "at_bound": list(one.at_bound)}
+        entry: dict[str, Any] = {"name": one.name, "kind": one.kind, "why": one.why, "note": one.note}
+        entry |= {"at_bound": list(one.at_bound), "undetermined": list(one.undetermined)}
         rmse, percent, bic = [None, None], [None, None], None
         if not one.why:
             pairs = [(r.channels[channel], p) for r, p in zip(recordings, one.predictions, strict=True)]

@@ -37,9 +37,11 @@ def rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def notes(doc: Mapping[str, Any]) -> list[str]:
-    """What has to be known of single models: what was done to the recordings for them, and which parameters ended at a bound."""
+    """What has to be known of single models: what was done to the recordings for them, which parameters ended at a bound or are open."""
     told = [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
-    return told + [f"{m['name']}: at its bound: {', '.join(m['at_bound'])}" for m in doc["models"] if m.get("at_bound")]
+    told += [f"{m['name']}: at its bound: {', '.join(m['at_bound'])}" for m in doc["models"] if m.get("at_bound")]
+    open_ = [(m["name"], ", ".join(m["undetermined"])) for m in doc["models"] if m.get("undetermined")]
+    return told + [f"{name}: not determined by the training recording: {names}" for name, names in open_]
 
 
 def text(doc: Mapping[str, Any], folder: str) -> str:

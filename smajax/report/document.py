@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from smajax import __version__, parameters
-from smajax.fit.fit import Fit
+from smajax.fit.fit import Estimate, Fit
 from smajax.fit.least_squares import Stop
 from smajax.fit_settings import FitSettings
 from smajax.recording import Recording, canonical_of
@@ -23,6 +23,19 @@ from smajax.units import conversion
 SCHEMA = "smajax.fit/1"
 
 
+def estimate_entry(e: Estimate) -> dict[str, Any]:
+    """What a document says of a free parameter."""
+    return {
+        "estimate": number(e.estimate),
+        "lower95": number(e.lower95),
+        "upper95": number(e.upper95),
+        "unit": e.unit,
+        "free": True,
+        "at_bound": e.at_bound,
+        "bounds": [number(end) for end in e.bounds],
+    }
+
+
 def fit_document(
     result: Fit, rig: Rig, settings: FitSettings, *, profiles: Mapping[str, Mapping[str, Any]] | None = None, warnings: Sequence[str] = ()
 ) -> dict[str, Any]:
@@ -30,18 +43,7 @@ def fit_document(
     trained = [r for r in result.responses if r.role == "train"]
     sample = trained[0].recording
     scales = {c: difference_unit(sample, c) for c in settings.observe}
-    free = {
-        e.name: {
-            "estimate": number(e.estimate),
-            "lower95": number(e.lower95),
-            "upper95": number(e.upper95),
-            "unit": e.unit,
-            "free": True,
-            "at_bound": e.at_bound,
-            "bounds": [number(end) for end in e.bounds],
-        }
-        for e in result.estimates
-    }
+    free = {e.name: estimate_entry(e) for e in result.estimates}
     rmse, floor, discretisation = {}, {}, {}
     for channel, (unit, factor) in scales.items():
         in_unit = {role: result.rmse(channel, role) for role in ("train", "holdout")}

@@ -75,7 +75,7 @@ def parameter_rows(doc: Document) -> list[tuple[str, ...]]:
     rows = []
     for name, entry in doc["parameters"].items():
         if entry["free"]:
-            if _undetermined(entry):
+            if undetermined(entry):
                 estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"])
                 rows.append((name, estimate, "-", "-", unit, "not determined"))
                 continue
@@ -163,7 +163,7 @@ def _three(value: float) -> str:
     return f"{value:#.3g}".removesuffix(".")
 
 
-def _undetermined(entry: Mapping[str, Any]) -> bool:
+def undetermined(entry: Mapping[str, Any]) -> bool:
     """Whether a parameter's interval is missing without a bound to blame, or wider than all that its bounds allow."""
     low, high = entry["lower95"], entry["upper95"]
     if low is None or high is None:
@@ -191,7 +191,7 @@ def _rounded(value: float | None, half: float) -> str:
 def _unknown(doc: Document) -> list[str]:
     if doc["solver"]["code"] == "failed":
         return []
-    names = [name for name, entry in doc["parameters"].items() if _undetermined(entry)]
+    names = [name for name, entry in doc["parameters"].items() if undetermined(entry)]
     return [f"{name} is not determined: these recordings fit about as well with any value of it." for name in names]
 
 
