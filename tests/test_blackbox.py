@@ -168,6 +168,25 @@ def test_a_network_does_not_run_away_on_another_input(wire, seed):
     assert found.ridge > 0.0
 
 
+def test_a_planted_recovery_is_found():
+    """A lag while it is driven, and from where that leaves it a recovery by two exponentials."""
+    rng = np.random.default_rng(3)
+    u = np.where(np.arange(400) % 80 < 30, np.repeat(rng.uniform(0.4, 1.0, 40), 10), 0.0)
+    share, fast, slow, rest = 0.65, 0.5, 2.5, 0.1
+    y, parts = np.full(400, rest), (0.0, 0.0)
+    for k in range(1, 400):
+        if u[k - 1] > 0.0:
+            y[k] = y[k - 1] + (1.0 - np.exp(-0.1 / 0.8)) * (u[k - 1] ** 2 - y[k - 1])
+            parts = share * (y[k] - rest), (1.0 - share) * (y[k] - rest)
+        else:
+            parts = parts[0] * np.exp(-0.1 / fast), parts[1] * np.exp(-0.1 / slow)
+            y[k] = rest + sum(parts)
+    series = [Series("a", TIME, u, y + 0.002 * rng.standard_normal(400))]
+    law = fit_operator(heating_cooling(series, hidden=3), series, starts=1).law
+    assert isinstance(law, Switched)
+    np.testing.assert_allclose([law.share, law.fast, law.slow, law.rest], [share, fast, slow, rest], rtol=0.06)
+
+
 def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
     """Of a recovery that goes on rising before it falls, as no share between 0 and 1 has it."""
     law = Switched(network(), *map(jnp.asarray, (-2.0, 0.6, 4.0, 0.1, 0.05)))
