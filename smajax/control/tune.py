@@ -6,8 +6,8 @@ posterior, ambients, loads) or draws of the noise are rolled out as one batch an
 
 Gradients are followed by one member first, since all go the same way from afar, and by all of them then. They end where a wire's loop is
 rough: some gains let it hunt through small loops of its hysteresis or chatter between its limits, and there what a change of the gains
-does at once tells nothing of what it does in the end. If more than one start is asked for, a surrogate of all that was seen, which takes
-roughness for noise, says where to look from there on, and a simplex goes down what it leaves.
+does at once tells nothing of what it does in the end. If more than one start is asked for, quadratics through looks that lie a good way
+apart, to which roughness is little, lead on from there: SciPy's COBYQA, by one member and then by all.
 
 Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 
-from smajax.control import metrics, objective, surrogate, trust_region
+from smajax.control import metrics, objective, trust_region
 from smajax.control.fastest import Shape, fastest, shape_at
 from smajax.control.objective import LIMITS, TERMS, Wanted
 from smajax.control.trust_region import Place
@@ -49,9 +49,8 @@ _BATCH = 8  # points looked at together
 _REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and that of all members from where one has led
 _ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
 _COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
-_ROUNDS, _PATIENCE = 6, 4  # looks by the surrogate for each start, and after how many in vain it ends
-_BETTER = 2e-3  # of the cost: less is in vain
-_SIMPLEX, _LAST = 0.05, 64  # size of the simplex, of the box, and how often it looks
+_RADII = ((0.1, 0.02, 40), (0.04, 0.004, 40))  # of the box: between looks at first and in the end, and looks at most: of one member, of all
+_ABOVE = 100.0  # times the first cost: one that is higher counts as this, lest a cliff bend the quadratic
 
 
 class _Aim(NamedTuple):
@@ -113,9 +112,9 @@ class _Candidate(NamedTuple):
 class _Tuner:
     """Counts rollouts and keeps the best point."""
 
-    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], seed: int = 0, settle: bool = False) -> None:
+    def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], settle: bool = False) -> None:
         self.tuning, self.wanted, self.progress = tuning, wanted, progress
-        self.rollouts, self.history, self.rng = 0, [], np.random.default_rng([seed, 1])
+        self.rollouts, self.history = 0, []
         self.seen: list[_Candidate] = []
         terms, _ = self.look(tuning.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
@@ -129,17 +128,19 @@ class _Tuner:
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
 
-    def look(self, points: np.ndarray, wanted: Wanted | None = None) -> tuple[np.ndarray, np.ndarray]:
-        self.rollouts += len(points) * self.tuning.count
-        terms, violated = look(self.tuning, jnp.asarray(points), wanted or self.wanted)
+    def look(self, points: np.ndarray, tuning: Tuning | None = None) -> tuple[np.ndarray, np.ndarray]:
+        tuning = tuning or self.tuning
+        self.rollouts += len(points) * tuning.count
+        terms, violated = look(tuning, jnp.asarray(points), self.wanted)
         return np.asarray(terms), np.nan_to_num(np.asarray(violated), nan=np.inf)
 
-    def candidates(self, points: np.ndarray) -> list[_Candidate]:
-        terms, violated = self.look(points)
+    def candidates(self, points: np.ndarray, tuning: Tuning | None = None) -> list[_Candidate]:
+        """Looks at points by all members, which keeps them, or by some of them in ``tuning``."""
+        terms, violated = self.look(points, tuning)
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
         worst = [float(np.max(v)) for v in violated]
         found = [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
-        for one in found:
+        for one in found if tuning is None or tuning.count == self.tuning.count else ():
             self.keep(one)
         return found
 
@@ -230,8 +231,8 @@ def tune(
 ) -> Tuned:
     """Tunes from the loop's own gains and, with ``starts`` above 1, from drawn ones that look better.
 
-    Within limits and for settling, gradients are followed from the own gains and the ``starts - 1`` best of those drawn. Without, they are
-    followed from the best of all, and the surrogate then gets ``starts - 1`` times ``_ROUNDS`` rounds at most.
+    Gradients are followed from the own gains and the ``starts - 1`` best of those drawn. Where nothing limits, quadratics lead on from each
+    of several starts by one member, and from the best of these by all.
 
     ``weights`` are of ``objective.TERMS``, ``limits`` of ``objective.LIMITS``; ``settle`` makes the settling time as small as it goes
     within the other limits, from where the terms are small. Raises ``InputError`` if nothing is wanted, ``NumericsError`` if no point can
@@ -242,7 +243,7 @@ def tune(
     if settle and not np.any(np.asarray(tuning.task.size)):
         raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
     wanted = wanted_of(weights or SETTLING, limits, band)
-    tuner = _Tuner(tuning, wanted, progress, seed, settle)
+    tuner = _Tuner(tuning, wanted, progress, settle)
     points = _starts(tuner, starts, seed)
     found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
     terms, violated = tuner.look(found[None])
@@ -266,7 +267,8 @@ def _starts(tuner: _Tuner, starts: int, seed: int) -> np.ndarray:
     if starts <= 1:
         return own
     drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, _BATCH * -(-starts // 2)), own.shape[1]))
-    found = [one for k in range(0, len(drawn), _BATCH) for one in tuner.candidates(drawn[k : k + _BATCH])]
+    members = tuner.tuning.alone() if tuner.plain else tuner.tuning
+    found = [one for k in range(0, len(drawn), _BATCH) for one in tuner.candidates(drawn[k : k + _BATCH], members)]
     return np.vstack([own, *(one.point for one in sorted(found, key=_order)[: starts - 1])])
 
 
@@ -315,18 +317,21 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
 
 
 def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
-    """The terms made small where nothing limits them: by gradients from the best that is known, then by the surrogate."""
+    """The terms made small where nothing limits them: by gradients, and by quadratics then if there are several starts."""
     tuner.candidates(points[:1])
-    place = Place(_known(tuner).point, math.inf, None, _REGION)
-    steps = _ALL
-    if tuner.tuning.count > 1:
-        place = tuner.follow(place, tuner.tuning.alone(), _COARSE, _ALONE)
-        place, steps = place._replace(radius=max(place.radius, _CLOSE)), _FEW
-    tuner.follow(place, tuner.tuning, _FINE, steps)
-    found = _known(tuner)
-    if len(points) > 1:
-        found = _by_simplex(tuner, _by_surrogate(tuner, _ROUNDS * (len(points) - 1)))
-    return found.point
+    if len(points) == 1:
+        place, steps = Place(_known(tuner).point, math.inf, None, _REGION), _ALL
+        if tuner.tuning.count > 1:
+            place = tuner.follow(place, tuner.tuning.alone(), _COARSE, _ALONE)
+            place, steps = place._replace(radius=max(place.radius, _CLOSE)), _FEW
+        tuner.follow(place, tuner.tuning, _FINE, steps)
+        return _known(tuner).point
+    alone, ended = tuner.tuning.alone(), []
+    for point in points:
+        place = tuner.follow(Place(point, math.inf, None, _REGION), alone, _COARSE, _ALONE)
+        ended.append(_by_quadratics(tuner, place.point, alone, *_RADII[0]))
+    _by_quadratics(tuner, min(ended, key=_order).point, tuner.tuning, *_RADII[1])
+    return _known(tuner).point
 
 
 def _known(tuner: _Tuner) -> _Candidate:
@@ -334,36 +339,23 @@ def _known(tuner: _Tuner) -> _Candidate:
     return _usable(tuner, min(tuner.seen, key=_order))
 
 
-def _by_surrogate(tuner: _Tuner, rounds: int) -> _Candidate:
-    """The best of all that was seen and of what a surrogate of it proposes."""
-    process, best, vain = None, _known(tuner), 0
-    for _ in range(rounds):
-        process = surrogate.fitted(
-            np.array([one.point for one in tuner.seen]), np.array([min(one.cost, _UNUSABLE) for one in tuner.seen]), process
-        )
-        now = min(tuner.candidates(surrogate.propose(process, _BATCH, tuner.rng)), key=_order)
-        vain = 0 if now.cost < (1.0 - _BETTER) * best.cost else vain + 1
+def _by_quadratics(tuner: _Tuner, start: np.ndarray, tuning: Tuning, radius: float, least: float, looks: int) -> _Candidate:
+    """The best that SciPy's COBYQA finds from a point with looks by the members in ``tuning``."""
+    free = np.asarray(tuning.upper > tuning.lower)
+    best = tuner.candidates(start[None], tuning)[0]
+    most = _ABOVE * min(best.cost, _UNUSABLE)
+
+    def cost(moved: np.ndarray) -> float:
+        nonlocal best
+        point = start.copy()
+        point[free] = np.clip(moved, 0.0, 1.0)
+        now = tuner.candidates(point[None], tuning)[0]
         best = min(best, now, key=_order)
         tuner.progress(tuner.rollouts, best.cost)
-        if vain == _PATIENCE:
-            break
-    return best
+        return math.log(max(min(now.cost, most), 1e-300))
 
-
-def _by_simplex(tuner: _Tuner, start: _Candidate) -> _Candidate:
-    """The best that a small simplex of Nelder and Mead finds."""
-    best = start
-
-    def cost(point: np.ndarray) -> float:
-        nonlocal best
-        now = tuner.candidates(np.clip(point, 0.0, 1.0)[None])[0]
-        best = min(best, now, key=_order)
-        return min(now.cost, _UNUSABLE)
-
-    inwards = np.where(start.point + _SIMPLEX <= 1.0, _SIMPLEX, -_SIMPLEX)
-    corners = np.vstack([start.point, start.point + np.diag(inwards)])
-    options = {"initial_simplex": corners, "maxfev": _LAST, "xatol": 1e-4, "fatol": _RTOL * start.cost}
-    scipy.optimize.minimize(cost, start.point, method="Nelder-Mead", options=options)
+    options = {"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": looks}
+    scipy.optimize.minimize(cost, start[free], method="COBYQA", bounds=[(0.0, 1.0)] * int(np.sum(free)), options=options)
     return best
 
 

@@ -232,7 +232,7 @@ def _switched(parameters: dict) -> Switched:
 
 
 def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
-    """A network while the input is above a twentieth of its range, two exponentials while it is not, the slow one by a ratio of the fast."""
+    """A network while the input is above a twentieth of its range, two exponentials while it is not, the slow one by its ratio."""
     low, span, bottom, swing = _ranges(series)
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     network = _network(series, hidden, order)
