@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -13,27 +14,33 @@ from smajax.control.tuning import Tuning
 
 
 class Found(NamedTuple):
-    """The best ``point`` of a search, its ``cost`` over ours, and the rollouts after which it was within 1 % of ours (``None``: never)."""
+    """The best ``point`` of a search, its ``cost`` over ours, and the rollouts after which it was within 1 % of ours (``None``: never).
+
+    ``in_rollouts`` is its cost over ours after as many rollouts as ours took, ``in_time`` after as many seconds.
+    """
 
     point: np.ndarray
     cost: float
     reached: int | None
+    in_rollouts: float = np.inf
+    in_time: float = np.inf
 
 
-def evolved(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int) -> Found:
-    """SciPy's differential evolution."""
+def evolved(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int, seconds: float = 0.0) -> Found:
+    """SciPy's differential evolution; ``seconds`` are what ours took."""
     size = 15 * len(one.names)
     options = {"popsize": 15, "maxiter": max(budget // (size * one.count) - 1, 1), "rng": 0, "polish": False, "tol": 0.0}
     bounds = [(0.0, 1.0)] * len(one.names)
-    return _found(one, weights, ours, lambda cost: scipy.optimize.differential_evolution(cost, bounds, **options))
+    return _found(one, weights, ours, seconds, lambda cost: scipy.optimize.differential_evolution(cost, bounds, **options))
 
 
-def simplex(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int) -> Found:
-    """Nelder and Mead's simplex from the start gains."""
+def simplex(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int, seconds: float = 0.0) -> Found:
+    """Nelder and Mead's simplex from the start gains; ``seconds`` are what ours took."""
     return _found(
         one,
         weights,
         ours,
+        seconds,
         lambda cost: scipy.optimize.minimize(cost, one.start, method="Nelder-Mead", options={"maxfev": budget // one.count}),
     )
 
@@ -48,10 +55,10 @@ def spent(ours: Tuned) -> int:
     return next(count for count, cost in ours.history if cost <= 1.01 * ours.history[-1][1])
 
 
-def _found(one: Tuning, weights: Mapping[str, float], ours: Tuned, search: Callable) -> Found:
+def _found(one: Tuning, weights: Mapping[str, float], ours: Tuned, seconds: float, search: Callable) -> Found:
     cost_of = objective_of(one, weights)
     mark, counted = cost_of(ours.point), 0
-    best = Found(one.start, np.inf, None)
+    best, began = Found(one.start, np.inf, None), time.perf_counter()
 
     def cost(x: np.ndarray) -> float:
         nonlocal counted, best
@@ -59,9 +66,13 @@ def _found(one: Tuning, weights: Mapping[str, float], ours: Tuned, search: Calla
         point = np.clip(x, 0.0, 1.0)
         value = cost_of(point) / mark
         if value < best.cost:
-            best = Found(point, value, best.reached)
+            best = best._replace(point=point, cost=value)
         if best.reached is None and value <= 1.01:
             best = best._replace(reached=counted)
+        if counted <= ours.rollouts:
+            best = best._replace(in_rollouts=best.cost)
+        if time.perf_counter() - began <= seconds:
+            best = best._replace(in_time=best.cost)
         return value
 
     search(cost)

@@ -49,7 +49,10 @@ _BATCH = 8  # points looked at together
 _REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and that of all members from where one has led
 _ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
 _COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
-_RADII = ((0.1, 0.02, 40), (0.04, 0.004, 40))  # of the box: between looks at first and in the end, and looks at most: of one member, of all
+_RADII = (
+    (0.15, 0.01, 80),
+    (0.04, 0.004, 40),
+)  # of the box: between looks at first and in the end, and looks at most: of one member, of all
 _ABOVE = 100.0  # times the first cost: one that is higher counts as this, lest a cliff bend the quadratic
 
 
@@ -326,11 +329,13 @@ def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
             place, steps = place._replace(radius=max(place.radius, _CLOSE)), _FEW
         tuner.follow(place, tuner.tuning, _FINE, steps)
         return _known(tuner).point
-    alone, ended = tuner.tuning.alone(), []
+    alone, ended, single = tuner.tuning.alone(), [], tuner.tuning.count == 1
     for point in points:
-        place = tuner.follow(Place(point, math.inf, None, _REGION), alone, _COARSE, _ALONE)
+        place = tuner.follow(Place(point, math.inf, None, _REGION), alone, *((_FINE, _ALL) if single else (_COARSE, _ALONE)))
         ended.append(_by_quadratics(tuner, place.point, alone, *_RADII[0]))
     _by_quadratics(tuner, min(ended, key=_order).point, tuner.tuning, *_RADII[1])
+    if single:
+        tuner.follow(Place(_known(tuner).point, math.inf, None, _CLOSE), alone, _FINE, _ALL)
     return _known(tuner).point
 
 
