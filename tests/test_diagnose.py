@@ -269,6 +269,8 @@ def test_the_parameters_own_uncertainty_excuses_a_miss():
         (("latent-heat",), (1.6, 1.7), (1.0, 1.0), "by less than the noise beside latent-heat"),
         (("latent-heat",), (1.6, 2.1), (1.0, 1.0), ""),
         (("latent-heat",), (90.0, 80.0), (70.0, 60.0), ""),  # one of several, so that much is left
+        (("latent-heat",), (2.5, 6.4), (1.3, 2.2), "explains 78 % of the little that latent-heat left"),
+        (("latent-heat",), (2.5, 6.4), (1.1, 1.3), ""),
     ],
 )
 def test_what_is_said_against_an_effect(keys, before, after, why):

@@ -2,7 +2,7 @@
 
 One round: the effects' scores say whether anything is missing and what is worth refitting; each of the best is added to the plant and all
 is fitted again; the one that explains the training recording and predicts the selection recording best is accepted, if it lowers the error
-there by more than ``CUT``, and the mean square of a later one by ``MATERIAL``. What explains both as well is its equivalence. Where more
+there by more than ``CUT``; of a later one more is asked (``objection``). What explains both as well is its equivalence. Where more
 than noise is left, the best few of them get another effect each, so that a first choice can still be changed for a better pair. In the end
 each accepted effect has to be missed if it is taken away again. ``smajax.diagnose.verdict`` looks at a third recording, once, at the end.
 """
@@ -27,7 +27,9 @@ from smajax.fit.problem import Problem
 
 DETECTED = 0.01
 CUT = 0.05
-MATERIAL = 1.0  # over the noise: kinetics that are a little off leave a residual that many an effect fits in part
+# Kinetics that are a little off leave a residual that many an effect fits in part. Beside other effects, one has to move the mean square
+# over the noise by MATERIAL, and, where no more than LITTLE exceeds it on both recordings, to leave at most the share LEFT of that.
+MATERIAL, LITTLE, LEFT = 1.0, 10.0, 0.15
 EXPLAINED = 0.5
 WORTH = 0.75
 ROUNDS = 3
@@ -219,6 +221,10 @@ def objection(current: Trial, best: Trial, samples: int) -> str:
     if current.keys and current.select - best.select < MATERIAL:
         beside = " and ".join(current.keys)
         return f"moves the selection recording's prediction by less than the noise beside {beside}: perhaps a surrogate"
+    before, after = (max(t.train + t.select - 2.0, 0.0) for t in (current, best))
+    if current.keys and before < LITTLE and after > LEFT * before:
+        told = f"explains {100 * (1.0 - after / before):.0f} % of the little that {' and '.join(current.keys)} left"
+        return f"{told}: a cause would explain nearly all of it, a surrogate of kinetics that are a little off does not"
     return ""
 
 
