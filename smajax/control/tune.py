@@ -49,10 +49,8 @@ _BATCH = 8  # points looked at together
 _REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and that of all members from where one has led
 _ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
 _COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
-_RADII = (
-    (0.15, 0.01, 80),
-    (0.04, 0.004, 40),
-)  # of the box: between looks at first and in the end, and looks at most: of one member, of all
+# Of quadratics, of the box: how far looks lie apart at first and in the end, and how many there are at most.
+_BY_ONE, _BY_ALL = (0.15, 0.01, 80), (0.04, 0.004, 40)
 _ABOVE = 100.0  # times the first cost: one that is higher counts as this, lest a cliff bend the quadratic
 
 
@@ -132,19 +130,21 @@ class _Tuner:
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
 
     def look(self, points: np.ndarray, tuning: Tuning | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Terms and largest violations of each limit at points, by all members or by those in ``tuning``."""
         tuning = tuning or self.tuning
         self.rollouts += len(points) * tuning.count
         terms, violated = look(tuning, jnp.asarray(points), self.wanted)
         return np.asarray(terms), np.nan_to_num(np.asarray(violated), nan=np.inf)
 
     def candidates(self, points: np.ndarray, tuning: Tuning | None = None) -> list[_Candidate]:
-        """Looks at points by all members, which keeps them, or by some of them in ``tuning``."""
+        """Looks at points by all members, which keeps them, or by those in ``tuning``."""
         terms, violated = self.look(points, tuning)
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
         worst = [float(np.max(v)) for v in violated]
         found = [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
-        for one in found if tuning is None or tuning.count == self.tuning.count else ():
-            self.keep(one)
+        if tuning is None or tuning.count == self.tuning.count:
+            for one in found:
+                self.keep(one)
         return found
 
     def keep(self, one: _Candidate) -> None:
@@ -332,8 +332,8 @@ def _without(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     alone, ended, single = tuner.tuning.alone(), [], tuner.tuning.count == 1
     for point in points:
         place = tuner.follow(Place(point, math.inf, None, _REGION), alone, *((_FINE, _ALL) if single else (_COARSE, _ALONE)))
-        ended.append(_by_quadratics(tuner, place.point, alone, *_RADII[0]))
-    _by_quadratics(tuner, min(ended, key=_order).point, tuner.tuning, *_RADII[1])
+        ended.append(_by_quadratics(tuner, place.point, alone, *_BY_ONE))
+    _by_quadratics(tuner, min(ended, key=_order).point, tuner.tuning, *_BY_ALL)
     if single:
         tuner.follow(Place(_known(tuner).point, math.inf, None, _CLOSE), alone, _FINE, _ALL)
     return _known(tuner).point

@@ -218,12 +218,14 @@ def objection(current: Trial, best: Trial, samples: int) -> str:
     cut = 1.0 - math.sqrt(best.select / current.select)
     if cut < CUT:
         return f"cuts the error on the selection recording by {100 * cut:.1f} %; a cause has to cut it by {100 * CUT:.0f} %"
-    if current.keys and current.select - best.select < MATERIAL:
-        beside = " and ".join(current.keys)
+    if not current.keys:
+        return ""
+    beside = " and ".join(current.keys)
+    if current.select - best.select < MATERIAL:
         return f"moves the selection recording's prediction by less than the noise beside {beside}: perhaps a surrogate"
     before, after = (max(t.train + t.select - 2.0, 0.0) for t in (current, best))
-    if current.keys and before < LITTLE and after > LEFT * before:
-        told = f"explains {100 * (1.0 - after / before):.0f} % of the little that {' and '.join(current.keys)} left"
+    if before < LITTLE and after > LEFT * before:
+        told = f"explains {100 * (1.0 - after / before):.0f} % of the little that {beside} left"
         return f"{told}: a cause would explain nearly all of it, a surrogate of kinetics that are a little off does not"
     return ""
 

@@ -227,20 +227,23 @@ def _weights(network: dict) -> dict:
 
 
 def _switched(parameters: dict) -> Switched:
-    slow = parameters["fast"] * parameters["ratio"]
+    slow = parameters["fast"] + parameters["beyond"] * (parameters["longest"] - parameters["fast"])
     return Switched(Narx(**parameters["heating"]), slow=slow, **{k: parameters[k] for k in ("share", "fast", "rest", "off")})
 
 
 def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Family:
-    """A network while the input is above a twentieth of its range, two exponentials while it is not, the slow one by its ratio."""
+    """A network while the input is above a twentieth of its range, two exponentials while it is not.
+
+    The slow time lies ``beyond`` the fast one, by a share of the way to the longest: the recording's length.
+    """
     low, span, bottom, swing = _ranges(series)
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     network = _network(series, hidden, order)
-    known = {"off": low + 0.05 * span}
+    known = {"off": low + 0.05 * span, "longest": duration}
     ends = (
-        {"share": 0.0, "fast": step, "ratio": 1.0, "rest": bottom - 0.3 * swing},
-        {"share": 1.0, "fast": 0.2 * duration, "ratio": 100.0, "rest": bottom + 0.3 * swing},
-        {"share": 0.6, "fast": duration / 100, "ratio": 5.0, "rest": bottom},
+        {"share": 0.0, "fast": step, "beyond": 0.0, "rest": bottom - 0.3 * swing},
+        {"share": 1.0, "fast": 0.2 * duration, "beyond": 1.0, "rest": bottom + 0.3 * swing},
+        {"share": 0.6, "fast": duration / 100, "beyond": 0.04, "rest": bottom},
     )
     lower, upper, start = (_arrays({"heating": side} | end | known) for side, end in zip(network, ends, strict=True))
     weights = jax.tree.map(jnp.zeros_like, start) | {"heating": _weights(start["heating"])}

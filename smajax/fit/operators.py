@@ -247,6 +247,12 @@ class _Maker(NamedTuple):
         return self.make(self.unravel(flat))
 
 
+def check_rows(names: str, rows: int, count: int, law: str) -> None:
+    """Raises ``InputError`` where no more rows are measured than a law has parameters: some curve of it goes through all of them."""
+    if rows <= count:
+        raise InputError(f"{names}: {rows} measured rows do not tell the {count} parameters of {law}: record more rows")
+
+
 def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150) -> OperatorFit:
     """Fits a family to series by least squares from several starts.
 
@@ -259,9 +265,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     began = time.perf_counter()
     problem, ridge = build_operator(family, series), 0.0
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
-    if samples <= family.size:
-        names = " and ".join(s.name for s in series)
-        raise InputError(f"{names}: {samples} measured rows do not tell the {family.size} parameters of {family.name}: record more rows")
+    check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
     if family.weights is None:
         vector, simulations = _by_forward(problem, starts, seed, max_steps, family.others)
     else:

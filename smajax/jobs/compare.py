@@ -20,7 +20,7 @@ from smajax.console import Progress
 from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.families import FAMILIES
 from smajax.fit.fit import fit
-from smajax.fit.operators import Family, Series, evenly, fit_operator
+from smajax.fit.operators import Family, Series, check_rows, evenly, fit_operator
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.parameters import declarations
@@ -159,9 +159,7 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
     changed = with_law(rig, name)
     settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
     rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
-    if rows <= len(settings.free):
-        told = f"{rows} measured rows do not tell the {len(settings.free)} parameters of {name}: record more rows"
-        raise InputError(f"{recordings[0].name}: {told}")
+    check_rows(recordings[0].name, rows, len(settings.names), name)
     result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.code is not Code.done]
     if failed:
