@@ -271,10 +271,14 @@ class Bench:
         """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one."""
         return self.reached(self.search(hypothesis, base, rtol=rtol, form=form).advance(max_steps))
 
-    def search(self, hypothesis: Hypothesis, base: np.ndarray, *, rtol: float = 1e-6, form: Form | None = None) -> Running:
-        """The search of ``fit`` before its first step."""
+    def search(
+        self, hypothesis: Hypothesis, base: np.ndarray, *, rtol: float = 1e-6, form: Form | None = None, near: bool = False
+    ) -> Running:
+        """The search of ``fit`` before its first step; with ``near``, the free parameters are held near the rig's own values."""
         moved, nodes = self.moved(hypothesis), form.matrix.shape[1] if form else 0
         lower, upper = (np.append(side, np.zeros(SLOTS - len(moved))) for side in self.ends(moved))
+        if near:
+            lower[: self.size], upper[: self.size] = map(self.padded, self.plain.search_box())
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
         model = self.model(hypothesis, moved, self.problems[0], form)
         start = self._start(hypothesis, base, moved)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,22 +32,31 @@ class Sight:
     why: str
 
 
-def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, float]]:
-    """The sight of every effect of the catalogue at the rig's own values; noise as the bench has it.
+class Promise(NamedTuple):
+    """What an effect would explain of the residual at the rig's own values, to first order, beyond the free parameters.
 
-    Also gives what each would explain of the residual there, to first order, beyond the free parameters.
+    With the strength, in units of the typical one, and the shape with which it would explain most.
     """
+
+    gain: float
+    strength: float
+    shape: tuple
+
+
+def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, Promise]]:
+    """The sight of every effect of the catalogue at the rig's own values; noise as the bench has it. And what each promises there."""
     nominal = bench.nominal
     residual, jacobian = bench.evaluate(Hypothesis(), nominal, 0)
     jacobian = np.column_stack([bench.flat(c) for c in jacobian.T])
     q = score.basis(jacobian)
     left = score.project(q, bench.flat(residual))
-    gains: dict[str, float] = {}
+    promise: dict[str, Promise] = {}
     columns = {item: bench.flat(column) for item, column in bench.columns(Hypothesis(), nominal).items()}
     best: dict[str, tuple[score.Score, np.ndarray]] = {}
-    for (key, _), column in columns.items():
+    for (key, shape), column in columns.items():
         one = bench.scored(key, q, left, column)
-        gains[key] = max(one.gain, gains.get(key, 0.0))
+        if key not in promise or one.gain > promise[key].gain:
+            promise[key] = Promise(one.gain, one.strength, shape)
         if key not in best or one.smallest < best[key][0].smallest:
             best[key] = (one, column)
     names = [u.label for u in bench.problems[0].unknowns]
@@ -54,7 +64,7 @@ def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, float]]:
         key: sight(kind, *best[key], jacobian, names) if key in best else hidden(kind, kind.obstacle(bench.traits))
         for key, kind in catalogue().items()
     }
-    return seen, gains
+    return seen, promise
 
 
 def sight(kind: type[AbstractEffect], one: score.Score, column: np.ndarray, jacobian: np.ndarray, names: list[str]) -> Sight:

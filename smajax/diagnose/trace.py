@@ -11,14 +11,13 @@ import dataclasses
 import math
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
 
 from smajax.diagnose import residual, score
 from smajax.diagnose.bench import SLOTS, Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
-from smajax.diagnose.preflight import Sight, hidden, preflight, sight
+from smajax.diagnose.preflight import Promise, Sight, hidden, preflight, sight
 from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable
@@ -36,7 +35,7 @@ ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _STATIONARY = 2e-2
-_TRIES = 10  # start points of the first fit
+_TRIES, _RESTLESS = 10, 4  # start points of the first fit, and after how many it no longer waits for one to end at rest
 _FALL = 25.0  # least fall of the sum of squares over the noise that counts
 _RIVALS = 3
 
@@ -58,8 +57,8 @@ class Ranked:
 class Story:
     """What happened: from the first fit to the last, what was accepted, what else would do, what was refused and why.
 
-    ``promise`` is what each effect would explain at the rig's nominal values, to first order: a large effect has bent the fit's
-    parameters so far that scores there mislead.
+    ``promise`` is what each effect would explain at the rig's nominal values: a large effect has bent the fit's
+    parameters so far that scores there mislead. So far, perhaps, that the first fit did not come to rest (``rests``).
     """
 
     preflight: dict[str, Sight]
@@ -67,7 +66,8 @@ class Story:
     first: Trial
     last: Trial
     limit: float
-    promise: dict[str, float]
+    promise: dict[str, Promise]
+    rests: bool = True
     rivals: dict[str, list[Trial]] = dataclasses.field(default_factory=dict)
     equivalent: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     rejected: list[tuple[str, str]] = dataclasses.field(default_factory=list)
@@ -82,7 +82,11 @@ class Story:
     @property
     def explained(self) -> float:
         """Share of the first fit's excess over the noise, on both recordings, that the last one explains."""
-        left = max(self.last.train - 1.0, 0.0) + max(self.last.select - 1.0, 0.0)
+        return self.explained_by(self.last)
+
+    def explained_by(self, trial: Trial) -> float:
+        """The same of a trial."""
+        left = max(trial.train - 1.0, 0.0) + max(trial.select - 1.0, 0.0)
         return 1.0 - left / max(self.first.total - 2.0, 1e-9)
 
 
@@ -98,18 +102,18 @@ def trace(
 
     A third effect is looked for if two explain the share ``worth`` of what exceeds the noise: less speaks for a cause that is not listed.
 
-    Raises NumericsError if the first fit does not come to rest; its ``state`` holds the point where it ended.
+    Raises NumericsError if the simulation fails at the rig's own values.
     """
     say("fitting the rig as it is written down")
-    point, stop, noise = _first_fit(bench, seed, starts)
+    point, stop, noise, rests = _first_fit(bench, seed, starts)
     bench.compiled()
-    seen, gains = preflight(bench)
+    seen, promise = preflight(bench)
     counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
     say("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
     bench.set_noise({c: value for c, (value, _) in noise.items()})
     tracer = Tracer(bench, seed)
     first = tracer.judged(tracer.base(point, stop))
-    story = Story(seen, noise, first, first, critical(len(bench.flat(first.refit.residual))), gains)
+    story = Story(seen, noise, first, first, critical(len(bench.flat(first.refit.residual))), promise, rests)
     beam = [first]
     for turn in range(ROUNDS):
         if turn > 1 and story.explained < worth:
@@ -121,33 +125,38 @@ def trace(
     return tracer, story
 
 
-def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, dict[str, tuple[float, str]]]:
-    """The rig as it is written down, fitted from its own values and from points beside them: point, end, and noise by channel.
+def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, dict[str, tuple[float, str]], bool]:
+    """The rig as it is written down, fitted from its own values and from points beside them: point, end, noise by channel, at rest or not.
 
-    A first step may leave the range in which the wire transforms at all, and end where nothing matters. So points are tried until two of
-    them end at one cost, and at rest.
+    A step may leave the range in which the wire transforms at all, and end where nothing matters: so each search is first held near the
+    rig's own values. Points are tried until two of them end at one cost, and at rest. Where a large effect is missing, there may be no
+    such point: after a few, it goes on with the best.
     """
     plain = bench.plain
-    lower, upper = plain.search_box()
+    near = lower, upper = plain.search_box()
     nominal, rng = np.clip(plain.nominal, lower, upper), np.random.default_rng(seed)
     solved: list[tuple[float, bool, Solved]] = []
     for k in range(_TRIES):
         beside = 0.1 * rng.uniform(-1, 1, len(nominal)) * (upper - lower) if k else 0.0
-        point = np.clip(nominal + beside, lower, upper)
-        one = least_squares.Search(searchable.residual, plain, point[None], *plain.box, size=plain.size, rtol=1e-8).advance().result()
-        bench.simulations += one.simulations
+        held = _solved(bench, np.clip(nominal + beside, lower, upper), near)
+        on_edge = np.any((held.points[0] <= lower) | (held.points[0] >= upper))
+        one = _solved(bench, held.points[0], plain.box) if on_edge else held
         solved.append((float(one.costs[0]) if one.stops[0] is not Stop.failed else math.inf, _at_rest(plain, one), one))
         solved.sort(key=lambda s: s[0])
         agreed = len(solved) > 1 and solved[1][0] <= 1.01 * solved[0][0] and solved[0][1]
-        if agreed and len(solved) >= starts:
+        if (agreed and len(solved) >= starts) or (len(solved) >= _RESTLESS and not solved[0][1]):
             break
     cost, rests, best = solved[0]
     if not math.isfinite(cost):
         raise NumericsError("the simulation fails at the rig's own values: check them by smajax simulate")
-    if not rests:
-        told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
-        raise NumericsError(told, {name: float(v) for name, v in plain.values(jnp.asarray(best.points[0]))[0].items()})
-    return bench.padded(best.points[0]), best.stops[0], _noise(bench, plain, best.residuals[0])
+    return bench.padded(best.points[0]), best.stops[0], _noise(bench, plain, best.residuals[0]), rests
+
+
+def _solved(bench: Bench, point: np.ndarray, box: tuple[np.ndarray, np.ndarray]) -> Solved:
+    plain = bench.plain
+    one = least_squares.Search(searchable.residual, plain, point[None], *box, size=plain.size, rtol=1e-8).advance().result()
+    bench.simulations += one.simulations
+    return one
 
 
 def _at_rest(plain: Problem, solved: Solved) -> bool:
@@ -232,12 +241,26 @@ def objection(current: Trial, best: Trial, samples: int) -> str:
 
 def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], None]) -> list[Trial]:
     """Refits of every effect that the recording can show: at a biased fit even the cause may promise nothing to first order."""
-    refit = story.last.refit
+    bench, refit = tracer.bench, story.last.refit
     near = [k for k, s in scores.found.items() if math.isfinite(s.smallest)]
-    afar = sorted((k for k in near if story.promise[k] > 0.0), key=lambda k: -story.promise[k])[:_AFAR]
+    promising = sorted((k for k in near if story.promise[k].gain > 0.0), key=lambda k: -story.promise[k].gain)
     say(f"round 1: refitting {len(near)} effects")
-    extensions = [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near]
-    return tracer.race(extensions, afar)
+    trials = tracer.race(
+        [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near],
+        [Extension(refit, k, story.promise[k].strength, story.promise[k].shape) for k in promising[:_AFAR]],
+    )
+    if max((story.explained_by(t) for t in trials), default=0.0) > EXPLAINED and story.rests:
+        return trials
+    # A large effect promises nothing to first order, neither at the fit nor at the rig's own values: each in its usual strength.
+    say("round 1: refitting them from the rig's own values")
+    usual = [
+        Extension(refit, key, sign, shape)
+        for key in near
+        for shape in bench.grid(key)
+        for sign in (-1.0, 1.0)
+        if bench.plausible(key)[0] < sign < bench.plausible(key)[1]
+    ]
+    return [*trials, *tracer.race((), usual)]
 
 
 def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:

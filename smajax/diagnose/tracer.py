@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -146,24 +146,22 @@ class Tracer:
         covariance = np.linalg.inv(known.T @ known + np.eye(known.shape[1]))
         return 1.0 + float(np.mean(np.sum((asked @ covariance) * asked, axis=1)))
 
-    def race(self, extensions: Sequence[Extension], also: Collection[str] = ()) -> list[Trial]:
+    def race(self, beside: Sequence[Extension], afar: Sequence[Extension] = ()) -> list[Trial]:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
-        They start at their parent's point with a small strength, so that all parameters go together from there, and the effects ``also`` at
-        the rig's nominal values with the expected one: what a large effect has done to the other parameters may lie in the way.
+        Those ``beside`` start at their parent's point with a small strength, so that all parameters go together from there; those ``afar``
+        at the rig's nominal values, and stay near them: what a large effect has done to the other parameters may lie in the way.
         """
-        starts = []
-        for parent, key, strength, shape in extensions:
-            typical, name = self.bench.effects[key].typical, f"effects.{key}.strength"
-            own = {f"effects.{key}.{n}": v for n, v in shape}
-            low, high = self.bench.plausible(key)
-            size = float(np.clip(strength, max(low, -2.0), min(high, 2.0))) or 0.1
-            small, large = math.copysign(min(abs(size), 0.1), size), math.copysign(max(abs(size), 0.3), size)
-            starts.append((parent.hypothesis.extended(key, {name: small * typical, **own}), parent.base, False))
-            if key in also:
-                starts.append((parent.hypothesis.extended(key, {name: large * typical, **own}), self.bench.nominal, True))
+
+        def started(one: Extension, size: float) -> Hypothesis:
+            own = {f"effects.{one.key}.{n}": v for n, v in one.shape}
+            strength = math.copysign(size, one.strength or 1.0) * self.bench.effects[one.key].typical
+            return one.parent.hypothesis.extended(one.key, {f"effects.{one.key}.strength": strength, **own})
+
+        close = [self.bench.search(started(e, min(abs(e.strength) or 0.1, 0.1)), e.parent.base) for e in beside]
+        distant = [self.bench.search(started(e, min(max(abs(e.strength), 0.3), 2.0)), self.bench.nominal, near=True) for e in afar]
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
-        fields = [[self.bench.search(h, base) for h, base, afar in starts if afar == far] for far in (False, True)]
+        fields = [close, distant]
         everyone = [s for f in fields for s in f]
         for count, steps in _HEATS:
             least = min((s.search.cost for s in everyone), default=math.inf)
@@ -248,14 +246,15 @@ class Tracer:
             point[free] = x
             return point.tobytes()
 
-        found = scipy.optimize.least_squares(
-            lambda x: both(whole(x))[0],
-            start[free],
-            lambda x: both(whole(x))[1][:, free],  # pyright: ignore[reportArgumentType]
-            (lower[free], upper[free]),
-            x_scale="jac",
-            max_nfev=_JOINED,
-        )
+        with np.errstate(over="ignore"):  # its own step length, where one singular value is next to nothing
+            found = scipy.optimize.least_squares(
+                lambda x: both(whole(x))[0],
+                start[free],
+                lambda x: both(whole(x))[1][:, free],  # pyright: ignore[reportArgumentType]
+                (lower[free], upper[free]),
+                x_scale="jac",
+                max_nfev=_JOINED,
+            )
         point = np.frombuffer(whole(found.x))
         return Refit(at(point), point[: bench.size], *both(whole(found.x))[2], refit.stop)
 

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import jax.numpy as jnp
 import numpy as np
 
 from smajax.diagnose import experiment, localise
@@ -15,6 +16,7 @@ from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look, look
 from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
 from smajax.diagnose.tracer import Tracer
+from smajax.errors import NumericsError
 from smajax.fit import uncertainty
 
 PARTS = ("train", "select", "holdout")
@@ -54,13 +56,18 @@ class Diagnosis:
 def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
     """Traces, judges, and says what to do next. The bench holds three recordings, for training, selection and holdout.
 
-    Raises NumericsError if the first fit does not come to rest.
+    Raises NumericsError if the first fit does not come to rest and no effect lets it; its ``state`` holds the point where it ended.
     """
     tracer, story = trace(bench, seed=seed, say=say)
     take_back(story)
+    if not (story.rests or story.accepted):
+        told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
+        values, _ = bench.problems[0].values(jnp.asarray(story.first.refit.base))
+        raise NumericsError(told, {name: float(v) for name, v in values.items()})
     say("predicting the holdout")
-    first = tracer.joined(story.first.refit)
-    last = tracer.joined(story.last.refit) if story.accepted else first
+    unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
+    first = _predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
+    last = _predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
     held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
     both = (0,) if bench.own else (0, 1)
     verdict = judge(story, held, (tracer.expected(story.last.refit, 1), tracer.expected(last, 2, both)))
@@ -73,6 +80,14 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
         say("designing the next experiment")
         designed = experiment.design(bench, story.last.refit, _rivals(story), seed)
     return _conclude(tracer, story, (first, last), verdict, stage, shape, designed)
+
+
+def _predicting(bench: Bench, *refits: Refit) -> Refit:
+    """The first of the refits that predicts selection and holdout part at all: a bad fit may run away under another input."""
+    for refit in refits:
+        if all(math.isfinite(bench.fitness(bench.evaluate(refit.hypothesis, refit.base, k)[0], k)) for k in (1, 2)):
+            return refit
+    return refits[-1]
 
 
 def take_back(story: Story) -> None:

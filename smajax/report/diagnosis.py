@@ -137,8 +137,8 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
     for channel, rmse in doc["rmse"].items():
         floor = doc["noise_floor"][channel]["value"]
         told.append(
-            f"On the holdout the error of {channel} is {rmse['holdout_before']:.3g} {rmse['unit']} before and "
-            f"{rmse['holdout_after']:.3g} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
+            f"On the holdout the error of {channel} is {_shown(rmse['holdout_before'], 3)} {rmse['unit']} before and "
+            f"{_shown(rmse['holdout_after'], 3)} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
     if doc["free_form"]:
         form = doc["free_form"]

@@ -23,7 +23,7 @@ class Hidden(NamedTuple):
 
     ``exponent`` is an additional one of the remaining share in every transformation. ``pace`` is a wave of a transformation's pace, which
     is its own one times 1 + pace sin(2 pi share); ``load_step`` a relative change of the load from ``load_instant`` on; ``cubic`` a bend
-    of the sensor per stroke squared: these three are in no catalogue.
+    of the sensor per stroke squared: these three are in no catalogue. ``crosstalk`` needs a second wire (``hidden_pair``).
     """
 
     latent_heat: float = 0.0
@@ -46,6 +46,7 @@ class Hidden(NamedTuple):
     creep: float = 0.0
     creep_time: float = 15.0
     encoder_drift: float = 0.0
+    crosstalk: float = 0.0
     exponent: float = 0.0
     pace: float = 0.0
     load_step: float = 0.0
