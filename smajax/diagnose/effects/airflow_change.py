@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from smajax.parameters import parameter
 from smajax.plant.effect import HeatEffect, Instant, Where
 
-_RISE = 0.08  # s, so that the instant has a derivative; a slower one would blur a sudden draught that meets a wire in transformation
+_RISE = 0.02  # s, so that the instant has a derivative; a slower one would blur a sudden draught that meets a wire in transformation
 
 
 class AirflowChange(HeatEffect):
