@@ -20,9 +20,10 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
-from smajax.diagnose.trace import Story, objection
+from smajax.diagnose.trace import Story, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
-from smajax.diagnose.verdict import judge, take_back
+from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
+from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
 from smajax.rig import read_rig
 
@@ -234,6 +235,31 @@ def test_the_next_input_keeps_its_limits_and_sets_rivals_apart(tracer, fitted):
 
 def _first(problem):
     return jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
+
+
+def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monkeypatch):
+    """From the rig's own values each effect is tried in its usual strength; only without a cause does the trace come to nothing."""
+    tracer.bench.compiled()
+    few = ("latent-heat", "backlash", "encoder-drift", "ambient-drift")
+    monkeypatch.setattr(tracer.bench, "effects", {k: tracer.bench.effects[k] for k in few})
+    monkeypatch.setattr("smajax.diagnose.trace._at_rest", lambda *_: False)
+    said: list[str] = []
+    _, story = trace(tracer.bench, say=said.append)
+    assert not story.rests and "round 1: refitting them from the rig's own values" in said
+    assert story.accepted == ("latent-heat",) and story.last.total < 2.2
+    story.last = story.first
+    monkeypatch.setattr("smajax.diagnose.verdict.trace", lambda *_, **__: (tracer, story))
+    with pytest.raises(NumericsError, match="did not come to rest") as caught:
+        diagnose(tracer.bench)
+    assert set(caught.value.state) == {u.label for u in tracer.bench.plain.unknowns}
+
+
+def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():
+    refits = [Refit(Hypothesis(), np.full(1, k), np.zeros(1), np.zeros((1, 1)), Stop.converged) for k in range(3)]
+    left = {0: (1.0, np.inf), 1: (np.nan, 1.0), 2: (1.0, 1.0)}
+    bench = SimpleNamespace(evaluate=lambda hypothesis, base, k: (left[int(base[0])][k - 1], None), fitness=lambda residual, k: residual)
+    assert predicting(bench, *refits) is refits[2]
+    assert predicting(bench, *refits[:2]) is refits[1]
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from smajax.plant.sensor import lagged
 from smajax.rig import parse_rig, read_rig
 from tests import plants
 from tests.reference.hidden import Hidden, displacement
+from tests.reference.hidden_pair import angle
 from tests.reference.rig_file import read_rig as reference_rig
 
 KEYS = [
@@ -206,6 +207,32 @@ def test_an_effect_does_what_the_reference_does_in_another_form(hidden, effects)
     moved = recording.channels["displacement"] + residual * made.noise["displacement"]
     apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
     assert apart < 0.2 * made.noise["displacement"] < 0.05 * effect
+
+
+@pytest.mark.parametrize(
+    ("hidden", "effects"),
+    [
+        ({"crosstalk": 0.06}, {"wire-crosstalk": {"strength": 0.06}}),
+        ({"friction": 1.2e7}, {"coulomb-friction": {"strength": 1.2e7}}),
+        ({"play": 7.5e-3}, {"backlash": {"strength": 1.5e-4}}),  # along the pulley of 20 mm, from the middle of the play
+        ({"lag": 0.1}, {"sensor-lag": {"strength": 0.1}}),
+        ({"skew": 0.08}, {"time-skew": {"strength": 0.08}}),
+        ({"encoder_drift": 5e-3}, {"encoder-drift": {"strength": 1e-4}}),
+    ],
+    ids=lambda value: "+".join(value) if "strength" in str(value) else "",
+)
+def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
+    """A pulley that sticks while the wires' stresses differ by less than the friction, and heat that passes between the wires."""
+    made = bench("rotary", 6.0, "", ("mechanism", "sensor"))
+    (recording,) = made.parts[0].recordings
+    rig = reference_rig(shipped("recordings", "rotary") / "rig.toml")
+    currents = np.column_stack([recording.channels["current_1"], recording.channels["current_2"]])
+    truth = [angle(rig, Hidden(**own), recording.time, currents, 40) for own in ({}, hidden)]
+    values = {f"effects.{key}.{name}": value for key, own in effects.items() for name, value in own.items()}
+    residual = made.series(made.evaluate(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0)[0])["angle"]
+    moved = recording.channels["angle"] + residual * made.noise["angle"]
+    apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
+    assert apart < 0.2 * made.noise["angle"] < 0.05 * effect
 
 
 def test_what_a_rig_cannot_have_is_not_tried_and_said():

@@ -66,8 +66,8 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
     say("predicting the holdout")
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
-    first = _predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
-    last = _predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
+    first = predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
+    last = predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
     held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
     both = (0,) if bench.own else (0, 1)
     verdict = judge(story, held, (tracer.expected(story.last.refit, 1), tracer.expected(last, 2, both)))
@@ -82,7 +82,7 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     return _conclude(tracer, story, (first, last), verdict, stage, shape, designed)
 
 
-def _predicting(bench: Bench, *refits: Refit) -> Refit:
+def predicting(bench: Bench, *refits: Refit) -> Refit:
     """The first of the refits that predicts selection and holdout part at all: a bad fit may run away under another input."""
     for refit in refits:
         if all(math.isfinite(bench.fitness(bench.evaluate(refit.hypothesis, refit.base, k)[0], k)) for k in (1, 2)):

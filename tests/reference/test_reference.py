@@ -18,6 +18,7 @@ from tests.reference.brinson import (
     stress_of,
 )
 from tests.reference.hidden import Hidden, displacement
+from tests.reference.hidden_pair import angle
 from tests.reference.make_data import FOLDER, RECIPES, SPLITS, make, truth
 from tests.reference.rig_file import quantity, read_channel, read_csv, read_rig, simulate
 from tests.reference.wire import State, Wire, polynomial_heat
@@ -428,3 +429,17 @@ def test_the_rig_with_hidden_effects_is_the_other_one_without_them():
     np.testing.assert_allclose(displacement(rig, Hidden(), time, current), exact, atol=2e-6)
     for name, size in {"friction": 1e7, "play": 1e-4, "lag": 0.1, "latent_heat": 5e7, "exponent": 0.1, "pace": 0.1, "cubic": 0.02}.items():
         assert np.max(np.abs(displacement(rig, Hidden(**{name: size}), time, current) - exact)) > 2e-5, name
+
+
+def test_two_wires_with_hidden_effects_are_the_others_without_them():
+    rig = read_rig(FOLDER / "rotary" / "rig.toml")
+    channels = read_csv(FOLDER / "rotary" / "train.csv")
+    time, current = channels["time"][:1500], np.column_stack([channels["current_1"], channels["current_2"]])[:1500]
+    exact = rigs.rotary(rig.material, rig.heat, rig.wire, rig.mechanism["radius"], time, current, substeps=40).position
+    coarse, fine = (np.max(np.abs(angle(rig, Hidden(), time, current, substeps) - exact)) for substeps in (20, 80))
+    assert coarse < 6e-4 and fine < 0.5 * coarse
+    sizes = {"friction": 1e7, "play": 5e-3, "lag": 0.1, "latent_heat": 2e7, "crosstalk": 0.05, "creep": 1e-3, "draught": 0.1, "cubic": 0.1}
+    for name, size in sizes.items():
+        moved = [angle(rig, Hidden(**{name: size}), time, current, substeps) for substeps in (20, 40)]
+        effect, apart = np.max(np.abs(moved[1] - exact)), np.max(np.abs(moved[1] - moved[0]))
+        assert effect > 3e-3 and apart < 0.1 * effect, name
