@@ -21,6 +21,7 @@ _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
 _LOOK = 8
 _JOINED = 12  # evaluations of the joint fit
+_SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,9 +238,11 @@ class Tracer:
             return residual, jacobian, parts[0]
 
         start = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)]).clip(lower, upper)
-        free = lower < upper
-        if not np.all(np.isfinite(both(start.tobytes())[0])):
+        left, slopes, _ = both(start.tobytes())
+        if not np.all(np.isfinite(left)):
             return refit
+        size = np.linalg.norm(slopes, axis=0)
+        free = (lower < upper) & (size > _SEEN * np.max(size))
 
         def whole(x: np.ndarray) -> bytes:
             point = start.copy()
