@@ -106,6 +106,8 @@ def trace(
     """
     say("fitting the rig as it is written down")
     point, stop, noise, rests = _first_fit(bench, seed, starts)
+    if not rests:
+        say("it does not come to rest: its residual says little, and each effect is tried from the rig's own values")
     bench.compiled()
     seen, promise = preflight(bench)
     counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
