@@ -20,7 +20,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ from smajax.recording import Recording
 from smajax.rig import Rig, read_rig
 from tests.reference.hidden import Hidden, displacement
 from tests.reference.make_data import clock, turns
+from tests.reference.rig_file import RigFile
 from tests.reference.rig_file import read_rig as reference_rig
 
 # Key: the reference's field, a usual size, what the strength in the catalogue is for a size of one, and fields that go with it.
@@ -68,21 +70,26 @@ NOISE = 2e-5
 Facts = dict[str, Any]  # of one case, as they are written
 
 
-def draw(rng: np.random.Generator, keys: tuple[str, ...]) -> dict[str, float]:
-    """The reference's fields for effects of drawn strengths."""
+def draw(rng: np.random.Generator, keys: tuple[str, ...], known: dict[str, Any] | None = None) -> dict[str, float]:
+    """The reference's fields for effects of drawn strengths; ``known`` stands for ``SINGLES``."""
     fields: dict[str, float] = {}
     for key in keys:
-        name, usual, _, more = SINGLES[key]
+        name, usual, _, more = (known or SINGLES)[key]
         fields |= {name: usual * math.exp(rng.uniform(math.log(0.3), math.log(1.5)))} | more
     return fields
 
 
-def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator, *, same_input: bool = False) -> list[Recording]:
-    """Three recordings of one wire under three inputs; with ``same_input`` the second one has the first one's."""
-    truth = reference_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").changed(
+def nearby(rng: np.random.Generator, kind: str) -> RigFile:
+    """A shipped rig as the reference has it, its free parameters drawn near their nominal values."""
+    return reference_rig(ROOT / "data" / "recordings" / kind / "rig.toml").changed(
         h0=rng.uniform(0.92, 1.08), h2=rng.uniform(0.8, 1.2), capacity=rng.uniform(0.95, 1.05), max_strain=rng.uniform(0.97, 1.03),
         austenite_shift=rng.uniform(-2.5, 2.5), martensite_shift=rng.uniform(-2.5, 2.5),
     )  # fmt: skip
+
+
+def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator, *, same_input: bool = False) -> list[Recording]:
+    """Three recordings of one wire under three inputs; with ``same_input`` the second one has the first one's."""
+    truth = nearby(rng, "dead-weight")
     recordings, seconds, bands = [], clock(80.0), np.array([[46.0, 62.0], [84.0, 100.0]])
     for part in ("train", "select", "holdout"):
         current = turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), bands).round(4)
@@ -180,17 +187,23 @@ def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...]
             yield "another start", key, (key,), drawn[key], seed
 
 
+def answers(asked: Iterable[tuple], rig: Rig, run: Callable[..., Facts], folder: Path | None) -> list[Facts]:
+    """What ``run`` makes of each case, or what the folder has of it already."""
+    done = {(c["group"], c["case"], c["seed"]): c for c in read_cases(folder)}
+    facts = []
+    for group, name, keys, hidden, seed in asked:
+        if (group, name, seed) not in done:
+            done[group, name, seed] = run(rig, group, name, keys, hidden, seed)
+            add_case(folder, done[group, name, seed])
+        facts.append(done[group, name, seed])
+    return facts
+
+
 def main() -> None:
     """Runs all cases and prints the table."""
     args = arguments(__doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 10}})
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
-    done = {(c["group"], c["case"], c["seed"]): c for c in read_cases(args.out)}
-    facts = []
-    for group, name, keys, hidden, seed in cases(range(1 if args.quick else args.seeds), args.quick):
-        if (group, name, seed) not in done:
-            done[group, name, seed] = run(rig, group, name, keys, hidden, seed)
-            add_case(args.out, done[group, name, seed])
-        facts.append(done[group, name, seed])
+    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
     words = "" if args.quick or args.seeds == 10 else f" --seeds {args.seeds}"
     finish("diagnosis_bench", rows(facts), args, cases=facts, words=words)
 

@@ -16,11 +16,10 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from _common import ROOT, Row, add_case, arguments, finish, read_cases, say
-from diagnosis_bench import SINGLES, named
+from _common import ROOT, Row, arguments, finish, say
+from diagnosis_bench import SINGLES, Facts, answers, draw, named, nearby
 
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.verdict import diagnose
@@ -29,39 +28,22 @@ from smajax.rig import Rig, read_rig
 from tests.reference.hidden import Hidden
 from tests.reference.hidden_pair import angle
 from tests.reference.make_data import rotary
-from tests.reference.rig_file import read_rig as reference_rig
 
-FOLDER = ROOT / "data" / "recordings" / "rotary"
 DEGREE = math.pi / 180.0
 SPREAD, ROUNDED = 0.06 * DEGREE, 0.025 * DEGREE
 NOISE = math.sqrt(SPREAD**2 + ROUNDED**2 / 12.0)
-# The reference's fields with a usual size, and fields that go with it; play in rad, drift of the encoder in rad/s.
-USUAL = {key: (name, size, more) for key, (name, size, _, more) in SINGLES.items()} | {
-    "backlash": ("play", 7.5e-3, {}),
-    "encoder-drift": ("encoder_drift", 7.5e-4, {}),
-    "wire-crosstalk": ("crosstalk", 0.06, {}),
+USUAL = SINGLES | {  # play in rad, drift of the encoder in rad/s
+    "backlash": ("play", 7.5e-3, None, {}),
+    "encoder-drift": ("encoder_drift", 7.5e-4, None, {}),
+    "wire-crosstalk": ("crosstalk", 0.06, None, {}),
 }
 PAIRS = (("latent-heat", "sensor-lag"), ("coulomb-friction", "latent-heat"), ("creep", "airflow-change"), ("wire-crosstalk", "latent-heat"))
 UNLISTED = {"kinetics by half off": {"pace": 0.5}, "bent sensor": {"cubic": 0.1}}
 
-Facts = dict[str, Any]  # of one case, as they are written
-
-
-def draw(rng: np.random.Generator, keys: tuple[str, ...]) -> dict[str, float]:
-    """The reference's fields for effects of drawn strengths."""
-    fields: dict[str, float] = {}
-    for key in keys:
-        name, usual, more = USUAL[key]
-        fields |= {name: usual * math.exp(rng.uniform(math.log(0.3), math.log(1.5)))} | more
-    return fields
-
 
 def record(hidden: dict[str, float], rng: np.random.Generator) -> list[Recording]:
     """Three recordings of one pair of wires under three inputs."""
-    truth = reference_rig(FOLDER / "rig.toml").changed(
-        h0=rng.uniform(0.92, 1.08), h2=rng.uniform(0.8, 1.2), capacity=rng.uniform(0.95, 1.05), max_strain=rng.uniform(0.97, 1.03),
-        austenite_shift=rng.uniform(-2.5, 2.5), martensite_shift=rng.uniform(-2.5, 2.5),
-    )  # fmt: skip
+    truth = nearby(rng, "rotary")
     recordings = []
     for part in ("train", "select", "holdout"):
         columns = rotary(rng)
@@ -92,12 +74,12 @@ def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...]
     for seed in seeds:
         rng = np.random.default_rng([seed, 2])
         for key in list(USUAL)[: 1 if quick else None]:
-            yield "one effect", key, (key,), draw(rng, (key,)), seed
+            yield "one effect", key, (key,), draw(rng, (key,), USUAL), seed
         yield "nothing", "nothing", (), {}, seed
         if quick:
             return
         for keys in PAIRS:
-            yield "two effects", " + ".join(keys), keys, draw(rng, keys), seed
+            yield "two effects", " + ".join(keys), keys, draw(rng, keys, USUAL), seed
         for name, fields in UNLISTED.items():
             yield "in no catalogue", name, (), fields, seed
 
@@ -105,14 +87,8 @@ def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...]
 def main() -> None:
     """Runs all cases and prints the table."""
     args = arguments(__doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 2}})
-    rig = read_rig(FOLDER / "rig.toml")
-    done = {(c["case"], c["seed"]): c for c in read_cases(args.out)}
-    facts = []
-    for group, name, keys, hidden, seed in cases(range(1 if args.quick else args.seeds), args.quick):
-        if (name, seed) not in done:
-            done[name, seed] = run(rig, group, name, keys, hidden, seed)
-            add_case(args.out, done[name, seed])
-        facts.append(done[name, seed])
+    rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
+    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
     words = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
     finish("diagnosis_two_wires", rows(facts), args, cases=facts, words=words)
 

@@ -88,7 +88,7 @@ def _surplus(m, heat, hidden, wire, one, two, q1, q2, s1, lead, right, held):
 @njit(cache=True)
 def _solved(m, heat, hidden, wire, one, two, q1, q2, lead, right, held):
     """Stress of wire 1; as low as it goes where the wires hang slack."""
-    low = min(max(lead, 0.0), 0.0 if held else max(lead, 0.0))
+    low = 0.0 if held else max(lead, 0.0)
     f_low = _surplus(m, heat, hidden, wire, one, two, q1, q2, low, lead, right, held)
     if f_low >= 0.0:
         return low
