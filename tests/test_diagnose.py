@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from smajax.cli import app
 from smajax.datasets import shipped
 from smajax.diagnose import experiment, localise, residual, score
-from smajax.diagnose.bench import Bench, told
+from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.trace import Story, objection, trace
@@ -243,6 +243,7 @@ def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monk
     few = ("latent-heat", "backlash", "encoder-drift", "ambient-drift")
     monkeypatch.setattr(tracer.bench, "effects", {k: tracer.bench.effects[k] for k in few})
     monkeypatch.setattr("smajax.diagnose.trace._at_rest", lambda *_: False)
+    monkeypatch.setattr("smajax.diagnose.trace.AT_NOISE", 0.0)  # as if the first refits had not found it
     said: list[str] = []
     _, story = trace(tracer.bench, say=said.append)
     assert not story.rests and any("does not come to rest" in text for text in said)
@@ -253,16 +254,6 @@ def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monk
     with pytest.raises(NumericsError, match="did not come to rest") as caught:
         diagnose(tracer.bench)
     assert set(caught.value.state) == {u.label for u in tracer.bench.plain.unknowns}
-
-
-def test_rows_whose_derivatives_run_away_say_nothing():
-    jacobian = np.outer(np.ones(200), [1.0, -30.0])
-    jacobian[:3] = 0.0
-    assert told(jacobian) is jacobian
-    jacobian[150:160, 0] = 10.0 ** np.arange(2, 42, 4)
-    tamed = told(jacobian)
-    assert np.all(tamed[151:160] == 0.0) and np.array_equal(tamed[:151], jacobian[:151]) and np.array_equal(tamed[160:], jacobian[160:])
-    assert np.all(told(np.full((3, 1), np.nan)) == 0.0)
 
 
 def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():

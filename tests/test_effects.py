@@ -19,7 +19,7 @@ from smajax.diagnose.preflight import preflight
 from smajax.errors import InputError
 from smajax.fit.problem import Problem
 from smajax.parameters import declarations
-from smajax.plant.effect import AbstractEffect
+from smajax.plant.effect import AbstractEffect, engaged
 from smajax.plant.sensor import lagged
 from smajax.rig import parse_rig, read_rig
 from tests import plants
@@ -293,6 +293,15 @@ def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
     assert np.all(np.isfinite(moved))
     ways = np.sum(np.abs(np.diff(moved)), axis=1)
     assert np.all(np.diff(ways) < 0.0)
+
+
+def test_friction_at_its_end_moves_with_nothing_however_rest_is_rounded():
+    """Else rounding would pick the derivative, another one for a step's start than for its end, and tangents would grow at rest."""
+    for end in (-1.0, 1.0):
+        for rounding in (-1e-16, 0.0, 1e-16):
+            z, (by_memory, by_motion) = jax.value_and_grad(engaged, (0, 1))(jnp.asarray(end), jnp.asarray(rounding), jnp.asarray(2e-6))
+            assert (z, by_memory, by_motion) == (end, 0.0, 0.0)
+        assert abs(engaged(jnp.asarray(end), jnp.asarray(-end * 1e-6), jnp.asarray(2e-6)) - 0.5 * end) < 1e-12
 
 
 def test_what_an_effect_strains_at_the_start_moves_no_zero():

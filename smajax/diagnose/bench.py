@@ -33,7 +33,6 @@ from smajax.recording import Recording
 
 SLOTS = 6
 _MULTIPLE = 512
-_RUNAWAY = 1e9  # change of a residual over its noise, by a parameter's whole size
 
 
 class Model(eqx.Module):
@@ -295,7 +294,7 @@ class Bench:
         found = {**values, **{name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)}}
         return Refit(
             Hypothesis(running.hypothesis.keys, tuple(found.items())), point[: self.size], solved.residuals[0],
-            told(solved.jacobians[0][:, :columns]), solved.stops[0], point[columns : columns + running.nodes],
+            solved.jacobians[0][:, :columns], solved.stops[0], point[columns : columns + running.nodes],
         )  # fmt: skip
 
     def evaluate(
@@ -328,7 +327,7 @@ class Bench:
         solved = least_squares.Search(_residual, model, start[None], -free, free, size=problem.size).advance(1).result()
         self.simulations += solved.simulations
         failed = solved.stops[0] is Stop.failed
-        return np.where(failed, math.nan, solved.residuals[0]), told(solved.jacobians[0][:, :columns])
+        return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
 
     def _start(self, hypothesis: Hypothesis, base: np.ndarray, moved: Sequence[str], nodes: np.ndarray | None = None) -> np.ndarray:
         values = dict(hypothesis.values)
@@ -407,19 +406,6 @@ class Bench:
 
 
 _states = eqx.filter_jit(simulate.run)
-
-
-def told(jacobian: np.ndarray) -> np.ndarray:
-    """A Jacobian whose rows say nothing where derivatives run away, as they may while a pulley with dry friction stands still.
-
-    If any of them has, rows that are a hundred times the usual size go with it: they are on the way there.
-    """
-    largest = np.max(np.abs(jacobian), axis=1, initial=0.0)
-    if np.all(largest < _RUNAWAY):
-        return jacobian
-    calm = largest[largest < _RUNAWAY]
-    usual = float(np.median(calm)) if len(calm) else 0.0
-    return np.where((largest < 100.0 * usual)[:, None], jacobian, 0.0)
 
 
 def _made(kind: type[AbstractEffect], recordings: Sequence[Recording]) -> AbstractEffect:

@@ -14,11 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from smajax.diagnose import residual, score
-from smajax.diagnose.bench import SLOTS, Bench
+from smajax.diagnose.bench import SLOTS, Bench, in_pairs
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Promise, Sight, hidden, preflight, sight
-from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
+from smajax.diagnose.tracer import AT_NOISE, Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable
 from smajax.fit.least_squares import Solved, Stop
@@ -85,9 +85,10 @@ class Story:
         return self.explained_by(self.last)
 
     def explained_by(self, trial: Trial) -> float:
-        """The same of a trial."""
-        left = max(trial.train - 1.0, 0.0) + max(trial.select - 1.0, 0.0)
-        return 1.0 - left / max(self.first.total - 2.0, 1e-9)
+        """The same of a trial; on the training recording alone where the first fit cannot predict the other."""
+        parts = [(trial.train, self.first.train), (trial.select, self.first.select)]
+        left, before = np.sum([np.maximum(np.array(p) - 1.0, 0.0) for p in parts if math.isfinite(p[1])], axis=0)
+        return float(1.0 - left / max(before, 1e-9))
 
 
 def critical(samples: int) -> float:
@@ -137,19 +138,22 @@ def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, 
     plain = bench.plain
     near = lower, upper = plain.search_box()
     nominal, rng = np.clip(plain.nominal, lower, upper), np.random.default_rng(seed)
-    solved: list[tuple[float, bool, Solved]] = []
-    for k in range(_TRIES):
-        beside = 0.1 * rng.uniform(-1, 1, len(nominal)) * (upper - lower) if k else 0.0
-        held = _solved(bench, np.clip(nominal + beside, lower, upper), near)
+
+    def tried(beside: np.ndarray) -> Solved:
+        held = _solved(bench, np.clip(nominal + 0.1 * beside * (upper - lower), lower, upper), near)
         on_edge = np.any((held.points[0] <= lower) | (held.points[0] >= upper))
-        one = _solved(bench, held.points[0], plain.box) if on_edge else held
-        solved.append((float(one.costs[0]) if one.stops[0] is not Stop.failed else math.inf, _at_rest(plain, one), one))
-        solved.sort(key=lambda s: s[0])
-        agreed = len(solved) > 1 and solved[1][0] <= 1.01 * solved[0][0] and solved[0][1]
-        if (agreed and len(solved) >= starts) or (len(solved) >= _RESTLESS and not solved[0][1]):
+        return _solved(bench, held.points[0], plain.box) if on_edge else held
+
+    ends: list[Solved] = []
+    while True:
+        beside = [rng.uniform(-1, 1, len(nominal)) if ends or k else np.zeros(len(nominal)) for k in range(2)]
+        ends = sorted([*ends, *in_pairs(tried, beside)], key=lambda one: one.costs[0] if one.stops[0] is not Stop.failed else math.inf)
+        alike = [one for one in ends if one.costs[0] <= 1.01 * ends[0].costs[0]]
+        best = next((one for one in alike if _at_rest(plain, one)), ends[0])
+        rests = _at_rest(plain, best)
+        if len(ends) >= starts and ((len(alike) > 1 and rests) or len(ends) >= (_TRIES if rests else _RESTLESS)):
             break
-    cost, rests, best = solved[0]
-    if not math.isfinite(cost):
+    if best.stops[0] is Stop.failed:
         raise NumericsError("the simulation fails at the rig's own values: check them by smajax simulate")
     return bench.padded(best.points[0]), best.stops[0], _noise(bench, plain, best.residuals[0]), rests
 
@@ -251,7 +255,8 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
         [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near],
         [Extension(refit, k, story.promise[k].strength, story.promise[k].shape) for k in promising[:_AFAR]],
     )
-    if max((story.explained_by(t) for t in trials), default=0.0) > EXPLAINED and story.rests:
+    best = min(trials, key=lambda t: t.total, default=None)
+    if best is not None and (best.total < 2.0 * AT_NOISE or (story.rests and story.explained_by(best) > EXPLAINED)):
         return trials
     # A large effect promises nothing to first order, neither at the fit nor at the rig's own values: each in its usual strength.
     say("round 1: refitting them from the rig's own values")

@@ -20,6 +20,7 @@ _APART = 5
 _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
 _LOOK = 8
+AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED = 12  # evaluations of the joint fit
 _SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
 
@@ -207,9 +208,9 @@ class Tracer:
         return abs(trial.refit.values[f"effects.{key}.strength"]) < 1e-3 * self.bench.effects[key].typical
 
     def settled(self, trial: Trial) -> Trial:
-        """A trial fitted to its end: from its own point, and from the rig's nominal values with the effects that it has."""
+        """A trial fitted to its end: from its own point and, unless it is at the noise, from the rig's nominal values with its effects."""
         hypothesis = trial.refit.hypothesis
-        starts = [trial.refit.base, self.bench.nominal]
+        starts = [trial.refit.base, self.bench.nominal][: 1 if trial.total < 2.0 * AT_NOISE else 2]
         ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
         return self.judged(min(ended, key=lambda r: r.chi2))
 

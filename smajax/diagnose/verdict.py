@@ -15,13 +15,12 @@ from smajax.diagnose.localise import Shape
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look, look
 from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
-from smajax.diagnose.tracer import Tracer
+from smajax.diagnose.tracer import AT_NOISE, Tracer
 from smajax.errors import NumericsError
 from smajax.fit import uncertainty
 
 PARTS = ("train", "select", "holdout")
 _NOISY = 1.2
-AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 
 
 @dataclasses.dataclass(frozen=True)

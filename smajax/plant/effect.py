@@ -144,9 +144,15 @@ class SecondNode(HeatEffect):
         return -self.strength * per_kelvin * (now.temperature - where.environment.ambient - memory)
 
 
+# So near its end dry friction is at its end: at rest there, rounding would else pick the branch, and might pick another one for the
+# derivative by the step's start than for that by its end. Such a tangent grows from step to step.
+_END = 1.0 - 1e-9
+
+
 def engaged(z: jax.Array, contracted: jax.Array, reversal: jax.Array | float = 5e-5) -> jax.Array:
     """How far dry friction is engaged after a contraction by so much strain: z in -1..1, from the middle to an end over ``reversal``."""
-    return jnp.clip(z + contracted / reversal, -1.0, 1.0)
+    free = z + contracted / reversal
+    return jnp.where(jnp.abs(free) < _END, free, jnp.sign(free))
 
 
 def relaxed(value: jax.Array, towards: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:

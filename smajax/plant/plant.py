@@ -111,9 +111,10 @@ class Plant(eqx.Module):
         memory: dict[str, Any] = {}
         if self.terms:
             at = Instant(jnp.zeros(()), temperature, fractions, stress, self.mechanism.contraction(strain), jnp.zeros_like(temperature))
-            strain = self._strain(at, {e.key: e.start(at, self._where()) for e in self.terms})
+            where = self._where()
+            strain = self._strain(at, {e.key: e.start(at, where) for e in self.terms})
             at = at._replace(contraction=self.mechanism.contraction(strain))
-            memory = {e.key: e.start(at, self._where()) for e in self.terms}
+            memory = {e.key: e.start(at, where) for e in self.terms}
             memory |= {"time": at.time, "contraction": at.contraction, "travel": at.travel}
         state = State(temperature, fractions, stress, unknown, self.mechanism.start(strain), memory)
         # Under a known load the state is in equilibrium as it stands; a prescribed strain first has to be met, in a step of no duration.
@@ -203,17 +204,19 @@ class Plant(eqx.Module):
         return Instant(memory["time"], state.temperature, state.fractions, state.stress, memory["contraction"], memory["travel"])
 
     def _resistivity(self, at: Instant) -> jax.Array:
-        base = self.material.resistivity(at.fractions)
-        return base + sum(base * e.resistivity(at, self._where()) for e in self._of(MaterialEffect))
+        base, where = self.material.resistivity(at.fractions), self._where()
+        return base + sum(base * e.resistivity(at, where) for e in self._of(MaterialEffect))
 
     def _strain(self, at: Instant, memory: dict) -> jax.Array:
-        base = self.law.strain(at.fractions, at.temperature, at.stress, self.environment.ambient)
-        return base + sum(e.strain(at, memory[e.key], self._where()) for e in self._of(MaterialEffect))
+        where = self._where()
+        base = where.material.strain(at.fractions, at.temperature, at.stress, self.environment.ambient)
+        return base + sum(e.strain(at, memory[e.key], where) for e in self._of(MaterialEffect))
 
     def _evolve(self, first: Instant, temperature: jax.Array, stress: jax.Array) -> Fractions:
-        material, shift = self.law, 0.0
+        where = self._where()
+        material, shift = where.material, 0.0
         for e in self._of(MaterialEffect):
-            material, shift = e.alter(material), shift + e.shift(first, self._where())
+            material, shift = e.alter(material), shift + e.shift(first, where)
         fractions = material.evolve(first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress))
         for e in self._of(MaterialEffect):
             fractions = e.transform(first.fractions, fractions)
@@ -226,15 +229,17 @@ class Plant(eqx.Module):
     def _rate(self, at: Instant, memory: dict, signal: jax.Array) -> jax.Array:
         control = self._control(signal)
         control = control + sum(e.signal(control) for e in self._of(DriveEffect))
-        joule = self.drive.joule(control, self._resistivity(at), self.wire)
+        joule, where = self.drive.joule(control, self._resistivity(at), self.wire), self._where()
         rate = self.heat.rate(joule, at.temperature, self.wire, self.environment)
-        return rate + sum(e.power(at, memory[e.key], self._where()) for e in self._of(HeatEffect))
+        return rate + sum(e.power(at, memory[e.key], where) for e in self._of(HeatEffect))
 
     def _stored(self, first: Instant, last: Instant) -> jax.Array | float:
-        return sum((e.enthalpy(last, self._where()) - e.enthalpy(first, self._where()) for e in self._of(HeatEffect)), 0.0)
+        where = self._where()
+        return sum((e.enthalpy(last, where) - e.enthalpy(first, where) for e in self._of(HeatEffect)), 0.0)
 
     def _remember(self, kinds: tuple, memory: dict, first: Instant, last: Instant, step: jax.Array) -> dict:
-        return {e.key: e.remember(memory[e.key], first, last, step, self._where()) for e in self._of(kinds)}
+        where = self._where()
+        return {e.key: e.remember(memory[e.key], first, last, step, where) for e in self._of(kinds)}
 
     def _predict(self, state: State, rate: jax.Array, after: jax.Array, step: jax.Array) -> jax.Array:
         if isinstance(self.heat, PrescribedTemperature):
@@ -284,7 +289,8 @@ class Plant(eqx.Module):
         motion = self.mechanism.move(unknown, strain, state.motion, around, step)
         rest = [heat, balance]
         if self._drags:
-            drags = [e.drag(first, last, memory[e.key], step, self._where()) for e in self._of(MechanismEffect) if e.drags]
+            where = self._where()
+            drags = [e.drag(first, last, memory[e.key], step, where) for e in self._of(MechanismEffect) if e.drags]
             rest.append((end[-1] - sum(drags))[None])
         return jnp.concatenate(rest), State(temperature, fractions, stress, end[wires:], motion, memory)
 

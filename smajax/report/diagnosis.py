@@ -9,7 +9,8 @@ from typing import Any
 from smajax import __version__
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look
-from smajax.diagnose.verdict import AT_NOISE, PARTS, Diagnosis
+from smajax.diagnose.tracer import AT_NOISE
+from smajax.diagnose.verdict import PARTS, Diagnosis
 from smajax.recording import Recording
 from smajax.report import html, plots
 from smajax.report.document import difference_unit, number
