@@ -19,6 +19,10 @@ class Hypothesis:
         """With one more effect."""
         return Hypothesis((*self.keys, key), (*self.values, *values.items()))
 
+    def at(self, name: str, value: float) -> "Hypothesis":
+        """With another value of one parameter."""
+        return Hypothesis(self.keys, tuple({**dict(self.values), name: value}.items()))
+
     def without(self, key: str) -> "Hypothesis":
         """With one effect less."""
         prefix = f"effects.{key}."

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.optimize
 
 from smajax.diagnose import localise, score
-from smajax.diagnose.bench import Bench, in_pairs
+from smajax.diagnose.bench import Bench, Running, in_pairs
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.fit.least_squares import Stop
 from smajax.parameters import declarations
@@ -20,6 +20,7 @@ _APART = 5
 _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
 _LOOK = 8
+_INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED = 12  # evaluations of the joint fit
 _SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
@@ -172,11 +173,28 @@ class Tracer:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
                 fields = [[s for s in whole if s.search.cost < _BEHIND * whole[0].search.cost][:count]]
             in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
+        everyone += [s for running in fields[0] for s in self.elsewhere(running)]
         best: dict[frozenset, Refit] = {}
         for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
             best.setdefault(frozenset(found.hypothesis.keys), found)
         trials = in_pairs(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
+
+    def elsewhere(self, running: Running) -> list[Running]:
+        """Searches that set in at a search's end, unless it is at the noise, with each instant that it moves wherever that costs least.
+
+        What depends on an instant has many a minimum: with each motion of the wire that the change may be taken for.
+        """
+        refit, bench = self.bench.reached(running), self.bench
+        if bench.fitness(refit.residual, 0) < AT_NOISE or not math.isfinite(refit.chi2):
+            return []
+        found = []
+        for name in (n for n in bench.moved(refit.hypothesis) if n.endswith(".instant")):
+            times = bench.duration * (np.arange(_INSTANTS) + 0.5) / _INSTANTS
+            started = in_pairs(lambda t: bench.search(refit.hypothesis.at(name, t), refit.base).advance(1), times)  # noqa: B023
+            several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.search.cost)[:_PLACES])
+            found.append(min(several, key=lambda s: s.search.cost).advance(_HEATS[-1][1]))
+        return found
 
     def kin(self, trial: Trial) -> list[Trial]:
         """Fits in which an effect that is known to be confused with a trial's last one stands in its place.

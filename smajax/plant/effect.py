@@ -107,6 +107,10 @@ class HeatEffect(AbstractEffect):
 
     stage = "heat"
 
+    def begin(self, memory: Any, time: jax.Array, step: jax.Array) -> Any:
+        """What is remembered throughout a step that begins at ``time`` and takes ``step``; by default what the last one left."""
+        return memory
+
     def power(self, now: Instant, memory: Any, where: Where) -> jax.Array:
         """Heat added to the wires, W/m^3, shape ``(wires,)``."""
         return jnp.zeros_like(now.temperature)

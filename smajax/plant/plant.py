@@ -132,6 +132,7 @@ class Plant(eqx.Module):
 
         Also says whether the step could not be solved: a boolean scalar. Not differentiable: ``arrive`` is, at a known end.
         """
+        state = self._begin(state, step)
         rate = self._rate(self._instant(state), state.memory, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
         given = jax.lax.stop_gradient((self, state, rate, before, after, step))
@@ -153,6 +154,7 @@ class Plant(eqx.Module):
 
     def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> tuple[jax.Array, State]:
         """What is left of a step's balances if it ends at ``end`` (temperatures, then unknowns), and the state there: differentiable."""
+        state = self._begin(state, step)
         return self._residual(state, self._rate(self._instant(state), state.memory, before), before, after, step, end)
 
     def outputs(self, state: State, signal: jax.Array) -> dict[str, jax.Array]:
@@ -236,6 +238,10 @@ class Plant(eqx.Module):
     def _stored(self, first: Instant, last: Instant) -> jax.Array | float:
         where = self._where()
         return sum((e.enthalpy(last, where) - e.enthalpy(first, where) for e in self._of(HeatEffect)), 0.0)
+
+    def _begin(self, state: State, step: jax.Array) -> State:
+        memory = {e.key: e.begin(state.memory[e.key], state.memory["time"], step) for e in self._of(HeatEffect)}
+        return state._replace(memory=state.memory | memory)
 
     def _remember(self, kinds: tuple, memory: dict, first: Instant, last: Instant, step: jax.Array) -> dict:
         where = self._where()

@@ -6,8 +6,6 @@ import jax.numpy as jnp
 from smajax.parameters import parameter
 from smajax.plant.effect import HeatEffect, Instant, Where
 
-_RISE = 0.02  # s, so that the instant has a derivative; a slower one would blur a sudden draught that meets a wire in transformation
-
 
 class AirflowChange(HeatEffect):
     """h (1 + s) from an instant on."""
@@ -20,8 +18,15 @@ class AirflowChange(HeatEffect):
     confused_with = ("ambient-drift",)
     shapes = (("instant", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),)
 
-    def power(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
+    def start(self, instant: Instant, where: Where) -> jax.Array:
+        """Whether it blows: the share of the step for which it does, so that a sudden draught that meets a transformation blurs nothing."""
+        return jnp.where(instant.time < self.instant, 0.0, 1.0)
+
+    def begin(self, memory: jax.Array, time: jax.Array, step: jax.Array) -> jax.Array:
         """See ``HeatEffect``."""
-        on = 0.5 * (1.0 + jnp.tanh((now.time - self.instant) / _RISE))
+        return jnp.where(step > 0.0, jnp.clip((time + step - self.instant) / jnp.where(step > 0.0, step, 1.0), 0.0, 1.0), memory)
+
+    def power(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
+        """See ``HeatEffect``."""
         cooling = where.heat.conductance(now.temperature, where.wire) * (now.temperature - where.environment.ambient)
-        return -self.strength * on * cooling
+        return -self.strength * memory * cooling
