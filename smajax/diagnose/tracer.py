@@ -190,7 +190,7 @@ class Tracer:
             return []
         found = []
         for name in (n for n in bench.moved(refit.hypothesis) if n.endswith(".instant")):
-            times = bench.duration * (np.arange(_INSTANTS) + 0.5) / _INSTANTS
+            times = [bench.duration * (k + 0.5) / _INSTANTS for k in range(_INSTANTS)]
             started = in_pairs(lambda t: bench.search(refit.hypothesis.at(name, t), refit.base).advance(1), times)  # noqa: B023
             several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.search.cost)[:_PLACES])
             found.append(min(several, key=lambda s: s.search.cost).advance(_HEATS[-1][1]))
