@@ -1,6 +1,8 @@
 """The diagnosis: its statistics on made-up numbers, and the whole command on truth from the exact reference."""
 
+import dataclasses
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -8,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax
 import jsonschema
 import numpy as np
@@ -243,7 +246,7 @@ def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monk
     few = ("latent-heat", "backlash", "encoder-drift", "ambient-drift")
     monkeypatch.setattr(tracer.bench, "effects", {k: tracer.bench.effects[k] for k in few})
     monkeypatch.setattr("smajax.diagnose.trace._at_rest", lambda *_: False)
-    monkeypatch.setattr("smajax.diagnose.trace.AT_NOISE", 0.0)  # as if the first refits had not found it
+    monkeypatch.setattr("smajax.diagnose.tracer.AT_NOISE", 0.0)  # as if the first refits had not found it
     said: list[str] = []
     _, story = trace(tracer.bench, say=said.append)
     assert not story.rests and any("does not come to rest" in text for text in said)
@@ -254,6 +257,27 @@ def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monk
     with pytest.raises(NumericsError, match="did not come to rest") as caught:
         diagnose(tracer.bench)
     assert set(caught.value.state) == {u.label for u in tracer.bench.plain.unknowns}
+
+
+def test_an_instant_is_looked_for_over_the_whole_recording(tracer, fitted, monkeypatch):
+    """A search that has set in far from the draught's instant ends beside it; one at the noise, or without an instant, is left alone."""
+    bench = tracer.bench
+    draught = Hypothesis().extended("airflow-change", {"effects.airflow-change.strength": 0.4, "effects.airflow-change.instant": 21.3})
+    blown, _ = bench.evaluate(draught, fitted.base, 0)
+    problem = bench.problems[0]
+    weight = np.asarray(problem.data.weight)
+    noise = np.random.default_rng(6).normal(size=weight.shape)
+    measured = np.asarray(problem.data.measured) + (blown.reshape(weight.shape) + noise) / np.where(weight > 0.0, weight, np.inf)
+    data = eqx.tree_at(lambda d: d.measured, problem.data, measured)
+    monkeypatch.setattr(bench, "problems", [dataclasses.replace(problem, data=data), *bench.problems[1:]])
+    astray = bench.search(draught.at({"effects.airflow-change.instant": 60.0}), fitted.base).advance(8)
+    found = [bench.reached(s) for s in tracer.elsewhere(astray)]
+    assert len(found) == 1 and bench.fitness(found[0].residual, 0) < 1.1 < bench.fitness(bench.reached(astray).residual, 0)
+    assert found[0].values["effects.airflow-change.instant"] == pytest.approx(21.3, abs=0.05)
+    assert tracer.elsewhere(bench.search(draught, fitted.base).advance(3)) == []
+    assert (
+        tracer.elsewhere(bench.search(Hypothesis().extended("backlash", {"effects.backlash.strength": 1e-5}), fitted.base).advance(2)) == []
+    )
 
 
 def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():
@@ -315,6 +339,13 @@ def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
     )  # fmt: skip
     refit = Refit(Hypothesis(), np.zeros(2), np.zeros(2), jacobians[0], Stop.converged)
     assert Tracer(bench, 0).expected(refit, 1) == pytest.approx(1.0 + 0.5 + 0.5 * 3.0**2, rel=1e-3)
+
+
+def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():
+    first, better = trial((), 11.0, math.nan), trial(("latent-heat",), 3.0, 40.0)
+    assert Story({}, {}, first, first, 1.05, {}).explained_by(better) == pytest.approx(0.8)
+    first = trial((), 11.0, 21.0)
+    assert Story({}, {}, first, first, 1.05, {}).explained_by(trial(("latent-heat",), 3.0, 5.0)) == pytest.approx(0.8)
 
 
 def trial(keys, train, select):

@@ -14,6 +14,7 @@ from smajax import parameters, simulate
 from smajax.datasets import shipped
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
+from smajax.diagnose.effects.airflow_change import AirflowChange
 from smajax.diagnose.hypothesis import Hypothesis
 from smajax.diagnose.preflight import preflight
 from smajax.errors import InputError
@@ -233,6 +234,16 @@ def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
     moved = recording.channels["angle"] + residual * made.noise["angle"]
     apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
     assert apart < 0.2 * made.noise["angle"] < 0.05 * effect
+
+
+def test_a_draught_blows_for_its_share_of_a_step():
+    draught = AirflowChange(strength=jnp.asarray(0.3), instant=jnp.asarray(2.5))
+    times, steps = jnp.array([1.0, 2.0, 2.4, 2.4, 3.0]), jnp.array([1.0, 1.0, 0.4, 0.1, 1.0])
+    shares = [float(draught.begin(jnp.asarray(0.0), t, s)) for t, s in zip(times, steps, strict=True)]
+    assert shares == pytest.approx([0.0, 0.5, 0.75, 0.0, 1.0], abs=1e-12)
+    assert float(draught.begin(jnp.asarray(0.25), jnp.asarray(2.6), jnp.asarray(0.0))) == 0.25  # no step: as before
+    slope = jax.grad(lambda instant: AirflowChange(strength=jnp.asarray(0.3), instant=instant).begin(jnp.asarray(0.0), times[1], steps[1]))
+    assert float(slope(jnp.asarray(2.5))) == pytest.approx(-1.0)
 
 
 def test_what_a_rig_cannot_have_is_not_tried_and_said():

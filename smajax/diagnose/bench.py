@@ -261,10 +261,11 @@ class Bench:
         return [*strengths, *shapes][:SLOTS]
 
     def ends(self, moved: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the base vector followed by the parameters ``moved``."""
+        """Lower and upper bounds of the base vector followed by the parameters ``moved``; instants are within the recordings."""
         declared = [declarations(self.effects[name.split(".")[1]])[name.split(".")[2]] for name in moved]
+        highest = [min(d.upper, self.duration) if name.endswith(".instant") else d.upper for d, name in zip(declared, moved, strict=True)]
         lower = [d.lower / self.scale(name) for d, name in zip(declared, moved, strict=True)]
-        upper = [d.upper / self.scale(name) for d, name in zip(declared, moved, strict=True)]
+        upper = [high / self.scale(name) for high, name in zip(highest, moved, strict=True)]
         return np.append(self.box[0], lower), np.append(self.box[1], upper)
 
     def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5, form: Form | None = None) -> Refit:
@@ -288,14 +289,12 @@ class Bench:
 
     def reached(self, running: Running) -> Refit:
         """Where a search ends."""
-        solved, moved, values = running.search.result(), self.moved(running.hypothesis), dict(running.hypothesis.values)
+        solved, moved = running.search.result(), self.moved(running.hypothesis)
         self.simulations += solved.simulations
         point, columns = solved.points[0], self.size + len(moved)
-        found = {**values, **{name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)}}
-        return Refit(
-            Hypothesis(running.hypothesis.keys, tuple(found.items())), point[: self.size], solved.residuals[0],
-            solved.jacobians[0][:, :columns], solved.stops[0], point[columns : columns + running.nodes],
-        )  # fmt: skip
+        found = running.hypothesis.at({name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)})
+        left, jacobian = solved.residuals[0], solved.jacobians[0][:, :columns]
+        return Refit(found, point[: self.size], left, jacobian, solved.stops[0], point[columns : columns + running.nodes])
 
     def evaluate(
         self,
@@ -387,9 +386,7 @@ class Bench:
             home.append(item)
 
         def one(batch: list) -> list[np.ndarray]:
-            at = hypothesis
-            for key, shape in batch:
-                at = Hypothesis(at.keys, (*at.values, *((f"effects.{key}.{n}", v) for n, v in shape)))
+            at = hypothesis.at({f"effects.{key}.{name}": value for key, shape in batch for name, value in shape})
             _, jacobian = self.evaluate(at, base, 0, [f"effects.{key}.strength" for key, _ in batch])
             return [jacobian[:, self.size + j] for j in range(len(batch))]
 

@@ -19,9 +19,9 @@ class Hypothesis:
         """With one more effect."""
         return Hypothesis((*self.keys, key), (*self.values, *values.items()))
 
-    def at(self, name: str, value: float) -> "Hypothesis":
-        """With another value of one parameter."""
-        return Hypothesis(self.keys, tuple({**dict(self.values), name: value}.items()))
+    def at(self, values: dict[str, float]) -> "Hypothesis":
+        """With other values of some parameters."""
+        return Hypothesis(self.keys, tuple({**dict(self.values), **values}.items()))
 
     def without(self, key: str) -> "Hypothesis":
         """With one effect less."""

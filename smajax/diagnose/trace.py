@@ -18,7 +18,7 @@ from smajax.diagnose.bench import SLOTS, Bench, in_pairs
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Promise, Sight, hidden, preflight, sight
-from smajax.diagnose.tracer import AT_NOISE, Extension, Scores, Tracer, Trial
+from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable
 from smajax.fit.least_squares import Solved, Stop
@@ -99,7 +99,7 @@ def critical(samples: int) -> float:
 def trace(
     bench: Bench, *, seed: int = 0, starts: int = 2, worth: float = WORTH, say: Callable[[str], None] = lambda text: None
 ) -> tuple[Tracer, Story]:
-    """Traces the residual of the bench's training part, helped by the selection part; the first fit has so many ``starts``.
+    """Traces the residual of the bench's training part, helped by the selection part; the first fit has at least so many ``starts``.
 
     A third effect is looked for if two explain the share ``worth`` of what exceeds the noise: less speaks for a cause that is not listed.
 
@@ -108,7 +108,7 @@ def trace(
     say("fitting the rig as it is written down")
     point, stop, noise, rests = _first_fit(bench, seed, starts)
     if not rests:
-        say("it does not come to rest: its residual says little, and each effect is tried from the rig's own values")
+        say("it does not come to rest, so that its residual says little")
     bench.compiled()
     seen, promise = preflight(bench)
     counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
@@ -256,7 +256,7 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
         [Extension(refit, k, story.promise[k].strength, story.promise[k].shape) for k in promising[:_AFAR]],
     )
     best = min(trials, key=lambda t: t.total, default=None)
-    if best is not None and (best.total < 2.0 * AT_NOISE or (story.rests and story.explained_by(best) > EXPLAINED)):
+    if best is not None and (best.at_noise or (story.rests and story.explained_by(best) > EXPLAINED)):
         return trials
     # A large effect promises nothing to first order, neither at the fit nor at the rig's own values: each in its usual strength.
     say("round 1: refitting them from the rig's own values")

@@ -53,6 +53,11 @@ class Trial:
         """What trials are compared by."""
         return self.train + self.select
 
+    @property
+    def at_noise(self) -> bool:
+        """Whether it leaves no more than a fit with the right effects may."""
+        return self.total < 2.0 * AT_NOISE
+
 
 class Extension(NamedTuple):
     """One effect more for a fit: its key, the strength expected in units of the typical one, and its shape."""
@@ -191,7 +196,7 @@ class Tracer:
         found = []
         for name in (n for n in bench.moved(refit.hypothesis) if n.endswith(".instant")):
             times = [bench.duration * (k + 0.5) / _INSTANTS for k in range(_INSTANTS)]
-            started = in_pairs(lambda t: bench.search(refit.hypothesis.at(name, t), refit.base).advance(1), times)  # noqa: B023
+            started = in_pairs(lambda t: bench.search(refit.hypothesis.at({name: t}), refit.base).advance(1), times)  # noqa: B023
             several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.search.cost)[:_PLACES])
             found.append(min(several, key=lambda s: s.search.cost).advance(_HEATS[-1][1]))
         return found
@@ -228,7 +233,7 @@ class Tracer:
     def settled(self, trial: Trial) -> Trial:
         """A trial fitted to its end: from its own point and, unless it is at the noise, from the rig's nominal values with its effects."""
         hypothesis = trial.refit.hypothesis
-        starts = [trial.refit.base, self.bench.nominal][: 1 if trial.total < 2.0 * AT_NOISE else 2]
+        starts = [trial.refit.base, self.bench.nominal][: 1 if trial.at_noise else 2]
         ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
         return self.judged(min(ended, key=lambda r: r.chi2))
 
@@ -245,8 +250,7 @@ class Tracer:
         scales = np.array([bench.scale(name) for name in moved])
 
         def at(point: np.ndarray) -> Hypothesis:
-            found = dict(zip(moved, (point[bench.size :] * scales).tolist(), strict=True))
-            return Hypothesis(refit.hypothesis.keys, tuple({**refit.values, **found}.items()))
+            return refit.hypothesis.at(dict(zip(moved, (point[bench.size :] * scales).tolist(), strict=True)))
 
         @functools.lru_cache(maxsize=2)  # SciPy asks for the residual and for its derivative one after the other
         def both(packed: bytes) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
