@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from smajax import parameters, simulate
+from smajax.datasets import shipped
 from smajax.errors import NumericsError
 from smajax.plant.material.brinson import Brinson
+from smajax.rig import parse_rig
 from tests import plants
 from tests.reference import rigs
 from tests.reference.brinson import Material
@@ -214,6 +216,30 @@ def test_swapping_the_wires_turns_the_angle_round():
     one, two = simulate.simulate(plant, recording, step=0.04), simulate.simulate(plant, swapped, step=0.04)
     assert np.asarray(one.channels["angle"]) == pytest.approx(-np.asarray(two.channels["angle"]), abs=1e-9)
     assert np.asarray(one.channels["temperature_1"]) == pytest.approx(np.asarray(two.channels["temperature_2"]), rel=1e-12)
+
+
+def test_two_wires_with_latent_heat_are_solved_at_every_step():
+    """Where one wire's transformation begins within a step, no Newton step may lessen the balances; draws that such a step has stopped."""
+    text = (shipped("recordings", "rotary") / "rig.toml").read_text("utf-8")
+    rig = parse_rig(text + '\n[effects.latent-heat]\nstrength = "40 MJ/m^3"\n[effects.wire-crosstalk]\nstrength = "0.08"\n')
+    for seed in (5, 13, 16, 19, 32, 50, 51, 55):
+        rng = np.random.default_rng(seed)
+        current, row = np.zeros((4000, 2)), 0
+        while row < len(current):
+            held, level, wire = rng.integers(50, 400), rng.uniform(0.3, 0.5), rng.integers(0, 2)
+            current[row : row + held, wire] = level
+            row += held
+        plant = parameters.replace(
+            rig.plant,
+            {
+                "effects.latent-heat.strength": rng.uniform(1e7, 1e8),
+                "material.martensite_shift": rng.uniform(-4.0, 4.0),
+                "material.austenite_shift": rng.uniform(-4.0, 4.0),
+            },
+        )
+        recording = plants.recording({"current_1": current[:, 0], "current_2": current[:, 1]}, 0.02 * np.arange(len(current)))
+        result = simulate.simulate(plant, recording, interpolation="hold")
+        assert np.ptp(np.asarray(result.channels["angle"])) > 0.1
 
 
 def test_light_pulley_is_the_limit_of_small_inertia():

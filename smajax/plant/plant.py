@@ -2,8 +2,8 @@
 
 A step is implicit. Its unknowns are the wires' temperatures and the mechanism's unknowns at its end; its equations are the heat balance
 of each wire and the balance of the mechanism, both evaluated with the fractions that the material law gives at that end. So heat, phase
-fractions, stress and motion agree with each other within the instant. ``Plant.advance`` solves them by Newton's method with a Jacobian of
-at most five columns. Derivatives do not go through the search: ``arrive`` gives the equations at a known end, to which the implicit
+fractions, stress and motion agree with each other within the instant. ``Plant.advance`` solves them by Newton's method
+(``smajax.plant.newton``). Derivatives do not go through the search: ``arrive`` gives the equations at a known end, to which the implicit
 function theorem applies (``smajax.simulate``).
 """
 
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.plant import newton
 from smajax.plant.drive import AbstractDrive, resistance
 from smajax.plant.effect import AbstractEffect, DriveEffect, HeatEffect, Instant, MaterialEffect, MechanismEffect, SensorEffect, Where
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
@@ -22,12 +23,6 @@ from smajax.plant.mechanism import AbstractMechanism, Surroundings
 from smajax.plant.sensor import Sensor
 from smajax.plant.wire import AbstractWire, Environment, Initial
 from smajax.units import numbered
-
-_ITERATIONS = 40
-# A last Newton step follows the loop, so the loop may stop where that step's error, quadratic in these, is below rounding of any recording.
-_TEMPERATURE_TOLERANCE = 1e-3
-_STRESS_TOLERANCE = 1e3
-_FRICTION = 0.01  # times the tolerances, where there is dry friction
 
 
 class State(NamedTuple):
@@ -140,15 +135,12 @@ class Plant(eqx.Module):
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
+            # Temperatures alone, without latent heat, are so nearly linear over a step that one iteration, and the one below, do.
             straight = not self.mechanism.unknowns and not self.terms
-            end, failed = _search(
-                # Where there is dry friction the last step must not lead over its kinks.
-                lambda z: Plant._residual(*given, z, coarse=not rubs)[0],
-                jax.lax.stop_gradient(guess),
-                self.mechanism.wires,
-                straight,
-                rubs,
-            )
+            search = newton.once if straight else newton.solve_with_friction if rubs else newton.solve
+            # Where there is dry friction the last step must not lead over its kinks.
+            residual = lambda z: Plant._residual(*given, z, coarse=not rubs)[0]  # noqa: E731
+            end, failed = search(residual, jax.lax.stop_gradient(guess), self.mechanism.wires)
         (value, landed), push = jax.linearize(lambda z: Plant._residual(*given, z), end)
         return _stepped(landed, value, push), failed
 
@@ -343,73 +335,6 @@ class Plant(eqx.Module):
         return frozenset(words if quiet else words | {"drag"})
 
 
-def _search(residual: Callable, guess: jax.Array, wires: int, straight: bool, dragged: bool) -> tuple[jax.Array, jax.Array]:
-    """Solves ``residual(z) = 0`` by Newton's method with halving; says whether it failed. Not differentiable.
-
-    The first ``wires`` unknowns are temperatures in K, the rest stresses in Pa. Temperatures alone, without latent heat, are so nearly
-    linear over a step (``straight``) that one iteration, and the one in ``arrive``, do. Where there is dry friction (``dragged``), the last
-    unknown is a drag or a stress against which it works. Its equation increases with it, but from flat (sliding) to steep (sticking) and
-    back, so that Newton's steps go to and fro: it is kept between the largest value known to be too small and the smallest known to be too
-    large.
-    """
-    size, most = guess.shape[0], 3 * _ITERATIONS if dragged else _ITERATIONS
-    scale = jnp.where(jnp.arange(size) < wires, _TEMPERATURE_TOLERANCE, _STRESS_TOLERANCE) * (_FRICTION if dragged else 1.0)
-
-    def newton(z: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value, push = jax.linearize(residual, z)
-        return value, jax.vmap(push, out_axes=-1)(jnp.eye(size))
-
-    def norm(value: jax.Array) -> jax.Array:
-        return jnp.max(jnp.abs(value) / scale[: value.shape[0]])
-
-    def unsolved(carry: tuple) -> jax.Array:
-        *_, change, open_, count, _, _ = carry
-        return (count == 0) | (((norm(change) > 1.0) | open_) & (count < most))
-
-    def iterate(carry: tuple) -> tuple:
-        z, error, change, open_, count, fraction, ends = carry
-        trial = z + fraction * change
-        value, slope = newton(trial)
-        new, left, waiting = -linear(slope, value), norm(value), jnp.asarray(False)
-        # Within the tolerances, rounding may raise it.
-        better = left <= jnp.maximum(1.0, error)
-        if dragged:
-            low, high = ends
-            # What the last equation leaves says on which side the answer lies only where the others hold: else they come first.
-            others = norm(value[:-1])
-            settled = others <= 1.0 / _FRICTION
-            low = jnp.where(settled & (value[-1] <= 0.0), trial[-1], low)
-            high = jnp.where(settled & (value[-1] >= 0.0), trial[-1], high)
-            halved = 0.5 * (low + high) - trial[-1]
-            outside = (trial[-1] + new[-1] <= low) | (trial[-1] + new[-1] >= high)
-            outside &= jnp.isfinite(halved)
-            last, along = jnp.arange(size) == size - 1, jnp.where(settled, halved, 0.0)
-            held = -linear(jnp.where(last[:, None], last[None, :] * 1.0, slope), jnp.where(last, -along, value))
-            new, ends = jnp.where(outside | ~settled, held, new), (low, high)
-            # A halved step may be short without an answer near.
-            waiting = (outside & (high - low > scale[-1])) | ~settled
-            # Only while the last one stands still do the others have to leave less from step to step.
-            better, left = settled | (others <= error), jnp.where(settled, jnp.inf, others)
-        return (
-            jnp.where(better, trial, z),
-            jnp.where(better, left, error),
-            jnp.where(better, new, change),
-            jnp.where(better, waiting, open_),
-            count + 1,
-            jnp.where(better, 1.0, 0.5 * fraction),
-            ends,
-        )
-
-    if straight:
-        value, slope = newton(guess)
-        change = -linear(slope, value)
-        return guess + change, ~jnp.all(jnp.isfinite(change))
-    ends = (jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf))
-    start = (guess, jnp.asarray(jnp.inf), jnp.full_like(guess, 0.0), jnp.asarray(False), 0, jnp.asarray(1.0), ends)
-    z, _, change, _, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
-    return z + change, (count >= most) | ~jnp.all(jnp.isfinite(change))
-
-
 def _stepped(state: State, value: jax.Array, push: Callable) -> State:
     """The state after one more Newton step, ``push`` being the linearised residual and state there.
 
@@ -417,19 +342,5 @@ def _stepped(state: State, value: jax.Array, push: Callable) -> State:
     """
     size = value.shape[0]
     slope, per_end = jax.vmap(push, out_axes=-1)(jnp.eye(size))
-    last = -linear(slope, value)
+    last = -newton.linear(slope, value)
     return jax.tree.map(lambda s, d: s + sum(d[..., i] * last[i] for i in range(size)), state, per_end)
-
-
-def linear(matrix: jax.Array, right: jax.Array) -> jax.Array:
-    """Solves a system of up to five equations by elimination without pivoting, which its positive diagonal allows."""
-    size = right.shape[0]
-    rows = [[matrix[i, j] for j in range(size)] + [right[i]] for i in range(size)]
-    for k in range(size):
-        for i in range(k + 1, size):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
-    answer = [right[0]] * size
-    for i in reversed(range(size)):
-        answer[i] = (rows[i][size] - sum(rows[i][j] * answer[j] for j in range(i + 1, size))) / rows[i][i]
-    return jnp.stack(answer)

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from smajax.plant.plant import Plant, State, linear
+from smajax.plant.newton import linear
+from smajax.plant.plant import Plant, State
 
 
 def push(function: Callable, at: tuple, along: tuple) -> Any:
