@@ -28,6 +28,7 @@ from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
+from smajax.report.diagnosis import sentences
 from smajax.rig import read_rig
 
 
@@ -105,7 +106,9 @@ def demo(tmp_path_factory) -> Path:
 
 def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(demo):
     document = json.loads((demo / "diagnosis.json").read_text("utf-8"))
-    assert document["effects"] == ["latent-heat"]
+    assert document["effects"] == ["latent-heat"] and document["base_fit_at_rest"]
+    assert "come to rest" not in " ".join(sentences(document))
+    assert "Without effects the fit does not come to rest" in " ".join(sentences(document | {"base_fit_at_rest": False}))
     assert document["verdict"] in ("named", "named-up-to-class")
     rmse = document["rmse"]["displacement"]
     assert rmse["holdout_after"] < 0.022 < 3 * 0.022 < rmse["holdout_before"]

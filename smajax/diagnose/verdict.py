@@ -27,8 +27,8 @@ _NOISY = 1.2
 class Diagnosis:
     """The whole of it. RMSEs in SI by channel; ``before`` and ``after`` are fitted to training and selection part together.
 
-    ``predictions`` hold model minus measurement, SI, by before / after, recording and channel; ``looks`` the residuals of the training
-    recording by before / after and channel.
+    ``rests`` says whether the first fit, without effects, came to rest. ``predictions`` hold model minus measurement, SI, by before /
+    after, recording and channel; ``looks`` the residuals of the training recording by before / after and channel.
     """
 
     verdict: str
@@ -41,6 +41,7 @@ class Diagnosis:
     noise: dict[str, tuple[float, str]]
     before: Refit
     after: Refit
+    rests: bool
     fitness: tuple[float, float, float]
     rmse: dict[str, dict[str, float]]
     cut95: dict[str, tuple[float, float]]
@@ -168,6 +169,7 @@ def _conclude(
         noise=story.noise,
         before=first,
         after=last,
+        rests=story.rests,
         fitness=(bench.fitness(first.residual, 0), bench.fitness(last.residual, 0), story.limit),
         rmse=rmse,
         cut95=cut95,

@@ -57,6 +57,7 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
         "summary": "",
         "rmse": rmse,
         "noise_floor": floor,
+        "base_fit_at_rest": found.rests,
         "goodness_of_fit": {"before": number(before), "after": number(after), "critical": number(limit)},
         "stages": {stage: number(share) for stage, share in found.stages.items()},
         "ranking": ranking,
@@ -135,6 +136,8 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
         told.append(f"That is not all: more than noise is left, and it looks most like something in the {stage} stage.")
     elif doc["verdict"] == "unresolved":
         told.append(f"Something is missing that no effect of the catalogue explains; the residual looks most like the {stage} stage.")
+    if not doc.get("base_fit_at_rest", True):
+        told.append("Without effects the fit does not come to rest, so that the errors before are only where it stopped.")
     for channel, rmse in doc["rmse"].items():
         floor = doc["noise_floor"][channel]["value"]
         told.append(
