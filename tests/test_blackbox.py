@@ -221,10 +221,7 @@ def test_bouc_wens_own_parameters_are_found():
 
 @pytest.mark.parametrize("envelopes", [1, 2])
 def test_the_operators_own_parameters_are_found(envelopes):
-    """On the scale that the fit holds, from a start a twentieth off to either side: no parameter can be traded for another.
-
-    The better of both, since plays that begin to move at a sample are kinks of the cost, at which rounding decides where a search ends.
-    """
+    """On the scale that the fit holds, from a start a tenth off: no parameter can be traded for another."""
     held = 0.5 * 2.2
     tops = [{"height": held, "slope": 4.0, "shift": shift, "middle": middle} for shift, middle in ((-1.6, 0.9), (-1.0, 0.95))][:envelopes]
     laws = [Envelope(**{k: jnp.asarray(v) for k, v in top.items()}) for top in tops]
@@ -239,12 +236,9 @@ def test_the_operators_own_parameters_are_found(envelopes):
     sized = [top | {"height": scale * top["height"], "middle": scale * top["middle"]} for top in tops]
     truth = {"direct": 0.5 / scale, "densities": np.array([0.3, 0.2, 0.15]) / scale, "reach": 0.6 * scale}
     truth |= dict(zip(("loading", "unloading"), sized, strict=False))
-    ends = []
-    for share in (0.95, 1.05):
-        near = jax.tree.map(lambda v: jnp.asarray(share * v), truth)  # noqa: B023
-        near["loading"]["height"] = family.start["loading"]["height"]
-        ends.append(fit_operator(dataclasses.replace(family, start=near), series, starts=1))
-    found = min(ends, key=lambda end: end.rmse)
+    near = jax.tree.map(lambda v: jnp.asarray(1.1 * v), truth)
+    near["loading"]["height"] = family.start["loading"]["height"]
+    found = fit_operator(dataclasses.replace(family, start=near), series, starts=1)
     assert found.rmse < 1e-5 * np.ptp(y)
     got = found.parameters
     assert scale * float(got["direct"]) == pytest.approx(0.5, rel=1e-2)

@@ -126,7 +126,7 @@ def prandtl_ishlinskii(
             other |= {name: envelope | {"slope": slope / span, "shift": -slope / span * centre}}
         others.append(_arrays(other))
     name = f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii"
-    return Family(name, _spread, *map(_arrays, (lower, upper, start)), others=tuple(others))
+    return Family(name, _spread, *map(_arrays, (lower, upper, start)), kinked=True, others=tuple(others))
 
 
 def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:

@@ -27,6 +27,10 @@ _UNEVEN = 0.01
 _WIDE = 30.0
 _RIDGES = (0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
 _EARLIER = 0.75  # the share of the rows that are fitted while a ridge is chosen
+_ROUNDS = 5  # of starts, each but the first beside the best end so far
+_SIDES = 3
+_BESIDE = 0.01  # of the room between the bounds
+_LOWER = 1e-3  # a round that lowers the cost by less than this share is the last
 _AT = 1e-6  # a parameter this share of its room away from a bound is at it
 
 
@@ -44,9 +48,11 @@ class Family:
     """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
 
     ``start`` is a first guess, ``others`` are further ones, for a forward search.
-    ``even`` laws need rows that are equally far apart. ``weights``, alike, says by 1 which parameters are weights of a network and by 0
-    which are not: such a law has so many that it is fitted by BFGS with derivatives in reverse mode, from fits of ``ahead`` over longer and
-    longer stretches, its weights held near the first guess by a ridge (see ``fit_operator``).
+    ``even`` laws need rows that are equally far apart. ``kinked`` laws leave the cost kinks, as plays do where they begin to move, and
+    shallow minima beside them: their search goes on from a little beside its best end for as long as that ends lower. ``weights``, alike,
+    says by 1 which parameters are weights of a network and by 0 which are not: such a law has so many that it is fitted by BFGS with
+    derivatives in reverse mode, from fits of ``ahead`` over longer and longer stretches, its weights held near the first guess by a ridge
+    (see ``fit_operator``).
     """
 
     name: str
@@ -55,6 +61,7 @@ class Family:
     upper: Any
     start: Any
     even: bool = False
+    kinked: bool = False
     weights: Any = None
     others: tuple[Any, ...] = ()
 
@@ -267,7 +274,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
     if family.weights is None:
-        vector, simulations = _by_forward(problem, starts, seed, max_steps, family.others)
+        vector, simulations = _by_forward(problem, family, starts, seed, max_steps)
     else:
         vector, simulations, ridge = _by_reverse(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
     if vector is None:
@@ -284,21 +291,24 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
 _weighted = eqx.filter_jit(residual)
 
 
-def _by_forward(
-    problem: OperatorProblem, starts: int, seed: int, max_steps: int, others: Sequence[Any] = ()
-) -> tuple[np.ndarray | None, int]:
+def _by_forward(problem: OperatorProblem, family: Family, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
     """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
     lower, upper = problem.box
-    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in others)])
+    drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in family.others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
-    simulations, best = len(drawn), (math.inf, None)
-    for point in points:
-        solved = least_squares.Search(residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
-        simulations += solved.simulations
-        if solved.costs[0] < best[0]:
-            best = (float(solved.costs[0]), solved.points[0])
-    return best[1], simulations * problem.data.measured.shape[0]
+    rng, simulations, best, least = np.random.default_rng(seed), len(drawn), None, math.inf
+    for _ in range(_ROUNDS):
+        before = least
+        for point in points:
+            solved = least_squares.Search(residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
+            simulations += solved.simulations
+            if solved.costs[0] < least:
+                least, best = float(solved.costs[0]), solved.points[0]
+        if best is None or not family.kinked or not least < (1.0 - _LOWER) * before:
+            break
+        points = best + _BESIDE * rng.standard_normal((_SIDES, len(best)))
+    return best, simulations * problem.data.measured.shape[0]
 
 
 def _draw(problem: OperatorProblem, count: int, seed: int) -> np.ndarray:
