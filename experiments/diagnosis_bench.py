@@ -87,14 +87,19 @@ def nearby(rng: np.random.Generator, kind: str) -> RigFile:
     )  # fmt: skip
 
 
+def inputs(rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, times and current of the three recordings of a case."""
+    seconds, bands = clock(80.0), np.array([[46.0, 62.0], [84.0, 100.0]])
+    for part in ("train", "select", "holdout"):
+        yield part, seconds, turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), bands).round(4)
+
+
 def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator, *, same_input: bool = False) -> list[Recording]:
     """Three recordings of one wire under three inputs; with ``same_input`` the second one has the first one's."""
     truth = nearby(rng, "dead-weight")
-    recordings, seconds, bands = [], clock(80.0), np.array([[46.0, 62.0], [84.0, 100.0]])
-    for part in ("train", "select", "holdout"):
-        current = turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), bands).round(4)
-        if part == "select" and same_input:
-            current = recordings[0].channels["current"]
+    recordings = []
+    for part, seconds, drawn in inputs(rng):
+        current = recordings[0].channels["current"] if part == "select" and same_input else drawn
         lifted = displacement(truth, Hidden(**hidden), seconds, current) + NOISE * rng.standard_normal(len(seconds))
         recordings.append(Recording.from_arrays(part, seconds, {"current": current, "displacement": lifted}, {"displacement": "mm"}))
     return recordings

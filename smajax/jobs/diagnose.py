@@ -4,18 +4,20 @@ import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from smajax import parameters
 from smajax.console import Progress
 from smajax.diagnose.bench import Bench
+from smajax.diagnose.evidence import evidence, with_evidence
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
 from smajax.fit.problem import difference_noise
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
+from smajax.plant.plant import Plant
 from smajax.recording import Recording
 from smajax.report import prediction
 from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document, diagnosis_page
@@ -51,18 +53,20 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         recordings = _read(rig, job)
     seed = rig.fit.seed if job.seed is None else job.seed
     with clock.time("diagnose"):
-        settings: Any = rig.fit
-        bench = Bench(rig.plant, recordings, settings, interpolation=rig.interpolation)
+        more = [c for c in evidence(rig.plant, rig.fit.observe, recordings) if not any(_clipped(r.channels[c]) for r in recordings)]
+        plant, settings = with_evidence(rig.plant, rig.fit, more)
+        bench = Bench(plant, recordings, settings, interpolation=rig.interpolation)
         try:
             found = diagnose(bench, seed=seed, say=progress.phase)
         except NumericsError as error:
             if not error.state:
                 raise
-            last = parameters.replace(rig.plant, error.state)
+            last = parameters.replace(plant, error.state)
             run = run_record("diagnose", rig, argv, clock, seed, error.exit_code)
             write_folder(out, run, lambda folder: dataclasses.replace(rig, plant=last).write(folder / "rig-last.toml"))
             raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
-    document = diagnosis_document(found, recordings[0], simulations=bench.simulations, wall=time.perf_counter() - began, seed=seed)
+    wall = time.perf_counter() - began
+    document = diagnosis_document(found, recordings[0], evidence=more, simulations=bench.simulations, wall=wall, seed=seed)
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
     series = _series(rig, recordings, found)
     progress.phase("writing the report")
@@ -71,7 +75,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         (folder / "rig.toml").write_text(text, "utf-8", newline="")
         (folder / "diagnosis.json").write_text(to_json(document), "utf-8")
         prediction.write(folder / "prediction.csv", series)
-        dataclasses.replace(rig, plant=bench.fitted(found.after)).write(folder / "rig-diagnosed.toml")
+        _diagnosed(rig, bench.fitted(found.after), more).write(folder / "rig-diagnosed.toml")
         if found.next and found.next.recording:
             found.next.recording.write(folder / NEXT_INPUT)
         page = diagnosis_page(document, prediction.read(folder / "prediction.csv"), run["inputs"], run, text)
@@ -79,6 +83,12 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
 
     write_folder(out, run, fill)
     return Outcome(out, document, 0)
+
+
+def _diagnosed(rig: Rig, plant: Plant, more: Sequence[str]) -> Rig:
+    """The rig with this plant; it observes those of the channels ``more``, too, whose sensors have one of its effects."""
+    needed = [c for c in more if any(f"{c} observed" in effect.needs for effect in plant.effects)]
+    return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed)))
 
 
 def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
@@ -96,15 +106,18 @@ def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
 
 def _refuse_clipped(recording: Recording, channel: str) -> None:
     """Refuses a channel that stands at one of its ends as noise would never let it; rounding coarser than the noise hides that."""
-    values = recording.channels[channel]
+    if clipped := _clipped(recording.channels[channel]):
+        told = f"{recording.name}: {channel} stands at its {clipped} of the rows"
+        raise InputError(f"{told}, as a saturated or clipped sensor does: cut these rows out, or record with a wider range")
+
+
+def _clipped(values: np.ndarray) -> str:
+    """At which end values stand, and in what share of the rows; empty if they do not."""
     levels = np.unique(values)
     if len(levels) < 3 or float(np.min(np.diff(levels))) > 0.5 * difference_noise(values):
-        return
-    for end, word in ((levels[0], "lowest"), (levels[-1], "highest")):
-        share = float(np.mean(values == end))
-        if share > _CLIPPED:
-            told = f"{recording.name}: {channel} stands at its {word} value for {100 * share:.0f} % of the rows"
-            raise InputError(f"{told}, as a saturated or clipped sensor does: cut these rows out, or record with a wider range")
+        return ""
+    shares = ((word, float(np.mean(values == end))) for end, word in ((levels[0], "lowest"), (levels[-1], "highest")))
+    return next((f"{word} value for {100 * share:.0f} %" for word, share in shares if share > _CLIPPED), "")
 
 
 def _series(rig: Rig, recordings: Sequence[Recording], found: Diagnosis) -> list[Series]:

@@ -93,8 +93,8 @@ class DriveEffect(AbstractEffect):
 
     stage = "drive"
 
-    def signal(self, signal: jax.Array) -> jax.Array:
-        """What is added to the recorded inputs, shape ``(wires,)``."""
+    def signal(self, signal: jax.Array, resistance: jax.Array) -> jax.Array:
+        """What is added to the recorded inputs, shape ``(wires,)``; ``resistance`` of the wires is over that of austenite."""
         return jnp.zeros_like(signal)
 
     def voltage(self, current: jax.Array) -> jax.Array:

@@ -156,7 +156,8 @@ class Plant(eqx.Module):
         at = self._instant(state)
         strain = self._strain(at, state.memory)
         resistivity = self._resistivity(at)
-        current = self.drive.current(self._control(signal), resistivity, self.wire)
+        driven = self._driven(signal, resistivity)
+        current = self.drive.current(driven, resistivity, self.wire)
         ohms = resistance(resistivity, self.wire)
         each = {
             "temperature": state.temperature,
@@ -166,7 +167,7 @@ class Plant(eqx.Module):
             "resistance": ohms,
             "current": current,
             "voltage": current * ohms + sum(e.voltage(current) for e in self._of(DriveEffect)),
-            "power": self.drive.joule(self._control(signal), resistivity, self.wire) * self.wire.area * self.wire.length,
+            "power": self.drive.joule(driven, resistivity, self.wire) * self.wire.area * self.wire.length,
         }
         values = {n: jnp.broadcast_to(v, (wires,))[i] for c, v in each.items() for i, n in enumerate(numbered(c, wires))}
         values.update(self.mechanism.channels(strain, state.stress, state.motion, around))
@@ -177,6 +178,12 @@ class Plant(eqx.Module):
 
     def _control(self, signal: jax.Array) -> jax.Array:
         return signal[: self.mechanism.wires] if self.drive.control else jnp.zeros((self.mechanism.wires,))
+
+    def _driven(self, signal: jax.Array, resistivity: jax.Array) -> jax.Array:
+        """The electrical input as it reaches the wires, shape ``(wires,)``."""
+        control, nothing = self._control(signal), jnp.zeros(())
+        ratio = resistivity / self.material.resistivity(Fractions(nothing, nothing))
+        return control + sum(e.signal(control, ratio) for e in self._of(DriveEffect))
 
     def _prescribed(self, signal: jax.Array) -> dict[str, jax.Array]:
         skip = self.mechanism.wires if self.drive.control else 0
@@ -221,9 +228,8 @@ class Plant(eqx.Module):
         return base + sum(base * e.capacity(martensite) for e in self._of(HeatEffect))
 
     def _rate(self, at: Instant, memory: dict, signal: jax.Array) -> jax.Array:
-        control = self._control(signal)
-        control = control + sum(e.signal(control) for e in self._of(DriveEffect))
-        joule, where = self.drive.joule(control, self._resistivity(at), self.wire), self._where()
+        resistivity, where = self._resistivity(at), self._where()
+        joule = self.drive.joule(self._driven(signal, resistivity), resistivity, self.wire)
         rate = self.heat.rate(joule, at.temperature, self.wire, self.environment)
         return rate + sum(e.power(at, memory[e.key], where) for e in self._of(HeatEffect))
 

@@ -21,8 +21,10 @@ SCHEMA = "smajax.diagnosis/1"
 NEXT_INPUT = "next_input.csv"
 
 
-def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: int, wall: float, seed: int) -> dict[str, Any]:
-    """The document of a diagnosis; ``recording`` is the training one, whose units it takes."""
+def diagnosis_document(
+    found: Diagnosis, recording: Recording, *, evidence: Sequence[str], simulations: int, wall: float, seed: int
+) -> dict[str, Any]:
+    """The document of a diagnosis; ``recording`` is the training one, whose units it takes; ``evidence`` are channels not observed."""
     rmse, floor = {}, {}
     for channel, values in found.rmse.items():
         unit, factor = difference_unit(recording, channel)
@@ -56,6 +58,7 @@ def diagnosis_document(found: Diagnosis, recording: Recording, *, simulations: i
         "unresolved_stage": found.unresolved_stage,
         "summary": "",
         "rmse": rmse,
+        "evidence": list(evidence),
         "noise_floor": floor,
         "base_fit_at_rest": found.rests,
         "goodness_of_fit": {"before": number(before), "after": number(after), "critical": number(limit)},
@@ -140,8 +143,9 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
         told.append("Without effects the fit does not come to rest, so that the errors before are only where it stopped.")
     for channel, rmse in doc["rmse"].items():
         floor = doc["noise_floor"][channel]["value"]
+        beside = ", recorded and not observed," if channel in doc.get("evidence", ()) else ""
         told.append(
-            f"On the holdout the error of {channel} is {_shown(rmse['holdout_before'], 3)} {rmse['unit']} before and "
+            f"On the holdout the error of {channel}{beside} is {_shown(rmse['holdout_before'], 3)} {rmse['unit']} before and "
             f"{_shown(rmse['holdout_after'], 3)} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
     if doc["free_form"]:

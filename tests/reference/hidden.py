@@ -23,7 +23,13 @@ class Hidden(NamedTuple):
 
     ``exponent`` is an additional one of the remaining share in every transformation. ``pace`` is a wave of a transformation's pace, which
     is its own one times 1 + pace sin(2 pi share); ``load_step`` a relative change of the load from ``load_instant`` on; ``cubic`` a bend
-    of the sensor per stroke squared: these three are in no catalogue. ``crosstalk`` needs a second wire (``hidden_pair``).
+    of the sensor per stroke squared: these three are in no catalogue. ``crosstalk`` needs a second wire (``hidden_pair``), which knows
+    nothing of what comes after it in the list but of ``exponent`` to ``cubic``.
+
+    ``r_strain`` of the R-phase comes about by a normal distribution around ``r_above`` (K above the martensite start temperature, 15 MPa/K
+    more under stress) of standard deviation ``r_spread``, of the martensite in the share ``r_kept``, and ``r_hump`` is the share by which
+    all of it raises the resistivity. ``ceiling`` is the supply's voltage, ``arm`` the change of the load over the stroke, ``set_strain`` what the first heating
+    takes away. ``probe_lag`` (s) and ``probe_pickup`` (K/A) are the thermocouple's.
     """
 
     latent_heat: float = 0.0
@@ -52,6 +58,22 @@ class Hidden(NamedTuple):
     load_step: float = 0.0
     load_instant: float = 0.0
     cubic: float = 0.0
+    r_strain: float = 0.0
+    r_above: float = 0.0
+    r_spread: float = 2.0
+    r_kept: float = 0.0
+    r_hump: float = 0.0
+    ceiling: float = math.inf
+    resistivity_slope: float = 0.0
+    resistivity_strain: float = 0.0
+    slack: float = 0.0
+    slack_span: float = 1e-3
+    viscous: float = 0.0
+    shift: float = 0.0
+    arm: float = 0.0
+    set_strain: float = 0.0
+    probe_lag: float = 0.0
+    probe_pickup: float = 0.0
 
 
 @njit(cache=True)
@@ -77,28 +99,55 @@ def _fractions(m, hidden, d0, w0, t0, s0, t1, s1):
 
 
 @njit(cache=True)
-def _strain(m, d, w, t, s, ambient, h):
-    return strain_of(m, t, s, d, w, ambient) - h * m.max_strain * d
+def _r_share(m, hidden, xi, t, s):
+    """Share of the wire with the strain of the R-phase."""
+    middle = m.martensite_start + hidden.r_above + s / 15e6
+    cold = 0.5 * math.erfc((t - middle) / (hidden.r_spread * math.sqrt(2.0)))
+    return cold * (1.0 - xi + hidden.r_kept * xi)
 
 
 @njit(cache=True)
-def _stress(m, hidden, wire, load, d, w, t, s, after, lost):
-    """The stress within the reach of friction that keeps the length while the wire goes to a temperature, or that at the end of its reach."""
-    if hidden.friction == 0.0:
+def _strain(m, hidden, d, w, t, s, ambient, h):
+    strain = strain_of(m, t, s, d, w, ambient) - h * m.max_strain * d
+    if hidden.r_strain != 0.0:
+        strain += hidden.r_strain * _r_share(m, hidden, d + w, t, s)
+    return strain
+
+
+@njit(cache=True)
+def _rho(m, hidden, d, w, t, s, ambient):
+    """Resistivity in ohm m."""
+    more = hidden.resistivity_slope * (t - ambient) + 2.0 * hidden.resistivity_strain * m.max_strain * d
+    if hidden.r_hump != 0.0:
+        more += hidden.r_hump * _r_share(m, hidden, d + w, t, s)
+    return resistivity(m, d + w) * (1.0 + more)
+
+
+@njit(cache=True)
+def _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step):
+    """The wire's stress while it goes to a temperature.
+
+    Under friction the one within its reach that keeps the length, or that at the end of its reach; in grease the one that is the load and
+    the drag of the rate at which it contracts.
+    """
+    if hidden.friction == 0.0 and hidden.viscous == 0.0:
         return load
     ambient = wire.ambient
-    held = _strain(m, d, w, t, s, ambient, lost)
-    below, above = load - hidden.friction, load + hidden.friction
-    d1, w1 = _fractions(m, hidden, d, w, t, s, after, below)
-    if _strain(m, d1, w1, after, below, ambient, lost) >= held:
-        return below
-    d1, w1 = _fractions(m, hidden, d, w, t, s, after, above)
-    if _strain(m, d1, w1, after, above, ambient, lost) <= held:
-        return above
-    for _ in range(30):
+    held = _strain(m, hidden, d, w, t, s, ambient, lost)
+    reach = hidden.friction if hidden.viscous == 0.0 else 3e8
+    below, above = max(load - reach, 0.0), load + reach
+    if hidden.viscous == 0.0:
+        d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, below)
+        if _strain(m, hidden, d1, w1, after, below, ambient, lost) >= held:
+            return below
+        d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, above)
+        if _strain(m, hidden, d1, w1, after, above, ambient, lost) <= held:
+            return above
+    for _ in range(30 if hidden.viscous == 0.0 else 40):
         stress = 0.5 * (below + above)
-        d1, w1 = _fractions(m, hidden, d, w, t, s, after, stress)
-        if _strain(m, d1, w1, after, stress, ambient, lost) > held:
+        d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
+        longer = _strain(m, hidden, d1, w1, after, stress, ambient, lost) - held
+        if (longer if hidden.viscous == 0.0 else stress - load + hidden.viscous * longer / step) > 0.0:
             above = stress
         else:
             below = stress
@@ -107,14 +156,16 @@ def _stress(m, hidden, wire, load, d, w, t, s, after, lost):
 
 @njit(cache=True)
 def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
+    """Times, contraction, temperature and voltage on the fine steps."""
     section, ambient = area(wire), wire.ambient
     count = (time.size - 1) * substeps + 1
-    fine, x = np.empty(count), np.empty(count)
+    fine, x, warm, volts = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     t, d, w, s = ambient, 1.0, 0.0, weight / section
     sleeve = crimps = travel = 0.0
-    slow = 1.0
-    start = _strain(m, d, w, t, s, ambient, 0.0)
-    fine[0], x[0] = time[0], 0.0
+    slow = left = 1.0
+    start = _strain(m, hidden, d, w, t, s, ambient, 0.0) + hidden.set_strain
+    ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
+    fine[0], x[0], warm[0], volts[0] = time[0], 0.0, t, min(current[0] * ohms, hidden.ceiling)
     n, before = 0, t
     for k in range(time.size - 1):
         step = (time[k + 1] - time[k]) / substeps
@@ -130,16 +181,19 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
                 h *= 1.0 + hidden.draught
             cool, base = 4.0 / wire.diameter, convection(heat, ambient)
             load = weight / section * (1.0 + (hidden.load_step if now >= hidden.load_instant else 0.0))
-            xi = d + w
+            load *= 1.0 + hidden.arm * x[n] / (0.04 * wire.length)
+            xi, shift = d + w, hidden.shift * 0.5 * travel
             capacity = heat.capacity_austenite + xi * (heat.capacity_martensite - heat.capacity_austenite)
             capacity *= 1.0 + hidden.capacity_change * xi
             low, high, lost = t - 20.0, t + 20.0, hidden.fatigue * 0.5 * travel
             for _ in range(44):
                 middle = 0.5 * (low + high)
                 half = 0.5 * (t + middle)
-                stress = _stress(m, hidden, wire, load, d, w, t, s, middle, lost)
-                d1, w1 = _fractions(m, hidden, d, w, t, s, middle, stress)
-                flow = resistivity(m, 0.5 * (xi + d1 + w1)) * (i / section) ** 2 - cool * h * (half - air)
+                stress = _stress(m, hidden, wire, load, d, w, t, s, middle, lost, shift, step)
+                d1, w1 = _fractions(m, hidden, d, w, t - shift, s, middle - shift, stress)
+                rho = _rho(m, hidden, 0.5 * (d + d1), 0.5 * (w + w1), half, stress, ambient)
+                through = min(i, hidden.ceiling / (rho * wire.length / section))
+                flow = rho * (through / section) ** 2 - cool * h * (half - air)
                 flow -= cool * base * (hidden.coating * (half - ambient - sleeve) + hidden.ends * (half - ambient - crimps))
                 missing = capacity * (middle - t) + hidden.latent_heat * (xi - d1 - w1) - step * flow
                 if missing > 0.0:
@@ -147,44 +201,65 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
                 else:
                     low = middle
             after = 0.5 * (low + high)
-            stress = _stress(m, hidden, wire, load, d, w, t, s, after, lost)
-            d1, w1 = _fractions(m, hidden, d, w, t, s, after, stress)
+            stress = _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step)
+            d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
             travel += abs(d1 + w1 - xi)
+            if d1 + w1 < xi:
+                left *= (d1 + w1) / xi
             over = 0.5 * (t + after) - ambient
             sleeve += (1.0 - math.exp(-step / hidden.coating_time)) * (over - sleeve)
             crimps += (1.0 - math.exp(-step / hidden.ends_time)) * (0.5 * over - crimps)
             slow += (1.0 - math.exp(-step / hidden.creep_time)) * (0.5 * (xi + d1 + w1) - slow)
             t, d, w, s = after, d1, w1, stress
             n += 1
-            strain = _strain(m, d, w, t, s, ambient, hidden.fatigue * 0.5 * travel)
-            strain += hidden.ratchet * travel + hidden.creep * (slow - d - w)
-            fine[n], x[n] = time[k] + (j + 1) * step, wire.length * (start - strain)
-    return fine, x
+            strain = _strain(m, hidden, d, w, t, s, ambient, hidden.fatigue * 0.5 * travel)
+            strain += hidden.ratchet * travel + hidden.creep * (slow - d - w) + hidden.set_strain * left
+            ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
+            fine[n], x[n], warm[n] = time[k] + (j + 1) * step, wire.length * (start - strain), t
+            volts[n] = min((current[k] + (j + 1) / substeps * (current[k + 1] - current[k])) * ohms, hidden.ceiling)
+    return fine, x, warm, volts
+
+
+@njit(cache=True)
+def _late(fine, y, lag):
+    """A series on the fine steps behind a first-order lag."""
+    out, slow = np.empty(y.size), y[0]
+    out[0] = slow
+    for k in range(1, y.size):
+        slow += (1.0 - math.exp(-(fine[k] - fine[k - 1]) / lag)) * (0.5 * (y[k - 1] + y[k]) - slow)
+        out[k] = slow
+    return out
 
 
 @njit(cache=True)
 def _behind(fine, x, hidden):
-    """Play and lag, on the fine steps; the play begins at the end at which the weight holds it."""
+    """Slack, play and lag, on the fine steps; the play begins at the end at which the weight holds it."""
     y = np.empty(x.size)
     out = x[0]
     for k in range(x.size):
         out = min(max(out, x[k] - 2.0 * hidden.play), x[k])
-        y[k] = out
-    if hidden.lag > 0.0:
-        slow, last = y[0], y[0]
-        for k in range(1, x.size):
-            slow += (1.0 - math.exp(-(fine[k] - fine[k - 1]) / hidden.lag)) * (0.5 * (last + y[k]) - slow)
-            last, y[k] = y[k], slow
-    return y
+        y[k] = out - hidden.slack * out / math.sqrt(hidden.slack_span**2 + out**2)
+    return _late(fine, y, hidden.lag) if hidden.lag > 0.0 else y
 
 
-def displacement(rig: RigFile, hidden: Hidden, time: Floats, current: Floats, substeps: int = 20) -> Floats:
-    """Contraction in m at the samples, shape ``(n,)``, of a dead weight under a current in A that is linear between samples."""
+def channels(rig: RigFile, hidden: Hidden, time: Floats, current: Floats, substeps: int = 20) -> dict[str, Floats]:
+    """Displacement (m), temperature (degC) and voltage (V) at the samples, each of shape ``(n,)``, of a dead weight under a current in A
+    that is linear between samples."""
     weight = rig.mechanism["mass"] * 9.81
     hidden = Hidden(*map(float, hidden))
-    fine, x = _run(rig.material, rig.heat, rig.wire, hidden, weight, time, current, substeps, float(np.max(current)))
+    fine, x, warm, volts = _run(rig.material, rig.heat, rig.wire, hidden, weight, time, current, substeps, float(np.max(current)))
     y = _behind(fine, x, hidden)
     stroke = 0.04 * rig.wire.length
     read = np.interp(time - hidden.skew, fine, y)
     read = read + hidden.encoder_drift * (time - time[0])
-    return read * (1.0 + hidden.cubic * (read / stroke) ** 2)
+    seen = _late(fine, warm, hidden.probe_lag) if hidden.probe_lag > 0.0 else warm
+    return {
+        "displacement": read * (1.0 + hidden.cubic * (read / stroke) ** 2),
+        "temperature": np.interp(time, fine, seen) + hidden.probe_pickup * current,
+        "voltage": np.interp(time, fine, volts),
+    }
+
+
+def displacement(rig: RigFile, hidden: Hidden, time: Floats, current: Floats, substeps: int = 20) -> Floats:
+    """Contraction in m of ``channels``."""
+    return channels(rig, hidden, time, current, substeps)["displacement"]

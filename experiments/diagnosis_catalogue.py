@@ -1,0 +1,127 @@
+"""Does a diagnosis name the effects that diagnosis_bench leaves out, and what does a recorded temperature or voltage add?
+
+    python experiments/diagnosis_catalogue.py [--quick] [--seeds N] [--json FILE] [--out DIR]
+
+Truth from tests/reference/hidden.py, which shares no code with smajax: an R-phase beside martensite and one before it, a supply that comes
+to its voltage, capacities, resistivities, slack, grease, temperatures that move with the cycles, a load that changes along the way, a set
+that the first heating takes away. Then, with a temperature or a voltage that was recorded and is not observed: a thermocouple that lags or
+picks up the current, and nothing at all. Rig, inputs, draws and noise are those of diagnosis_bench.
+
+With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick`` runs one case.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from _common import ROOT, Row, arguments, finish, say
+from diagnosis_bench import NOISE, Facts, answers, inputs, named, nearby
+
+from smajax.diagnose.bench import Bench
+from smajax.diagnose.evidence import with_evidence
+from smajax.diagnose.verdict import diagnose
+from smajax.recording import Recording
+from smajax.rig import Rig, read_rig
+from tests.reference.hidden import Hidden, channels
+
+# Name: the effect's key, the reference's field, a usual size, fields that go with it, and the channels recorded beside the displacement.
+FURTHER: dict[str, tuple[str, str, float, dict[str, float], tuple[str, ...]]] = {
+    "R-phase beside martensite": ("r-phase", "r_strain", 5e-3, {"r_above": 6.0, "r_spread": 3.0, "r_kept": 1.0}, ()),
+    "R-phase before martensite": ("r-phase", "r_strain", 6e-3, {"r_above": 18.0, "r_spread": 2.0, "r_hump": 0.1}, ()),
+    "supply at its voltage": ("current-limit", "share", 0.12, {}, ()),
+    "heat capacities": ("heat-capacity", "capacity_change", -0.12, {}, ()),
+    "resistivity with temperature": ("resistivity-temperature", "resistivity_slope", 8e-4, {}, ()),
+    "resistivity with strain": ("resistivity-strain", "resistivity_strain", 1.0, {}, ()),
+    "slack": ("slack", "slack", 2e-4, {"slack_span": 8e-4}, ()),
+    "grease": ("viscous-friction", "viscous", 2e8, {}, ()),
+    "temperatures that move": ("transformation-shift", "shift", 0.4, {}, ()),
+    "load along the way": ("load-change", "arm", 0.25, {}, ()),
+    "set before the first heating": ("initial-set", "set_strain", 2e-3, {}, ()),
+    "thermocouple that lags": ("thermocouple-lag", "probe_lag", 0.4, {}, ("temperature",)),
+    "thermocouple in the current": ("thermocouple-pickup", "probe_pickup", 6.0, {}, ("temperature",)),
+    "latent heat, temperature recorded": ("latent-heat", "latent_heat", 8e7, {}, ("temperature",)),
+    "sensor lag, voltage recorded": ("sensor-lag", "lag", 0.15, {}, ("voltage",)),
+    "nothing, temperature recorded": ("", "", 0.0, {}, ("temperature",)),
+    "nothing, voltage recorded": ("", "", 0.0, {}, ("voltage",)),
+}
+NOISES = {"displacement": NOISE, "temperature": 0.4, "voltage": 5e-3}
+UNITS = {"displacement": "mm", "temperature": "degC", "voltage": "V"}
+
+
+def record(hidden: dict[str, float], beside: tuple[str, ...], rng: np.random.Generator) -> list[Recording]:
+    """Three recordings of one wire under three inputs; a ``share`` is how much less than its voltage asks for the supply gives."""
+    truth, recordings = nearby(rng, "dead-weight"), []
+    known = {k: v for k, v in hidden.items() if k != "share"}
+    for part, seconds, current in inputs(rng):
+        if "share" in hidden:
+            ohms = truth.material.resistivity_austenite * truth.wire.length / (0.25 * math.pi * truth.wire.diameter**2)
+            known["ceiling"] = (1.0 - hidden["share"]) * 0.35 * ohms
+        exact = channels(truth, Hidden(**known), seconds, current)
+        seen = {c: exact[c] + NOISES[c] * rng.standard_normal(len(seconds)) for c in ("displacement", *beside)}
+        recordings.append(Recording.from_arrays(part, seconds, {"current": current, **seen}, {c: UNITS[c] for c in seen}))
+    return recordings
+
+
+def run(rig: Rig, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
+    """Diagnoses a case."""
+    began = time.perf_counter()
+    recordings = record(hidden, FURTHER[name][4], np.random.default_rng([seed, *name.encode()]))
+    plant, settings = with_evidence(rig.plant, rig.fit, FURTHER[name][4])
+    found = diagnose(Bench(plant, recordings, settings, interpolation=rig.interpolation), seed=seed)
+    seconds = time.perf_counter() - began
+    before, after = (
+        max(found.rmse[c][f"holdout_{when}"] / NOISES[c] for c in ("displacement", *FURTHER[name][4])) for when in ("before", "after")
+    )
+    say(f"{name} ({seed}): {found.verdict} {', '.join(found.effects)}; {before:.2f} -> {after:.2f} of the noise, {seconds:.0f} s")
+    return {
+        "group": group, "case": name, "seed": seed, "keys": keys, "hidden": hidden, "verdict": found.verdict, "effects": found.effects,
+        "equivalent": found.equivalent, "before_over_noise": before, "holdout_over_noise": after, "seconds": seconds,
+    }  # fmt: skip
+
+
+def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...], dict[str, float], int]]:
+    """Group, name, hidden keys, their fields and seed of every case."""
+    for seed in seeds:
+        rng = np.random.default_rng([seed, 3])
+        for name, (key, field, usual, more, _) in list(FURTHER.items())[: 1 if quick else None]:
+            size = usual * math.exp(rng.uniform(math.log(0.5), math.log(1.5)))
+            yield "further", name, (key,) if key else (), ({field: size} | more if field else {}), seed
+
+
+def rows(facts: list[Facts]) -> list[Row]:
+    """The table."""
+    hidden = [c for c in facts if c["keys"]]
+    hits = [named(c, c["keys"][0]) for c in hidden]
+    close = [c["holdout_over_noise"] <= 1.2 for c in hidden]
+    table = [
+        Row("the right effect, or its class", ">= 90 %", f"{sum(hits)} of {len(hits)}", float(np.mean(hits)) >= 0.9),
+        Row("held-out error within 1.2 of the noise", ">= 90 %", f"{sum(close)} of {len(close)}", float(np.mean(close)) >= 0.9),
+    ]
+    if nulls := [c for c in facts if not c["keys"]]:
+        alarms = [bool(c["effects"]) for c in nulls]
+        table.append(Row("nothing hidden: an effect named", "<= 2 %", f"{sum(alarms)} of {len(alarms)}", not any(alarms)))
+    for name in dict.fromkeys(c["case"] for c in facts):
+        told = []
+        for c in (c for c in facts if c["case"] == name):
+            of = [f"{e} (or {', '.join(same)})" if (same := c["equivalent"].get(e)) else e for e in c["effects"]]
+            told.append(f"{', '.join(of) or 'none'}, {c['before_over_noise']:.1f} -> {c['holdout_over_noise']:.2f}")
+        table.append(Row(f"{name}: named, error over noise", FURTHER[name][0] or "none", "; ".join(told), None))
+    seconds = [c["seconds"] for c in facts]
+    told = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
+    return [*table, Row("seconds a case, median and longest", "<= 60 s", told, max(seconds) <= 60.0)]
+
+
+def main() -> None:
+    """Runs all cases and prints the table."""
+    args = arguments(__doc__, quick="one case", more={"--seeds": {"type": int, "default": 1}})
+    rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
+    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
+    words = "" if args.quick or args.seeds == 1 else f" --seeds {args.seeds}"
+    finish("diagnosis_catalogue", rows(facts), args, cases=facts, words=words)
+
+
+if __name__ == "__main__":
+    main()
