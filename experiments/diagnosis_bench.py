@@ -192,8 +192,8 @@ def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...]
             yield "another start", key, (key,), drawn[key], seed
 
 
-def answers(asked: Iterable[tuple], rig: Rig, run: Callable[..., Facts], folder: Path | None) -> list[Facts]:
-    """What ``run`` makes of each case, or what the folder has of it already."""
+def answers(asked: Iterable[tuple], rig: Any, run: Callable[..., Facts], folder: Path | None) -> list[Facts]:
+    """What ``run`` makes of a rig and each case, or what the folder has of it already."""
     done = {(c["group"], c["case"], c["seed"]): c for c in read_cases(folder)}
     facts = []
     for group, name, keys, hidden, seed in asked:

@@ -5,7 +5,8 @@
 Truth from tests/reference/hidden.py, which shares no code with smajax: an R-phase beside martensite and one before it, a supply that comes
 to its voltage, capacities, resistivities, slack, grease, temperatures that move with the cycles, a load that changes along the way, a set
 that the first heating takes away. Then, with a temperature or a voltage that was recorded and is not observed: a thermocouple that lags or
-picks up the current, and nothing at all. Rig, inputs, draws and noise are those of diagnosis_bench.
+picks up the current, and nothing at all. Rig, inputs, draws and noise are those of diagnosis_bench. At last those effects that two wires on
+a pulley can have, too, on the rig of diagnosis_two_wires.
 
 With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick`` runs one case.
 """
@@ -19,6 +20,8 @@ from collections.abc import Iterator
 import numpy as np
 from _common import ROOT, Row, arguments, finish, say
 from diagnosis_bench import NOISE, Facts, answers, inputs, named, nearby
+from diagnosis_two_wires import NOISE as NOISE_OF_ANGLE
+from diagnosis_two_wires import read_angle
 
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.evidence import with_evidence
@@ -26,6 +29,7 @@ from smajax.diagnose.verdict import diagnose
 from smajax.recording import Recording
 from smajax.rig import Rig, read_rig
 from tests.reference.hidden import Hidden, channels
+from tests.reference.rig_file import RigFile
 
 # Name: the effect's key, the reference's field, a usual size, fields that go with it, and the channels recorded beside the displacement.
 FURTHER: dict[str, tuple[str, str, float, dict[str, float], tuple[str, ...]]] = {
@@ -47,35 +51,49 @@ FURTHER: dict[str, tuple[str, str, float, dict[str, float], tuple[str, ...]]] = 
     "nothing, temperature recorded": ("", "", 0.0, {}, ("temperature",)),
     "nothing, voltage recorded": ("", "", 0.0, {}, ("voltage",)),
 }
-NOISES = {"displacement": NOISE, "temperature": 0.4, "voltage": 5e-3}
+TWO_WIRES = (
+    "R-phase beside martensite", "R-phase before martensite", "supply at its voltage", "heat capacities", "resistivity with temperature",
+    "resistivity with strain", "temperatures that move",
+)  # fmt: skip
+NOISES = {"displacement": NOISE, "temperature": 0.4, "voltage": 5e-3, "angle": NOISE_OF_ANGLE}
 UNITS = {"displacement": "mm", "temperature": "degC", "voltage": "V"}
 
 
-def record(hidden: dict[str, float], beside: tuple[str, ...], rng: np.random.Generator) -> list[Recording]:
-    """Three recordings of one wire under three inputs; a ``share`` is how much less than its voltage asks for the supply gives."""
+def known(truth: RigFile, hidden: dict[str, float], current: float) -> Hidden:
+    """What is hidden; a ``share`` is how much less than a current asks for, in austenite, the supply's voltage gives."""
+    fields = {k: v for k, v in hidden.items() if k != "share"}
+    if "share" in hidden:
+        ohms = truth.material.resistivity_austenite * truth.wire.length / (0.25 * math.pi * truth.wire.diameter**2)
+        fields["ceiling"] = (1.0 - hidden["share"]) * current * ohms
+    return Hidden(**fields)
+
+
+def one_wire(hidden: dict[str, float], beside: tuple[str, ...], rng: np.random.Generator) -> list[Recording]:
+    """Three recordings of one wire under three inputs."""
     truth, recordings = nearby(rng, "dead-weight"), []
-    known = {k: v for k, v in hidden.items() if k != "share"}
     for part, seconds, current in inputs(rng):
-        if "share" in hidden:
-            ohms = truth.material.resistivity_austenite * truth.wire.length / (0.25 * math.pi * truth.wire.diameter**2)
-            known["ceiling"] = (1.0 - hidden["share"]) * 0.35 * ohms
-        exact = channels(truth, Hidden(**known), seconds, current)
+        exact = channels(truth, known(truth, hidden, 0.35), seconds, current)
         seen = {c: exact[c] + NOISES[c] * rng.standard_normal(len(seconds)) for c in ("displacement", *beside)}
         recordings.append(Recording.from_arrays(part, seconds, {"current": current, **seen}, {c: UNITS[c] for c in seen}))
     return recordings
 
 
-def run(rig: Rig, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
+def two_wires(hidden: dict[str, float], rng: np.random.Generator) -> list[Recording]:
+    """Three recordings of two wires on a pulley."""
+    truth = nearby(rng, "rotary")
+    return [read_angle(truth, known(truth, hidden, 0.47), part, rng) for part in ("train", "select", "holdout")]
+
+
+def run(rigs: dict[str, Rig], group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
     """Diagnoses a case."""
-    began = time.perf_counter()
-    recordings = record(hidden, FURTHER[name][4], np.random.default_rng([seed, *name.encode()]))
-    plant, settings = with_evidence(rig.plant, rig.fit, FURTHER[name][4])
+    began, rng, beside = time.perf_counter(), np.random.default_rng([seed, *name.encode()]), FURTHER[name][4]
+    rig = rigs[group]
+    recordings = two_wires(hidden, rng) if group == "two wires" else one_wire(hidden, beside, rng)
+    plant, settings = with_evidence(rig.plant, rig.fit, beside)
     found = diagnose(Bench(plant, recordings, settings, interpolation=rig.interpolation), seed=seed)
     seconds = time.perf_counter() - began
-    before, after = (
-        max(found.rmse[c][f"holdout_{when}"] / NOISES[c] for c in ("displacement", *FURTHER[name][4])) for when in ("before", "after")
-    )
-    say(f"{name} ({seed}): {found.verdict} {', '.join(found.effects)}; {before:.2f} -> {after:.2f} of the noise, {seconds:.0f} s")
+    before, after = (max(found.rmse[c][f"holdout_{when}"] / NOISES[c] for c in found.rmse) for when in ("before", "after"))
+    say(f"{group}, {name} ({seed}): {found.verdict} {', '.join(found.effects)}; {before:.2f} -> {after:.2f} of the noise, {seconds:.0f} s")
     return {
         "group": group, "case": name, "seed": seed, "keys": keys, "hidden": hidden, "verdict": found.verdict, "effects": found.effects,
         "equivalent": found.equivalent, "before_over_noise": before, "holdout_over_noise": after, "seconds": seconds,
@@ -88,7 +106,10 @@ def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...]
         rng = np.random.default_rng([seed, 3])
         for name, (key, field, usual, more, _) in list(FURTHER.items())[: 1 if quick else None]:
             size = usual * math.exp(rng.uniform(math.log(0.5), math.log(1.5)))
-            yield "further", name, (key,) if key else (), ({field: size} | more if field else {}), seed
+            yield "one wire", name, (key,) if key else (), ({field: size} | more if field else {}), seed
+        for name in () if quick else TWO_WIRES:
+            key, field, usual, more, _ = FURTHER[name]
+            yield "two wires", name, (key,), {field: usual * math.exp(rng.uniform(math.log(0.5), math.log(1.5)))} | more, seed
 
 
 def rows(facts: list[Facts]) -> list[Row]:
@@ -103,12 +124,12 @@ def rows(facts: list[Facts]) -> list[Row]:
     if nulls := [c for c in facts if not c["keys"]]:
         alarms = [bool(c["effects"]) for c in nulls]
         table.append(Row("nothing hidden: an effect named", "<= 2 %", f"{sum(alarms)} of {len(alarms)}", not any(alarms)))
-    for name in dict.fromkeys(c["case"] for c in facts):
+    for group, name in dict.fromkeys((c["group"], c["case"]) for c in facts):
         told = []
-        for c in (c for c in facts if c["case"] == name):
+        for c in (c for c in facts if (c["group"], c["case"]) == (group, name)):
             of = [f"{e} (or {', '.join(same)})" if (same := c["equivalent"].get(e)) else e for e in c["effects"]]
             told.append(f"{', '.join(of) or 'none'}, {c['before_over_noise']:.1f} -> {c['holdout_over_noise']:.2f}")
-        table.append(Row(f"{name}: named, error over noise", FURTHER[name][0] or "none", "; ".join(told), None))
+        table.append(Row(f"{group}, {name}: named, error over noise", FURTHER[name][0] or "none", "; ".join(told), None))
     seconds = [c["seconds"] for c in facts]
     told = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
     return [*table, Row("seconds a case, median and longest", "<= 60 s", told, max(seconds) <= 60.0)]
@@ -117,8 +138,9 @@ def rows(facts: list[Facts]) -> list[Row]:
 def main() -> None:
     """Runs all cases and prints the table."""
     args = arguments(__doc__, quick="one case", more={"--seeds": {"type": int, "default": 1}})
-    rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
-    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
+    kinds = {"one wire": "dead-weight", "two wires": "rotary"}
+    rigs = {group: read_rig(ROOT / "data" / "recordings" / kind / "rig.toml") for group, kind in kinds.items()}
+    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rigs, run, args.out)
     words = "" if args.quick or args.seeds == 1 else f" --seeds {args.seeds}"
     finish("diagnosis_catalogue", rows(facts), args, cases=facts, words=words)
 

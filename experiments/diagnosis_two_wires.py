@@ -28,6 +28,7 @@ from smajax.rig import Rig, read_rig
 from tests.reference.hidden import Hidden
 from tests.reference.hidden_pair import angle
 from tests.reference.make_data import rotary
+from tests.reference.rig_file import RigFile
 
 DEGREE = math.pi / 180.0
 SPREAD, ROUNDED = 0.06 * DEGREE, 0.025 * DEGREE
@@ -41,17 +42,19 @@ PAIRS = (("latent-heat", "sensor-lag"), ("coulomb-friction", "latent-heat"), ("c
 UNLISTED = {"kinetics by half off": {"pace": 0.5}, "bent sensor": {"cubic": 0.1}}
 
 
+def read_angle(truth: RigFile, hidden: Hidden, part: str, rng: np.random.Generator) -> Recording:
+    """A recording of a pair of wires under an input that is drawn."""
+    columns = rotary(rng)
+    seconds, first, second = columns["time [s]"], columns["current_1 [A]"], columns["current_2 [A]"]
+    turned = angle(truth, hidden, seconds, np.column_stack([first, second]), 30) + SPREAD * rng.standard_normal(len(seconds))
+    channels = {"current_1": first, "current_2": second, "angle": ROUNDED * np.round(turned / ROUNDED)}
+    return Recording.from_arrays(part, seconds, channels, {"angle": "deg"})
+
+
 def record(hidden: dict[str, float], rng: np.random.Generator) -> list[Recording]:
     """Three recordings of one pair of wires under three inputs."""
     truth = nearby(rng, "rotary")
-    recordings = []
-    for part in ("train", "select", "holdout"):
-        columns = rotary(rng)
-        seconds, first, second = columns["time [s]"], columns["current_1 [A]"], columns["current_2 [A]"]
-        turned = angle(truth, Hidden(**hidden), seconds, np.column_stack([first, second]), 30) + SPREAD * rng.standard_normal(len(seconds))
-        channels = {"current_1": first, "current_2": second, "angle": ROUNDED * np.round(turned / ROUNDED)}
-        recordings.append(Recording.from_arrays(part, seconds, channels, {"angle": "deg"}))
-    return recordings
+    return [read_angle(truth, Hidden(**hidden), part, rng) for part in ("train", "select", "holdout")]
 
 
 def run(rig: Rig, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:

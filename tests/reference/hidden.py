@@ -23,13 +23,14 @@ class Hidden(NamedTuple):
 
     ``exponent`` is an additional one of the remaining share in every transformation. ``pace`` is a wave of a transformation's pace, which
     is its own one times 1 + pace sin(2 pi share); ``load_step`` a relative change of the load from ``load_instant`` on; ``cubic`` a bend
-    of the sensor per stroke squared: these three are in no catalogue. ``crosstalk`` needs a second wire (``hidden_pair``), which knows
-    nothing of what comes after it in the list but of ``exponent`` to ``cubic``.
+    of the sensor per stroke squared: these three are in no catalogue. ``crosstalk`` needs a second wire (``hidden_pair``), which has no
+    ``viscous``, ``arm`` and ``probe``.
 
     ``r_strain`` of the R-phase comes about by a normal distribution around ``r_above`` (K above the martensite start temperature, 15 MPa/K
     more under stress) of standard deviation ``r_spread``, of the martensite in the share ``r_kept``, and ``r_hump`` is the share by which
-    all of it raises the resistivity. ``ceiling`` is the supply's voltage, ``arm`` the change of the load over the stroke, ``set_strain`` what the first heating
-    takes away. ``probe_lag`` (s) and ``probe_pickup`` (K/A) are the thermocouple's.
+    all of it raises the resistivity. ``ceiling`` is the supply's voltage, ``shift`` what a cycle adds to the transformation temperatures,
+    ``arm`` the change of the load over the stroke, ``set_strain`` what the first heating takes away. ``probe_lag`` (s) and
+    ``probe_pickup`` (K/A) are the thermocouple's.
     """
 
     latent_heat: float = 0.0

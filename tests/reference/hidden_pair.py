@@ -11,8 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from tests.reference.brinson import resistivity, strain_of
-from tests.reference.hidden import Hidden, _behind, _fractions
+from tests.reference.hidden import Hidden, _behind, _fractions, _rho, _strain
 from tests.reference.rig_file import RigFile
 from tests.reference.wire import _interpolate, _narrow, area, convection
 
@@ -30,11 +29,19 @@ class _Wire(NamedTuple):
     sleeve: float
     crimps: float
     slow: float
+    left: float
+
+
+@njit(cache=True)
+def _reached(m, hidden, x, temperature, stress):
+    """Fractions of a wire that goes to a temperature and a stress; what it went through so far has moved its own temperatures."""
+    shift = hidden.shift * 0.5 * x.travel
+    return _fractions(m, hidden, x.detwinned, x.twinned, x.temperature - shift, x.stress, temperature - shift, stress)
 
 
 @njit(cache=True)
 def _missing(m, heat, hidden, x, added, stress, temperature):
-    d, w = _fractions(m, hidden, x.detwinned, x.twinned, x.temperature, x.stress, temperature, stress)
+    d, w = _reached(m, hidden, x, temperature, stress)
     before = x.detwinned + x.twinned
     capacity = heat.capacity_austenite * (1.0 + hidden.capacity_change * before)
     return capacity * (temperature - x.temperature) - hidden.latent_heat * (d + w - before) - added
@@ -67,15 +74,22 @@ def _taken_up(m, heat, hidden, x, added, stress):
             if abs(f_after) < 1e-5:
                 break
             low, f_low, high, f_high = _narrow(low, f_low, high, f_high, after, f_after)
-    d, w = _fractions(m, hidden, x.detwinned, x.twinned, x.temperature, x.stress, after, stress)
+    d, w = _reached(m, hidden, x, after, stress)
     return after, d, w
 
 
 @njit(cache=True)
 def _strain_after(m, heat, hidden, wire, x, added, stress):
     t, d, w = _taken_up(m, heat, hidden, x, added, stress)
-    lost = hidden.fatigue * 0.5 * x.travel * m.max_strain * d
-    return strain_of(m, t, stress, d, w, wire.ambient) - lost + hidden.ratchet * x.travel + hidden.creep * (x.slow - d - w)
+    strain = _strain(m, hidden, d, w, t, stress, wire.ambient, hidden.fatigue * 0.5 * x.travel)
+    return strain + hidden.ratchet * x.travel + hidden.creep * (x.slow - d - w) + hidden.set_strain * (_left(x, d + w) - 1.0)
+
+
+@njit(cache=True)
+def _left(x, xi):
+    """What is left of the martensite of the first instant."""
+    before = x.detwinned + x.twinned
+    return x.left * xi / before if xi < before else x.left
 
 
 @njit(cache=True)
@@ -134,7 +148,9 @@ def _balanced(m, heat, hidden, wire, one, two, q1, q2, lean):
 def _heating(m, heat, hidden, wire, x, other, current, air, instant, most):
     """Net heat into a wire in W/m^3."""
     section, over = area(wire), x.temperature - wire.ambient
+    rho = _rho(m, hidden, x.detwinned, x.twinned, x.temperature, x.stress, wire.ambient)
     i = current * (1.0 - hidden.saturation * current * current / (most * most))
+    i = min(i, hidden.ceiling / (rho * wire.length / section))
     h = convection(heat, x.temperature) * (1.0 + hidden.convection_slope * over / 50.0)
     if instant >= hidden.draught_instant:
         h *= 1.0 + hidden.draught
@@ -142,7 +158,7 @@ def _heating(m, heat, hidden, wire, x, other, current, air, instant, most):
     lost += convection(heat, wire.ambient) * (
         hidden.coating * (over - x.sleeve) + hidden.ends * (over - x.crimps) + hidden.crosstalk * (x.temperature - other.temperature)
     )
-    return resistivity(m, x.detwinned + x.twinned) * (i / section) ** 2 - 4.0 / wire.diameter * lost
+    return rho * (i / section) ** 2 - 4.0 / wire.diameter * lost
 
 
 @njit(cache=True)
@@ -155,6 +171,7 @@ def _moved(m, heat, hidden, wire, x, added, stress, step):
         x.sleeve + (1.0 - math.exp(-step / hidden.coating_time)) * (over - x.sleeve),
         x.crimps + (1.0 - math.exp(-step / hidden.ends_time)) * (0.5 * over - x.crimps),
         x.slow + (1.0 - math.exp(-step / hidden.creep_time)) * (0.5 * (x.detwinned + x.twinned + xi) - x.slow),
+        _left(x, xi),
     )  # fmt: skip
 
 
@@ -163,7 +180,7 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
     count = (time.size - 1) * substeps + 1
     fine, leans = np.empty(count), np.empty(count)
     drawn = min(wire.prestrain / m.max_strain, 1.0)
-    one = two = _Wire(wire.ambient, 0.0, drawn, 1.0 - drawn, 0.0, 0.0, 0.0, 1.0)
+    one = two = _Wire(wire.ambient, 0.0, drawn, 1.0 - drawn, 0.0, 0.0, 0.0, 1.0, 1.0)
     lean, n = 0.0, 0
     fine[0], leans[0] = time[0], 0.0
     for k in range(time.size - 1):
