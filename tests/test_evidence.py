@@ -1,5 +1,6 @@
 """Channels that were recorded and are not observed: which of them a diagnosis takes as evidence, and what it makes of them."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -8,7 +9,7 @@ from typer.testing import CliRunner
 
 from smajax.cli import app
 from smajax.datasets import shipped
-from smajax.diagnose.evidence import evidence, with_evidence
+from smajax.diagnose.evidence import clipped, evidence, with_evidence, without
 from smajax.recording import Recording
 from smajax.rig import read_rig
 from tests.reference.hidden import Hidden, channels
@@ -30,8 +31,10 @@ def test_evidence_is_what_every_recording_has_at_every_row(folder):
     given |= {"force": np.ones(11), "strain": np.where(time > 0.5, np.nan, time)}
     whole = Recording.from_arrays("whole", time, given, {})
     partly = Recording.from_arrays("partly", time, {k: v for k, v in given.items() if k != "power"}, {})
-    assert evidence(plant, ("displacement",), [whole, partly]) == ("temperature", "voltage")
-    assert evidence(plant, ("displacement", "voltage"), [whole]) == ("temperature", "power")
+    taken, left = evidence(plant, ("displacement",), [whole, partly])
+    assert taken == ("temperature", "voltage")
+    assert left == {"strain": "whole has rows without it", "force": "whole: it never changes", "power": "partly does not have it"}
+    assert evidence(plant, ("displacement", "voltage"), [whole])[0] == ("temperature", "power")
 
 
 def test_evidence_is_taken_up_to_a_gain_and_an_offset(folder):
@@ -41,6 +44,16 @@ def test_evidence_is_taken_up_to_a_gain_and_an_offset(folder):
     assert settings.free == (*rig.fit.free, "sensor.temperature_gain", "sensor.temperature_offset")
     assert float(plant.sensor.gain["temperature"]) == 1.0
     assert with_evidence(rig.plant, rig.fit, ()) == (rig.plant, rig.fit)
+
+
+def test_a_saturated_channel_is_done_without_where_another_is_observed(folder):
+    rig, rng = read_rig(folder / "rig.toml"), np.random.default_rng(0)
+    settings = dataclasses.replace(rig.fit, observe=("displacement", "temperature"), free=(*rig.fit.free, "sensor.temperature_gain"))
+    values = rng.uniform(0.0, 1.0, 400)
+    one = Recording.from_arrays("one", np.arange(400.0), {"displacement": values, "temperature": np.minimum(values, 0.9)}, {})
+    assert clipped("displacement", [one]) == ""
+    assert clipped("temperature", [one]).startswith("one: temperature stands at its highest value for ")
+    assert without(settings, ["temperature"]) == rig.fit
 
 
 def test_a_slow_thermocouple_is_named_though_its_temperature_is_not_observed(folder, tmp_path):
@@ -54,6 +67,7 @@ def test_a_slow_thermocouple_is_named_though_its_temperature_is_not_observed(fol
             "displacement": exact["displacement"] + 2e-5 * rng.standard_normal(len(seconds)),
             "temperature": 1.02 * exact["temperature"] + 1.5 + 0.4 * rng.standard_normal(len(seconds)),
         }
+        seen["voltage"] = np.full(len(seconds), 0.1)  # a meter that nobody connected
         recording = Recording.from_arrays(name, seconds, {"current": current, **seen}, {c: UNITS[c] for c in seen})
         recording.write(tmp_path / f"{name}.csv")
     parts = [str(tmp_path / f"{name}.csv") for name in ("train", "select", "holdout")]
@@ -62,6 +76,8 @@ def test_a_slow_thermocouple_is_named_though_its_temperature_is_not_observed(fol
     assert result.exit_code == 0, result.output
     document = json.loads((tmp_path / "out" / "diagnosis.json").read_text("utf-8"))
     assert document["effects"] == ["thermocouple-lag"] and document["evidence"] == ["temperature"]
+    assert document["left_out"] == [{"channel": "voltage", "why": "train.csv: it never changes"}]
+    assert "Done without voltage: train.csv: it never changes." in document["summary"]
     assert "error of temperature, recorded and not observed, is" in document["summary"]
     assert document["rmse"]["temperature"]["holdout_after"] < 1.2 * 0.4 < 0.5 * document["rmse"]["temperature"]["holdout_before"]
     assert document["rmse"]["displacement"]["holdout_after"] < 1.2 * 0.02

@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from smajax import parameters
 from smajax.console import Progress
 from smajax.diagnose.bench import Bench
-from smajax.diagnose.evidence import evidence, with_evidence
+from smajax.diagnose.evidence import clipped, evidence, with_evidence, without
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
-from smajax.fit.problem import difference_noise
 from smajax.jobs.fit import read_recordings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.plant.plant import Plant
@@ -27,7 +24,6 @@ from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 
 _FEWEST = 200
-_CLIPPED = 0.02
 
 
 class DiagnoseJob(NamedTuple):
@@ -53,8 +49,9 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         recordings = _read(rig, job)
     seed = rig.fit.seed if job.seed is None else job.seed
     with clock.time("diagnose"):
-        more = [c for c in evidence(rig.plant, rig.fit.observe, recordings) if not any(_clipped(r.channels[c]) for r in recordings)]
-        plant, settings = with_evidence(rig.plant, rig.fit, more)
+        saturated = _saturated(rig, recordings)
+        more, left_out = evidence(rig.plant, rig.fit.observe, recordings)
+        plant, settings = with_evidence(rig.plant, without(rig.fit, list(saturated)), more)
         bench = Bench(plant, recordings, settings, interpolation=rig.interpolation)
         try:
             found = diagnose(bench, seed=seed, say=progress.phase)
@@ -65,8 +62,10 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
             run = run_record("diagnose", rig, argv, clock, seed, error.exit_code)
             write_folder(out, run, lambda folder: dataclasses.replace(rig, plant=last).write(folder / "rig-last.toml"))
             raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
-    wall = time.perf_counter() - began
-    document = diagnosis_document(found, recordings[0], evidence=more, simulations=bench.simulations, wall=wall, seed=seed)
+    document = diagnosis_document(
+        found, recordings[0], evidence=more, left_out=saturated | left_out, simulations=bench.simulations,
+        wall=time.perf_counter() - began, seed=seed,
+    )  # fmt: skip
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
     series = _series(rig, recordings, found)
     progress.phase("writing the report")
@@ -96,28 +95,19 @@ def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
     for k, one in enumerate(read):
         if len(one) < _FEWEST:
             raise InputError(f"{one.name}: {len(one)} rows are too few for a diagnosis: at least {_FEWEST} are needed")
-        for channel in rig.fit.observe:
-            _refuse_clipped(one, channel)
         same = next((other.name for other in read[:k] if other.sha256 == one.sha256), None)
         if same is not None:
             raise InputError(f"{one.name} has the same content as {same}: it tests nothing; give another recording, of another input")
     return read
 
 
-def _refuse_clipped(recording: Recording, channel: str) -> None:
-    """Refuses a channel that stands at one of its ends as noise would never let it; rounding coarser than the noise hides that."""
-    if clipped := _clipped(recording.channels[channel]):
-        told = f"{recording.name}: {channel} stands at its {clipped} of the rows"
+def _saturated(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:
+    """Observed channels that the diagnosis does without, and why. InputError if none is left."""
+    found = {c: why for c in rig.fit.observe if (why := clipped(c, recordings))}
+    if len(found) == len(rig.fit.observe):
+        told = next(iter(found.values()))
         raise InputError(f"{told}, as a saturated or clipped sensor does: cut these rows out, or record with a wider range")
-
-
-def _clipped(values: np.ndarray) -> str:
-    """At which end values stand, and in what share of the rows; empty if they do not."""
-    levels = np.unique(values)
-    if len(levels) < 3 or float(np.min(np.diff(levels))) > 0.5 * difference_noise(values):
-        return ""
-    shares = ((word, float(np.mean(values == end))) for end, word in ((levels[0], "lowest"), (levels[-1], "highest")))
-    return next((f"{word} value for {100 * share:.0f} %" for word, share in shares if share > _CLIPPED), "")
+    return found
 
 
 def _series(rig: Rig, recordings: Sequence[Recording], found: Diagnosis) -> list[Series]:

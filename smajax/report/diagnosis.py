@@ -22,9 +22,19 @@ NEXT_INPUT = "next_input.csv"
 
 
 def diagnosis_document(
-    found: Diagnosis, recording: Recording, *, evidence: Sequence[str], simulations: int, wall: float, seed: int
+    found: Diagnosis,
+    recording: Recording,
+    *,
+    evidence: Sequence[str],
+    left_out: Mapping[str, str],
+    simulations: int,
+    wall: float,
+    seed: int,
 ) -> dict[str, Any]:
-    """The document of a diagnosis; ``recording`` is the training one, whose units it takes; ``evidence`` are channels not observed."""
+    """The document of a diagnosis; ``recording`` is the training one, whose units it takes.
+
+    ``evidence`` are channels not observed; ``left_out`` says of channels that were done without, why.
+    """
     rmse, floor = {}, {}
     for channel, values in found.rmse.items():
         unit, factor = difference_unit(recording, channel)
@@ -59,6 +69,7 @@ def diagnosis_document(
         "summary": "",
         "rmse": rmse,
         "evidence": list(evidence),
+        "left_out": [{"channel": channel, "why": why} for channel, why in left_out.items()],
         "noise_floor": floor,
         "base_fit_at_rest": found.rests,
         "goodness_of_fit": {"before": number(before), "after": number(after), "critical": number(limit)},
@@ -148,6 +159,7 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
             f"On the holdout the error of {channel}{beside} is {_shown(rmse['holdout_before'], 3)} {rmse['unit']} before and "
             f"{_shown(rmse['holdout_after'], 3)} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
+    told += [f"Done without {entry['channel']}: {entry['why']}." for entry in doc.get("left_out", ())]
     if doc["free_form"]:
         form = doc["free_form"]
         told.append(
