@@ -283,6 +283,26 @@ def test_an_instant_is_looked_for_over_the_whole_recording(tracer, fitted, monke
     )
 
 
+def test_a_coating_and_the_ends_of_a_wire_are_one_class(tracer, monkeypatch):
+    """A node that follows half the wire's excess is one that follows all of it, and convection beside it: the fit has a long way to go."""
+    bench, rng = tracer.bench, np.random.default_rng(0)
+    planted = Hypothesis(("coating",), (("effects.coating.strength", 0.2), ("effects.coating.time_constant", 4.0)))
+    problems = []
+    for k, problem in enumerate(bench.problems):
+        residual, _ = bench.evaluate(planted, bench.nominal, k)
+        weight = np.asarray(problem.data.weight)
+        moved = np.where(
+            weight > 0, (residual.reshape(weight.shape) + rng.standard_normal(weight.shape)) / np.where(weight > 0, weight, 1.0), 0.0
+        )
+        problems.append(eqx.tree_at(lambda p: p.data.measured, problem, problem.data.measured + moved))
+    monkeypatch.setattr(bench, "problems", problems)
+    trial = tracer.judged(bench.fit(planted, bench.nominal, max_steps=10, rtol=1e-8))
+    assert trial.at_noise
+    (same,) = (t for t in tracer.kin(trial) if t.key == "end-conduction")
+    assert abs(same.total - trial.total) * len(bench.flat(trial.refit.residual)) < 2.0
+    assert tracer.unusual(trial) < tracer.unusual(same)
+
+
 def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():
     refits = [Refit(Hypothesis(), np.full(1, k), np.zeros(1), np.zeros((1, 1)), Stop.converged) for k in range(3)]
     left = {0: (1.0, np.inf), 1: (np.nan, 1.0), 2: (1.0, 1.0)}

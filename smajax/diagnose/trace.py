@@ -36,6 +36,7 @@ _AFAR = 4  # effects refitted from the rig's nominal values, too: those that pro
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _STATIONARY = 2e-2
 _TRIES, _RESTLESS = 10, 4  # start points of the first fit, and after how many it no longer waits for one to end at rest
+_ALIKE = 2.0  # difference of the sum of squares over the noise that says nothing
 _FALL = 25.0  # least fall of the sum of squares over the noise that counts
 _RIVALS = 3
 
@@ -209,6 +210,9 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     trials = list(by.values())
     if trials[0].total < best.total - _FALL / samples:
         best = tracer.settled(trials[0])
+    beside = set(best.keys) - {best.key}
+    alike = [t for t in trials if t.key not in beside and set(t.keys) - {t.key} == beside and (t.total - best.total) * samples < _ALIKE]
+    best = min([best, *alike], key=tracer.unusual)  # of what does equally well, the most usual comes first
     if turn == 0:
         for t in trials:
             story.ranking[t.key] = dataclasses.replace(story.ranking[t.key], refit_rmse_select=t.rmse_select)

@@ -19,7 +19,8 @@ _HEATS = ((99, 5), (8, 4), (5, 8), (3, 30))  # how many go on, and for how many 
 _APART = 5
 _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
-_LOOK = 8
+_LOOK, _LOOKS = 8, 4  # steps of a look, and how many follow the first
+_CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up after a look
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED = 12  # evaluations of the joint fit
@@ -204,7 +205,8 @@ class Tracer:
     def kin(self, trial: Trial) -> list[Trial]:
         """Fits in which an effect that is known to be confused with a trial's last one stands in its place.
 
-        They start at the trial's own point, with its shape where theirs is called the same, and go to their end unless they lag far behind.
+        They start at the trial's own point, with its shape where theirs is called the same, and go to their end unless they lag far behind
+        and do not catch up: where the other parameters have a long way to go, an effect as good as the trial's takes a while.
         """
         effects, key, refit = self.bench.effects, trial.key, trial.refit
         rest = refit.hypothesis.without(key)
@@ -213,9 +215,18 @@ class Tracer:
         for other in known:
             values = {f"effects.{other}.strength": 0.3 * effects[other].typical, **self._shape(other, key, refit)}
             starts.append(rest.extended(other, values))
-        searches = in_pairs(lambda h: self.bench.search(h, refit.base, rtol=1e-7).advance(_LOOK), starts)
-        near = [s for s in searches if s.search.cost < _BEHIND * refit.chi2]
-        found = in_pairs(lambda s: self.judged(self.bench.reached(s.advance(40 - _LOOK))), near)
+
+        def ended(start: Hypothesis) -> Running:
+            running, before = self.bench.search(start, refit.base, rtol=1e-7).advance(_LOOK), math.inf
+            for _ in range(_LOOKS):
+                if running.search.cost > max(_BEHIND * refit.chi2, _CATCHING_UP * before):
+                    break
+                before = running.search.cost
+                running.advance(_LOOK)
+            return running
+
+        near = [s for s in in_pairs(ended, starts) if s.search.cost < _BEHIND * refit.chi2]
+        found = in_pairs(lambda s: self.judged(self.bench.reached(s)), near)
         return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
 
     def _shape(self, other: str, key: str, refit: Refit) -> dict[str, float]:
@@ -229,6 +240,16 @@ class Tracer:
         """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""
         key = trial.key
         return abs(trial.refit.values[f"effects.{key}.strength"]) < 1e-3 * self.bench.effects[key].typical
+
+    def unusual(self, trial: Trial) -> float:
+        """How far the sizes of a trial's last effect are from usual ones: the square of their logarithms' distance."""
+        effect, values = self.bench.effects[trial.key], trial.refit.values
+        away = math.log(max(abs(values[f"effects.{trial.key}.strength"]) / effect.typical, 1e-9)) ** 2
+        for name, usual in effect.shapes:
+            value = values.get(f"effects.{trial.key}.{name}", usual[0])
+            if name != "instant" and min(value, *usual) > 0.0:
+                away += math.log(value / min(max(value, min(usual)), max(usual))) ** 2
+        return away
 
     def settled(self, trial: Trial) -> Trial:
         """A trial fitted to its end: from its own point and, unless it is at the noise, from the rig's nominal values with its effects."""
