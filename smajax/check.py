@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from smajax import parameters
+from smajax.diagnose.evidence import evidence
 from smajax.errors import InputError
 from smajax.jobs.fit import read_recordings
 from smajax.machines import AbstractMachine, is_machine, kind_of, parse_machine
@@ -78,5 +79,6 @@ def _recording(rig: Rig, recording: Recording) -> list[str]:
         if step < np.median(gaps) * (1 - 1e-9):
             lines[0] += f" (simulated in steps of at most {step:.3g} s)"
     used = {c: "input" for c in rig.plant.signals} | {c: "observed" for c in rig.fit.observe}
+    used |= {c: "evidence for a diagnosis" for c in evidence(rig.plant, rig.fit.observe, [recording])[0]}
     lines.append("  " + ", ".join(f"{c} [{recording.units[c]}] ({used.get(c, 'not used')})" for c in recording.channels))
     return lines + [f"  {note}" for note in recording.notes]

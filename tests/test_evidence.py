@@ -71,6 +71,8 @@ def test_a_slow_thermocouple_is_named_though_its_temperature_is_not_observed(fol
         recording = Recording.from_arrays(name, seconds, {"current": current, **seen}, {c: UNITS[c] for c in seen})
         recording.write(tmp_path / f"{name}.csv")
     parts = [str(tmp_path / f"{name}.csv") for name in ("train", "select", "holdout")]
+    said = CliRunner().invoke(app, ["check", str(folder / "rig.toml"), parts[0]]).output
+    assert "displacement [mm] (observed), temperature [degC] (evidence for a diagnosis), voltage [V] (not used)" in said
     words = ["diagnose", str(folder / "rig.toml"), parts[0], "--select", parts[1], "--holdout", parts[2], "--out", str(tmp_path / "out")]
     result = CliRunner().invoke(app, [*words, "--no-open"])
     assert result.exit_code == 0, result.output
