@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 the numbers failed, 130 
 
 import contextlib
 import os
+import platform
 import signal
 import sys
 import tempfile
@@ -21,10 +22,12 @@ from smajax.errors import InputError, NumericsError
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
 # Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs much faster if all of it, however large
-# its arrays are, is one function of machine code.
+# its arrays are, is one function of machine code. Such a function is full of short
+# vectors, which AVX-512 only slows down.
 XLA_FLAGS = (
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
+    *(["--xla_cpu_max_isa=AVX2"] if platform.machine().lower() in ("x86_64", "amd64") else []),
 )
 
 

@@ -1,10 +1,10 @@
 """The R-phase: a small strain and a hump of resistivity before the martensite."""
 
 import jax
-import jax.numpy as jnp
 
 from smajax.parameters import parameter
 from smajax.plant.effect import Instant, MaterialEffect, Where
+from smajax.plant.material.brinson import remaining
 
 _SLOPE = 15e6  # Pa/K
 _SMALL = 0.01  # strain to which the hump refers
@@ -30,8 +30,7 @@ class RPhase(MaterialEffect):
 
     def _share(self, now: Instant, where: Where) -> jax.Array:
         middle = where.material.forward_start + self.above + now.stress / _SLOPE
-        way = jnp.clip((middle - now.temperature) / self.width + 0.5, 0.0, 1.0)
-        cold = 0.5 * (1.0 - jnp.cos(jnp.pi * way))
+        cold = 1.0 - remaining((middle - now.temperature) / self.width + 0.5, 0.0)
         return (1.0 - (1.0 - self.kept) * now.fractions.martensite) * cold
 
     def strain(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
