@@ -62,13 +62,17 @@ def arguments(
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     if data:
-        parser.add_argument("--data", type=Path, default=DATA / data, metavar="DIR", help="folder of the recordings")
+        parser.add_argument(
+            "--data", type=Path, default=DATA / data, metavar="DIR", help="folder of the recordings, or its name among those by others"
+        )
     for name, options in more.items():
         parser.add_argument(name, **options)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the pictures to DIR")
     given = parser.parse_args()
+    if data and not given.data.exists() and (DATA / given.data).is_dir():
+        given.data = DATA / given.data
     if given.out:
         given.out.mkdir(parents=True, exist_ok=True)
     return given

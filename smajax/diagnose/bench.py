@@ -273,9 +273,19 @@ class Bench:
         return self.reached(self.search(hypothesis, base, rtol=rtol, form=form).advance(max_steps))
 
     def search(
-        self, hypothesis: Hypothesis, base: np.ndarray, *, rtol: float = 1e-6, form: Form | None = None, near: bool = False
+        self,
+        hypothesis: Hypothesis,
+        base: np.ndarray,
+        *,
+        rtol: float = 1e-6,
+        form: Form | None = None,
+        near: bool = False,
+        held: bool = False,
     ) -> Running:
-        """The search of ``fit`` before its first step; with ``near``, the free parameters are held near the rig's own values."""
+        """The search of ``fit`` before its first step; with ``near``, the free parameters are held near the rig's own values.
+
+        With ``held``, the effects' shapes stay what they are.
+        """
         moved, nodes = self.moved(hypothesis), form.matrix.shape[1] if form else 0
         lower, upper = (np.append(side, np.zeros(SLOTS - len(moved))) for side in self.ends(moved))
         if near:
@@ -283,6 +293,9 @@ class Bench:
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
         model = self.model(hypothesis, moved, self.problems[0], form)
         start = self._start(hypothesis, base, moved)
+        if held:
+            shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
+            lower[shapes] = upper[shapes] = start[shapes]
         return Running(
             least_squares.Search(_residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol), hypothesis, nodes
         )

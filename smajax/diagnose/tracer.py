@@ -205,19 +205,22 @@ class Tracer:
     def kin(self, trial: Trial) -> list[Trial]:
         """Fits in which an effect that is known to be confused with a trial's last one stands in its place.
 
-        They start at the trial's own point, with its shape where theirs is called the same, and go to their end unless they lag far behind
-        and do not catch up: where the other parameters have a long way to go, an effect as good as the trial's takes a while.
+        They start at the trial's own point, with its shape where theirs is called the same, else with the best of their usual ones, which
+        are held at first: freed too early, a shape wanders off. They go to their end unless they lag far behind and do not catch up: where
+        the other parameters have a long way to go, an effect as good as the trial's takes a while.
         """
         effects, key, refit = self.bench.effects, trial.key, trial.refit
         rest = refit.hypothesis.without(key)
         known = [k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in trial.keys]
-        starts = []
-        for other in known:
-            values = {f"effects.{other}.strength": 0.3 * effects[other].typical, **self._shape(other, key, refit)}
-            starts.append(rest.extended(other, values))
+        starts = [
+            rest.extended(other, {f"effects.{other}.strength": 0.3 * effects[other].typical, **shape})
+            for other in known
+            for shape in self._shapes(other, key, refit)
+        ]
 
-        def ended(start: Hypothesis) -> Running:
-            running, before = self.bench.search(start, refit.base, rtol=1e-7).advance(_LOOK), math.inf
+        def ended(look: Running) -> Running:
+            held, before = self.bench.reached(look), look.search.cost
+            running = self.bench.search(held.hypothesis, held.base, rtol=1e-7).advance(_LOOK)
             for _ in range(_LOOKS):
                 if running.search.cost > max(_BEHIND * refit.chi2, _CATCHING_UP * before):
                     break
@@ -225,16 +228,24 @@ class Tracer:
                 running.advance(_LOOK)
             return running
 
-        near = [s for s in in_pairs(ended, starts) if s.search.cost < _BEHIND * refit.chi2]
+        looks = in_pairs(lambda start: self.bench.search(start, refit.base, rtol=1e-7, held=True).advance(_LOOK), starts)
+        best = {s.hypothesis.keys[-1]: s for s in sorted(looks, key=lambda s: -s.search.cost)}
+        near = [s for s in in_pairs(ended, list(best.values())) if s.search.cost < _BEHIND * refit.chi2]
         found = in_pairs(lambda s: self.judged(self.bench.reached(s)), near)
         return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
 
-    def _shape(self, other: str, key: str, refit: Refit) -> dict[str, float]:
-        values = {}
-        for name, grid in self.bench.grid(other)[0]:
-            known = declarations(self.bench.effects[other])[name]
-            values[f"effects.{other}.{name}"] = float(np.clip(refit.values.get(f"effects.{key}.{name}", grid), known.lower, known.upper))
-        return values
+    def _shapes(self, other: str, key: str, refit: Refit) -> list[dict[str, float]]:
+        """Shapes for another effect in the place of ``key``: its own, where called the same, else each of the other's usual ones."""
+        found: dict[tuple, dict[str, float]] = {}
+        for shape in self.bench.grid(other):
+            values = {}
+            for name, usual in shape:
+                known = declarations(self.bench.effects[other])[name]
+                values[f"effects.{other}.{name}"] = float(
+                    np.clip(refit.values.get(f"effects.{key}.{name}", usual), known.lower, known.upper)
+                )
+            found.setdefault(tuple(values.values()), values)
+        return list(found.values())
 
     def nothing(self, trial: Trial) -> bool:
         """Whether a trial's last effect is as good as absent: what it improves is owed to a better point of the other parameters."""

@@ -18,7 +18,7 @@ class CoulombFriction(MechanismEffect):
     confused_with = ("backlash",)
     needs = ("drag",)
     drags = True
-    shapes = (("reversal", (1e-5,)),)
+    shapes = (("reversal", (1e-5, 3e-6)),)
 
     def start(self, instant: Instant, where: Where) -> jax.Array:
         """How far friction is engaged: 0 at rest."""
