@@ -92,6 +92,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no su
 Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of what is drawn (default: the rig's).")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")]
+Start = Annotated[Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")]
 DropBadRows = Annotated[bool, typer.Option("--drop-bad-rows", help="Leave out rows that cannot be read; they are counted in the result.")]
 
 
@@ -134,7 +135,7 @@ def fit(
     train: Annotated[list[Path], typer.Argument(metavar="TRAIN.csv [MORE.csv ...]", help="The recordings to fit.")],
     out: Out,
     holdout: Annotated[list[Path] | None, typer.Option("--holdout", metavar="H.csv ...", help="Recordings to predict, not fitted.")] = None,
-    start: Annotated[Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")] = None,
+    start: Start = None,
     seed: Seed = None,
     starts: Annotated[int | None, typer.Option("--starts", min=1, max=10_000, help="Points to start from (default: the rig's).")] = None,
     profile: Annotated[list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")] = None,
@@ -161,6 +162,7 @@ def diagnose(
     select: Annotated[Path, typer.Option("--select", metavar="S.csv", help="Another input: what is named must cut its error.")],
     holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, looked at once, at the end.")],
     out: Out,
+    start: Start = None,
     seed: Seed = None,
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
@@ -172,7 +174,7 @@ def diagnose(
         from smajax.jobs.diagnose import DiagnoseJob, run_diagnose
         from smajax.report.diagnosis import text
 
-        outcome = run_diagnose(DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows), progress, _argv())
+        outcome = run_diagnose(DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows, start), progress, _argv())
     _finish(outcome, "diagnosis.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 
 

@@ -28,6 +28,7 @@ from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
+from smajax.fit.problem import rounding_noise
 from smajax.report.diagnosis import sentences
 from smajax.rig import read_rig
 
@@ -126,9 +127,34 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(d
     looks = document["residual"]["displacement"]
     assert looks["before"]["outside"]["residual"] > 0.9 > 0.2 > looks["after"]["outside"]["residual"]
     assert document["noise_floor"]["displacement"]["value"] == pytest.approx(0.02, rel=0.05)
+    excluded = {e["key"]: e["above"] for e in document["excluded"]}
+    assert len(excluded) > 10 and "latent-heat" not in excluded and 0.0 < excluded["sensor-lag"] < 0.01
+    assert [r["role"] for r in document["recordings"]] == ["train", "select", "holdout"]
     assert read_rig(demo / "rig-diagnosed.toml").plant.effects[0].key == "latent-heat"
     assert "latent-heat" in (demo / "report.html").read_text("utf-8")
     assert CliRunner().invoke(app, ["report", str(demo)]).exit_code == 0
+
+
+def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
+    """Nor is noise estimated that the rig file gives; what was dropped in reading is said."""
+    source = shipped("recordings", "dead-weight-unexplained")
+    text = (demo / "rig-diagnosed.toml").read_text("utf-8")
+    (tmp_path / "rig.toml").write_text(text.replace("[fit]\n", '[fit]\nnoise = { displacement = "0.021 mm" }\n'), "utf-8")
+    rows = (source / "train.csv").read_text().splitlines()
+    rows[700] = rows[700].rpartition(",")[0] + ","
+    (tmp_path / "train.csv").write_text("\n".join(rows))
+    parts = [str(tmp_path / "train.csv"), "--select", str(source / "select.csv"), "--holdout", str(source / "holdout.csv")]
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["diagnose", str(tmp_path / "rig.toml"), *parts, "--out", str(out), "--quiet", "--drop-bad-rows"])
+    assert result.exit_code == 0, result.output
+    document = json.loads((out / "diagnosis.json").read_text("utf-8"))
+    assert document["verdict"] == "nothing-missing" and document["effects"] == []
+    assert document["noise_floor"]["displacement"] == {"value": pytest.approx(0.021), "unit": "mm", "from": "rig file"}
+    entry = next(r for r in document["ranking"] if r["key"] == "latent-heat")
+    assert entry["why"] == "the rig file has it" and entry["strength"] is None
+    assert document["rmse"]["displacement"]["holdout_before"] < 0.022
+    assert [e.key for e in read_rig(out / "rig-diagnosed.toml").plant.effects] == ["latent-heat"]
+    assert "1 of" in document["recordings"][0]["notes"][0] and "dropped on request" in document["summary"]
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +194,9 @@ def test_the_report_in_a_browser(demo, tmp_path):
         (("train", "train", "holdout"), "given twice"),
         (("train", "copy", "holdout"), "same content"),
         (("short", "select", "holdout"), "too few"),
+        (("train", "select", "part"), "has rows of train.csv"),
         (("clipped", "select", "holdout"), "displacement stands at its highest value for"),
+        (("still", "select", "holdout"), "current never changes"),
     ],
 )
 def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
@@ -180,12 +208,28 @@ def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
     rows = [line.split(",") for line in (source / "train.csv").read_text().splitlines()]
     clipped = [rows[0], *([t, i, f"{min(float(x), 8.0):g}"] for t, i, x in rows[1:])]
     (tmp_path / "clipped.csv").write_text("\n".join(map(",".join, clipped)))
+    part = [rows[0], *([f"{float(t) + 7.0:g}", i, x] for t, i, x in rows[500:1500])]
+    (tmp_path / "part.csv").write_text("\n".join(map(",".join, part)))
+    (tmp_path / "still.csv").write_text("\n".join(map(",".join, [rows[0], *([t, "0.3", x] for t, _, x in rows[1:])])))
     train, select, holdout = (str(tmp_path / f"{name}.csv") for name in names)
     words = ["diagnose", str(tmp_path / "rig.toml"), train, "--select", select, "--holdout", holdout]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "never"), "--quiet"])
     assert result.exit_code == 2
     assert said in result.stderr
     assert not (tmp_path / "never").exists()
+
+
+def test_rounding_is_noise():
+    values = np.round(np.linspace(0.0, 1.0, 500), 2)
+    assert rounding_noise(values) == pytest.approx(0.01 / math.sqrt(12.0)) and rounding_noise(np.zeros(9)) == 0.0
+
+
+def test_the_stage_to_look_at_comes_first_on_the_way_and_not_by_default():
+    nothing = dict.fromkeys(localise.STAGES, 0.0)
+    assert localise.likeliest(nothing) is None
+    assert localise.likeliest(nothing | {"material": 0.05, "mechanism": 0.07}) == "material"
+    assert localise.likeliest(nothing | {"heat": 0.3, "sensor": 0.8}) == "sensor"
+    assert localise.likeliest(nothing | {"mechanism": 0.75, "sensor": 0.8}) == "mechanism"
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +246,13 @@ def fitted(tracer) -> Refit:
     """The rig fitted without effects, nearly."""
     tracer.bench.compiled()
     return tracer.bench.fit(Hypothesis(), tracer.bench.nominal, max_steps=8)
+
+
+def test_an_effect_in_another_ones_place_is_tried_in_its_usual_shapes_or_in_that_ones(tracer, fitted):
+    turns = [s["effects.coulomb-friction.reversal"] for s in tracer._shapes("coulomb-friction", "backlash", fitted)]
+    assert turns == [1e-5, 3e-6]
+    slow = dataclasses.replace(fitted, hypothesis=fitted.hypothesis.extended("coating", {"effects.coating.time_constant": 7.0}))
+    assert tracer._shapes("end-conduction", "coating", slow) == [{"effects.end-conduction.time_constant": 7.0}]
 
 
 def test_a_prediction_may_miss_by_what_the_parameters_miss(tracer, fitted):
@@ -357,7 +408,7 @@ def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
     """Two parameters, the second without any influence on what was fitted, and with some on what is predicted."""
     jacobians = {0: np.array([[100.0, 0.0], [100.0, 0.0]]), 1: np.array([[100.0, 3.0], [100.0, 0.0]])}
     bench = SimpleNamespace(
-        evaluate=lambda hypothesis, base, k, moved: (np.zeros(2), jacobians[k]), moved=lambda hypothesis: (), flat=lambda column, k: column,
+        evaluate=lambda hypothesis, base, k, moved: (np.zeros(2), jacobians[k]), moved=lambda hypothesis: (), series=lambda column, k: {"motion": column},
         shared=2, size=2, box=(np.full(2, -np.inf), np.full(2, np.inf)),
     )  # fmt: skip
     refit = Refit(Hypothesis(), np.zeros(2), np.zeros(2), jacobians[0], Stop.converged)

@@ -84,7 +84,8 @@ class Running:
 class Bench:
     """A rig's augmented plant with its recordings laid out alike: all that is simulated runs on one compiled program.
 
-    ``parts`` are the training, selection and holdout recordings, in this order. ``plain`` is the rig without effects on the training part.
+    ``parts`` are the training, selection and holdout recordings, in this order. ``plain`` is the rig as it is written down on the training
+    part. Effects that are written down (``known``) stay what they are; hypotheses are about the others.
     """
 
     def __init__(
@@ -106,7 +107,9 @@ class Bench:
         train = self.parts[0].recordings
         self.traits = plant.traits(tuple(settings.observe)) - (set() if all(r.has_clock for r in train) else {"clock"})
         self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
-        self.effects = {key: _made(kind, train) for key, kind in catalogue().items() if not kind.obstacle(self.traits)}
+        own = {effect.key: effect for effect in plant.effects}
+        self.known = tuple(own)
+        self.effects = own | {k: _made(kind, train) for k, kind in catalogue().items() if k not in own and not kind.obstacle(self.traits)}
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *freeform.absent()))
         self.names = tuple(f"effects.{key}.{name}" for key, kind in self.effects.items() for name in declarations(kind))
         self.values = np.array([float(parameters.get(augmented, name)) for name in self.names])
@@ -200,7 +203,7 @@ class Bench:
     def fitted(self, refit: Refit) -> Plant:
         """The plant with a refit's parameters and effects, without parameters that each recording has of its own."""
         shared, _ = self.problems[0].values(jnp.asarray(refit.base))
-        plant = dataclasses.replace(self.plain.plant, effects=tuple(self.effects[key] for key in refit.hypothesis.keys))
+        plant = dataclasses.replace(self.plain.plant, effects=tuple(self.effects[key] for key in (*self.known, *refit.hypothesis.keys)))
         own = {name: value for name, value in refit.values.items() if name.split(".")[1] in refit.hypothesis.keys}
         return parameters.replace(plant, {**shared, **own})
 
@@ -390,7 +393,8 @@ class Bench:
 
         Keyed by effect and shape; in units of the typical strength; on the training recording.
         """
-        wanted = [(key, shape) for key in self.effects if key not in hypothesis.keys for shape in self.grid(key)]
+        asked = [key for key in self.effects if key not in (*self.known, *hypothesis.keys)]
+        wanted = [(key, shape) for key in asked for shape in self.grid(key)]
         batches: list[list[tuple[str, tuple[tuple[str, float], ...]]]] = []
         for item in wanted:
             home = next((b for b in batches if len(b) < SLOTS and all(other[0] != item[0] for other in b)), None)

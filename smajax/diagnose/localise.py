@@ -18,13 +18,14 @@ from smajax.diagnose.hypothesis import Form, Refit
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 _NODES = 5
 _TIE = 0.1
+_NONE = 0.02  # a share of which nothing can be told
 
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
     """A term of free form, fitted: its stage and unit, what it stands against, where its nodes are and their values.
 
-    ``train`` and ``select`` are the mean squares over the noise that the fit with it leaves.
+    ``train`` and ``select`` are the mean squares over the noise that the fit with it leaves, ``before`` that of ``train`` without it.
     """
 
     stage: str
@@ -33,6 +34,7 @@ class Shape:
     against: str
     at: np.ndarray
     term: np.ndarray
+    before: float
     train: float
     select: float
 
@@ -53,9 +55,13 @@ def shares(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, columns:
     }
 
 
-def likeliest(shares: Mapping[str, float]) -> str:
-    """The stage to look at: the first of those whose share is within ``_TIE`` of the largest, since what is upstream shows further down."""
-    return next(s for s in STAGES if shares[s] >= max(shares.values()) - _TIE)
+def likeliest(shares: Mapping[str, float]) -> str | None:
+    """The stage to look at: the first of those whose share comes near the largest, since what is upstream shows further down.
+
+    ``None`` if the residual can live in no stage: then it is as good as noise.
+    """
+    largest = max(shares.values())
+    return next(s for s in STAGES if shares[s] >= max(largest - _TIE, 0.5 * largest)) if largest > _NONE else None
 
 
 def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: str) -> Shape | None:
@@ -81,7 +87,7 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
     at = np.linspace(low, high, nodes)
     return Shape(
         stage if made is freeform.FreeStrain else made.stage, made.key, made.adds, state, at, fitted.nodes * _unit(bench, kind),
-        bench.fitness(fitted.residual, 0), bench.fitness(predicted, 1),
+        bench.fitness(refit.residual, 0), bench.fitness(fitted.residual, 0), bench.fitness(predicted, 1),
     )  # fmt: skip
 
 

@@ -60,10 +60,7 @@ def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, Promise]]:
         if key not in best or one.smallest < best[key][0].smallest:
             best[key] = (one, column)
     names = [u.label for u in bench.problems[0].unknowns]
-    seen = {
-        key: sight(kind, *best[key], jacobian, names) if key in best else hidden(kind, kind.obstacle(bench.traits))
-        for key, kind in catalogue().items()
-    }
+    seen = {key: sight(kind, *best[key], jacobian, names) if key in best else unseen(bench, kind) for key, kind in catalogue().items()}
     return seen, promise
 
 
@@ -78,9 +75,11 @@ def sight(kind: type[AbstractEffect], one: score.Score, column: np.ndarray, jaco
     return Sight(kind.key, kind.stage, kind.unit(), "testable", smallest, (), "")
 
 
-def hidden(kind: type[AbstractEffect], why: str) -> Sight:
-    """The sight of an effect that a rig cannot have, or not show."""
-    return Sight(kind.key, kind.stage, kind.unit(), "blind", None, (), why if kind.no_mean_effect else f"this rig cannot show it: {why}")
+def unseen(bench: Bench, kind: type[AbstractEffect]) -> Sight:
+    """The sight of an effect that a rig has by its file, cannot have, or cannot show."""
+    obstacle = kind.obstacle(bench.traits)
+    why = obstacle if kind.no_mean_effect else f"this rig cannot show it: {obstacle}"
+    return Sight(kind.key, kind.stage, kind.unit(), "blind", None, (), "the rig file has it" if kind.key in bench.known else why)
 
 
 def absorbers(column: np.ndarray, jacobian: np.ndarray, names: list[str]) -> tuple[str, ...]:

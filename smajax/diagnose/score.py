@@ -75,10 +75,17 @@ def noise_model(series: np.ndarray) -> tuple[np.ndarray, float]:
 def p_value(
     columns: Mapping[str, np.ndarray], plausible: Mapping[str, tuple[float, float]], largest: float, seed: int, draws: int = 4000
 ) -> float:
-    """Probability that noise alone gives a largest gain of at least ``largest``: simulated with the columns' own correlations."""
+    """Probability that noise alone gives a largest gain of at least ``largest``."""
+    return float(np.mean(largest_by_noise(columns, plausible, seed, draws) >= largest))
+
+
+def largest_by_noise(
+    columns: Mapping[str, np.ndarray], plausible: Mapping[str, tuple[float, float]], seed: int, draws: int = 4000
+) -> np.ndarray:
+    """Largest gains that noise alone gives, shape ``(draws,)``: simulated with the columns' own correlations."""
     kept = {k: c for k, c in columns.items() if np.linalg.norm(c) > 0}
     if not kept:
-        return 1.0
+        return np.full(draws, np.inf)
     sizes = np.array([np.linalg.norm(c) for c in kept.values()])
     unit = np.column_stack(list(kept.values())) / sizes
     correlation = unit.T @ unit
@@ -88,8 +95,7 @@ def p_value(
     low = np.array([plausible[k][0] for k in kept]) * sizes
     high = np.array([plausible[k][1] for k in kept]) * sizes
     clipped = np.clip(z, low, high)
-    gains = np.max(2.0 * clipped * z - clipped**2, axis=1)
-    return float(np.mean(gains >= largest))
+    return np.max(2.0 * clipped * z - clipped**2, axis=1)
 
 
 def classes(columns: Mapping[str, np.ndarray], threshold: float = CLASS) -> list[set[str]]:

@@ -9,7 +9,8 @@ each accepted effect has to be missed if it is taken away again. ``smajax.diagno
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,12 +18,12 @@ from smajax.diagnose import residual, score
 from smajax.diagnose.bench import SLOTS, Bench, in_pairs
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
-from smajax.diagnose.preflight import Promise, Sight, hidden, preflight, sight
+from smajax.diagnose.preflight import Promise, Sight, preflight, sight, unseen
 from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable
 from smajax.fit.least_squares import Solved, Stop
-from smajax.fit.problem import Problem
+from smajax.fit.problem import Problem, rounding_noise
 
 DETECTED = 0.01
 CUT = 0.05
@@ -39,6 +40,7 @@ _TRIES, _RESTLESS = 10, 4  # start points of the first fit, and after how many i
 _ALIKE = 2.0  # difference of the sum of squares over the noise that says nothing
 _FALL = 25.0  # least fall of the sum of squares over the noise that counts
 _RIVALS = 3
+_ROUNDED = 1.5  # rounding that is coarser than the noise errs all the same way where nothing moves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +83,11 @@ class Story:
         return self.last.keys
 
     @property
+    def quiet(self) -> bool:
+        """Whether noise may well give what the first fit left, if it is as slow as that is."""
+        return min((r.p_value for r in self.ranking.values() if r.p_value is not None), default=1.0) > DETECTED
+
+    @property
     def explained(self) -> float:
         """Share of the first fit's excess over the noise, on both recordings, that the last one explains."""
         return self.explained_by(self.last)
@@ -98,16 +105,24 @@ def critical(samples: int) -> float:
 
 
 def trace(
-    bench: Bench, *, seed: int = 0, starts: int = 2, worth: float = WORTH, say: Callable[[str], None] = lambda text: None
+    bench: Bench,
+    *,
+    seed: int = 0,
+    starts: int = 2,
+    worth: float = WORTH,
+    given: Mapping[str, float] = MappingProxyType({}),
+    say: Callable[[str], None] = lambda text: None,
 ) -> tuple[Tracer, Story]:
     """Traces the residual of the bench's training part, helped by the selection part; the first fit has at least so many ``starts``.
 
     A third effect is looked for if two explain the share ``worth`` of what exceeds the noise: less speaks for a cause that is not listed.
+    ``given`` are the standard deviations of channels' noise that are known, SI; the others are estimated.
 
     Raises NumericsError if the simulation fails at the rig's own values.
     """
     say("fitting the rig as it is written down")
     point, stop, noise, rests = _first_fit(bench, seed, starts)
+    noise |= {c: (value, "rig file") for c, value in given.items() if c in noise}
     if not rests:
         say("it does not come to rest, so that its residual says little")
     bench.compiled()
@@ -117,7 +132,9 @@ def trace(
     bench.set_noise({c: value for c, (value, _) in noise.items()})
     tracer = Tracer(bench, seed)
     first = tracer.judged(tracer.base(point, stop))
-    story = Story(seen, noise, first, first, critical(len(bench.flat(first.refit.residual))), promise, rests)
+    limit = critical(len(bench.flat(first.refit.residual)))
+    limit = max(limit, _ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
+    story = Story(seen, noise, first, first, limit, promise, rests)
     beam = [first]
     for turn in range(ROUNDS):
         if turn > 1 and story.explained < worth:
@@ -180,6 +197,9 @@ def _noise(bench: Bench, plain: Problem, left: np.ndarray) -> dict[str, tuple[fl
     for i, channel in enumerate(plain.channels):
         series = np.concatenate([by[r, i, seen] for r, seen in enumerate(rows)]) * bench.noise[channel]
         found[channel] = residual.noise(series, inputs)
+        rounded = max(rounding_noise(r.channels[channel]) for r in bench.parts[0].recordings)
+        if rounded > found[channel][0]:
+            found[channel] = rounded, "rounding"
     return found
 
 
@@ -190,7 +210,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     beam = [t for t in beam if len(bench.moved(t.refit.hypothesis)) < SLOTS]
     if not beam or (turn and current.train < max(story.limit, 1.02)):
         return []
-    say(f"round {turn + 1}: scoring {len(bench.effects) - turn} effects")
+    say(f"round {turn + 1}: scoring {len(bench.effects) - len(bench.known) - turn} effects")
     if turn == 0:
         scores = tracer.scores(current.refit)
         story.stages = tracer.shares(current.refit, scores)
@@ -316,7 +336,7 @@ def _ranking(tracer: Tracer, scores: Scores, base: Refit) -> dict[str, Ranked]:
     inflated = math.sqrt(max(bench.fitness(base.residual, 0), 1.0))
     for key, kind in catalogue().items():
         if key not in scores.found:
-            ranking[key] = Ranked(hidden(kind, kind.obstacle(bench.traits)))
+            ranking[key] = Ranked(unseen(bench, kind))
             continue
         one = scores.found[key]
         seen = sight(kind, one, scores.columns[key, scores.shapes[key]], scores.jacobian, names)
@@ -324,5 +344,5 @@ def _ranking(tracer: Tracer, scores: Scores, base: Refit) -> dict[str, Ranked]:
             ranking[key] = Ranked(seen)
             continue
         estimate, spread = one.strength * kind.typical, 1.96 / score.DETECTABLE * seen.smallest * inflated
-        ranking[key] = Ranked(seen, estimate, estimate - spread, estimate + spread, one.gain, scores.chance)
+        ranking[key] = Ranked(seen, estimate, estimate - spread, estimate + spread, one.gain, scores.chances[key])
     return ranking

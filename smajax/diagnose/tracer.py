@@ -12,6 +12,7 @@ import scipy.optimize
 from smajax.diagnose import localise, score
 from smajax.diagnose.bench import Bench, Running, in_pairs
 from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.fit import uncertainty
 from smajax.fit.least_squares import Stop
 from smajax.parameters import declarations
 
@@ -72,7 +73,7 @@ class Extension(NamedTuple):
 @dataclasses.dataclass(frozen=True)
 class Scores:
     """Scores at one fit: the best of each effect, at which shape, all columns, the free parameters' Jacobian, its basis, the residual
-    beyond it, and the probability of so large a gain by noise."""
+    beyond it, and for each effect the probability that noise gives any effect so large a gain."""
 
     found: dict[str, score.Score]
     shapes: dict[str, tuple]
@@ -80,7 +81,12 @@ class Scores:
     jacobian: np.ndarray
     q: np.ndarray
     left: np.ndarray
-    chance: float
+    chances: dict[str, float]
+
+    @property
+    def chance(self) -> float:
+        """The probability of the largest gain."""
+        return min(self.chances.values(), default=1.0)
 
 
 class Tracer:
@@ -116,10 +122,10 @@ class Tracer:
             one = bench.scored(key, q, left, column)
             if key not in found or one.gain > found[key].gain:
                 found[key], shapes[key] = one, shape
-        return Scores(found, shapes, columns, jacobian, q, left, self.chance(refit, jacobian, columns))
+        return Scores(found, shapes, columns, jacobian, q, left, self.chances(refit, jacobian, columns))
 
-    def chance(self, refit: Refit, jacobian: np.ndarray, columns: dict) -> float:
-        """The p-value of the largest gain, the residual's own autocorrelation taken out first."""
+    def chances(self, refit: Refit, jacobian: np.ndarray, columns: dict) -> dict[str, float]:
+        """Each effect's p-value among all of them, the residual's own autocorrelation taken out first."""
         series = list(self.bench.series(refit.residual).values())
         models = [score.noise_model(s) for s in series]
         cuts = np.cumsum([len(s) for s in series])[:-1]
@@ -130,29 +136,45 @@ class Tracer:
         q = score.basis(np.column_stack([white(c) for c in jacobian.T]))
         left = score.project(q, white(self.bench.flat(refit.residual)))
         kept = {key: self.bench.scored(key[0], q, left, white(c)) for key, c in columns.items()}
-        kept = {f"{key}{shape}": (s, self.bench.plausible(key)) for (key, shape), s in kept.items() if math.isfinite(s.smallest)}
-        largest = max((s.gain for s, _ in kept.values()), default=0.0)
-        return score.p_value({k: s.column for k, (s, _) in kept.items()}, {k: p for k, (_, p) in kept.items()}, largest, self.seed)
+        kept = {item: s for item, s in kept.items() if math.isfinite(s.smallest)}
+        names = {item: f"{item[0]}{item[1]}" for item in kept}
+        by_noise = score.largest_by_noise(
+            {names[i]: s.column for i, s in kept.items()}, {names[i]: self.bench.plausible(i[0]) for i in kept}, self.seed
+        )
+        gains = dict.fromkeys((key for key, _ in columns), 0.0)
+        for (key, _), s in kept.items():
+            gains[key] = max(gains[key], s.gain)
+        return {key: float(np.mean(by_noise >= gain)) for key, gain in gains.items()}
 
     def shares(self, refit: Refit, scores: Scores) -> dict[str, float]:
         """Share of a fit's residual that can live in each stage."""
         return localise.shares(self.bench, refit, scores.q, scores.left, scores.columns)
 
-    def expected(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
+    def expected(self, refit: Refit, k: int, fitted: Sequence[int] = (0,), *, slow: bool = False) -> float:
         """Mean square over the noise that the parameters' uncertainty makes of a perfect fit on part ``k``: at least 1.
 
-        ``fitted`` are the parts that the parameters were fitted to. What they do not tell may be as far off as is typical.
+        ``fitted`` are the parts that the parameters were fitted to. What they do not tell may be as far off as is typical. ``slow`` takes
+        the autocorrelation of what is left for that of the noise.
         """
         bench, free = self.bench, self.free(refit)
         foreign = (np.arange(len(free)) >= bench.shared) & (np.arange(len(free)) < bench.size)  # another recording's own parameters
 
-        def columns(part: int) -> np.ndarray:
-            _, jacobian = bench.evaluate(refit.hypothesis, refit.base, part, bench.moved(refit.hypothesis))
+        def columns(part: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+            """Jacobian and residual of each series of a part."""
+            left, jacobian = bench.evaluate(refit.hypothesis, refit.base, part, bench.moved(refit.hypothesis))
             jacobian = np.where(foreign, 0.0, jacobian) if part else jacobian
-            return np.column_stack([bench.flat(c, part) for c in jacobian[:, free].T])
+            each = [bench.series(c, part) for c in jacobian[:, free].T]
+            series = bench.series(left, part)
+            return [np.column_stack([c[name] for c in each]) for name in series], list(series.values())
 
-        known, asked = np.concatenate([columns(part) for part in fitted]), columns(k)
+        parts = [columns(part) for part in fitted]
+        asked = np.concatenate(columns(k)[0])
+        known = np.concatenate([j for jacobians, _ in parts for j in jacobians])
         covariance = np.linalg.inv(known.T @ known + np.eye(known.shape[1]))
+        if slow:
+            jacobians, series = ([one for part in parts for one in part[i]] for i in (0, 1))
+            told = uncertainty.covariance(jacobians, series, known.shape[1])
+            covariance = told if np.all(np.isfinite(told)) else covariance
         return 1.0 + float(np.mean(np.sum((asked @ covariance) * asked, axis=1)))
 
     def race(self, beside: Sequence[Extension], afar: Sequence[Extension] = ()) -> list[Trial]:
@@ -210,8 +232,8 @@ class Tracer:
         the other parameters have a long way to go, an effect as good as the trial's takes a while.
         """
         effects, key, refit = self.bench.effects, trial.key, trial.refit
-        rest = refit.hypothesis.without(key)
-        known = [k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in trial.keys]
+        rest, taken = refit.hypothesis.without(key), (*trial.keys, *self.bench.known)
+        known = [k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in taken]
         starts = [
             rest.extended(other, {f"effects.{other}.strength": 0.3 * effects[other].typical, **shape})
             for other in known

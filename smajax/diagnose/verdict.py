@@ -2,17 +2,19 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.diagnose import experiment, localise
+from smajax.diagnose import experiment, localise, score
 from smajax.diagnose.bench import Bench
+from smajax.diagnose.effects import catalogue
 from smajax.diagnose.experiment import Next
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.localise import Shape
-from smajax.diagnose.preflight import Sight
+from smajax.diagnose.preflight import Sight, sight
 from smajax.diagnose.residual import Look, look
 from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
 from smajax.diagnose.tracer import AT_NOISE, Tracer
@@ -27,7 +29,8 @@ _NOISY = 1.2
 class Diagnosis:
     """The whole of it. RMSEs in SI by channel; ``before`` and ``after`` are fitted to training and selection part together.
 
-    ``rests`` says whether the first fit, without effects, came to rest. ``predictions`` hold model minus measurement, SI, by before /
+    ``rests`` says whether the first fit, without effects, came to rest. ``excluded`` are the effects that would have been seen from their
+    ``smallest`` strength on. ``predictions`` hold model minus measurement, SI, by before /
     after, recording and channel; ``looks`` the residuals of the training recording by before / after and channel.
     """
 
@@ -37,6 +40,7 @@ class Diagnosis:
     unresolved_stage: str | None
     preflight: tuple[Sight, ...]
     ranking: tuple[Ranked, ...]
+    excluded: tuple[Sight, ...]
     stages: dict[str, float]
     noise: dict[str, tuple[float, str]]
     before: Refit
@@ -53,12 +57,15 @@ class Diagnosis:
     next: Next | None
 
 
-def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda text: None) -> Diagnosis:
+def diagnose(
+    bench: Bench, *, seed: int = 0, given: Mapping[str, float] = MappingProxyType({}), say: Callable[[str], None] = lambda text: None
+) -> Diagnosis:
     """Traces, judges, and says what to do next. The bench holds three recordings, for training, selection and holdout.
 
-    Raises NumericsError if the first fit does not come to rest and no effect lets it; its ``state`` holds the point where it ended.
+    ``given`` are the standard deviations of channels' noise that are known, SI. Raises NumericsError if the first fit does not come to rest
+    and no effect lets it; its ``state`` holds the point where it ended.
     """
-    tracer, story = trace(bench, seed=seed, say=say)
+    tracer, story = trace(bench, seed=seed, given=given, say=say)
     take_back(story)
     if not (story.rests or story.accepted):
         told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
@@ -70,7 +77,9 @@ def diagnose(bench: Bench, *, seed: int = 0, say: Callable[[str], None] = lambda
     last = predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
     held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
     both = (0,) if bench.own else (0, 1)
-    verdict = judge(story, held, (tracer.expected(story.last.refit, 1), tracer.expected(last, 2, both)))
+    slow = not story.accepted and story.quiet  # then whatever is left is noise
+    expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
+    verdict = judge(story, held, expected)
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
@@ -114,15 +123,18 @@ def judge(story: Story, held: float, expected: tuple[float, float]) -> str:
     return "partial"
 
 
-def _rest(tracer: Tracer, story: Story) -> tuple[str, Shape | None]:
-    """The stage where what is left unexplained lives, and its shape; if only another input shows it, the stage of what stands in for it."""
+def _rest(tracer: Tracer, story: Story) -> tuple[str | None, Shape | None]:
+    """The stage where what is left unexplained lives, and its shape; if only another input shows it, the stage of what stands in for it.
+
+    ``None`` if only another input shows it and nothing stands in for it.
+    """
     refit = story.last.refit
     if story.accepted and story.last.train < max(story.limit, AT_NOISE):
         return tracer.bench.effects[story.last.key].stage, None
     scores = tracer.scores(refit)
     left = tracer.shares(refit, scores) if story.accepted else story.stages
     stage = localise.likeliest(left)
-    return stage, localise.shape(tracer.bench, refit, scores.q, scores.left, stage)
+    return stage, localise.shape(tracer.bench, refit, scores.q, scores.left, stage) if stage else None
 
 
 def _rivals(story: Story) -> dict[str, dict[str, float]]:
@@ -137,6 +149,18 @@ def _rivals(story: Story) -> dict[str, dict[str, float]]:
         tried = sorted((r for r in story.ranking.values() if r.gain), key=lambda r: -(r.gain or 0.0))[:2]
         found = {r.sight.key: {f"effects.{r.sight.key}.strength": r.strength or 0.0} for r in tried}
     return found
+
+
+def _excluded(tracer: Tracer, story: Story) -> tuple[Sight, ...]:
+    """What the last fit's residual, which is noise, has no trace of: effects whose strength there may as well be 0."""
+    scores, same = tracer.scores(story.last.refit), {k for keys in story.equivalent.values() for k in keys}
+    found = []
+    for key, one in scores.found.items():
+        seen = sight(catalogue()[key], one, scores.columns[key, scores.shapes[key]], scores.jacobian, [])
+        doubtful = key in same or any(key == k for k, _ in story.rejected)
+        if seen.status == "testable" and not doubtful and abs(one.strength) < 1.96 / score.DETECTABLE * one.smallest:
+            found.append(seen)
+    return tuple(found)
 
 
 def _conclude(
@@ -165,6 +189,7 @@ def _conclude(
         unresolved_stage=stage,
         preflight=tuple(story.preflight.values()),
         ranking=tuple(story.ranking.values()),
+        excluded=_excluded(tracer, story) if verdict not in ("partial", "unresolved") else (),
         stages=story.stages,
         noise=story.noise,
         before=first,

@@ -180,9 +180,13 @@ def difference_noise(values: np.ndarray) -> float:
     values = values[np.isfinite(values)]
     second = np.diff(values, 2)
     spread = 1.4826 * float(np.median(np.abs(second))) / math.sqrt(6.0) if len(second) else 0.0
-    steps = np.diff(np.unique(values))
-    quantum = float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
-    return max(spread, quantum, 1e-5 * float(np.ptp(values)))
+    return max(spread, rounding_noise(values), 1e-5 * float(np.ptp(values)))
+
+
+def rounding_noise(values: np.ndarray) -> float:
+    """Standard deviation of a column's rounding: the smallest step between two of its values over the root of 12."""
+    steps = np.diff(np.unique(values[np.isfinite(values)]))
+    return float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
 
 
 def _unknown(plant: Plant, name: str, recording: str | None, settings: Settings, sample: Recording) -> Unknown:

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from smajax import parameters
 from smajax.console import Progress
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.evidence import clipped, evidence, with_evidence, without
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
-from smajax.jobs.fit import read_recordings
+from smajax.jobs.fit import read_recordings, started
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
@@ -24,6 +26,7 @@ from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 
 _FEWEST = 200
+_STRETCH, _COPIED = 20, 0.5  # rows that are compared together, and the share of them that makes a copy
 
 
 class DiagnoseJob(NamedTuple):
@@ -36,6 +39,7 @@ class DiagnoseJob(NamedTuple):
     out: Path
     seed: int | None = None
     drop_bad_rows: bool = False
+    start: Path | None = None
 
 
 def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -44,6 +48,8 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
     progress.phase("reading")
     with clock.time("read"):
         rig, text = read_rig(job.rig), rig_text(job.rig)
+        if job.start is not None:
+            rig = dataclasses.replace(rig, plant=started(rig, job.start))
         if rig.fit.per_recording:
             raise InputError(f"{job.rig}: a diagnosis takes one set of parameters for all recordings: move fit.per_recording to fit.free")
         recordings = _read(rig, job)
@@ -54,7 +60,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
         plant, settings = with_evidence(rig.plant, without(rig.fit, list(saturated)), more)
         bench = Bench(plant, recordings, settings, interpolation=rig.interpolation)
         try:
-            found = diagnose(bench, seed=seed, say=progress.phase)
+            found = diagnose(bench, seed=seed, given=rig.fit.noise, say=progress.phase)
         except NumericsError as error:
             if not error.state:
                 raise
@@ -63,7 +69,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
             write_folder(out, run, lambda folder: dataclasses.replace(rig, plant=last).write(folder / "rig-last.toml"))
             raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
     document = diagnosis_document(
-        found, recordings[0], evidence=more, left_out=saturated | left_out, simulations=bench.simulations,
+        found, recordings, evidence=more, left_out=saturated | left_out, simulations=bench.simulations,
         wall=time.perf_counter() - began, seed=seed,
     )  # fmt: skip
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
@@ -98,7 +104,23 @@ def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
         same = next((other.name for other in read[:k] if other.sha256 == one.sha256), None)
         if same is not None:
             raise InputError(f"{one.name} has the same content as {same}: it tests nothing; give another recording, of another input")
+        part = next((other.name for other in read[:k] if _shared_rows(one, other) > _COPIED), None)
+        if part is not None:
+            raise InputError(f"{one.name} has rows of {part}: it tests nothing; give another recording, of another input")
+    signals = rig.plant.signals
+    if signals and all(np.ptp(read[0].channels[name]) == 0.0 for name in signals):
+        raise InputError(f"{read[0].name}: {' and '.join(signals)} never change{'s' * (len(signals) == 1)}, so that nothing shows: vary it")
     return read
+
+
+def _shared_rows(one: Recording, other: Recording) -> float:
+    """The share of a recording's stretches, those in which nothing changes left aside, that are in another one, too, value by value."""
+    names = [c for c in one.channels if c in other.channels]
+    mine, theirs = (np.column_stack([r.channels[c] for c in names]) for r in (one, other))
+    known = {theirs[k : k + _STRETCH].tobytes() for k in range(len(theirs) - _STRETCH + 1)}
+    stretches = [mine[k : k + _STRETCH] for k in range(0, len(mine) - _STRETCH + 1, _STRETCH)]
+    moving = [s.tobytes() in known for s in stretches if np.ptp(s, axis=0).any()]
+    return float(np.mean(moving)) if moving else 0.0
 
 
 def _saturated(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:

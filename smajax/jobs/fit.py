@@ -124,7 +124,7 @@ def _read_for_fit(job: FitJob) -> _Read:
     rig = read_rig(job.rig)
     warnings = list(rig.notes)
     if job.start is not None:
-        rig = dataclasses.replace(rig, plant=_started(rig, job.start))
+        rig = dataclasses.replace(rig, plant=started(rig, job.start))
     replaced = {key: value for key, value in (("seed", job.seed), ("starts", job.starts)) if value is not None}
     settings = dataclasses.replace(rig.fit, **replaced)
     recordings = read_recordings(rig, job.train, job.holdout, job.drop_bad_rows)
@@ -182,7 +182,7 @@ def _telling(places: Sequence[Path]) -> list[str]:
     return [str(place) for place in places]
 
 
-def _started(rig: Rig, path: Path) -> Any:
+def started(rig: Rig, path: Path) -> Any:
     """The rig's plant with the values of a parameter file that it has a place for; of values per recording, their mean."""
     known = parameters.declared(rig.plant)
     values: dict[str, list[float]] = {}

@@ -13,7 +13,7 @@ from smajax.diagnose.tracer import AT_NOISE
 from smajax.diagnose.verdict import PARTS, Diagnosis
 from smajax.recording import Recording
 from smajax.report import html, plots
-from smajax.report.document import difference_unit, number
+from smajax.report.document import difference_unit, number, recording_entry
 from smajax.report.plots import Picture
 from smajax.report.prediction import Series
 
@@ -23,7 +23,7 @@ NEXT_INPUT = "next_input.csv"
 
 def diagnosis_document(
     found: Diagnosis,
-    recording: Recording,
+    recordings: Sequence[Recording],
     *,
     evidence: Sequence[str],
     left_out: Mapping[str, str],
@@ -31,10 +31,11 @@ def diagnosis_document(
     wall: float,
     seed: int,
 ) -> dict[str, Any]:
-    """The document of a diagnosis; ``recording`` is the training one, whose units it takes.
+    """The document of a diagnosis of three recordings, for training, selection and holdout; it takes the first one's units.
 
     ``evidence`` are channels not observed; ``left_out`` says of channels that were done without, why.
     """
+    recording = recordings[0]
     rmse, floor = {}, {}
     for channel, values in found.rmse.items():
         unit, factor = difference_unit(recording, channel)
@@ -69,6 +70,7 @@ def diagnosis_document(
         "summary": "",
         "rmse": rmse,
         "evidence": list(evidence),
+        "recordings": [recording_entry(one, part) for one, part in zip(recordings, PARTS, strict=True)],
         "left_out": [{"channel": channel, "why": why} for channel, why in left_out.items()],
         "noise_floor": floor,
         "base_fit_at_rest": found.rests,
@@ -76,11 +78,7 @@ def diagnosis_document(
         "stages": {stage: number(share) for stage, share in found.stages.items()},
         "ranking": ranking,
         "rejected": [{"key": key, "why": why} for key, why in found.rejected],
-        "excluded": [
-            {"key": r["key"], "above": r["smallest_detectable"], "unit": r["unit"]}
-            for r in ranking
-            if found.verdict == "nothing-missing" and r["status"] == "testable" and r["smallest_detectable"] is not None
-        ],
+        "excluded": [{"key": one.key, "above": number(one.smallest), "unit": one.unit} for one in found.excluded],
         "preflight": [_sight(one) for one in found.preflight],
         "residual": {
             channel: {when: _look(looks[channel], difference_unit(recording, channel)[1]) for when, looks in found.looks.items()}
@@ -115,8 +113,8 @@ def _look(one: Look, factor: float) -> dict[str, Any]:
 def _free_form(found: Diagnosis) -> dict[str, Any] | None:
     if found.shape is None:
         return None
-    shape, before = found.shape, found.fitness[1]
-    explained = 1.0 - max(shape.train - 1.0, 0.0) / max(before - 1.0, 1e-9)
+    shape = found.shape
+    explained = 1.0 - max(shape.train - 1.0, 0.0) / max(shape.before - 1.0, 1e-9)
     return {
         "stage": shape.stage, "adds": shape.kind.removeprefix("free-"), "unit": shape.unit, "against": shape.against,
         "at": [number(float(v)) for v in shape.at], "term": [number(float(v)) for v in shape.term],
@@ -143,11 +141,15 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
             told.append(f"These recordings cannot tell it from {', '.join(doc['equivalent'][key])}.")
     stage = doc["unresolved_stage"]
     if doc["verdict"] == "nothing-missing":
-        told.append("The model explains the recordings down to their noise: nothing is missing that they could show.")
+        little = "; ".join(f"{entry['key']} {entry['why']}" for entry in doc["rejected"])
+        beside = f"a little of something may be ({little})" if little else "nothing is missing that they could show"
+        told.append(f"The model explains the recordings down to their noise: {beside}.")
     elif doc["verdict"] == "partial" and doc["goodness_of_fit"]["after"] < max(doc["goodness_of_fit"]["critical"], AT_NOISE):
         told.append(f"It does not predict another input down to the noise: it may stand in for something else in the {stage} stage.")
     elif doc["verdict"] == "partial":
         told.append(f"That is not all: more than noise is left, and it looks most like something in the {stage} stage.")
+    elif doc["verdict"] == "unresolved" and stage is None:
+        told.append("Something is missing that only the other recordings show: their inputs do what the training recording's does not.")
     elif doc["verdict"] == "unresolved":
         told.append(f"Something is missing that no effect of the catalogue explains; the residual looks most like the {stage} stage.")
     if not doc.get("base_fit_at_rest", True):
@@ -160,6 +162,7 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
             f"{_shown(rmse['holdout_after'], 3)} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
     told += [f"Done without {entry['channel']}: {entry['why']}." for entry in doc.get("left_out", ())]
+    told += [f"{entry['name']}: {note}." for entry in doc.get("recordings", ()) for note in entry["notes"]]
     if doc["free_form"]:
         form = doc["free_form"]
         told.append(
