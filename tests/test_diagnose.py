@@ -23,7 +23,7 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
-from smajax.diagnose.trace import Story, objection, trace
+from smajax.diagnose.trace import Story, _arrived, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
@@ -413,6 +413,13 @@ def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
     )  # fmt: skip
     refit = Refit(Hypothesis(), np.zeros(2), np.zeros(2), jacobians[0], Stop.converged)
     assert Tracer(bench, 0).expected(refit, 1) == pytest.approx(1.0 + 0.5 + 0.5 * 3.0**2, rel=1e-3)
+
+
+def test_a_refit_that_is_worse_than_without_its_effect_is_taken_to_its_end_first():
+    held, other, hopeless = trial(("creep",), 12.0, 1.0), trial(("backlash",), 8.0, 8.0), trial(("slack",), 11.0, 30.0)
+    tracer = SimpleNamespace(settled=lambda one: trial(one.keys, 9.0, 20.0))
+    found = _arrived(tracer, [held, other, hopeless], trial((), 10.0, 10.0))  # pyright: ignore[reportArgumentType]
+    assert [(t.keys, t.train) for t in found] == [(("backlash",), 8.0), (("creep",), 9.0)]
 
 
 def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():

@@ -34,6 +34,7 @@ EXPLAINED = 0.5
 WORTH = 0.75
 ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
+_LATE = 2  # trials that did not come to their end and are taken there
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
 _STATIONARY = 2e-2
 _TRIES, _RESTLESS = 10, 4  # start points of the first fit, and after how many it no longer waits for one to end at rest
@@ -220,6 +221,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
         trials = _singles(tracer, story, scores, say)
     else:
         trials = _more(tracer, story, beam, turn, say)
+    trials = _arrived(tracer, trials, current)
     best = min(trials, key=lambda t: t.total, default=None)
     if best is None:
         return []
@@ -248,6 +250,17 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
             story.rivals[key] = swapped[:_RIVALS]
             story.equivalent[key] = tuple((set(t.keys) - set(best.keys)).pop() for t in swapped if _as_good(t, best, samples))
     return [best, *others[: _BEAM - 1]]
+
+
+def _arrived(tracer: Tracer, trials: list[Trial], current: Trial) -> list[Trial]:
+    """The trials that leave less of the training recording than ``current``, and the best of the others once they have come to their end.
+
+    With one effect more nothing gets worse there but by a search that was held, or stopped early, whatever it predicts of another input.
+    """
+    done = [t for t in trials if t.train < current.train]
+    least = min((t.total for t in done), default=math.inf)
+    late = sorted((t for t in trials if t.train >= current.train and t.total < least), key=lambda t: t.total)[:_LATE]
+    return [*done, *map(tracer.settled, late)]
 
 
 def objection(current: Trial, best: Trial, samples: int) -> str:
