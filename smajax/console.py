@@ -22,8 +22,7 @@ from smajax.errors import InputError, NumericsError
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
 # Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs much faster if all of it, however large
-# its arrays are, is one function of machine code. Such a function is full of short
-# vectors, which AVX-512 only slows down.
+# its arrays are, is one function of machine code. Such a function is full of short vectors, which AVX-512 slows down.
 XLA_FLAGS = (
     "--xla_cpu_use_fusion_emitters=false",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",

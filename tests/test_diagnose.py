@@ -29,6 +29,7 @@ from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
 from smajax.fit.problem import rounding_noise
+from smajax.parameter_file import Entry, write_parameters
 from smajax.report.diagnosis import sentences
 from smajax.rig import read_rig
 
@@ -139,19 +140,23 @@ def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
     """Nor is noise estimated that the rig file gives; what was dropped in reading is said."""
     source = shipped("recordings", "dead-weight-unexplained")
     text = (demo / "rig-diagnosed.toml").read_text("utf-8")
+    text += '\n[effects.backlash]\nstrength = "0 mm"\n'  # which is the same as nothing
     (tmp_path / "rig.toml").write_text(text.replace("[fit]\n", '[fit]\nnoise = { displacement = "0.021 mm" }\n'), "utf-8")
+    write_parameters(tmp_path / "fit.toml", {"heat.h0": Entry(99.0, "W/m^2/K")}, {})
     rows = (source / "train.csv").read_text().splitlines()
     rows[700] = rows[700].rpartition(",")[0] + ","
     (tmp_path / "train.csv").write_text("\n".join(rows))
     parts = [str(tmp_path / "train.csv"), "--select", str(source / "select.csv"), "--holdout", str(source / "holdout.csv")]
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["diagnose", str(tmp_path / "rig.toml"), *parts, "--out", str(out), "--quiet", "--drop-bad-rows"])
+    words = ["diagnose", str(tmp_path / "rig.toml"), *parts, "--start", str(tmp_path / "fit.toml"), "--quiet", "--drop-bad-rows"]
+    result = CliRunner().invoke(app, [*words, "--out", str(out)])
     assert result.exit_code == 0, result.output
     document = json.loads((out / "diagnosis.json").read_text("utf-8"))
     assert document["verdict"] == "nothing-missing" and document["effects"] == []
     assert document["noise_floor"]["displacement"] == {"value": pytest.approx(0.021), "unit": "mm", "from": "rig file"}
     entry = next(r for r in document["ranking"] if r["key"] == "latent-heat")
     assert entry["why"] == "the rig file has it" and entry["strength"] is None
+    assert next(r for r in document["ranking"] if r["key"] == "backlash")["status"] == "testable"
     assert document["rmse"]["displacement"]["holdout_before"] < 0.022
     assert [e.key for e in read_rig(out / "rig-diagnosed.toml").plant.effects] == ["latent-heat"]
     assert "1 of" in document["recordings"][0]["notes"][0] and "dropped on request" in document["summary"]

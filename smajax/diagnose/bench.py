@@ -1,8 +1,7 @@
-"""The plant with every effect that its rig could have, all at strength 0, as one compiled program.
+"""The plant with every effect that its rig could have, and the recordings that serve a diagnosis, laid out alike.
 
-Fits, scores, refits and predictions all run on that program: a vector holds the rig's free parameters, then ``SLOTS`` slots; which
-effect's strength or shape a slot moves is data (a matrix), so that no hypothesis needs a compilation of its own. All parts (training,
-selection, holdout) are laid out alike: as many recordings, of which those that fill up count nothing, on grids of one length.
+Fits, scores, refits and predictions all run on one compiled program (``smajax.diagnose.program``). All parts (training, selection, holdout)
+have as many recordings, of which those that fill up count nothing, on grids of one length.
 """
 
 import dataclasses
@@ -22,6 +21,7 @@ from smajax.diagnose import freeform, score
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Form, Hypothesis, Refit
 from smajax.diagnose.part import Part
+from smajax.diagnose.program import SLOTS, Model, residual
 from smajax.errors import InputError
 from smajax.fit import least_squares
 from smajax.fit.least_squares import Stop
@@ -31,34 +31,7 @@ from smajax.plant.effect import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
-SLOTS = 6
 _MULTIPLE = 512
-
-
-class Model(eqx.Module):
-    """What the compiled program takes beside the vector: a part's problem, the effects' parameters, and what the slots move.
-
-    ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, hold the named parameters and then the knots of the free terms, which
-    are functions of ``free``: what they stand against, its low and its high, each of shape ``(len(freeform.AGAINST),)``.
-    """
-
-    problem: Problem
-    fixed: jax.Array
-    moved: jax.Array
-    free: tuple[jax.Array, jax.Array, jax.Array]
-    names: tuple[str, ...] = eqx.field(static=True)
-
-    def residual(self, vector: jax.Array) -> jax.Array:
-        """Model minus measurement over the noise, shape ``(r * c * n,)``."""
-        base = len(self.problem.unknowns)
-        values = self.fixed + self.moved @ vector[base:]
-        plant = parameters.replace(self.problem.plant, {name: values[i] for i, name in enumerate(self.names)})
-        plant = freeform.put(plant, values[len(self.names) :].reshape(len(freeform.KINDS), freeform.KNOTS), *self.free)
-        return dataclasses.replace(self.problem, plant=plant).residual(vector[:base])
-
-
-def _residual(vector: jax.Array, model: Model) -> jax.Array:
-    return model.residual(vector)
 
 
 def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
@@ -85,7 +58,7 @@ class Bench:
     """A rig's augmented plant with its recordings laid out alike: all that is simulated runs on one compiled program.
 
     ``parts`` are the training, selection and holdout recordings, in this order. ``plain`` is the rig as it is written down on the training
-    part. Effects that are written down (``known``) stay what they are; hypotheses are about the others.
+    part. Effects that are written down (``known``) stay, fitted where they are free; hypotheses are about the others.
     """
 
     def __init__(
@@ -107,7 +80,8 @@ class Bench:
         train = self.parts[0].recordings
         self.traits = plant.traits(tuple(settings.observe)) - (set() if all(r.has_clock for r in train) else {"clock"})
         self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
-        own = {effect.key: effect for effect in plant.effects}
+        free = {name.split(".")[1] for name in settings.free if name.startswith("effects.")}
+        own = {e.key: e for e in plant.effects if e.key in free or float(e.strength) != 0.0}  # at strength 0 it is not there
         self.known = tuple(own)
         self.effects = own | {k: _made(kind, train) for k, kind in catalogue().items() if k not in own and not kind.obstacle(self.traits)}
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *freeform.absent()))
@@ -300,7 +274,7 @@ class Bench:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
         return Running(
-            least_squares.Search(_residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol), hypothesis, nodes
+            least_squares.Search(residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol), hypothesis, nodes
         )
 
     def reached(self, running: Running) -> Refit:
@@ -339,7 +313,7 @@ class Bench:
         columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
         start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
         model = self.model(hypothesis, moved, problem, form)
-        solved = least_squares.Search(_residual, model, start[None], -free, free, size=problem.size).advance(1).result()
+        solved = least_squares.Search(residual, model, start[None], -free, free, size=problem.size).advance(1).result()
         self.simulations += solved.simulations
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
@@ -356,7 +330,7 @@ class Bench:
         start, lower, upper = (np.concatenate([base[: self.shared], own[self.shared :], np.zeros(SLOTS)]) for own in (nominal, *ends))
         problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
         model = self.model(hypothesis, (), problem)
-        solved = least_squares.Search(_residual, model, start[None], lower, upper, size=problem.size).advance(15).result()
+        solved = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size).advance(15).result()
         self.simulations += solved.simulations
         return solved.points[0][: self.size]
 

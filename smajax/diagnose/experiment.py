@@ -14,8 +14,9 @@ import jax
 import numpy as np
 
 from smajax.diagnose import score
-from smajax.diagnose.bench import SLOTS, Bench, in_pairs
+from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.hypothesis import Refit
+from smajax.diagnose.program import SLOTS
 from smajax.fit.problem import Problem
 from smajax.recording import Recording
 

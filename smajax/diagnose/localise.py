@@ -12,8 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from smajax.diagnose import freeform, score
-from smajax.diagnose.bench import SLOTS, Bench, in_pairs
+from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.hypothesis import Form, Refit
+from smajax.diagnose.program import SLOTS
 
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 _NODES = 5

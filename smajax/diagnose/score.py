@@ -7,6 +7,7 @@ and the gain is the fall of r'r that it would bring. References: Rao's score tes
 
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -80,9 +81,12 @@ def p_value(
 
 
 def largest_by_noise(
-    columns: Mapping[str, np.ndarray], plausible: Mapping[str, tuple[float, float]], seed: int, draws: int = 4000
+    columns: Mapping[Any, np.ndarray], plausible: Mapping[Any, tuple[float, float]], seed: int, draws: int = 4000
 ) -> np.ndarray:
-    """Largest gains that noise alone gives, shape ``(draws,)``: simulated with the columns' own correlations."""
+    """Largest gains that noise alone gives, shape ``(draws,)``: simulated with the columns' own correlations.
+
+    Columns and plausible strengths have the same keys.
+    """
     kept = {k: c for k, c in columns.items() if np.linalg.norm(c) > 0}
     if not kept:
         return np.full(draws, np.inf)

@@ -15,10 +15,11 @@ from types import MappingProxyType
 import numpy as np
 
 from smajax.diagnose import residual, score
-from smajax.diagnose.bench import SLOTS, Bench, in_pairs
+from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Promise, Sight, preflight, sight, unseen
+from smajax.diagnose.program import SLOTS
 from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable

@@ -137,10 +137,8 @@ class Tracer:
         left = score.project(q, white(self.bench.flat(refit.residual)))
         kept = {key: self.bench.scored(key[0], q, left, white(c)) for key, c in columns.items()}
         kept = {item: s for item, s in kept.items() if math.isfinite(s.smallest)}
-        names = {item: f"{item[0]}{item[1]}" for item in kept}
-        by_noise = score.largest_by_noise(
-            {names[i]: s.column for i, s in kept.items()}, {names[i]: self.bench.plausible(i[0]) for i in kept}, self.seed
-        )
+        plausible = {item: self.bench.plausible(item[0]) for item in kept}
+        by_noise = score.largest_by_noise({item: s.column for item, s in kept.items()}, plausible, self.seed)
         gains = dict.fromkeys((key for key, _ in columns), 0.0)
         for (key, _), s in kept.items():
             gains[key] = max(gains[key], s.gain)
@@ -251,7 +249,9 @@ class Tracer:
             return running
 
         looks = in_pairs(lambda start: self.bench.search(start, refit.base, rtol=1e-7, held=True).advance(_LOOK), starts)
-        best = {s.hypothesis.keys[-1]: s for s in sorted(looks, key=lambda s: -s.search.cost)}
+        best: dict[str, Running] = {}
+        for one in sorted(looks, key=lambda s: s.search.cost):
+            best.setdefault(one.hypothesis.keys[-1], one)
         near = [s for s in in_pairs(ended, list(best.values())) if s.search.cost < _BEHIND * refit.chi2]
         found = in_pairs(lambda s: self.judged(self.bench.reached(s)), near)
         return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
