@@ -115,7 +115,7 @@ def _refuse_overlap(names: Sequence[str]) -> None:
 
 def _bounds(given: Mapping[str, Any], table: Mapping[str, Declaration], plant: Plant) -> dict[str, tuple[float, float]]:
     bounds = {}
-    for name, ends in _flat(given).items():
+    for name, ends in flat(given).items():
         _known([name], table, "fit.bounds")
         declaration = table[name]
         if not isinstance(ends, list) or len(ends) != 2:
@@ -158,9 +158,9 @@ def _noise(given: Mapping[str, Any], observe: Sequence[str], plant: Plant) -> di
     return noise
 
 
-def _flat(given: Mapping[str, Any]) -> dict[str, Any]:
+def flat(given: Mapping[str, Any]) -> dict[str, Any]:
     """``heat.h0 = [...]`` without quotation marks arrives as a table in a table: both are the same name."""
-    flat: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for key, value in given.items():
-        flat |= {f"{key}.{inner}": v for inner, v in _flat(value).items()} if isinstance(value, dict) else {key: value}
-    return flat
+        found |= {f"{key}.{inner}": v for inner, v in flat(value).items()} if isinstance(value, dict) else {key: value}
+    return found

@@ -6,8 +6,8 @@ file, else from the parameter set that it names, else from the declaration's def
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -16,7 +16,7 @@ from smajax.channel_settings import ChannelSettings, channel_settings
 from smajax.datasets import shipped
 from smajax.diagnose.effects import catalogue
 from smajax.errors import InputError, nearest
-from smajax.fit_settings import FitSettings, check_observed, fit_settings, observed_channels, sensed
+from smajax.fit_settings import FitSettings, check_observed, fit_settings, flat, observed_channels, sensed
 from smajax.parameter_file import Entry, read_parameters
 from smajax.parameters import TIES, Declaration, as_float, declarations
 from smajax.plant.effect import AbstractEffect
@@ -52,7 +52,8 @@ class Rig:
     """One rig file.
 
     ``plant`` has the nominal values. ``sources`` says of each parameter where its value came from: the rig file's line, a parameter set, or
-    "default". ``notes`` list what was read and not used.
+    "default". ``notes`` list what was read and not used. ``misplaced`` says of effects that such a rig cannot have, and that were left
+    out, why.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Rig:
     channels: ChannelSettings
     sources: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    misplaced: Mapping[str, str] = field(default_factory=dict)
 
     def read(self, path: str | Path, *, drop_bad_rows: bool = False, observed: bool = True) -> Recording:
         """Read a recording of this rig: its inputs have to be there, and, if ``observed``, the channels that are fitted."""
@@ -107,18 +109,25 @@ class Rig:
         write_text(Path(path), self.to_toml(values))
 
 
-def read_rig(path: str | Path) -> Rig:
-    """Read and check a rig file. InputError: one sentence with file, section and key, and the cure."""
+def read_rig(path: str | Path, *, drop_misplaced: bool = False) -> Rig:
+    """Read and check a rig file. InputError: one sentence with file, section and key, and the cure.
+
+    With ``drop_misplaced``, effects that such a rig cannot have are left out instead, and ``Rig.misplaced`` says why.
+    """
     path = Path(path)
-    rig = parse_rig(read_text(path, "rig"), str(path), path.parent)
+    rig = parse_rig(read_text(path, "rig"), str(path), path.parent, drop_misplaced=drop_misplaced)
     return replace(rig, name=path.name, path=path)
 
 
-def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None) -> Rig:
+def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, drop_misplaced: bool = False) -> Rig:
     """The rig in a TOML text; ``name`` is the file's in sentences, ``folder`` where parameter sets given by a path are looked for."""
     data = parse(text, name)
     try:
-        return _rig(data, Path(name).name, _lines(text), folder or Path())
+        rig = _rig(data, Path(name).name, _lines(text), folder or Path())
+        if rig.misplaced and not drop_misplaced:
+            key, why = next(iter(rig.misplaced.items()))
+            raise InputError(f"effects.{key} has no place on this rig: {why}")
+        return rig
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
@@ -167,7 +176,8 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
     read_here = _quantities("sensor", data.get("sensor", {}), sensors)
     read_from_set = {n: entry for n, entry in taken.entries.items() if n in sensors and n not in read_here}
     readings = _numbers(read_from_set) | read_here
-    plant = replace(plant, effects=_effects(data.get("effects", {}), plant.traits(tuple(observe))))
+    effects, misplaced = _effects(data.get("effects", {}), plant.traits(tuple(observe)))
+    plant, fit = replace(plant, effects=effects), _without(fit, misplaced)
     added = {n: "rig file" for n in parameters.declared(plant) if n.startswith("effects.")}
     plant = replace(plant, sensor=_sensor([*observe, *sensed([*readings, *freed])], plant, readings))
     sources |= _sources([f"sensor.{key}" for key in plant.sensor.declarations()], read_from_set, read_here, taken.name, place)
@@ -185,6 +195,7 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
         channels=channel_settings(data.get("channels", {})),
         sources=sources | added | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
         notes=tuple(_notes(taken, {*table, *sensors}, settings)),
+        misplaced=misplaced,
     )
 
 
@@ -301,21 +312,30 @@ def _plant(stages: Stages, values: Mapping[str, float], freed: list[str]) -> Pla
     return Plant(mechanism=mechanism(**carried), sensor=Sensor.identity(()), **built)
 
 
-def _effects(content: Any, traits: frozenset[str]) -> tuple[AbstractEffect, ...]:
-    """The effects of ``[effects.KEY]`` sections. Refuses one that is not in the catalogue, or that a rig like this one cannot have."""
+def _effects(content: Any, traits: frozenset[str]) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:
+    """The effects of ``[effects.KEY]`` sections, and why a rig like this one cannot have others. Refuses what is not in the catalogue."""
     if not isinstance(content, dict):
         raise InputError('effects is not a section: write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it')
-    found = []
+    found, misplaced = [], {}
     for key, values in content.items():
         kind = catalogue().get(key)
         if kind is None:
             raise InputError(f"effects.{key} is not in the catalogue{nearest(key, catalogue())}")
-        if why := kind.obstacle(traits):
-            raise InputError(f"effects.{key} has no place on this rig: {why}")
         section = f"effects.{key}"
         numbers = _quantities(section, values, {f"{section}.{n}": d for n, d in declarations(kind).items()})
+        if why := kind.obstacle(traits):
+            misplaced[key] = why
+            continue
         found.append(kind(**{n.rsplit(".", 1)[1]: as_float(v) for n, v in numbers.items()}))
-    return tuple(found)
+    return tuple(found), misplaced
+
+
+def _without(fit: FitSection, effects: Iterable[str]) -> FitSection:
+    """The section without the parameters of these effects."""
+    gone = tuple(f"effects.{key}." for key in effects)
+    lists = {name: [n for n in getattr(fit, name) if not n.startswith(gone)] for name in ("free", "per_recording")}
+    bounds = {name: ends for name, ends in flat(fit.bounds).items() if not name.startswith(gone)}
+    return fit.model_copy(update=lists | {"bounds": bounds}) if gone else fit
 
 
 def _sensor(channels: list[str], plant: Plant, values: Mapping[str, float]) -> Sensor:

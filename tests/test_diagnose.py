@@ -141,7 +141,10 @@ def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
     source = shipped("recordings", "dead-weight-unexplained")
     text = (demo / "rig-diagnosed.toml").read_text("utf-8")
     text += '\n[effects.backlash]\nstrength = "0 mm"\n'  # which is the same as nothing
-    (tmp_path / "rig.toml").write_text(text.replace("[fit]\n", '[fit]\nnoise = { displacement = "0.021 mm" }\n'), "utf-8")
+    text += '\n[effects.wire-crosstalk]\nstrength = "0.1"\n'  # which one wire cannot have
+    text = text.replace("[fit]\n", '[fit]\nnoise = { displacement = "0.021 mm" }\n')
+    text = re.sub(r"(?m)^free = \[", 'free = ["effects.wire-crosstalk.strength", ', text)
+    (tmp_path / "rig.toml").write_text(text, "utf-8")
     write_parameters(tmp_path / "fit.toml", {"heat.h0": Entry(99.0, "W/m^2/K")}, {})
     rows = (source / "train.csv").read_text().splitlines()
     rows[700] = rows[700].rpartition(",")[0] + ","
@@ -160,6 +163,8 @@ def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
     assert document["rmse"]["displacement"]["holdout_before"] < 0.022
     assert [e.key for e in read_rig(out / "rig-diagnosed.toml").plant.effects] == ["latent-heat"]
     assert "1 of" in document["recordings"][0]["notes"][0] and "dropped on request" in document["summary"]
+    assert document["left_out"] == [{"effect": "wire-crosstalk", "why": "it needs two wires"}]
+    assert "Done without wire-crosstalk of the rig file, which this rig cannot have: it needs two wires." in document["summary"]
 
 
 @pytest.fixture(scope="module")

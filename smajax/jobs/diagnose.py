@@ -47,7 +47,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
     out, clock, began = check_out(job.out), Clock(), time.perf_counter()
     progress.phase("reading")
     with clock.time("read"):
-        rig, text = read_rig(job.rig), rig_text(job.rig)
+        rig, text = read_rig(job.rig, drop_misplaced=True), rig_text(job.rig)
         if job.start is not None:
             rig = dataclasses.replace(rig, plant=started(rig, job.start))
         if rig.fit.per_recording:
@@ -69,7 +69,7 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
             write_folder(out, run, lambda folder: dataclasses.replace(rig, plant=last).write(folder / "rig-last.toml"))
             raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
     document = diagnosis_document(
-        found, recordings, evidence=more, left_out=saturated | left_out, simulations=bench.simulations,
+        found, recordings, evidence=more, left_out=saturated | left_out, misplaced=rig.misplaced, simulations=bench.simulations,
         wall=time.perf_counter() - began, seed=seed,
     )  # fmt: skip
     run = run_record("diagnose", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}

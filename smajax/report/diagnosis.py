@@ -27,13 +27,15 @@ def diagnosis_document(
     *,
     evidence: Sequence[str],
     left_out: Mapping[str, str],
+    misplaced: Mapping[str, str],
     simulations: int,
     wall: float,
     seed: int,
 ) -> dict[str, Any]:
     """The document of a diagnosis of three recordings, for training, selection and holdout; it takes the first one's units.
 
-    ``evidence`` are channels not observed; ``left_out`` says of channels that were done without, why.
+    ``evidence`` are channels not observed; ``left_out`` says of channels that were done without, why, and ``misplaced`` of effects in the
+    rig file.
     """
     recording = recordings[0]
     rmse, floor = {}, {}
@@ -71,7 +73,10 @@ def diagnosis_document(
         "rmse": rmse,
         "evidence": list(evidence),
         "recordings": [recording_entry(one, part) for one, part in zip(recordings, PARTS, strict=True)],
-        "left_out": [{"channel": channel, "why": why} for channel, why in left_out.items()],
+        "left_out": [
+            *({"channel": channel, "why": why} for channel, why in left_out.items()),
+            *({"effect": key, "why": why} for key, why in misplaced.items()),
+        ],
         "noise_floor": floor,
         "base_fit_at_rest": found.rests,
         "goodness_of_fit": {"before": number(before), "after": number(after), "critical": number(limit)},
@@ -161,7 +166,9 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
             f"On the holdout the error of {channel}{beside} is {_shown(rmse['holdout_before'], 3)} {rmse['unit']} before and "
             f"{_shown(rmse['holdout_after'], 3)} {rmse['unit']} after, with noise of {floor:.3g} {rmse['unit']}."
         )
-    told += [f"Done without {entry['channel']}: {entry['why']}." for entry in doc.get("left_out", ())]
+    for entry in doc.get("left_out", ()):
+        what = entry.get("channel") or f"{entry['effect']} of the rig file, which this rig cannot have"
+        told.append(f"Done without {what}: {entry['why']}.")
     told += [f"{entry['name']}: {note}." for entry in doc.get("recordings", ()) for note in entry["notes"]]
     if doc["free_form"]:
         form = doc["free_form"]
