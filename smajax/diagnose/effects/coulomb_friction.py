@@ -11,7 +11,7 @@ class CoulombFriction(MechanismEffect):
     """A stress s against the motion, s z with z in -1..1, z turning around over a small motion."""
 
     strength: jax.Array = parameter("Pa", "friction as stress in the wire", 0.0, 1.5e8, 0.0)
-    reversal: jax.Array = parameter("1", "contraction, as a strain, that engages it from the middle", 2e-6, 1e-3, 1e-5)
+    reversal: jax.Array = parameter("1", "contraction, as a strain, that engages it from the middle", 1e-7, 1e-3, 1e-5)
     key = "coulomb-friction"
     typical = 2e7
     source = "capstan equation: 8 to 21 % of the load over a quarter turn at a coefficient of 0.05 to 0.15"
