@@ -9,6 +9,7 @@ error; what remains is the second-order error of the heat balance, which ``discr
 import dataclasses
 import enum
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -29,6 +30,7 @@ from smajax.recording import Recording
 
 _HOTTEST = 1300.0
 _SWING = 40
+_JUMP = 0.05  # of a held input's range
 _BLOCK = 64
 
 
@@ -77,6 +79,26 @@ class Inputs(eqx.Module):
             np.append(rows, np.full(later, rows[-1])),
             np.concatenate([sampled, np.repeat(sampled[-1:], later, axis=0)]),
         )
+
+    def merged(self, stride: int, *, held: bool) -> "Inputs":
+        """The same inputs at every ``stride``-th sample, on steps each of which stands for up to as many.
+
+        Inputs that are ``held`` keep their mean square, others go straight. Where one of them jumps, heating turns to cooling, and no step
+        leads over that.
+        """
+        time, before, after, rows, sampled = map(np.asarray, (self.time, self.before, self.after, self.rows, self.sampled))
+        kept = rows[::stride]
+        jumps = 1 + np.flatnonzero(np.any(np.abs(before[1:] - after[:-1]) > _JUMP * np.ptp(before, axis=0), axis=1))
+        cuts = np.union1d(kept, jumps[jumps < kept[-1]])
+        ends = np.concatenate([np.append(np.arange(a, b, stride), b)[1:] for a, b in itertools.pairwise(cuts)])
+        starts = np.append(kept[0], ends[:-1])
+        first, last = before[starts], after[ends - 1]
+        if held:
+            weight = np.diff(time)[:, None]
+            total, size = (np.add.reduceat(v[: ends[-1]], starts) for v in (weight * before**2, weight))
+            first = last = np.where(first == last, first, np.sign(first + last) * np.sqrt(total / size))
+        grid = np.append(starts, ends[-1])
+        return _inputs(time[grid], first, last, np.searchsorted(grid, kept), sampled[::stride])
 
     def halved(self) -> tuple["Inputs", int]:
         """The same inputs on steps half as long, as far as they go on a grid of this length; and at how many samples that is.
@@ -206,38 +228,39 @@ class _PlantSteps(dfx.AbstractSolver):
         return y0
 
 
-def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array], Any]) -> tuple[Any, jax.Array]:
+def _blocked(rows: jax.Array, filling: jax.Array) -> jax.Array:
+    """Rows of steps in blocks, shape ``(b, _BLOCK, ...)``, the last one filled up."""
+    count = rows.shape[0]
+    filled = jnp.concatenate([rows, jnp.broadcast_to(filling, (-count % _BLOCK, *rows.shape[1:]))])
+    return filled.reshape(-1, _BLOCK, *rows.shape[1:])
+
+
+def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array], Any], until: Any = None) -> tuple[Any, jax.Array]:
     """What ``keep`` makes of the state and the signals at every grid point, leaves of shape ``(g, ...)``, and the result code.
 
-    The last block is filled up with steps of no duration.
+    The last block is filled up with steps of no duration. What is after the block of the grid point ``until``, if there is one, is left out
+    and infinite.
     """
     start = plant.start(inputs.sampled[0])
     count = inputs.time.shape[0] - 1
     blocks = -(-count // _BLOCK)
-    signal = jnp.concatenate([inputs.before[1:], inputs.sampled[-1:]])
-
-    def blocked(rows: jax.Array, filling: jax.Array) -> jax.Array:
-        filled = jnp.concatenate([rows, jnp.broadcast_to(filling, (blocks * _BLOCK - count, *rows.shape[1:]))])
-        return filled.reshape(blocks, _BLOCK, *rows.shape[1:])
-
     last = inputs.after[-1]
     rows = (
-        blocked(inputs.before, last),
-        blocked(inputs.after, last),
-        blocked(signal, last),
-        blocked(jnp.diff(inputs.time), jnp.zeros(())),
+        _blocked(inputs.before, last),
+        _blocked(inputs.after, last),
+        _blocked(_signals(inputs)[1:], last),
+        _blocked(jnp.diff(inputs.time), jnp.zeros(())),
     )
     first, structure = jax.tree.flatten(keep(plant, start, inputs.sampled[0]))
-    ends = np.minimum(np.arange(blocks + 1) * _BLOCK, count)
     solution = dfx.diffeqsolve(
         _Nothing(),
         _PlantSteps(lambda *kept: jax.tree.leaves(keep(*kept))),  # diffrax takes no empty nodes
-        inputs.time[0],
-        inputs.time[-1],
-        None,
+        0.0,
+        float(blocks) if until is None else _blocks(until).astype(float),
+        1.0,  # the solver's clock counts blocks
         [jnp.broadcast_to(leaf, (_BLOCK, *leaf.shape)) for leaf in first],
         args=(plant, rows, start),
-        stepsize_controller=dfx.StepTo(inputs.time[ends]),
+        stepsize_controller=dfx.ConstantStepSize(),
         saveat=dfx.SaveAt(steps=True, solver_state=True),
         max_steps=blocks,
         adjoint=dfx.ForwardMode(),
@@ -252,13 +275,19 @@ def _march(plant: Plant, inputs: Inputs, keep: Callable[[Plant, State, jax.Array
     return jax.tree.unflatten(structure, joined), code
 
 
-@eqx.filter_custom_jvp
-def _trajectory(plant: Plant, inputs: Inputs) -> tuple[jax.Array, jax.Array]:
-    """The states at all grid points, one row of numbers each, and the result code.
+def _blocks(until: jax.Array) -> jax.Array:
+    """The number of blocks up to a grid point, at least one."""
+    return jnp.maximum(1, -(-until // _BLOCK))
 
-    Rows, because each of the state's many small arrays on its own would cost a step as much as some equations do.
-    """
-    return _march(plant, inputs, lambda plant, state, signal: ravel_pytree(state)[0])
+
+def _signals(inputs: Inputs) -> jax.Array:
+    """The signals at every grid point, shape ``(g, k)``: held ones jump there, and what follows counts."""
+    return jnp.concatenate([inputs.sampled[:1], inputs.before[1:], inputs.sampled[-1:]])
+
+
+def _row(plant: Plant, state: State, signal: jax.Array) -> jax.Array:
+    """A state as one row of numbers: each of its many small arrays on its own would cost a step as much as some equations do."""
+    return ravel_pytree(state)[0]
 
 
 def _unflatten(plant: Plant, inputs: Inputs) -> Callable[[jax.Array], State]:
@@ -267,19 +296,28 @@ def _unflatten(plant: Plant, inputs: Inputs) -> Callable[[jax.Array], State]:
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape))[1]
 
 
-@_trajectory.def_jvp
-def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
+@eqx.filter_custom_jvp
+def _kept(plant: Plant, inputs: Inputs, until: Any, keep: Callable[[Plant, State, jax.Array], jax.Array]) -> tuple[jax.Array, jax.Array]:
+    """What ``keep`` makes of the plant, the state and the signals at every grid point, a row of numbers each, and the result code."""
+    return _march(plant, inputs, keep, until)
+
+
+@_kept.def_jvp
+def _kept_jvp(primals: tuple, tangents: tuple) -> tuple:
     """Pushes the tangent from step to step, the states being known by now.
 
     What comes out is linear in the tangents, so that reverse mode comes with it; the states are its tape.
     """
-    (plant, inputs), (moved, driven) = primals, tangents
-    flat, code = _trajectory(plant, inputs)
-    unflatten = _unflatten(plant, inputs)
+    (plant, inputs, until, keep), (moved, driven, *_) = primals, tangents
+    flat, code = _march(plant, inputs, _row, until)
+    unflatten, signal = _unflatten(plant, inputs), _signals(inputs)
+
+    def kept(plant: Plant, row: jax.Array, signal: jax.Array) -> jax.Array:
+        return keep(plant, unflatten(row), signal)
 
     def recur(tangent: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
         """What the end moves by: see ``smajax.plant.step``."""
-        start, known, step, along = row
+        start, known, step, along, signal, swayed = row
         end = unflatten(known)
         z = jnp.concatenate([end.temperature, end.unknown])
 
@@ -288,14 +326,32 @@ def _trajectory_jvp(primals: tuple, tangents: tuple) -> tuple:
             return left, ravel_pytree(state)[0]
 
         new = end_tangent(arrive, z, (start, plant, step), (tangent, moved, along))
-        return new, new
+        return new, push(kept, (plant, known, signal), (moved, new, swayed))
 
     begin = (plant, inputs.sampled[0]), (moved, None if driven.sampled is None else driven.sampled[0])
     first = push(lambda plant, signal: ravel_pytree(plant.start(signal))[0], *begin)
     step = (inputs.before, inputs.after, jnp.diff(inputs.time))
     along = (driven.before, driven.after, None if driven.time is None else jnp.diff(driven.time))
-    _, rest = jax.lax.scan(recur, first, (flat[:-1], flat[1:], step, along))
-    return (flat, code), (jnp.concatenate([first[None], rest]), None)
+    swayed = None
+    if driven.before is not None or driven.sampled is not None:
+        swayed = push(_signals, (inputs,), (driven,))
+    at_start = push(kept, (plant, flat[0], signal[0]), (moved, first, None if swayed is None else swayed[0]))
+    rows = flat[:-1], flat[1:], step, along, signal[1:], None if swayed is None else swayed[1:]
+    values = jax.vmap(lambda row, signal: kept(plant, row, signal))(flat, signal)
+    if until is None:
+        _, rest = jax.lax.scan(recur, first, rows)
+        return (values, code), (jnp.concatenate([at_start[None], rest]), None)
+    # Filled up with steps that lead nowhere: what comes of them is left out.
+    blocked = jax.tree.map(lambda leaf: _blocked(leaf, leaf[-1]), rows)
+
+    def further(k: jax.Array, carry: tuple) -> tuple:
+        tangent, rest = carry
+        tangent, new = jax.lax.scan(recur, tangent, jax.tree.map(lambda leaf: leaf[k], blocked))
+        return tangent, jax.lax.dynamic_update_slice(rest, new, (k * _BLOCK, 0))
+
+    room = jnp.zeros((blocked[0].shape[0] * _BLOCK, len(at_start)))
+    _, rest = jax.lax.fori_loop(0, _blocks(until), further, (first, room))
+    return (values, code), (jnp.concatenate([at_start[None], rest[: len(flat) - 1]]), None)
 
 
 def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
@@ -303,7 +359,7 @@ def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
 
     Differentiable in the plant's parameters and in the inputs, in forward and in reverse mode, once.
     """
-    flat, code = _trajectory(plant, inputs)
+    flat, code = _kept(plant, inputs, None, _row)
     return jax.vmap(_unflatten(plant, inputs))(flat[inputs.rows]), code
 
 
@@ -313,16 +369,21 @@ def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]
     return {c: values[c] for c in channels}
 
 
-def watch(plant: Plant, inputs: Inputs, channels: Sequence[str]) -> tuple[dict[str, jax.Array], jax.Array]:
-    """The named channels at the samples, each of shape ``(n,)``, and the result code; stores no states, for batches. Not differentiable."""
+def watch(plant: Plant, inputs: Inputs, channels: Sequence[str], until: jax.Array | None = None) -> tuple[dict[str, jax.Array], jax.Array]:
+    """The named channels at the samples, each of shape ``(n,)``, and the result code; stores no states, for batches.
 
-    def keep(plant: Plant, state: State, signal: jax.Array) -> dict[str, jax.Array]:
+    Differentiable as ``run`` is. With ``until``, a whole number that is not batched, no sample may lie after that grid point, the
+    simulation ends there, and there is no reverse mode.
+    """
+    names = list(dict.fromkeys([*channels, *(c for effect in plant.effects for c in effect.sees)]))
+
+    def keep(plant: Plant, state: State, signal: jax.Array) -> jax.Array:
         values = plant.outputs(state, signal)
-        return values if plant.effects else {c: values[c] for c in channels}
+        return jnp.stack([values[c] for c in names])
 
-    values, code = _march(plant, inputs, keep)
-    values = plant.read({c: v[inputs.rows] for c, v in values.items()}, inputs.time[inputs.rows])
-    return {c: values[c] for c in channels}, code
+    values, code = _kept(plant, inputs, until, keep)
+    read = plant.read(dict(zip(names, values[inputs.rows].T, strict=True)), inputs.time[inputs.rows])
+    return {c: read[c] for c in channels}, code
 
 
 @eqx.filter_jit

@@ -67,6 +67,36 @@ def test_halved_steps_are_those_of_half_the_step_as_far_as_the_grid_goes():
     assert np.max(np.abs(half - fine)[:samples]) < 1e-12 < 1e-3 * np.max(np.abs(coarse - fine)[:samples])
 
 
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_merged_steps_heat_as_much(interpolation):
+    """Steps merged by threes are as good as a recording of every third sample can make them, and jumps of a held input heat as before."""
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.02)
+    inputs = simulate.lay_out(plant, recording, interpolation=interpolation, step=0.02)
+    merged = inputs.merged(3, held=interpolation == "hold")
+    assert np.array_equal(merged.time[merged.rows], recording.time[::3])
+    assert np.array_equal(merged.sampled, inputs.sampled[::3])
+    if interpolation == "hold":
+        heat = [float(np.diff(i.time) @ np.asarray(i.before)[:, 0] ** 2) for i in (inputs, merged)]
+        assert heat[1] == pytest.approx(heat[0], rel=1e-12)
+    fine, coarse = (np.asarray(simulate.simulate_inputs(plant, i).channels["displacement"]) for i in (inputs, merged))
+    assert np.max(np.abs(coarse - fine[::3])) < 0.01 * np.ptp(fine)
+
+
+def test_a_simulation_may_end_where_nothing_is_asked_for_any_more():
+    plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 100, 0.08)
+    inputs = simulate.lay_out(plant, recording, step=0.08)
+    longer = inputs.padded(400, len(recording))
+
+    @jax.jit
+    def response(scale, inputs, until):
+        member = parameters.replace(plant, {"heat.h0": 80.0 * scale})
+        return simulate.watch(member, inputs, ["angle"], until)[0]["angle"]
+
+    for differentiated in (response, jax.jit(jax.jacfwd(response))):
+        whole, early = differentiated(1.0, inputs, None), differentiated(1.0, longer, jnp.max(longer.rows))
+        assert np.array_equal(whole, early) or np.max(np.abs(whole - early)) < 1e-12 * np.max(np.abs(whole))
+
+
 def test_smoothing_vanishes_on_the_wire_with_first_order():
     recording = plants.inputs("dead_weight", 400, 0.08)
     sharp = simulate.simulate(plants.dead_weight(), recording).channels["displacement"]
@@ -122,8 +152,7 @@ def test_every_parameter_has_its_derivative(kind):
 
     def response(scaled):
         member = parameters.replace(plant, {n: scaled[i] * scales[i] for i, n in enumerate(names)})
-        states, _ = simulate.run(member, inputs)
-        return simulate.observe(member, states, inputs, [channel])[channel]
+        return simulate.watch(member, inputs, [channel])[0][channel]
 
     @jax.jit
     def moved(point, direction):

@@ -24,14 +24,16 @@ from smajax.diagnose.part import Part
 from smajax.diagnose.program import SLOTS, Model, residual
 from smajax.errors import InputError
 from smajax.fit import least_squares
-from smajax.fit.least_squares import Stop
-from smajax.fit.problem import Problem, Settings, build
+from smajax.fit.least_squares import Solved, Stop
+from smajax.fit.problem import Data, Problem, Settings, build
 from smajax.parameters import declarations
 from smajax.plant.effect import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 _MULTIPLE = 512
+_COARSEST = 4.0  # times the step that resolves the plant
+_POLISH = 8  # steps on all samples after a search on some of them
 
 
 def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
@@ -42,11 +44,22 @@ def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
 
 @dataclasses.dataclass(frozen=True)
 class Running:
-    """A search that can go on: its hypothesis, and the number of nodes of its free term."""
+    """A search that can go on: its hypothesis, the number of nodes of its free term, and what it was started with.
+
+    ``stride`` says of how many samples it sees one.
+    """
 
     search: least_squares.Search
     hypothesis: Hypothesis
     nodes: int
+    stride: int
+    near: bool
+    rtol: float
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residuals over the noise, as of all samples."""
+        return self.stride * self.search.cost
 
     def advance(self, steps: int) -> "Running":
         """At most so many steps more."""
@@ -93,6 +106,7 @@ class Bench:
         # Built together, so that all have the length of the longest and run on one program.
         everything = [r for part in self.parts for r in part.recordings]
         whole = build(augmented, everything, settings, **self._layout, multiple=_MULTIPLE)
+        whole = dataclasses.replace(whole, data=dataclasses.replace(whole.data, until=jnp.max(whole.data.inputs.rows)))
         self.noise = dict(zip(self.channels, 1.0 / np.max(np.asarray(whole.data.weight), axis=(0, 2)), strict=True))
         self.shared, self.own = len(whole.shared), len(whole.own)
         self._split(whole)
@@ -118,7 +132,7 @@ class Bench:
             own = self.shared + (recordings[:, None] * self.own + np.arange(self.own)).ravel()
             places = np.concatenate([np.arange(self.shared), own]).astype(int)
             unknowns = unknowns or tuple(whole.unknowns[i] for i in places)  # the same for all, so that they run on one program
-            data = jax.tree.map(lambda leaf: leaf[recordings], whole.data)  # noqa: B023
+            data = jax.tree.map(lambda leaf: leaf[recordings] if leaf.ndim else leaf, whole.data)  # noqa: B023
             self.problems.append(dataclasses.replace(whole, data=data, scales=whole.scales[places], unknowns=unknowns))
             nominal, (lower, upper) = whole.nominal[places], (side[places] for side in whole.box)
             held = np.arange(len(places)) >= self.shared + self.own * count
@@ -142,6 +156,7 @@ class Bench:
         """Weights all recordings by these standard deviations (SI)."""
         self.noise = dict(noise)
         self.problems = [self._weighted(p, rows) for p, rows in zip(self.problems, self._rows, strict=True)]
+        self._sparse: dict[int, Problem] = {}
 
     def padded(self, point: np.ndarray) -> np.ndarray:
         """The base vector of a point of ``plain``."""
@@ -205,6 +220,43 @@ class Bench:
         declared = declarations(self.effects[key])[field]
         return 0.3 * abs(self.values[self.names.index(name)]) or 0.15 * (declared.upper - declared.lower)
 
+    def strided(self, stride: int) -> Problem:
+        """The training part at every ``stride``-th sample, on steps as many times as long; laid out like the bench's own.
+
+        A part without a clock, or whose steps would be too long for it, stays what it is.
+        """
+        if stride > 1 and stride not in self._sparse:
+            self._sparse[stride] = self._thinned(stride)
+        return self._sparse[stride] if stride > 1 else self.problems[0]
+
+    def _thinned(self, stride: int) -> Problem:
+        mine, recordings = self.problems[0], self.parts[0].recordings
+        steps = [float(np.median(np.diff(r.time))) for r in recordings]
+        if "clock" not in self.traits or stride * max(steps) > _COARSEST * simulate.default_step(mine.plant):
+            return mine
+        grid, samples = mine.data.inputs.time.shape[1], mine.data.inputs.rows.shape[1]
+        laid = [
+            simulate.lay_out(mine.plant, r, **self._layout).merged(stride, held=self._layout["interpolation"] == "hold") for r in recordings
+        ]
+        laid += laid[-1:] * (len(mine.data.measured) - len(laid))
+        inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(one.padded(grid, samples) for one in laid))
+        until = jnp.max(inputs.rows)
+        measured, weight = (np.zeros(mine.data.measured.shape) for _ in range(2))
+        kept = -(-samples // stride)
+        measured[:, :, :kept], weight[:, :, :kept] = (np.asarray(a)[:, :, ::stride] for a in (mine.data.measured, mine.data.weight))
+        data = Data(inputs, jnp.asarray(measured), jnp.asarray(weight), until)
+        return dataclasses.replace(mine, data=data)
+
+    def coarseness(self, refit: Refit, stride: int) -> float:
+        """Mean square of what the longer steps of ``strided`` do to a refit's residual; infinite if it has no such steps."""
+        problem = self.strided(stride)
+        if problem is self.problems[0]:
+            return math.inf
+        coarse, _ = self.evaluate_at(problem, refit.hypothesis, refit.base)
+        shape = problem.data.weight.shape
+        fine, kept = refit.residual.reshape(shape)[:, :, ::stride], np.asarray(problem.data.weight) > 0.0
+        return float(np.mean((coarse.reshape(shape) - np.pad(fine, ((0, 0), (0, 0), (0, shape[2] - fine.shape[2]))))[kept] ** 2))
+
     def compiled(self) -> None:
         """Waits until the large program is compiled."""
         self._ready.join()
@@ -245,9 +297,21 @@ class Bench:
         upper = [high / self.scale(name) for high, name in zip(highest, moved, strict=True)]
         return np.append(self.box[0], lower), np.append(self.box[1], upper)
 
-    def fit(self, hypothesis: Hypothesis, base: np.ndarray, *, max_steps: int = 25, rtol: float = 1e-5, form: Form | None = None) -> Refit:
-        """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one."""
-        return self.reached(self.search(hypothesis, base, rtol=rtol, form=form).advance(max_steps))
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        base: np.ndarray,
+        *,
+        max_steps: int = 25,
+        rtol: float = 1e-5,
+        form: Form | None = None,
+        stride: int = 1,
+    ) -> Refit:
+        """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one.
+
+        With a ``stride``, to the samples of ``strided`` first.
+        """
+        return self.reached(self.whole(self.search(hypothesis, base, rtol=rtol, form=form, stride=stride).advance(max_steps)))
 
     def search(
         self,
@@ -258,33 +322,53 @@ class Bench:
         form: Form | None = None,
         near: bool = False,
         held: bool = False,
+        stride: int = 1,
     ) -> Running:
         """The search of ``fit`` before its first step; with ``near``, the free parameters are held near the rig's own values.
 
-        With ``held``, the effects' shapes stay what they are.
+        With ``held``, the effects' shapes stay what they are. It sees the samples of ``strided``.
         """
         moved, nodes = self.moved(hypothesis), form.matrix.shape[1] if form else 0
         lower, upper = (np.append(side, np.zeros(SLOTS - len(moved))) for side in self.ends(moved))
         if near:
             lower[: self.size], upper[: self.size] = map(self.padded, self.plain.search_box())
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
-        model = self.model(hypothesis, moved, self.problems[0], form)
+        problem = self.strided(stride)
+        stride = 1 if problem is self.problems[0] else stride
+        model = self.model(hypothesis, moved, problem, form)
         start = self._start(hypothesis, base, moved)
         if held:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
-        return Running(
-            least_squares.Search(residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol), hypothesis, nodes
-        )
+        search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol)
+        return Running(search, hypothesis, nodes, stride, near, rtol)
+
+    def whole(self, running: Running, steps: int = _POLISH) -> Running:
+        """A search that sees some of the samples, gone on from where it stands with all of them, by at most so many steps."""
+        if running.stride == 1:
+            return running
+        found, base, solved = self._ended(running)
+        self.simulations += solved.simulations
+        return self.search(found, base, near=running.near, rtol=running.rtol).advance(steps)
 
     def reached(self, running: Running) -> Refit:
-        """Where a search ends."""
-        solved, moved = running.search.result(), self.moved(running.hypothesis)
+        """Where a search ends: residual and Jacobian there are those of all samples."""
+        found, base, solved = self._ended(running)
         self.simulations += solved.simulations
-        point, columns = solved.points[0], self.size + len(moved)
+        columns = self.size + len(self.moved(found))
+        if running.stride == 1:
+            left, jacobian = solved.residuals[0], solved.jacobians[0][:, :columns]
+        else:
+            left, jacobian = self.evaluate(found, base, 0, self.moved(found))
+        stop = solved.stops[0] if np.all(np.isfinite(left)) else Stop.failed
+        return Refit(found, base, left, jacobian, stop, solved.points[0][columns : columns + running.nodes])
+
+    def _ended(self, running: Running) -> tuple[Hypothesis, np.ndarray, Solved]:
+        """The hypothesis with the values where a search stands, the base vector there, and all that the search says."""
+        solved, moved = running.search.result(), self.moved(running.hypothesis)
+        point = solved.points[0]
         found = running.hypothesis.at({name: float(point[self.size + j] * self.scale(name)) for j, name in enumerate(moved)})
-        left, jacobian = solved.residuals[0], solved.jacobians[0][:, :columns]
-        return Refit(found, point[: self.size], left, jacobian, solved.stops[0], point[columns : columns + running.nodes])
+        return found, point[: self.size], solved
 
     def evaluate(
         self,
@@ -343,7 +427,7 @@ class Bench:
         if len(inputs.time) > grid or len(inputs.rows) > samples:
             return None
         inputs = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(np.asarray(leaf)[None], count, axis=0)), inputs.padded(grid, samples))
-        data = dataclasses.replace(mine.data, inputs=inputs)
+        data = dataclasses.replace(mine.data, inputs=inputs, until=jnp.max(inputs.rows))
         return self._weighted(dataclasses.replace(mine, data=data), [np.arange(len(recording))])
 
     def step_error(self, refit: Refit) -> np.ndarray:
@@ -355,7 +439,7 @@ class Bench:
         mine, count = self.problems[0], len(self.parts[0].recordings)
         each = [jax.tree.map(lambda leaf, k=k: leaf[k], mine.data.inputs).halved() for k in range(len(mine.data.measured))]
         inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(inputs for inputs, _ in each))
-        halved = dataclasses.replace(mine, data=dataclasses.replace(mine.data, inputs=inputs))
+        halved = dataclasses.replace(mine, data=dataclasses.replace(mine.data, inputs=inputs, until=jnp.max(inputs.rows)))
         finer, _ = self.evaluate_at(halved, refit.hypothesis, refit.base)
         by = (refit.residual - finer).reshape(len(each), len(self.channels), -1)
         for k, (_, samples) in enumerate(each[:count]):

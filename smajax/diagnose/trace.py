@@ -231,7 +231,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     for trial in sorted([best, *trials, *tracer.kin(best)], key=lambda t: t.total):
         by.setdefault(frozenset(trial.keys), trial)
     trials = list(by.values())
-    if trials[0].total < best.total - _FALL / samples:
+    if trials[0].total < best.total - _FALL * max(1.0, best.train) / samples:
         best = tracer.settled(trials[0])
     beside = set(best.keys) - {best.key}
     alike = [t for t in trials if t.key not in beside and set(t.keys) - {t.key} == beside and (t.total - best.total) * samples < _ALIKE]
@@ -335,7 +335,8 @@ def _backward(tracer: Tracer, story: Story) -> None:
         if len(story.accepted) < 2:
             return
         refit = story.last.refit
-        judged = tracer.judged(tracer.bench.fit(refit.hypothesis.without(key), refit.base))
+        stride = tracer.stride(story.last.train)
+        judged = tracer.judged(tracer.bench.fit(refit.hypothesis.without(key), refit.base, stride=stride))
         if not math.isfinite(judged.total):
             continue
         loss = 1.0 - math.sqrt(story.last.select / judged.select)

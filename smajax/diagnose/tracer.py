@@ -25,6 +25,8 @@ _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up 
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED = 12  # evaluations of the joint fit
+_STRIDES = (4, 2)
+_FAR, _COARSE = 9.0, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
 _SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
 
 
@@ -94,12 +96,18 @@ class Tracer:
 
     def __init__(self, bench: Bench, seed: int):
         self.bench, self.seed = bench, seed
+        self._coarse: dict[int, float] = {}
 
     def base(self, point: np.ndarray, stop: Stop) -> Refit:
         """The plant without effects at a fitted point."""
         self.bench.compiled()
-        left, jacobian = self.bench.evaluate(Hypothesis(), point, 0)
-        return Refit(Hypothesis(), point, left, jacobian, stop)
+        found = Refit(Hypothesis(), point, *self.bench.evaluate(Hypothesis(), point, 0), stop)
+        self._coarse = {stride: self.bench.coarseness(found, stride) for stride in _STRIDES}
+        return found
+
+    def stride(self, fitness: float) -> int:
+        """Of how many samples a search needs one, on steps as many times as long, while so much is left over the noise (a mean square)."""
+        return next((k for k, error in self._coarse.items() if error < _COARSE * fitness and fitness > _FAR), 1)
 
     def free(self, refit: Refit) -> np.ndarray:
         """Jacobian columns that are free to move: those of parameters that are held, or on a bound that the data press against, are not."""
@@ -182,26 +190,36 @@ class Tracer:
         at the rig's nominal values, and stay near them: what a large effect has done to the other parameters may lie in the way.
         """
 
+        samples = len(self.bench.flat(np.zeros(self.bench.problems[0].size)))
+        stride = self.stride(min((self.bench.fitness(e.parent.residual, 0) for e in (*beside, *afar)), default=0.0))
+
         def started(one: Extension, size: float) -> Hypothesis:
             own = {f"effects.{one.key}.{n}": v for n, v in one.shape}
             strength = math.copysign(size, one.strength or 1.0) * self.bench.effects[one.key].typical
             return one.parent.hypothesis.extended(one.key, {f"effects.{one.key}.strength": strength, **own})
 
-        close = [self.bench.search(started(e, min(abs(e.strength) or 0.1, 0.1)), e.parent.base) for e in beside]
-        distant = [self.bench.search(started(e, min(max(abs(e.strength), 0.3), 2.0)), self.bench.nominal, near=True) for e in afar]
+        def search(one: Extension, size: float, base: np.ndarray, near: bool) -> Running:
+            return self.bench.search(started(one, size), base, near=near, stride=stride)
+
+        close = [search(e, min(abs(e.strength) or 0.1, 0.1), e.parent.base, False) for e in beside]
+        distant = [search(e, min(max(abs(e.strength), 0.3), 2.0), self.bench.nominal, True) for e in afar]
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [close, distant]
         everyone = [s for f in fields for s in f]
         for count, steps in _HEATS:
-            least = min((s.search.cost for s in everyone), default=math.inf)
-            fields = [sorted((s for s in f if not s.search.cost > _HOPELESS * least), key=lambda s: s.search.cost)[:count] for f in fields]
+            least = min((s.cost for s in everyone), default=math.inf)
+            fields = [sorted((s for s in f if not s.cost > _HOPELESS * least), key=lambda s: s.cost)[:count] for f in fields]
             if steps > _APART:
-                whole = sorted((s for f in fields for s in f), key=lambda s: s.search.cost)
-                fields = [[s for s in whole if s.search.cost < _BEHIND * whole[0].search.cost][:count]]
+                whole = sorted((s for f in fields for s in f), key=lambda s: s.cost)
+                fields = [[s for s in whole if s.cost < _BEHIND * whole[0].cost][:count]]
+                if whole and self.stride(whole[0].cost / samples) < stride:
+                    fields = [[self.bench.whole(s, 0) for s in fields[0]]]
+                    everyone += fields[0]
             in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
-        everyone += [s for running in fields[0] for s in self.elsewhere(running)]
+        everyone += in_pairs(lambda s: self.bench.whole(s), [s for s in fields[0] if s.stride > 1])
+        everyone += [s for found in in_pairs(self.elsewhere, fields[0]) for s in found]
         best: dict[frozenset, Refit] = {}
-        for found in sorted((self.bench.reached(s) for s in everyone), key=lambda r: r.chi2):
+        for found in sorted(in_pairs(self.bench.reached, everyone), key=lambda r: r.chi2):
             best.setdefault(frozenset(found.hypothesis.keys), found)
         trials = in_pairs(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
@@ -214,12 +232,16 @@ class Tracer:
         refit, bench = self.bench.reached(running), self.bench
         if bench.fitness(refit.residual, 0) < AT_NOISE or not math.isfinite(refit.chi2):
             return []
-        found = []
+        found, stride = [], self.stride(bench.fitness(refit.residual, 0))
+
+        def search(values: dict[str, float]) -> Running:
+            return bench.search(refit.hypothesis.at(values), refit.base, stride=stride)
+
         for name in (n for n in bench.moved(refit.hypothesis) if n.endswith(".instant")):
             times = [bench.duration * (k + 0.5) / _INSTANTS for k in range(_INSTANTS)]
-            started = in_pairs(lambda t: bench.search(refit.hypothesis.at({name: t}), refit.base).advance(1), times)  # noqa: B023
-            several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.search.cost)[:_PLACES])
-            found.append(min(several, key=lambda s: s.search.cost).advance(_HEATS[-1][1]))
+            started = in_pairs(lambda t: search({name: t}).advance(1), times)  # noqa: B023
+            several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.cost)[:_PLACES])
+            found.append(bench.whole(min(several, key=lambda s: s.cost).advance(_HEATS[-1][1])))
         return found
 
     def kin(self, trial: Trial) -> list[Trial]:
@@ -229,7 +251,7 @@ class Tracer:
         are held at first: freed too early, a shape wanders off. They go to their end unless they lag far behind and do not catch up: where
         the other parameters have a long way to go, an effect as good as the trial's takes a while.
         """
-        effects, key, refit = self.bench.effects, trial.key, trial.refit
+        effects, key, refit, stride = self.bench.effects, trial.key, trial.refit, self.stride(trial.train)
         rest, taken = refit.hypothesis.without(key), (*trial.keys, *self.bench.known)
         known = [k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in taken]
         starts = [
@@ -239,20 +261,20 @@ class Tracer:
         ]
 
         def ended(look: Running) -> Running:
-            held, before = self.bench.reached(look), look.search.cost
-            running = self.bench.search(held.hypothesis, held.base, rtol=1e-7).advance(_LOOK)
+            held, before = self.bench.reached(look), look.cost
+            running = self.bench.search(held.hypothesis, held.base, rtol=1e-7, stride=stride).advance(_LOOK)
             for _ in range(_LOOKS):
-                if running.search.cost > max(_BEHIND * refit.chi2, _CATCHING_UP * before):
+                if running.cost > max(_BEHIND * refit.chi2, _CATCHING_UP * before):
                     break
-                before = running.search.cost
+                before = running.cost
                 running.advance(_LOOK)
-            return running
+            return self.bench.whole(running)
 
-        looks = in_pairs(lambda start: self.bench.search(start, refit.base, rtol=1e-7, held=True).advance(_LOOK), starts)
+        looks = in_pairs(lambda start: self.bench.search(start, refit.base, rtol=1e-7, held=True, stride=stride).advance(_LOOK), starts)
         best: dict[str, Running] = {}
-        for one in sorted(looks, key=lambda s: s.search.cost):
+        for one in sorted(looks, key=lambda s: s.cost):
             best.setdefault(one.hypothesis.keys[-1], one)
-        near = [s for s in in_pairs(ended, list(best.values())) if s.search.cost < _BEHIND * refit.chi2]
+        near = [s for s in in_pairs(ended, list(best.values())) if s.cost < _BEHIND * refit.chi2]
         found = in_pairs(lambda s: self.judged(self.bench.reached(s)), near)
         return [t for t in found if math.isfinite(t.total) and not self.nothing(t)]
 
@@ -286,9 +308,9 @@ class Tracer:
 
     def settled(self, trial: Trial) -> Trial:
         """A trial fitted to its end: from its own point and, unless it is at the noise, from the rig's nominal values with its effects."""
-        hypothesis = trial.refit.hypothesis
+        hypothesis, stride = trial.refit.hypothesis, self.stride(trial.train)
         starts = [trial.refit.base, self.bench.nominal][: 1 if trial.at_noise else 2]
-        ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9), starts)
+        ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9, stride=stride), starts)
         return self.judged(min(ended, key=lambda r: r.chi2))
 
     def joined(self, refit: Refit) -> Refit:

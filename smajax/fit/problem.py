@@ -59,11 +59,15 @@ class Unknown:
 
 
 class Data(eqx.Module):
-    """Arrays of all recordings, each with a leading axis of ``r`` recordings; channels ``c``, samples ``n`` of the longest."""
+    """Arrays of all recordings, each with a leading axis of ``r`` recordings; channels ``c``, samples ``n`` of the longest.
+
+    ``until``, if there is one, is the grid point after which no recording has a sample.
+    """
 
     inputs: simulate.Inputs
     measured: jax.Array
     weight: jax.Array
+    until: jax.Array | None = None
 
 
 class Problem(Searchable):
@@ -118,8 +122,7 @@ class Problem(Searchable):
 
         def single(own: dict[str, jax.Array], inputs: simulate.Inputs) -> tuple[jax.Array, jax.Array]:
             member = parameters.replace(plant, own)
-            states, code = simulate.run(member, inputs)
-            values = simulate.observe(member, states, inputs, self.channels)
+            values, code = simulate.watch(member, inputs, self.channels, self.data.until)
             return jnp.stack([values[c] for c in self.channels]), code
 
         if self.data.measured.shape[0] == 1:  # one recording needs no batch: its program compiles and runs faster

@@ -48,7 +48,7 @@ class AbstractEffect(eqx.Module):
     a time constant, and ``shapes`` holds the values at which a search for the effect tries them (an ``instant`` as a share of the
     recording's length). From the share ``absorbed_from`` of its influence on that free parameters make up for, it counts as absorbed; where
     the little that is left rests on nominal values that nobody measured, the share is lower. ``needs`` names what a rig must have for the
-    effect to exist: words of ``Plant.traits``.
+    effect to exist: words of ``Plant.traits``. ``sees`` names the channels that ``carry`` or ``read`` looks at beside the one they add to.
     """
 
     key: ClassVar[str]
@@ -57,6 +57,7 @@ class AbstractEffect(eqx.Module):
     source: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
+    sees: ClassVar[tuple[str, ...]] = ()
     shapes: ClassVar[tuple[tuple[str, tuple[float, ...]], ...]] = ()
     no_mean_effect: ClassVar[str] = ""
     absorbed_from: ClassVar[float] = 1.0 - 1e-7
@@ -213,5 +214,5 @@ class SensorEffect(AbstractEffect):
     channel: ClassVar[str] = ""
 
     def read(self, series: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
-        """What is added to a channel's series, shape ``(n,)``, the coordinate's in m at the wire; ``seen`` holds all channels."""
+        """What is added to a channel's series, shape ``(n,)``, the coordinate's in m at the wire; ``seen`` holds what ``sees`` names."""
         return jnp.zeros_like(series)

@@ -124,7 +124,7 @@ class RigStudy(AbstractStudy):
             inputs = lay(self.source, wires, steps, values, rest)
         else:
             inputs, where = self._recorded(plant, steps)
-        channels, code = self._simulate(plant, inputs, differentiable)
+        channels, code = simulate.watch(plant, inputs, self.channels)
         response = self._response(plant, inputs, channels)
         parts = {"cycle": response.cut(where.cycle), "rest": response.cut(where.rest), "all": response}
         found = {n: METRICS[n].read(parts[METRICS[n].part]) for n in self.wanted if n in METRICS}
@@ -158,27 +158,21 @@ class RigStudy(AbstractStudy):
         time, motion = inputs.time[inputs.rows], plant.wire.motion_per_strain
         return Response(time, channels, mechanism.coordinate, mechanism.wires, motion, plant.environment.ambient, mechanism.parallel)
 
-    def _simulate(self, plant: Plant, inputs: Inputs, differentiable: bool) -> tuple[dict[str, jax.Array], jax.Array]:
-        if not differentiable:
-            return simulate.watch(plant, inputs, self.channels)
-        states, code = simulate.run(plant, inputs)
-        return simulate.observe(plant, states, inputs, self.channels), code
-
     def _bandwidth(self, plant: Plant, values: Mapping[str, jax.Array], steps: int, differentiable: bool) -> tuple[jax.Array, ...]:
         """The bandwidth, how far the least settled simulation that it is read off is from settled, and the worst code of all."""
         wave = cast(Wave, self.source)
         cycle = span(wave, plant.mechanism.wires, steps, False).cycle
 
-        def reach(plant: Plant, values: Mapping[str, jax.Array], frequency: jax.Array, differentiable: bool) -> Reached:
+        def reach(plant: Plant, values: Mapping[str, jax.Array], frequency: jax.Array) -> Reached:
             inputs = lay(wave, plant.mechanism.wires, steps, {**values, "frequency": frequency})
-            channels, code = self._simulate(plant, inputs, differentiable)
+            channels, code = simulate.watch(plant, inputs, self.channels)
             last = self._response(plant, inputs, channels).cut(cycle)
             return Reached(jnp.ptp(last.channels[last.coordinate]), settling(last) if "settling" in self.wanted else jnp.zeros(()), code)
 
         lowest = jnp.asarray(values.get("frequency", wave.frequency), jnp.float64)
         held, fixed = jax.lax.stop_gradient((plant, dict(values)))
-        again = (lambda frequency: reach(plant, values, frequency, True)) if differentiable else None
-        return find(lambda frequency: reach(held, fixed, frequency, False), lowest, self.highest, again)
+        again = (lambda frequency: reach(plant, values, frequency)) if differentiable else None
+        return find(lambda frequency: reach(held, fixed, frequency), lowest, self.highest, again)
 
 
 class MachineStudy(AbstractStudy):

@@ -14,6 +14,7 @@ class Compliance(MechanismEffect):
     typical = 1e-4
     source = "estimate: 5 to 50 N/mm"
     confused_with = ("load-change",)
+    sees = ("force",)
     needs = ("displacement",)
 
     def carry(self, motion: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:

@@ -14,6 +14,7 @@ class ThermocouplePickup(SensorEffect):
     typical = 1.0
     source = "Ma 2010: the reading jumps and changes sign with the current"
     confused_with = ("current-limit",)
+    sees = ("current",)
     needs = ("temperature observed",)
     channel = "temperature"
 
