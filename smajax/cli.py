@@ -184,7 +184,7 @@ def compare(
     train: Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")],
     holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
     out: Out,
-    models: Annotated[str, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")] = "",
+    models: Annotated[str | None, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")] = None,
     seed: Seed = None,
     drop_bad_rows: DropBadRows = False,
     quiet: Quiet = False,
@@ -196,7 +196,7 @@ def compare(
         from smajax.jobs.compare import MODELS, CompareJob, run_compare
         from smajax.report.comparison import text
 
-        wanted = [word.strip() for word in models.split(",") if word.strip()] if models else list(MODELS)
+        wanted = list(MODELS) if models is None else [word.strip() for word in models.split(",") if word.strip()]
         outcome = run_compare(CompareJob(rig, train, holdout, wanted, out, seed, drop_bad_rows), progress, _argv())
     _finish(outcome, "compare.json", text(outcome.document, str(out)), quiet=quiet, as_json=as_json, open_report=open_report)
 

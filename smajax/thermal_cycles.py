@@ -1,8 +1,8 @@
 """Thermal cycles under constant stress, and the temperatures and strains that ASTM E3097 reads off them by tangents.
 
 A cycle is a way from hot to cold and back. On each of its two branches three straight lines are laid that meet (``tangents.py``); where
-they meet are start and finish. Intervals come from redrawn branches: the lines, with blocks of the rows' distances from them put anew in
-random places, and likewise the temperatures' from their smooth course. Each is smoothed, begun and laid like the measured one.
+they meet are start and finish. Intervals come from redrawn branches: the lines, with distances from them that scatter and go together as
+the rows' do, and temperatures about their smooth course. Each is smoothed, begun and laid like the measured one.
 
 Where a transformation ends slowly, the place of its end is a matter of definition, beyond what the interval tells: a tangent at the
 steepest place ends it early, one of a symmetrical sigmoid through all rows, as other programs lay it, late. The measured NiTiHf begins
@@ -16,10 +16,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import find_peaks
+from scipy.signal import find_peaks, lfilter
 from scipy.stats import t as student
 
 from smajax.errors import InputError
+from smajax.fit.uncertainty import autoregression
 from smajax.row_order import refuse_disorder
 from smajax.tangents import Lines, lay
 
@@ -28,13 +29,14 @@ VALUES = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
 _TURN = 0.35  # share of the temperature's range by which it has to turn back to begin another branch
 _FEWEST = 12  # rows on a branch
 _DRAWS = 60
-_BLOCKS = 24  # on a branch
 _FREE = 6  # numbers in the lines
+_POOL = 8  # rows on a line that tell its noise
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
 _LEAST = 1e-6  # strain
 _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
+_BACKWARDS = 0.02  # of the temperatures
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 
 
@@ -140,6 +142,10 @@ def _properties(
     """Values of a cycle, each with the distance within which 95 % of its redrawings lie from what they are drawn of."""
     branches = [_branch(temperature[rows], strain[rows], kind, smooth, rng) for rows, kind in ((cooling, "cooling"), (heating, "heating"))]
     best, half = _joined(*(value for value, _ in branches)), np.quantile(np.abs(_joined(*(away for _, away in branches))), 0.95, axis=0)
+    width = float(best[0, VALUES.index("width")])
+    if width < -max(float(half[VALUES.index("width")]), _BACKWARDS * float(np.ptp(temperature))):
+        told = f"it cools through the transformation {-width:.3g} K above where it heats through it, which no shape-memory alloy does"
+        raise InputError(f"{told}: the rows run backwards, or the temperature lags far behind the wire's: give them in the order of time")
     return {n: Value(float(v), float(v - h), float(v + h)) for n, v, h in zip(VALUES, best[0], half, strict=True)}
 
 
@@ -156,13 +162,9 @@ def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int,
     lines = lay(warm, strain[None])
     _refuse_unseen(warm[0], strain, lines, kind)
     on_lines, count = lines.strain(warm)[0], len(strain)
-    length = max(1, count // _BLOCKS)
-    starts = rng.integers(0, count, (_DRAWS, -(-count // length)))
-    taken = ((starts[:, :, None] + np.arange(length)) % count).reshape(_DRAWS, -1)[:, :count]
-    louder = math.sqrt(count / (count - _FREE))
     # Distances from a smoothed course lack what is slow, which blocks would pass on; drawn singly they have it again.
-    drawn_t = warm + (temperature - warm[0])[rng.integers(0, count, taken.shape)]
-    drawn_e = on_lines + louder * (strain - on_lines)[taken]
+    drawn_t = warm + (temperature - warm[0])[rng.integers(0, count, (_DRAWS, count))]
+    drawn_e = on_lines + _redrawn(np.searchsorted(lines.corners[0], warm[0]), strain - on_lines, rng)
     drawn_t = median_filter(drawn_t, (1, smooth), mode="nearest")
     again = lay(drawn_t, drawn_e, lines.corners[0])
     away = _measured(drawn_t, drawn_e, again) - _measured(warm, on_lines[None], lines)
@@ -171,6 +173,36 @@ def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int,
         told = f"on {kind} start and finish are uncertain by {unsure:.2g} K: the transformation is hidden in the noise"
         raise InputError(f"{told}; load more, or measure with less noise")
     return _measured(warm, strain[None], lines), away
+
+
+def _redrawn(line: np.ndarray, distance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Distances (draws, n) from the lines drawn anew, neighbours erring together as they do: by an autoregression.
+
+    Each is over the scatter about its own one of the three ``line``s: noise in the temperatures shows where the strain is steep and nowhere
+    else.
+    """
+    count, together = len(line), _together(distance)
+    scatter = np.full(count, math.sqrt(float(np.mean(distance**2))))
+    for one in np.unique(line):
+        if np.sum(line == one) >= _POOL:
+            scatter[line == one] = math.sqrt(float(np.mean(distance[line == one] ** 2)))
+    own, variance = autoregression(distance / np.maximum(scatter, 1e-300))
+    if np.sum(own) <= 0.0:  # what goes to and fro like this is what the lines leave of noise without memory
+        own, variance = np.zeros(0), 1.0
+    burnt = count + 20 * (len(own) + 1)
+    pushed = math.sqrt(variance) * rng.standard_normal((_DRAWS, burnt))
+    drawn = np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - count :]
+    # What the lines have taken with them: a number each, of so many rows that err by themselves.
+    alone = max(count / (2.0 * together - 1.0), _FREE + 2.0)
+    return math.sqrt(alone / (alone - _FREE)) * scatter * drawn
+
+
+def _together(distance: np.ndarray) -> float:
+    """Rows over which distances (n,) go together, at least 1: the sum of their autocorrelation up to its first zero."""
+    away = distance - distance.mean()
+    whole = np.correlate(away, away, "full")[len(away) - 1 :]
+    shares = whole / max(float(whole[0]), 1e-300)
+    return float(np.sum(shares[: int(np.argmax(shares <= 0.0))])) if np.any(shares <= 0.0) else 1.0
 
 
 def _measured(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> np.ndarray:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from smajax.cli import app
 from smajax.fit.operators import OperatorFit
-from smajax.jobs.compare import fit_percent, with_law
+from smajax.jobs.compare import _changing, fit_percent, with_law
 from smajax.recording import Recording
 from smajax.rig import read_rig
 from tests.conftest import ROOT
@@ -137,6 +137,7 @@ def test_what_holds_a_network_is_said(short, tmp_path):
     [
         ("brinsen", "'brinsen' is not known (did you mean 'brinson'?)"),
         (" , ", "--models names no model"),
+        ("", "--models names no model"),
     ],
 )
 def test_what_cannot_be_compared_is_said(short, tmp_path, models, sentence):
@@ -146,7 +147,7 @@ def test_what_cannot_be_compared_is_said(short, tmp_path, models, sentence):
 
 def test_the_same_recording_twice_tests_nothing(short, tmp_path):
     words = [str(short / name) for name in ("rig.toml", "train.csv")]
-    (tmp_path / "copy.csv").write_bytes((short / "train.csv").read_bytes())
+    (tmp_path / "copy.csv").write_text((short / "train.csv").read_text() + "\n")
     done = CliRunner().invoke(
         app, ["compare", *words, "--holdout", str(tmp_path / "copy.csv"), "--models", "brinson", "--out", str(tmp_path / "out")]
     )
@@ -172,7 +173,18 @@ def test_a_rig_with_two_inputs_leaves_operators_out_and_says_why(tmp_path):
         Recording.from_arrays(name, recording.time[rows], channels, recording.units).write(tmp_path / f"{name}.csv")
     (tmp_path / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
     done = run(tmp_path, "bouc-wen", tmp_path / "out")
-    assert done.exit_code == 3 and "takes one input that changes" in done.output
+    assert done.exit_code == 3 and "current_1 and current_2 change: hold the others still" in " ".join(done.output.split())
+
+
+def test_an_input_that_only_scatters_is_held_still():
+    rng, time = np.random.default_rng(0), np.arange(500) * 0.1
+    noise, turns = rng.standard_normal(500), np.where(np.sin(time) > 0.0, 0.5, 0.0)
+    channels = {"current_1": turns, "current_2": 1e-4 * noise, "stress": 150e6 + 5e5 * noise, "temperature": 60.0 + 40.0 * np.sin(time)}
+    recording = Recording.from_arrays("one", time, channels, {})
+    assert _changing(["current_1", "current_2"], [recording]) == ["current_1"]
+    assert _changing(["temperature", "stress"], [recording]) == ["temperature"]
+    assert _changing(["current_2"], [recording]) == ["current_2"]
+    assert _changing(["current_1", "temperature"], [recording]) == ["current_1", "temperature"]
 
 
 def test_a_law_takes_over_what_another_knows():

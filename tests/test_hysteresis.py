@@ -167,6 +167,13 @@ def test_without_a_direct_part_there_is_no_inverse(unloading):
         law.inverse()
 
 
+def test_a_law_that_need_not_rise_has_no_inverse():
+    law = operator()
+    for name in ("densities", "thresholds"):
+        with pytest.raises(InputError, match=f"some of its {name} are negative"):
+            dataclasses.replace(law, **{name: getattr(law, name).at[0].set(-0.1)}).inverse()
+
+
 def test_derivatives_of_the_inverse_of_two_envelopes():
     law, time = operator(envelope(1.0, 2.0, 0.3, 0.12)), jnp.asarray(TIME)
     wanted = follow(law, time, jnp.asarray(INPUT))

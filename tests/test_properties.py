@@ -6,6 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import binom
 from typer.testing import CliRunner
 
@@ -74,6 +75,22 @@ def test_intervals_hold_the_truth(count, rows, strain_noise, warm_noise, times):
     # Eight properties are looked at.
     assert min(held.values()) >= binom.ppf(1e-3 / len(held), times, 0.95), held
     assert np.mean(list(held.values())) >= 0.9 * times, held
+
+
+@pytest.mark.parametrize(("warm_noise", "slow", "share"), [(0.4, 0.0, 0.85), (0.0, 0.9, 0.75)])
+def test_intervals_know_noise_that_is_not_smoothed_and_noise_that_is_slow(warm_noise, slow, share):
+    """Noise in the temperatures shows on the transformation only; neighbours that err together tell less than their number.
+
+    The lines take the slowest noise with them, so that there intervals stay too narrow.
+    """
+    held, times = [], 40
+    for seed in range(times):
+        temperature, strain = made(1, noise=0.0, warm_noise=warm_noise, seed=seed, rows=300)
+        scatter = np.random.default_rng(seed + 100).standard_normal(len(strain))
+        strain += lfilter([2e-4 * np.sqrt(1.0 - slow**2)], [1.0, -slow], scatter)
+        (cycle,), _ = analyse("made", temperature, strain, seed=seed)
+        held.append([cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in TRUE.items()])
+    assert np.mean(held) >= share, np.mean(held, axis=0)
 
 
 def test_the_interval_of_a_mean_knows_how_few_its_cycles_are():
@@ -145,6 +162,7 @@ def test_turns_are_found_in_noise():
         (lambda t, e: (t, 2e-3 * np.random.default_rng(1).standard_normal(len(e)) - 1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "heat and cool further"),
+        (lambda t, e: (t[::-1], e[::-1]), "the rows run backwards"),
     ],
 )
 def test_what_cannot_be_read_is_said(change, sentence):
@@ -324,6 +342,16 @@ def test_cures_are_this_commands(tmp_path, row, value, sentence):
 
 def test_the_help_shows_a_header_with_its_unit():
     assert "[degC]" in CliRunner().invoke(app, ["properties", "--help"]).output
+
+
+def test_a_slope_that_the_stresses_do_not_tell_is_said_to_be_usual(tmp_path):
+    (t, e), told = made(1), {}
+    for name, shift in (("falls", -5.0), ("steep", 1.0)):
+        paths = [write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k) for k in range(2)]
+        run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml"))
+        told[name] = read_parameters(tmp_path / "set.toml")["material.clausius_clapeyron_martensite"]
+    assert told["falls"].value == 7e6 and "through 2 stresses the temperatures fall, by 0.05 K/MPa" in told["falls"].source
+    assert told["steep"].value == 3e7 and "cut from 100 MPa/K to the nearest plausible one" in told["steep"].source
 
 
 def test_several_stresses_tell_how_strain_grows(tmp_path):

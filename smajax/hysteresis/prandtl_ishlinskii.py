@@ -70,8 +70,12 @@ class PrandtlIshlinskii(AbstractOperator):
     def inverse(self) -> "InversePrandtlIshlinskii | SolvedInverse":
         """The operator that gives the input for a wanted output, as far as that reaches: in closed form for one envelope.
 
-        Raises ``InputError`` where ``direct`` is not positive: within the plays' dead bands many inputs then give one output.
+        Raises ``InputError`` where ``direct`` is not positive, since within the plays' dead bands many inputs then give one output, and
+        where a threshold or a density is negative, since the law need not rise with its input then.
         """
+        for what, values in (("thresholds", self.thresholds), ("densities", self.densities)):
+            if not isinstance(values, Tracer) and not bool(jnp.all(values >= 0.0)):
+                raise InputError(f"the operator has no inverse that is known, since some of its {what} are negative: give none below 0")
         if not isinstance(self.direct, Tracer) and not bool(jnp.all(self.direct > 0.0)):
             raise InputError(
                 "the operator has no inverse, since its direct part p_0 is 0 and its plays stand still around each turn: give p_0 > 0"

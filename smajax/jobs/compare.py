@@ -21,7 +21,7 @@ from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.families import FAMILIES
 from smajax.fit.fit import fit
 from smajax.fit.operators import Family, Series, check_rows, evenly, fit_operator
-from smajax.jobs.fit import read_recordings
+from smajax.jobs.fit import read_recordings, refuse_copies
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.parameters import declarations
 from smajax.recording import Recording
@@ -31,7 +31,7 @@ from smajax.report.document import difference_unit, estimate_entry, number, reco
 from smajax.report.summary import undetermined
 from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
-from smajax.rig_schema import MATERIALS, as_text
+from smajax.rig_schema import MATERIALS, as_text, channel_unit
 from smajax.simulate import Code
 
 TRANSFER = tuple(name for name in FAMILIES if name.startswith("transfer-function-"))
@@ -42,6 +42,7 @@ _OWN = {
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
 _STARTS, _STARTS_OF_NETWORKS = 16, 2
+_ABOUT_A_LEVEL, _BESIDE = 0.05, 0.01  # of an input's level, and of the range of another of its kind: what moves by less is held still
 _HUGE = 1e100  # its square would be no number
 
 
@@ -84,8 +85,7 @@ def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Out
     with clock.time("read"):
         rig, text = read_rig(job.rig), rig_text(job.rig)
         recordings = [r for r, _ in read_recordings(rig, [job.train], [job.holdout], job.drop_bad_rows)]
-        if recordings[0].sha256 == recordings[1].sha256:
-            raise InputError(f"{recordings[1].name} has the same content as {recordings[0].name}: it tests nothing; give another recording")
+        refuse_copies(recordings)
     seed = rig.fit.seed if job.seed is None else job.seed
     channel, found = rig.fit.observe[0], []
     with clock.time("fit"):
@@ -188,12 +188,13 @@ def with_law(rig: Rig, name: str) -> Rig:
 
 
 def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
-    driving = [c for c in rig.plant.signals if max(float(np.ptp(r.channels[c])) for r in recordings) > 1e-9]
+    driving = _changing(rig.plant.signals, recordings)
     if not driving:  # one that is on all the time is a step from rest, where it is the only one
         driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
     if len(driving) != 1:
         told = "no input changes" if not driving else f"{' and '.join(driving)} change"
-        raise InputError(f"{name} takes one input that changes, and here {told}")
+        cure = "hold the others still, or compare the material laws, which take all of them" if driving else "vary one"
+        raise InputError(f"{name} takes one input that changes, and here {told}: {cure}")
     if not np.any(recordings[0].channels[driving[0]]):
         raise InputError(f"{driving[0]} is 0 in all rows of {recordings[0].name}, which does not tell its effect: give one that is driven")
     family = FAMILIES[name]([Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings[:1]])
@@ -207,6 +208,16 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
         note = f"{note}; {told}" if note else told
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     return Compared(name, "input-output", family.size, tuple(at_rows), note=note, at_bound=result.at_bound)
+
+
+def _changing(signals: Sequence[str], recordings: Sequence[Recording]) -> list[str]:
+    """The inputs that change; of several, those that do more than scatter about a level, or than noise beside another of their kind."""
+    reach = {c: max(float(np.ptp(r.channels[c])) for r in recordings) for c in signals}
+    found = [c for c in signals if reach[c] > 1e-9]
+    level = {c: abs(float(np.median(np.concatenate([r.channels[c] for r in recordings])))) for c in found}
+    kind = {c: max(reach[other] for other in found if channel_unit(other) == channel_unit(c)) for c in found}
+    moved = [c for c in found if reach[c] > _ABOUT_A_LEVEL * level[c] and reach[c] > _BESIDE * kind[c]]
+    return moved if len(found) > 1 and moved else found
 
 
 def _laid(family: Family, recordings: Sequence[Recording], held: str) -> tuple[list[Recording], str]:

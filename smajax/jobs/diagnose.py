@@ -14,7 +14,7 @@ from smajax.diagnose.bench import Bench
 from smajax.diagnose.evidence import clipped, evidence, with_evidence, without
 from smajax.diagnose.verdict import PARTS, Diagnosis, diagnose
 from smajax.errors import InputError, NumericsError
-from smajax.jobs.fit import read_recordings, started
+from smajax.jobs.fit import read_recordings, refuse_copies, started
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
@@ -26,7 +26,6 @@ from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 
 _FEWEST = 200
-_STRETCH, _COPIED = 20, 0.5  # rows that are compared together, and the share of them that makes a copy
 
 
 class DiagnoseJob(NamedTuple):
@@ -98,29 +97,14 @@ def _diagnosed(rig: Rig, plant: Plant, more: Sequence[str]) -> Rig:
 
 def _read(rig: Rig, job: DiagnoseJob) -> list[Recording]:
     read = [r for r, _ in read_recordings(rig, [job.train], [job.select, job.holdout], job.drop_bad_rows)]
-    for k, one in enumerate(read):
+    for one in read:
         if len(one) < _FEWEST:
             raise InputError(f"{one.name}: {len(one)} rows are too few for a diagnosis: at least {_FEWEST} are needed")
-        same = next((other.name for other in read[:k] if other.sha256 == one.sha256), None)
-        if same is not None:
-            raise InputError(f"{one.name} has the same content as {same}: it tests nothing; give another recording, of another input")
-        part = next((other.name for other in read[:k] if _shared_rows(one, other) > _COPIED), None)
-        if part is not None:
-            raise InputError(f"{one.name} has rows of {part}: it tests nothing; give another recording, of another input")
+    refuse_copies(read)
     signals = rig.plant.signals
     if signals and all(np.ptp(read[0].channels[name]) == 0.0 for name in signals):
         raise InputError(f"{read[0].name}: {' and '.join(signals)} never change{'s' * (len(signals) == 1)}, so that nothing shows: vary it")
     return read
-
-
-def _shared_rows(one: Recording, other: Recording) -> float:
-    """The share of a recording's stretches, those in which nothing changes left aside, that are in another one, too, value by value."""
-    names = [c for c in one.channels if c in other.channels]
-    mine, theirs = (np.column_stack([r.channels[c] for c in names]) for r in (one, other))
-    known = {theirs[k : k + _STRETCH].tobytes() for k in range(len(theirs) - _STRETCH + 1)}
-    stretches = [mine[k : k + _STRETCH] for k in range(0, len(mine) - _STRETCH + 1, _STRETCH)]
-    moving = [s.tobytes() in known for s in stretches if np.ptp(s, axis=0).any()]
-    return float(np.mean(moving)) if moving else 0.0
 
 
 def _saturated(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:

@@ -182,6 +182,28 @@ def _telling(places: Sequence[Path]) -> list[str]:
     return [str(place) for place in places]
 
 
+_STRETCH, _COPIED = 20, 0.5  # rows that are compared together, and the share of them that makes a copy
+
+
+def refuse_copies(recordings: Sequence[Recording]) -> None:
+    """InputError if a recording has the content, or most of the rows, of one before it: then it tests nothing."""
+    for k, one in enumerate(recordings):
+        for other in recordings[:k]:
+            what = "has the same content as" if one.sha256 == other.sha256 else "has rows of" if _shared_rows(one, other) > _COPIED else ""
+            if what:
+                raise InputError(f"{one.name} {what} {other.name}: it tests nothing; give another recording, of another input")
+
+
+def _shared_rows(one: Recording, other: Recording) -> float:
+    """The share of a recording's stretches, those in which nothing changes left aside, that are in another one, too, value by value."""
+    names = [c for c in one.channels if c in other.channels]
+    mine, theirs = (np.column_stack([r.channels[c] for c in names]) for r in (one, other))
+    known = {theirs[k : k + _STRETCH].tobytes() for k in range(len(theirs) - _STRETCH + 1)}
+    stretches = [mine[k : k + _STRETCH] for k in range(0, len(mine) - _STRETCH + 1, _STRETCH)]
+    moving = [s.tobytes() in known for s in stretches if np.ptp(s, axis=0).any()]
+    return float(np.mean(moving)) if moving else 0.0
+
+
 def started(rig: Rig, path: Path) -> Any:
     """The rig's plant with the values of a parameter file that it has a place for; of values per recording, their mean."""
     known = parameters.declared(rig.plant)

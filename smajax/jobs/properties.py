@@ -21,6 +21,7 @@ SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
 _USUAL = 7e6  # Pa/K, where one stress does not tell
+_SLOPES = (1e6, 3e7)  # Pa/K, plausible ones
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEFT_OUT = "-"
 _NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
@@ -214,7 +215,10 @@ def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
             per_stress = float(np.polyfit(stress, middle, 1)[0])
             if per_stress > 0.0:
                 slope, told = 1.0 / per_stress, f"{letter} by a straight line through {len(read)} stresses"
-        slope = float(np.clip(slope, 1e6, 3e7))
+                told += "" if _SLOPES[0] <= slope <= _SLOPES[1] else f", cut from {slope / 1e6:.3g} MPa/K to the nearest plausible one"
+            else:
+                told = f"{letter} is a usual value: through {len(read)} stresses the temperatures fall, by {-1e6 * per_stress:.3g} K/MPa"
+        slope = float(np.clip(slope, *_SLOPES))
         entries[f"material.clausius_clapeyron_{phase}"] = Entry(slope, "Pa/K", 0.3 * slope, 3.0 * slope, source=told)
         for end in ("start", "finish"):
             name = f"{phase}_{end}"
