@@ -249,6 +249,8 @@ class StartModel(StrEnum):
 
     brinson = "brinson"
     lagoudas = "lagoudas"
+    tanaka = "tanaka"
+    liang_rogers = "liang-rogers"
 
 
 @app.command()

@@ -22,6 +22,10 @@ _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
 _USUAL = 7e6  # Pa/K, where one stress does not tell
 _SLOPES = (1e6, 3e7)  # Pa/K, plausible ones
+# What thermal cycles under constant stress hardly tell, and a law needs: Pa, and the ends of what is plausible.
+_BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
+_USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
+_DETWINNING = {"detwinning_start_stress": (100e6, 0.0, 300e6), "detwinning_finish_stress": (170e6, 20e6, 500e6)}
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEFT_OUT = "-"
 _NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
@@ -227,6 +231,8 @@ def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
             entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - away, at_zero + away, source="tangents, brought to zero stress")
     largest = float(np.clip(np.max(np.abs(values["transformation_strain"])), 1e-3, 0.1))
     entries["material.max_strain"] = Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source="largest transformation strain")
+    wanted = _USUALLY | (_DETWINNING if model == "brinson" else {})
+    entries |= {f"material.{n}": Entry(value, "Pa", low, high, source=_BRINSON) for n, (value, low, high) in wanted.items()}
     if model == "lagoudas":
         entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
         if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART:
