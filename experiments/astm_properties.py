@@ -31,7 +31,7 @@ BY_STRESS = {
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__, data=".", quick="the hundred cycles only")
-    finish("ASTM properties of measured cycles", [*cyclic(args.data), *([] if args.quick else by_stress(args.data))], args)
+    finish("astm_properties", [*cyclic(args.data), *([] if args.quick else by_stress(args.data))], args)
 
 
 def cyclic(data: Path) -> list[Row]:
