@@ -265,6 +265,24 @@ def test_an_effect_in_another_ones_place_is_tried_in_its_usual_shapes_or_in_that
     assert tracer._shapes("end-conduction", "coating", slow) == [{"effects.end-conduction.time_constant": 7.0}]
 
 
+def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, monkeypatch):
+    bench = tracer.bench
+    start = Hypothesis().extended("latent-heat", {"effects.latent-heat.strength": 3e7})
+    whole, sparse = (bench.fit(start, fitted.base, max_steps=40, stride=stride) for stride in (1, 4))
+    assert bench.strided(1) is bench.problems[0] is not bench.strided(4)
+    assert sparse.residual.shape == whole.residual.shape and sparse.chi2 == pytest.approx(whole.chi2, rel=1e-4)
+    assert sparse.values["effects.latent-heat.strength"] == pytest.approx(whole.values["effects.latent-heat.strength"], rel=1e-3)
+    looked = bench.search(start, fitted.base, stride=4).advance(1)
+    assert looked.cost == pytest.approx(bench.search(start, fitted.base).advance(1).cost, rel=0.05)
+    assert 0.0 < bench.coarseness(fitted, 2) < bench.coarseness(fitted, 4) < 0.2 * bench.fitness(fitted.residual, 0)
+    # Longer steps are for what stands out: not near the noise, nor where they would themselves be most of what is left.
+    monkeypatch.setattr(tracer, "_coarse", {4: 0.5, 2: 0.1})
+    assert [tracer.stride(left) for left in (1.0, 9.0, 20.0, 49.0, 51.0)] == [1, 1, 2, 2, 4]
+    monkeypatch.setattr(bench, "traits", bench.traits - {"clock"})
+    monkeypatch.setattr(bench, "_sparse", {})
+    assert bench.strided(4) is bench.problems[0] and bench.coarseness(fitted, 4) == math.inf
+
+
 def test_a_prediction_may_miss_by_what_the_parameters_miss(tracer, fitted):
     assert 1.0 <= tracer.expected(fitted, 1) < 1.1
 
