@@ -18,6 +18,7 @@ from smajax.fit.families import bouc_wen, hammerstein_wiener, heating_cooling, n
 from smajax.fit.operators import Series, build_operator, fit_operator, parted
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+from smajax.jobs.compare import fit_percent
 from smajax.rig import read_rig
 from smajax.simulate import respond
 from tests.conftest import ROOT
@@ -304,6 +305,16 @@ def test_a_saturated_loop_is_prandtl_ishlinskiis():
     assert errors["prandtl-ishlinskii"] < 0.3 * errors["bouc-wen"]
 
 
+def test_hammerstein_wiener_may_begin_at_rest_with_its_input_on():
+    u = np.repeat([1.0, 0.2, 0.8, 0.4, 1.0, 0.0, 0.6, 0.3], 50)
+    exact = scipy.signal.lsim(([1.0], [2.0, 1.0]), u, TIME, interp=False)[1]
+    series = [Series("on", TIME, u, exact + 2e-3 * np.random.default_rng(0).standard_normal(400))]
+    found = fit_operator(hammerstein_wiener(series), series, starts=16)
+    assert fit_percent(exact, found.respond(series[0])) > 98.0
+    settled = [Series("off", TIME, np.r_[0.0, u[1:]], series[0].output)]
+    assert [float(hammerstein_wiener(s).lower["settled"]) for s in (series, settled)] == [0.0, 1.0]
+
+
 def network() -> Narx:
     rng = np.random.default_rng(0)
     weights = (0.3 * rng.standard_normal((4, 4)), 0.1 * rng.standard_normal(4), 0.2 * rng.standard_normal(4), np.array([1.2, -0.4]))
@@ -323,7 +334,7 @@ def test_open_and_closed_loop_of_a_network():
 
 
 def laws() -> dict:
-    curves = (np.array([-0.1, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([-0.95, 0.6]), 0.3, np.array([0.0, 1.0, 1.5, 1.6]))
+    curves = (np.array([-0.1, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([-0.95, 0.6]), 0.3, np.array([0.0, 1.0, 1.5, 1.6]), 0.6)
     return {s: function(s, delay=0.37, settled=0.4) for s in STRUCTURES} | {
         "hammerstein-wiener": HammersteinWiener(*map(jnp.asarray, curves)),
         "narx": network(),

@@ -6,6 +6,7 @@ f and h are piecewise linear between knots. The block has unit gain at rest, sin
 poles are given by reflection coefficients between -1 and 1. Rows are equally far apart.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -15,7 +16,8 @@ from smajax.hysteresis.operator import AbstractOperator
 class HammersteinWiener(AbstractOperator):
     """``inlet`` and ``outlet``, shape ``(k,)`` each: values of f at ``knots``, shape ``(k,)``, and of h at k even points of 0..1.
 
-    ``reflections``, shape ``(2,)``, give the poles; ``split`` is the share b_1 / (b_1 + b_2).
+    ``reflections``, shape ``(2,)``, give the poles; ``split`` is the share b_1 / (b_1 + b_2); ``settled`` that of the first input to which
+    the block had settled before it.
     """
 
     knots: jax.Array
@@ -23,10 +25,11 @@ class HammersteinWiener(AbstractOperator):
     reflections: jax.Array
     split: jax.Array
     outlet: jax.Array
+    settled: jax.Array = eqx.field(default=1.0, converter=jnp.asarray)
 
     def start(self, first: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """See ``AbstractOperator.start``: x now and before, and the last w."""
-        w = self._inlet(first)
+        w = self._inlet(self.settled * first)
         return w, w, w
 
     def advance(self, state: tuple, before: jax.Array, after: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

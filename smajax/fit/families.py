@@ -174,7 +174,7 @@ def _wiener(parameters: dict) -> HammersteinWiener:
 
 
 def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
-    """Ten knots in each curve and two poles."""
+    """Ten knots in each curve and two poles; ``settled`` is free where a recording begins with the input on."""
     low, span, bottom, swing = _ranges(series)
     places, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
     edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
@@ -184,8 +184,16 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
         "reflections": (-1 + 1e-6, -0.999),
         "split": -3.0,
         "outlet": np.full(knots, bottom - swing),
+        "settled": 0.0 if any(abs(s.input[0]) > 1e-9 * span for s in series) else 1.0,
     }
-    upper = {"knots": places, "inlet": edges[1], "reflections": (1.0, 1 - 1e-6), "split": 4.0, "outlet": np.full(knots, bottom + 2 * swing)}
+    upper = {
+        "knots": places,
+        "inlet": edges[1],
+        "reflections": (1.0, 1 - 1e-6),
+        "split": 4.0,
+        "outlet": np.full(knots, bottom + 2 * swing),
+        "settled": 1.0,
+    }
     step = float(np.median(np.diff(series[0].time)))
     pole = float(np.exp(-step * 50 / _duration(series)))
     start = {
@@ -194,6 +202,7 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
         "reflections": (-2 * pole / (1 + pole**2), pole**2),
         "split": 0.5,
         "outlet": bottom + swing * even,
+        "settled": 1.0,
     }
     lower, upper, start = ({**side, "reflections": np.array(side["reflections"])} for side in (lower, upper, start))
     return Family("hammerstein-wiener", _wiener, *map(_arrays, (lower, upper, start)), even=True)
