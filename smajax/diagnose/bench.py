@@ -19,20 +19,20 @@ import numpy as np
 from smajax import parameters, simulate
 from smajax.diagnose import freeform, score
 from smajax.diagnose.effects import catalogue
-from smajax.diagnose.hypothesis import Form, Hypothesis, Refit
+from smajax.diagnose.hypothesis import Form, Hypothesis, Refit, Running
 from smajax.diagnose.part import Part
 from smajax.diagnose.program import SLOTS, Model, residual
+from smajax.diagnose.steps import longer, shorter
 from smajax.errors import InputError
 from smajax.fit import least_squares
 from smajax.fit.least_squares import Solved, Stop
-from smajax.fit.problem import Data, Problem, Settings, build
+from smajax.fit.problem import Problem, Settings, build
 from smajax.parameters import declarations
 from smajax.plant.effect import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 _MULTIPLE = 512
-_COARSEST = 4.0  # times the step that resolves the plant
 _POLISH = 8  # steps on all samples after a search on some of them
 
 
@@ -40,31 +40,6 @@ def in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
     """Results of a function over tasks, two at a time: a simulation keeps one core busy."""
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(function, tasks))
-
-
-@dataclasses.dataclass(frozen=True)
-class Running:
-    """A search that can go on: its hypothesis, the number of nodes of its free term, and what it was started with.
-
-    ``stride`` says of how many samples it sees one.
-    """
-
-    search: least_squares.Search
-    hypothesis: Hypothesis
-    nodes: int
-    stride: int
-    near: bool
-    rtol: float
-
-    @property
-    def cost(self) -> float:
-        """Sum of the squared residuals over the noise, as of all samples."""
-        return self.stride * self.search.cost
-
-    def advance(self, steps: int) -> "Running":
-        """At most so many steps more."""
-        self.search.advance(steps)
-        return self
 
 
 class Bench:
@@ -226,26 +201,9 @@ class Bench:
         A part without a clock, or whose steps would be too long for it, stays what it is.
         """
         if stride > 1 and stride not in self._sparse:
-            self._sparse[stride] = self._thinned(stride)
+            found = longer(self.problems[0], self.parts[0].recordings, stride, **self._layout) if "clock" in self.traits else None
+            self._sparse[stride] = found or self.problems[0]
         return self._sparse[stride] if stride > 1 else self.problems[0]
-
-    def _thinned(self, stride: int) -> Problem:
-        mine, recordings = self.problems[0], self.parts[0].recordings
-        steps = [float(np.median(np.diff(r.time))) for r in recordings]
-        if "clock" not in self.traits or stride * max(steps) > _COARSEST * simulate.default_step(mine.plant):
-            return mine
-        grid, samples = mine.data.inputs.time.shape[1], mine.data.inputs.rows.shape[1]
-        laid = [
-            simulate.lay_out(mine.plant, r, **self._layout).merged(stride, held=self._layout["interpolation"] == "hold") for r in recordings
-        ]
-        laid += laid[-1:] * (len(mine.data.measured) - len(laid))
-        inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(one.padded(grid, samples) for one in laid))
-        until = jnp.max(inputs.rows)
-        measured, weight = (np.zeros(mine.data.measured.shape) for _ in range(2))
-        kept = -(-samples // stride)
-        measured[:, :, :kept], weight[:, :, :kept] = (np.asarray(a)[:, :, ::stride] for a in (mine.data.measured, mine.data.weight))
-        data = Data(inputs, jnp.asarray(measured), jnp.asarray(weight), until)
-        return dataclasses.replace(mine, data=data)
 
     def coarseness(self, refit: Refit, stride: int) -> float:
         """Mean square of what the longer steps of ``strided`` do to a refit's residual; infinite if it has no such steps."""
@@ -436,13 +394,10 @@ class Bench:
         Steps half as long are simulated on the same program, which takes them through the first half of each recording only. The
         rows there count twice, and those after them nothing.
         """
-        mine, count = self.problems[0], len(self.parts[0].recordings)
-        each = [jax.tree.map(lambda leaf, k=k: leaf[k], mine.data.inputs).halved() for k in range(len(mine.data.measured))]
-        inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(inputs for inputs, _ in each))
-        halved = dataclasses.replace(mine, data=dataclasses.replace(mine.data, inputs=inputs, until=jnp.max(inputs.rows)))
+        halved, known = shorter(self.problems[0])
         finer, _ = self.evaluate_at(halved, refit.hypothesis, refit.base)
-        by = (refit.residual - finer).reshape(len(each), len(self.channels), -1)
-        for k, (_, samples) in enumerate(each[:count]):
+        by = (refit.residual - finer).reshape(len(known), len(self.channels), -1)
+        for k, samples in enumerate(known):
             by[k, :, samples:] = 0.0
         return 2.0 * 4.0 / 3.0 * self.flat(by.ravel())
 

@@ -1,10 +1,11 @@
-"""What may be missing: a hypothesis, how it was fitted, and a term of free form that may stand beside it."""
+"""What may be missing: a hypothesis, how it is fitted and was, and a term of free form that may stand beside it."""
 
 import dataclasses
 import math
 
 import numpy as np
 
+from smajax.fit import least_squares
 from smajax.fit.least_squares import Stop
 
 
@@ -27,6 +28,31 @@ class Hypothesis:
         """With one effect less."""
         prefix = f"effects.{key}."
         return Hypothesis(tuple(k for k in self.keys if k != key), tuple((n, v) for n, v in self.values if not n.startswith(prefix)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Running:
+    """A search that can go on: its hypothesis, the number of nodes of its free term, and what it was started with.
+
+    ``stride`` says of how many samples it sees one.
+    """
+
+    search: least_squares.Search
+    hypothesis: Hypothesis
+    nodes: int
+    stride: int
+    near: bool
+    rtol: float
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residuals over the noise, as of all samples."""
+        return self.stride * self.search.cost
+
+    def advance(self, steps: int) -> "Running":
+        """At most so many steps more."""
+        self.search.advance(steps)
+        return self
 
 
 @dataclasses.dataclass(frozen=True)

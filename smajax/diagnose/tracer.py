@@ -10,8 +10,8 @@ import numpy as np
 import scipy.optimize
 
 from smajax.diagnose import localise, score
-from smajax.diagnose.bench import Bench, Running, in_pairs
-from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.diagnose.bench import Bench, in_pairs
+from smajax.diagnose.hypothesis import Hypothesis, Refit, Running
 from smajax.fit import uncertainty
 from smajax.fit.least_squares import Stop
 from smajax.parameters import declarations
