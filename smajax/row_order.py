@@ -1,4 +1,4 @@
-"""Are the rows of a recording in the order in which they were recorded?
+"""Are the rows of a recording in the order in which they were recorded, and does none stand alone?
 
 A noisy thermometer scatters about its neighbours, and the strain does not follow it. A row from elsewhere lies off its neighbours in both:
 temperature and strain go together, as everywhere on the curve. And between one row and the next no specimen passes a third of its cycle.
@@ -11,6 +11,7 @@ from smajax.errors import InputError
 
 _JUMP = 0.35  # of the temperatures' range, from one row to the next
 _OFF_T, _OFF_E = 0.01, 0.02  # of their ranges, from the median of the rows about
+_ALONE, _STRAYS = 0.5, 3  # of the others' range, from the median of the rows about; more rows than these are no slips
 _ABOUT = 5
 _FEWEST = 20  # rows: of fewer, none can correlate by 4 standard deviations
 _TOGETHER = 0.3  # least correlation that counts
@@ -34,3 +35,13 @@ def refuse_disorder(name: str, temperature: np.ndarray, strain: np.ndarray) -> N
         k = int(both[np.argmax(np.abs(off_t[both] * off_e[both]))])
         told = f"{name}: row {k + 1} of the data lies {abs(off_t[k]):.3g} K and {abs(off_e[k]):.2g} of strain off the rows about it"
         raise InputError(f"{told}, and {len(both) - 1} others likewise, which noise does not do: the rows are {_CURE}")
+
+
+def refuse_strays(name: str, what: str, values: np.ndarray) -> None:
+    """Raises ``InputError``, with a row (counted from 1), where single values (n,) stand far off all others, as slips of a reading do."""
+    about = median_filter(values, _ABOUT, mode="nearest")
+    alone = np.flatnonzero(np.abs(values - about) > _ALONE * np.ptp(about))
+    if 0 < len(alone) <= _STRAYS and np.ptp(about) > 0.0:
+        k = int(alone[np.argmax(np.abs(values - about)[alone])])
+        told = f"{name}: row {k + 1} of the data: {what} {values[k]:.4g} stands alone among rows of about {about[k]:.4g}"
+        raise InputError(f"{told}: correct it, or take its row out")

@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from smajax.errors import InputError
 from smajax.fit.uncertainty import autoregression
-from smajax.row_order import refuse_disorder
+from smajax.row_order import refuse_disorder, refuse_strays
 from smajax.tangents import Lines, lay
 
 NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
@@ -133,6 +133,7 @@ def analyse(
 def _in_order(name: str, temperature: np.ndarray, strain: np.ndarray, smooth: int) -> list[tuple[np.ndarray, np.ndarray]]:
     if np.ptp(temperature) > 0.0:
         refuse_disorder(name, temperature, strain)
+        refuse_strays(name, "a strain of", strain)
     return cycles(name, temperature, smooth=smooth)
 
 

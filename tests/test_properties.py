@@ -164,6 +164,10 @@ def test_turns_are_found_in_noise():
         (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "heat and cool further"),
         (lambda t, e: (t[::-1], e[::-1]), "the rows run backwards"),
+        (
+            lambda t, e: (t, np.where(np.arange(len(e)) == 400, 0.5, e)),
+            "row 401 of the data: a strain of 0.5 stands alone among rows of about 0.0",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_said(change, sentence):

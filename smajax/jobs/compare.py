@@ -163,7 +163,11 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
     result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.code is not Code.done]
     if failed:
-        raise NumericsError(f"{failed[0].recording.name}: {failed[0].code.name}: {failed[0].code.cure}")
+        ends = ", ".join(f"{e.name} = {as_text(e.estimate, e.unit)}" for e in result.estimates)
+        raise NumericsError(
+            f"{failed[0].recording.name}: {failed[0].code.name} where its fit ended, at {ends}: bound these (fit.bounds), free fewer, or "
+            "give a training recording that goes as far"
+        )
     held = tuple(f"{e.name} ({as_text(e.estimate, e.unit)})" for e in result.estimates if e.at_bound)
     open_ = tuple(e.name for e in result.estimates if undetermined(estimate_entry(e)))
     predictions = tuple(r.model[channel] for r in result.responses)
