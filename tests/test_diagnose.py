@@ -23,7 +23,7 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
-from smajax.diagnose.trace import Story, _arrived, objection, trace
+from smajax.diagnose.trace import Story, _arrived, _swap, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
@@ -281,6 +281,32 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, mo
     monkeypatch.setattr(bench, "traits", bench.traits - {"clock"})
     monkeypatch.setattr(bench, "_sparse", {})
     assert bench.strided(4) is bench.problems[0] and bench.coarseness(fitted, 4) == math.inf
+
+
+def test_what_nearly_explains_the_residual_is_swapped_for_what_it_is_confused_with(tracer, fitted, monkeypatch):
+    """An effect that was found alone may have been the wrong one of two that are alike; at the noise, or far from it, nothing is tried."""
+
+    def trial(*keys, left):
+        hypothesis = Hypothesis(keys, tuple((f"effects.{k}.strength", 1.0) for k in keys))
+        return Trial(dataclasses.replace(fitted, hypothesis=hypothesis), left, left, 1.0)
+
+    tried: list[str] = []
+
+    def kin(asked):
+        tried.append(asked.key)
+        return [trial(*asked.keys[:-1], "sensor-lag", left=1.01)] if asked.key == "time-skew" else []
+
+    monkeypatch.setattr(tracer, "kin", kin)
+    monkeypatch.setattr(tracer, "settled", lambda one: one)
+    first = tracer.judged(fitted)
+    for left, asked in ((1.6, ["time-skew"]), (1.02, []), (40.0, [])):
+        story = Story({}, {}, first, trial("time-skew", "latent-heat", left=left), 1.1, {}, equivalent={"time-skew": ("creep",)})
+        tried.clear()
+        _swap(tracer, story)
+        assert tried == asked
+        assert story.accepted == (("latent-heat", "sensor-lag") if asked else ("time-skew", "latent-heat"))
+        assert story.equivalent == ({} if asked else {"time-skew": ("creep",)})
+        assert [k for k, _ in story.rejected] == asked
 
 
 def test_a_prediction_may_miss_by_what_the_parameters_miss(tracer, fitted):

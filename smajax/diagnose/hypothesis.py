@@ -69,6 +69,11 @@ class Refit:
     stop: Stop
     nodes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
+    def with_last(self, key: str) -> "Refit":
+        """The same refit as if one of its effects had been added last; its Jacobian keeps its order."""
+        keys = (*(k for k in self.hypothesis.keys if k != key), key)
+        return dataclasses.replace(self, hypothesis=dataclasses.replace(self.hypothesis, keys=keys))
+
     @property
     def values(self) -> dict[str, float]:
         """Strengths and shapes by parameter name."""

@@ -20,7 +20,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.preflight import Promise, Sight, preflight, sight, unseen
 from smajax.diagnose.program import SLOTS
-from smajax.diagnose.tracer import Extension, Scores, Tracer, Trial
+from smajax.diagnose.tracer import AT_NOISE, Extension, Scores, Tracer, Trial
 from smajax.errors import NumericsError
 from smajax.fit import least_squares, searchable
 from smajax.fit.least_squares import Solved, Stop
@@ -32,6 +32,7 @@ CUT = 0.05
 # over the noise by MATERIAL, and, where no more than LITTLE exceeds it on both recordings, to leave at most the share LEFT of that.
 MATERIAL, LITTLE, LEFT = 1.0, 10.0, 0.15
 EXPLAINED = 0.5
+NEARLY = 9.0  # mean square over the noise, below which effects nearly explain it
 WORTH = 0.75
 ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
@@ -145,6 +146,7 @@ def trace(
         if not beam:
             break
     _backward(tracer, story)
+    _swap(tracer, story)
     return tracer, story
 
 
@@ -343,6 +345,24 @@ def _backward(tracer: Tracer, story: Story) -> None:
         if (judged.train - story.last.train) * samples < _FALL * max(1.0, story.last.train) or loss < CUT:
             story.rejected.append((key, "is no longer missed beside the other effects"))
             story.last = judged
+
+
+def _swap(tracer: Tracer, story: Story) -> None:
+    """Puts in an effect's place what it may be confused with, where several nearly explain the residual and that leaves less.
+
+    What was found first stood alone then, where it may have been the wrong one of two that are alike.
+    """
+    samples = len(tracer.bench.flat(story.first.refit.residual))
+    for key in story.accepted:
+        last = story.last
+        if len(last.keys) < 2 or last.train < max(story.limit, AT_NOISE) or last.total > 2.0 * NEARLY:
+            return
+        others = tracer.kin(dataclasses.replace(last, refit=last.refit.with_last(key)))
+        best = min(others, key=lambda t: t.total, default=None)
+        if best is not None and best.total < last.total - _FALL * max(1.0, last.train) / samples:
+            story.rejected.append((key, f"leaves more, beside the other effects, than {best.key} in its place"))
+            story.last = tracer.settled(best)
+            story.equivalent.pop(key, None)
 
 
 def _ranking(tracer: Tracer, scores: Scores, base: Refit) -> dict[str, Ranked]:
