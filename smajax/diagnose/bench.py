@@ -88,7 +88,7 @@ class Bench:
         self.nominal, self.box = self._ends[0][0], self._ends[0][1:]
         self.plain = self._weighted(build(plant, train, settings, **self._layout), self._rows[0])
         self.set_noise(self.noise)
-        self.simulations = 0
+        self.simulations, self._counting = 0, threading.Lock()
         self._ready = threading.Thread(target=self.evaluate, args=(Hypothesis(), self.nominal, 0), daemon=True)
         self._ready.start()  # the large program compiles while the small one fits
 
@@ -121,6 +121,16 @@ class Bench:
         for k, seen in enumerate(rows):
             weight[k][:, seen] = each[:, None]
         return dataclasses.replace(problem, data=eqx.tree_at(lambda d: d.weight, problem.data, jnp.asarray(weight)))
+
+    def count(self, simulations: int) -> None:
+        """Notes that so many simulations were run."""
+        with self._counting:  # searches run two at a time
+            self.simulations += simulations
+
+    @property
+    def samples(self) -> int:
+        """How many samples of the training part count."""
+        return int(np.sum(np.asarray(self.problems[0].data.weight) > 0.0))
 
     @property
     def size(self) -> int:
@@ -291,7 +301,7 @@ class Bench:
         if near:
             lower[: self.size], upper[: self.size] = map(self.padded, self.plain.search_box())
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
-        problem = self.strided(stride)
+        problem = self.strided(1 if form else stride)
         stride = 1 if problem is self.problems[0] else stride
         model = self.model(hypothesis, moved, problem, form)
         start = self._start(hypothesis, base, moved)
@@ -299,20 +309,18 @@ class Bench:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
         search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol)
-        return Running(search, hypothesis, nodes, stride, near, rtol)
+        return Running(search, hypothesis, nodes, stride, near, rtol, self.count)
 
     def whole(self, running: Running, steps: int = _POLISH) -> Running:
         """A search that sees some of the samples, gone on from where it stands with all of them, by at most so many steps."""
         if running.stride == 1:
             return running
-        found, base, solved = self._ended(running)
-        self.simulations += solved.simulations
+        found, base, _ = self._ended(running)
         return self.search(found, base, near=running.near, rtol=running.rtol).advance(steps)
 
     def reached(self, running: Running) -> Refit:
         """Where a search ends: residual and Jacobian there are those of all samples."""
         found, base, solved = self._ended(running)
-        self.simulations += solved.simulations
         columns = self.size + len(self.moved(found))
         if running.stride == 1:
             left, jacobian = solved.residuals[0], solved.jacobians[0][:, :columns]
@@ -356,7 +364,7 @@ class Bench:
         start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
         model = self.model(hypothesis, moved, problem, form)
         solved = least_squares.Search(residual, model, start[None], -free, free, size=problem.size).advance(1).result()
-        self.simulations += solved.simulations
+        self.count(solved.simulations)
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
 
@@ -373,7 +381,7 @@ class Bench:
         problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
         model = self.model(hypothesis, (), problem)
         solved = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size).advance(15).result()
-        self.simulations += solved.simulations
+        self.count(solved.simulations)
         return solved.points[0][: self.size]
 
     def under(self, recording: Recording) -> Problem | None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class Hypothesis:
 class Running:
     """A search that can go on: its hypothesis, the number of nodes of its free term, and what it was started with.
 
-    ``stride`` says of how many samples it sees one.
+    ``stride`` says of how many samples it sees one; ``count`` is told how many simulations each advance took.
     """
 
     search: least_squares.Search
@@ -43,6 +44,7 @@ class Running:
     stride: int
     near: bool
     rtol: float
+    count: Callable[[int], None]
 
     @property
     def cost(self) -> float:
@@ -51,7 +53,9 @@ class Running:
 
     def advance(self, steps: int) -> "Running":
         """At most so many steps more."""
+        before = self.search.simulations
         self.search.advance(steps)
+        self.count(self.search.simulations - before)
         return self
 
 

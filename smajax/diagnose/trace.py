@@ -32,7 +32,7 @@ CUT = 0.05
 # over the noise by MATERIAL, and, where no more than LITTLE exceeds it on both recordings, to leave at most the share LEFT of that.
 MATERIAL, LITTLE, LEFT = 1.0, 10.0, 0.15
 EXPLAINED = 0.5
-NEARLY = 9.0  # mean square over the noise, below which effects nearly explain it
+_NEARLY = 9.0  # mean square over the noise, below which effects nearly explain it
 WORTH = 0.75
 ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
@@ -135,7 +135,7 @@ def trace(
     bench.set_noise({c: value for c, (value, _) in noise.items()})
     tracer = Tracer(bench, seed)
     first = tracer.judged(tracer.base(point, stop))
-    limit = critical(len(bench.flat(first.refit.residual)))
+    limit = critical(bench.samples)
     limit = max(limit, _ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
     story = Story(seen, noise, first, first, limit, promise, rests)
     beam = [first]
@@ -183,7 +183,7 @@ def _first_fit(bench: Bench, seed: int, starts: int) -> tuple[np.ndarray, Stop, 
 def _solved(bench: Bench, point: np.ndarray, box: tuple[np.ndarray, np.ndarray]) -> Solved:
     plain = bench.plain
     one = least_squares.Search(searchable.residual, plain, point[None], *box, size=plain.size, rtol=1e-8).advance().result()
-    bench.simulations += one.simulations
+    bench.count(one.simulations)
     return one
 
 
@@ -210,7 +210,7 @@ def _noise(bench: Bench, plain: Problem, left: np.ndarray) -> dict[str, tuple[fl
 def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:
     """One round: adds an effect to each trial of the beam; gives the next beam, empty if no effect was accepted."""
     bench, current = tracer.bench, story.last
-    samples = len(bench.flat(current.refit.residual))
+    samples = bench.samples
     beam = [t for t in beam if len(bench.moved(t.refit.hypothesis)) < SLOTS]
     if not beam or (turn and current.train < max(story.limit, 1.02)):
         return []
@@ -332,7 +332,7 @@ def _as_good(trial: Trial, best: Trial, samples: int) -> bool:
 
 def _backward(tracer: Tracer, story: Story) -> None:
     """Drops each accepted effect that is not missed by now."""
-    samples = len(tracer.bench.flat(story.first.refit.residual))
+    samples = tracer.bench.samples
     for key in story.accepted:
         if len(story.accepted) < 2:
             return
@@ -352,10 +352,10 @@ def _swap(tracer: Tracer, story: Story) -> None:
 
     What was found first stood alone then, where it may have been the wrong one of two that are alike.
     """
-    samples = len(tracer.bench.flat(story.first.refit.residual))
+    samples = tracer.bench.samples
     for key in story.accepted:
         last = story.last
-        if len(last.keys) < 2 or last.train < max(story.limit, AT_NOISE) or last.total > 2.0 * NEARLY:
+        if len(last.keys) < 2 or last.train < max(story.limit, AT_NOISE) or last.total > 2.0 * _NEARLY:
             return
         others = tracer.kin(dataclasses.replace(last, refit=last.refit.with_last(key)))
         best = min(others, key=lambda t: t.total, default=None)

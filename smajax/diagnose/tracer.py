@@ -190,7 +190,6 @@ class Tracer:
         at the rig's nominal values, and stay near them: what a large effect has done to the other parameters may lie in the way.
         """
 
-        samples = len(self.bench.flat(np.zeros(self.bench.problems[0].size)))
         stride = self.stride(min((self.bench.fitness(e.parent.residual, 0) for e in (*beside, *afar)), default=0.0))
 
         def started(one: Extension, size: float) -> Hypothesis:
@@ -212,7 +211,7 @@ class Tracer:
             if steps > _APART:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.cost)
                 fields = [[s for s in whole if s.cost < _BEHIND * whole[0].cost][:count]]
-                if whole and self.stride(whole[0].cost / samples) < stride:
+                if whole and self.stride(whole[0].cost / self.bench.samples) < stride:
                     fields = [[self.bench.whole(s, 0) for s in fields[0]]]
                     everyone += fields[0]
             in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
