@@ -167,6 +167,40 @@ def test_a_walk_of_partial_loops_is_the_reference(stress):
     assert turned > 20
 
 
+def exchanged(state: reference.State, temperature: float, stress: float, part: float) -> reference.State:
+    """The reference after a little martensite at a time went, and came back wherever the forward transformation wants it."""
+    e = reference.energy(EXACT)
+    while state.martensite > 1e-9:
+        direction = state.strain / state.martensite
+        if reference.reverse_force(EXACT, e, temperature, stress, state.martensite, direction) <= 0.0:
+            break
+        fewer = reference.State(state.martensite * (1.0 - part), state.strain * (1.0 - part))
+        state = reference.advance(EXACT, fewer, temperature, (stress, stress))
+    return state
+
+
+def test_twinned_martensite_under_a_high_stress_is_exchanged_for_detwinned():
+    """Its reverse transformation begins below the end of the forward one: what goes grows again at once, with the stress's strain."""
+    stress, ends = 300e6, (64.0, 72.0, 78.0, 84.0)
+    exact, state = [], reference.State(1.0, 0.0)
+    for temperature in np.linspace(60.0, 84.0, 481):
+        state = exchanged(state, float(temperature), stress, 1e-3)
+        if float(temperature) in ends:
+            exact.append((state.martensite, state.strain / VALUES["max_strain"]))
+    assert len(exact) == len(ends) and exact[0][0] == 1.0 and exact[1][1] > 0.2
+
+    def errors(count):
+        states, _ = led(
+            LAW, Fractions(jnp.asarray(0.0), jnp.asarray(1.0)), jnp.linspace(20.0, 84.0, count + 1), jnp.full(count + 1, stress)
+        )
+        assert bool(jnp.all(jnp.diff(states.martensite) <= 1e-12))
+        rows = [round((end - 20.0) / 64.0 * count) for end in ends]
+        return np.abs(np.stack([states.martensite, states.detwinned], axis=1)[rows] - np.array(exact))
+
+    coarse, finer, finest = (float(np.max(errors(count))) for count in (64, 256, 2048))
+    assert coarse < 0.12 and finer < 0.4 * coarse and finest < 0.006, (coarse, finer, finest)
+
+
 def test_steps_of_stress_converge_on_the_reference():
     temperature, ends = 85.0, (10e6, 400e6)
     exact = reference.advance(EXACT, reference.State(0.0, 0.0), temperature, ends, parts=20_000)

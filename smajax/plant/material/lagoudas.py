@@ -56,18 +56,30 @@ class Lagoudas(AbstractMaterial):
         (_, hot), (before, after) = temperature, stress
         old = fractions.martensite
         some = jnp.where(old > _NONE, old, 1.0)
-        forward, reverse = self._shares(hot, after, self.max_strain * fractions.detwinned / some)
-        # One inverse serves both, since a step goes one way.
+        taken = self.max_strain * fractions.detwinned / some
+        forward, reverse, slope = self._shares(hot, after, taken)
         known = jnp.clip(jax.lax.stop_gradient(old), 0.0, 1.0)
         grows = forward > hardening(known, self.n1, self.n2)
-        shrinks = ~grows & (reverse < hardening(known, self.n3, self.n4)) & (old > _NONE)
+        shrinks = (reverse < hardening(known, self.n3, self.n4)) & (old > _NONE)
         # Where nothing transforms, a share out of reach spares the inverse its work.
-        share = jnp.where(grows, forward, jnp.where(shrinks, reverse, 2.0))
-        reached = hardened(share, jnp.where(grows, self.n1, self.n3), jnp.where(grows, self.n2, self.n4))
+        reached = hardened(jnp.where(grows | shrinks, forward, 2.0), self.n1, self.n2)
         grown = jnp.where(grows, jnp.maximum(reached - old, 0.0), 0.0)
-        brought = self.grown_strain(0.5 * (before + after)) * (1.0 / self.max_strain) * grown
-        kept = jnp.where(shrinks, jnp.minimum(reached, some) / some, 1.0)
-        return Fractions((fractions.detwinned + brought) * kept, (fractions.twinned + grown - brought) * kept)
+        strain = self.grown_strain(0.5 * (before + after))
+        brought = strain * (1.0 / self.max_strain) * grown
+        # Where the reverse transformation would go on past the forward line, what it takes grows again at once, under this stress: the
+        # transformation strain rises until the two are at rest beside each other, or it is all that the stress can make.
+        now = old + grown
+        whole = jnp.where(now > _NONE, now, 1.0)
+        between = jnp.where(grows, now, jnp.minimum(reached, old))
+        held = self.max_strain * (fractions.detwinned + brought) / whole
+        reverse = reverse + slope * (held - taken)
+        lacking = hardening(between, self.n3, self.n4) - reverse
+        again = shrinks & (lacking > 0.0)
+        risen = jnp.clip(held + lacking / jnp.where(slope > 0.0, slope, 1.0), held, jnp.maximum(held, strain)) * (1.0 / self.max_strain)
+        left = jnp.minimum(hardened(jnp.where(shrinks & ~again, reverse, 2.0), self.n3, self.n4), now)
+        kept = jnp.where(shrinks, left / whole, 1.0)
+        detwinned = jnp.where(again, risen * between, (fractions.detwinned + brought) * kept)
+        return Fractions(detwinned, jnp.where(again, (1.0 - risen) * between, (fractions.twinned + grown - brought) * kept))
 
     def due(self, fractions: Fractions, temperature: jax.Array, stress: jax.Array) -> Fractions:
         """The change that brings fractions to the law at a temperature and a stress: what kinetics of their own go after.
@@ -77,21 +89,24 @@ class Lagoudas(AbstractMaterial):
         """
         old = fractions.martensite
         some = jnp.maximum(old, _FEW)
-        forward, reverse = self._shares(temperature, stress, self.max_strain * fractions.detwinned / some)
+        forward, reverse, _ = self._shares(temperature, stress, self.max_strain * fractions.detwinned / some)
         grown = jnp.maximum(hardened(forward, self.n1, self.n2) - old, 0.0)
         brought = self.grown_strain(stress) * (1.0 / self.max_strain) * grown
         lost = jnp.maximum(old - hardened(reverse, self.n3, self.n4), 0.0) / some
         return Fractions(brought - lost * fractions.detwinned, grown - brought - lost * fractions.twinned)
 
-    def _shares(self, temperature: jax.Array, stress: jax.Array, taken: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """What the driving forces, forward and reverse, reach of the hardening; vanishing martensite takes the strain ``taken`` along."""
+    def _shares(self, temperature: jax.Array, stress: jax.Array, taken: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """What the driving forces, forward and reverse, reach of the hardening, and how the latter goes with ``taken``.
+
+        ``taken`` is the strain that vanishing martensite takes along.
+        """
         entropy, gap = self._calibrated()
         elastic = 0.5 * self._compliance_difference * stress**2
         forward = (1.0 - gap) * stress * self.grown_strain(stress) + elastic + entropy * (temperature - self.forward_start)
         reverse = (1.0 + gap) * stress * taken + elastic + entropy * (temperature - self.austenite_finish - self.austenite_shift)
         forward = forward * (1.0 / (entropy * (self.martensite_finish - self.martensite_start)))
-        reverse = reverse * (1.0 / (entropy * (self.austenite_start - self.austenite_finish)))
-        return forward, reverse
+        reached = 1.0 / (entropy * (self.austenite_start - self.austenite_finish))
+        return forward, reverse * reached, (1.0 + gap) * stress * reached
 
     def grown_strain(self, stress: jax.Array) -> jax.Array:
         """Transformation strain of martensite that grows under a stress, H_cur."""
