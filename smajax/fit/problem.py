@@ -22,6 +22,8 @@ from smajax.fit.searchable import Searchable
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
+_MOLTEN = 1e3
+
 
 @runtime_checkable
 class Settings(Protocol):
@@ -131,9 +133,13 @@ class Problem(Searchable):
         return jax.vmap(single)(own, self.data.inputs)
 
     def residual(self, vector: jax.Array) -> jax.Array:
-        """Model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample."""
-        model, _ = self.predict(vector)
-        return jnp.where(self.data.weight > 0, (model - self.data.measured) * self.data.weight, 0.0).ravel()
+        """Model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
+
+        Of a wire that melts it is ``_MOLTEN`` times as large: a search finds its way out of such a state, and takes no step into one.
+        """
+        model, code = self.predict(vector)
+        weight = self.data.weight * jnp.where(code == simulate.Code.overheated, _MOLTEN, 1.0)[:, None, None]
+        return jnp.where(weight > 0, (model - self.data.measured) * weight, 0.0).ravel()
 
 
 def build(
