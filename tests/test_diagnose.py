@@ -268,7 +268,7 @@ def test_an_effect_in_another_ones_place_is_tried_in_its_usual_shapes_or_in_that
 def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, monkeypatch):
     bench = tracer.bench
     start = Hypothesis().extended("latent-heat", {"effects.latent-heat.strength": 3e7})
-    whole, sparse = (bench.fit(start, fitted.base, max_steps=40, stride=stride) for stride in (1, 4))
+    whole, sparse = (tracer.fit(start, fitted.base, stride, max_steps=40) for stride in (1, 4))
     assert bench.strided(1) is bench.problems[0] is not bench.strided(4)
     assert sparse.residual.shape == whole.residual.shape and sparse.chi2 == pytest.approx(whole.chi2, rel=1e-4)
     assert sparse.values["effects.latent-heat.strength"] == pytest.approx(whole.values["effects.latent-heat.strength"], rel=1e-3)
@@ -278,6 +278,11 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, mo
     # Longer steps are for what stands out: not near the noise, nor where they would themselves be most of what is left.
     monkeypatch.setattr(tracer, "_coarse", {4: 0.5, 2: 0.1})
     assert [tracer.stride(left) for left in (1.0, 9.0, 20.0, 49.0, 51.0)] == [1, 1, 2, 2, 4]
+    # Nor need a search that ends far from the noise see the other samples.
+    monkeypatch.setattr(tracer, "_coarse", {4: 0.0})
+    left = tracer.fit(Hypothesis(), fitted.base, 4)
+    assert left.chi2 > 9.0 * bench.samples and left.chi2 == bench.fit(Hypothesis(), fitted.base, stride=4).chi2
+    assert left.chi2 == pytest.approx(bench.fit(Hypothesis(), fitted.base).chi2, rel=0.05)
     monkeypatch.setattr(bench, "traits", bench.traits - {"clock"})
     monkeypatch.setattr(bench, "_sparse", {})
     assert bench.strided(4) is bench.problems[0] and bench.coarseness(fitted, 4) == math.inf

@@ -277,9 +277,9 @@ class Bench:
     ) -> Refit:
         """Fits a hypothesis to the training part, from ``base`` and the hypothesis' own values; with a free term if there is one.
 
-        With a ``stride``, to the samples of ``strided`` first.
+        With a ``stride``, to the samples of ``strided`` only.
         """
-        return self.reached(self.whole(self.search(hypothesis, base, rtol=rtol, form=form, stride=stride).advance(max_steps)))
+        return self.reached(self.search(hypothesis, base, rtol=rtol, form=form, stride=stride).advance(max_steps))
 
     def search(
         self,
@@ -301,7 +301,7 @@ class Bench:
         if near:
             lower[: self.size], upper[: self.size] = map(self.padded, self.plain.search_box())
         lower[self.size + len(moved) :][:nodes], upper[self.size + len(moved) :][:nodes] = -math.inf, math.inf
-        problem = self.strided(1 if form else stride)
+        problem = self.strided(stride)
         stride = 1 if problem is self.problems[0] else stride
         model = self.model(hypothesis, moved, problem, form)
         start = self._start(hypothesis, base, moved)
@@ -309,7 +309,7 @@ class Bench:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
         search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol)
-        return Running(search, hypothesis, nodes, stride, near, rtol, self.count)
+        return Running(search, hypothesis, form, stride, near, rtol, self.count)
 
     def whole(self, running: Running, steps: int = _POLISH) -> Running:
         """A search that sees some of the samples, gone on from where it stands with all of them, by at most so many steps."""
@@ -321,13 +321,15 @@ class Bench:
     def reached(self, running: Running) -> Refit:
         """Where a search ends: residual and Jacobian there are those of all samples."""
         found, base, solved = self._ended(running)
-        columns = self.size + len(self.moved(found))
+        moved = self.moved(found)
+        columns = self.size + len(moved)
+        nodes = solved.points[0][columns:][: running.form.matrix.shape[1] if running.form else 0]
         if running.stride == 1:
-            left, jacobian = solved.residuals[0], solved.jacobians[0][:, :columns]
+            left, jacobian = solved.residuals[0], solved.jacobians[0]
         else:
-            left, jacobian = self.evaluate(found, base, 0, self.moved(found))
+            left, jacobian = self.evaluate(found, base, 0, moved, running.form, nodes)
         stop = solved.stops[0] if np.all(np.isfinite(left)) else Stop.failed
-        return Refit(found, base, left, jacobian, stop, solved.points[0][columns : columns + running.nodes])
+        return Refit(found, base, left, jacobian[:, :columns], stop, nodes)
 
     def _ended(self, running: Running) -> tuple[Hypothesis, np.ndarray, Solved]:
         """The hypothesis with the values where a search stands, the base vector there, and all that the search says."""

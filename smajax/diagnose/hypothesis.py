@@ -32,15 +32,29 @@ class Hypothesis:
 
 
 @dataclasses.dataclass(frozen=True)
+class Form:
+    """A free term: its kind (row of ``freeform.KINDS``), what it stands against from ``low`` to ``high``, and its nodes.
+
+    ``matrix``, shape ``(freeform.KNOTS, nodes)``, makes the knots of what the slots hold.
+    """
+
+    kind: int
+    against: str
+    low: float
+    high: float
+    matrix: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
 class Running:
-    """A search that can go on: its hypothesis, the number of nodes of its free term, and what it was started with.
+    """A search that can go on: its hypothesis and its free term, if it has one, and what it was started with.
 
     ``stride`` says of how many samples it sees one; ``count`` is told how many simulations each advance took.
     """
 
     search: least_squares.Search
     hypothesis: Hypothesis
-    nodes: int
+    form: Form | None
     stride: int
     near: bool
     rtol: float
@@ -87,17 +101,3 @@ class Refit:
     def chi2(self) -> float:
         """Sum of the squared residuals over the noise; infinite if the simulation fails at the start point."""
         return math.inf if self.stop is Stop.failed else float(self.residual @ self.residual)
-
-
-@dataclasses.dataclass(frozen=True)
-class Form:
-    """A free term: its kind (row of ``freeform.KINDS``), what it stands against from ``low`` to ``high``, and its nodes.
-
-    ``matrix``, shape ``(freeform.KNOTS, nodes)``, makes the knots of what the slots hold.
-    """
-
-    kind: int
-    against: str
-    low: float
-    high: float
-    matrix: np.ndarray

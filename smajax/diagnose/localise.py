@@ -65,8 +65,11 @@ def likeliest(shares: Mapping[str, float]) -> str | None:
     return next(s for s in STAGES if shares[s] >= max(largest - _TIE, 0.5 * largest)) if largest > _NONE else None
 
 
-def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: str) -> Shape | None:
-    """The term of free form in a stage that explains most, fitted beside all other parameters; ``None`` if no slot is left for it."""
+def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: str, stride: int = 1) -> Shape | None:
+    """The term of free form in a stage that explains most, fitted beside all other parameters; ``None`` if no slot is left for it.
+
+    With a ``stride``, fitted to the samples of ``bench.strided``.
+    """
     nodes = min(_NODES, SLOTS - len(bench.moved(refit.hypothesis)))
     kinds = [1, 2] if stage in ("material", "mechanism", "sensor") else [0]
     if nodes < 3:
@@ -79,7 +82,7 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
         return None
     kind, state, (low, high) = options[int(np.argmax(found))]
     form = Form(kind, state, low, high, _matrix(nodes) * _unit(bench, kind))
-    fitted = bench.fit(refit.hypothesis, refit.base, max_steps=25, form=form)
+    fitted = bench.fit(refit.hypothesis, refit.base, max_steps=25, form=form, stride=stride)
     if not np.isfinite(fitted.chi2):
         return None
     moved = bench.moved(fitted.hypothesis)

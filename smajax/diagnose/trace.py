@@ -338,7 +338,7 @@ def _backward(tracer: Tracer, story: Story) -> None:
             return
         refit = story.last.refit
         stride = tracer.stride(story.last.train)
-        judged = tracer.judged(tracer.bench.fit(refit.hypothesis.without(key), refit.base, stride=stride))
+        judged = tracer.judged(tracer.fit(refit.hypothesis.without(key), refit.base, stride))
         if not math.isfinite(judged.total):
             continue
         loss = 1.0 - math.sqrt(story.last.select / judged.select)

@@ -20,11 +20,12 @@ _HEATS = ((99, 5), (8, 4), (5, 8), (3, 30))  # how many go on, and for how many 
 _APART = 5
 _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
+_JUDGED = 10  # sets of effects, at most, whose prediction is looked at
 _LOOK, _LOOKS = 8, 4  # steps of a look, and how many follow the first
 _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up after a look
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
-_JOINED = 12  # evaluations of the joint fit
+_JOINED, _SETTLED = 12, 1e-6  # evaluations of the joint fit, and the relative fall of its cost below which it ends
 _STRIDES = (4, 2)
 _FAR, _COARSE = 9.0, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
 _SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
@@ -187,7 +188,8 @@ class Tracer:
         """Fits with one effect more for each extension: a few steps for all, then the best of them to their end.
 
         Those ``beside`` start at their parent's point with a small strength, so that all parameters go together from there; those ``afar``
-        at the rig's nominal values, and stay near them: what a large effect has done to the other parameters may lie in the way.
+        at the rig's nominal values, and stay near them: what a large effect has done to the other parameters may lie in the way. Sets of
+        effects that most others have left behind by then are no trials.
         """
 
         stride = self.stride(min((self.bench.fitness(e.parent.residual, 0) for e in (*beside, *afar)), default=0.0))
@@ -215,12 +217,13 @@ class Tracer:
                     fields = [[self.bench.whole(s, 0) for s in fields[0]]]
                     everyone += fields[0]
             in_pairs(lambda s: s.advance(steps), [s for f in fields for s in f])  # noqa: B023
-        everyone += in_pairs(lambda s: self.bench.whole(s), [s for s in fields[0] if s.stride > 1])
+        everyone += in_pairs(self.whole, [s for s in fields[0] if s.stride > 1])
         everyone += [s for found in in_pairs(self.elsewhere, fields[0]) for s in found]
-        best: dict[frozenset, Refit] = {}
-        for found in sorted(in_pairs(self.bench.reached, everyone), key=lambda r: r.chi2):
-            best.setdefault(frozenset(found.hypothesis.keys), found)
-        trials = in_pairs(self.judged, [r for r in best.values() if math.isfinite(r.chi2)])
+        best: dict[frozenset, Running] = {}
+        for one in sorted(everyone, key=lambda s: s.cost):
+            best.setdefault(frozenset(one.hypothesis.keys), one)
+        ends = in_pairs(self.bench.reached, list(best.values())[:_JUDGED])
+        trials = in_pairs(self.judged, [r for r in ends if math.isfinite(r.chi2)])
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
 
     def elsewhere(self, running: Running) -> list[Running]:
@@ -240,7 +243,7 @@ class Tracer:
             times = [bench.duration * (k + 0.5) / _INSTANTS for k in range(_INSTANTS)]
             started = in_pairs(lambda t: search({name: t}).advance(1), times)  # noqa: B023
             several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.cost)[:_PLACES])
-            found.append(bench.whole(min(several, key=lambda s: s.cost).advance(_HEATS[-1][1])))
+            found.append(self.whole(min(several, key=lambda s: s.cost).advance(_HEATS[-1][1])))
         return found
 
     def kin(self, trial: Trial) -> list[Trial]:
@@ -267,7 +270,7 @@ class Tracer:
                     break
                 before = running.cost
                 running.advance(_LOOK)
-            return self.bench.whole(running)
+            return self.whole(running)
 
         looks = in_pairs(lambda start: self.bench.search(start, refit.base, rtol=1e-7, held=True, stride=stride).advance(_LOOK), starts)
         best: dict[str, Running] = {}
@@ -309,8 +312,18 @@ class Tracer:
         """A trial fitted to its end: from its own point and, unless it is at the noise, from the rig's nominal values with its effects."""
         hypothesis, stride = trial.refit.hypothesis, self.stride(trial.train)
         starts = [trial.refit.base, self.bench.nominal][: 1 if trial.at_noise else 2]
-        ended = in_pairs(lambda base: self.bench.fit(hypothesis, base, max_steps=60, rtol=1e-9, stride=stride), starts)
+        rtol = 1e-9 if stride == 1 else 1e-6
+        ended = in_pairs(lambda base: self.fit(hypothesis, base, stride, max_steps=60, rtol=rtol), starts)
         return self.judged(min(ended, key=lambda r: r.chi2))
+
+    def fit(self, hypothesis: Hypothesis, base: np.ndarray, stride: int, *, max_steps: int = 25, rtol: float = 1e-5) -> Refit:
+        """A hypothesis fitted to the training part, from ``base`` and its own values."""
+        return self.bench.reached(self.whole(self.bench.search(hypothesis, base, rtol=rtol, stride=stride).advance(max_steps)))
+
+    def whole(self, running: Running) -> Running:
+        """A search gone on with all samples, unless so much is left where it stands that it needs no more than it has."""
+        enough = running.stride > 1 and self.stride(running.cost / self.bench.samples) >= running.stride
+        return running if enough else self.bench.whole(running)
 
     def joined(self, refit: Refit) -> Refit:
         """A refit's parameters, fitted to the training and the selection part together from where they are.
@@ -354,6 +367,7 @@ class Tracer:
                 lambda x: both(whole(x))[1][:, free],  # pyright: ignore[reportArgumentType]
                 (lower[free], upper[free]),
                 x_scale="jac",
+                ftol=_SETTLED,
                 max_nfev=_JOINED,
             )
         point = np.frombuffer(whole(found.x))

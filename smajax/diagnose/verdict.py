@@ -134,7 +134,8 @@ def _rest(tracer: Tracer, story: Story) -> tuple[str | None, Shape | None]:
     scores = tracer.scores(refit)
     left = tracer.shares(refit, scores) if story.accepted else story.stages
     stage = localise.likeliest(left)
-    return stage, localise.shape(tracer.bench, refit, scores.q, scores.left, stage) if stage else None
+    stride = tracer.stride(story.last.train)
+    return stage, localise.shape(tracer.bench, refit, scores.q, scores.left, stage, stride) if stage else None
 
 
 def _rivals(story: Story) -> dict[str, dict[str, float]]:
