@@ -15,6 +15,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.fit import least_squares, uncertainty
 from smajax.fit.fit import draw_starts, fit, profile
 from smajax.fit.problem import Problem, build, difference_noise
+from smajax.simulate import Code
 from tests import plants
 from tests.reference import rigs
 from tests.reference.brinson import Material
@@ -170,6 +171,19 @@ def test_fits_repeat_and_scaling_of_noise_changes_nothing():
 def test_starts_that_all_fail_end_with_a_reason():
     with pytest.raises(NumericsError, match=r"at the start values: .*wire.diameter"):
         fit(parameters.replace(plants.dead_weight(), {"drive.gain": 1e6}), [recorded({})], Settings(), step=0.04)
+
+
+def test_a_search_takes_no_step_into_states_in_which_the_simulation_fails():
+    recording, settings = recorded({}), Settings(free=("drive.gain",))
+    problem = build(plants.dead_weight(), [recording], settings, step=0.04)
+    for gain, code, times in ((20.0, Code.overheated, 1e3), (1.5, Code.done, 1.0)):
+        model, found = problem.predict(jnp.asarray([gain]))
+        assert found[0] == code
+        plain = (model - problem.data.measured) * problem.data.weight
+        np.testing.assert_allclose(problem.residual(jnp.asarray([gain])), times * plain.ravel(), rtol=1e-12)
+    # From here it is all the way downhill into the melt.
+    found = fit(parameters.replace(plants.dead_weight(), {"drive.gain": 8.0}), [recording], settings, step=0.04)
+    assert 12.0 < found.estimates[0].estimate < 14.0 and found.responses[0].code == Code.done
 
 
 def test_bad_settings_are_refused():

@@ -22,7 +22,7 @@ from smajax.fit.searchable import Searchable
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
-_MOLTEN = 1e3
+_FAILED = 1e3
 
 
 @runtime_checkable
@@ -135,10 +135,10 @@ class Problem(Searchable):
     def residual(self, vector: jax.Array) -> jax.Array:
         """Model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
 
-        Of a wire that melts it is ``_MOLTEN`` times as large: a search finds its way out of such a state, and takes no step into one.
+        Of a simulation that fails it is ``_FAILED`` times as large: a search takes no step from a sound state into such a one.
         """
         model, code = self.predict(vector)
-        weight = self.data.weight * jnp.where(code == simulate.Code.overheated, _MOLTEN, 1.0)[:, None, None]
+        weight = self.data.weight * jnp.where(code == simulate.Code.done, 1.0, _FAILED)[:, None, None]
         return jnp.where(weight > 0, (model - self.data.measured) * weight, 0.0).ravel()
 
 
