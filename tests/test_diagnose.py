@@ -446,6 +446,14 @@ def test_the_parameters_own_uncertainty_excuses_a_miss():
 
 
 @pytest.mark.parametrize(
+    "both, held, word",
+    [((1.1, 1.1), 1.1, "named"), ((1.1, 1.1), 1.35, "partial"), ((1.1, 1.4), 1.1, "partial"), ((1.4, 1.1), 1.1, "partial")],
+)
+def test_one_fit_that_does_for_two_recordings_and_predicts_the_third_names_what_one_alone_does_not(both, held, word):
+    assert judged(("airflow-change",), 1.0, 60.0, held, (), (1.0, 1.0), both) == word
+
+
+@pytest.mark.parametrize(
     ("keys", "before", "after", "why"),
     [
         ((), (2.0, 2.0), (1.999, 1.0), "no better than chance"),
@@ -492,12 +500,15 @@ def trial(keys, train, select):
     return Trial(Refit(Hypothesis(keys), np.zeros(1), np.zeros(1), np.zeros((1, 1)), Stop.converged), train, select, 0.0)
 
 
-def judged(keys, train, select, held, equivalent, expected):
-    """The word for mean squares of a fit on the three recordings, where ``expected`` may be left on the second and third."""
+def judged(keys, train, select, held, equivalent, expected, both=None):
+    """The word for mean squares of a fit on the three recordings, where ``expected`` may be left on the second and third.
+
+    ``both`` are those of a fit to the first two together, on these; by default, as those of the fit to the first one.
+    """
     first = trial((), 100.0, 100.0) if keys else trial((), train, select)
     story = Story({}, {}, first, trial(keys, train, select), 1.05, {}, equivalent={k: equivalent for k in keys})
     take_back(story)
-    word = judge(story, held, expected)
+    word = judge(story, (*(both or (train, select)), held), expected)
     assert bool(story.accepted) == word.startswith(("named", "partial"))
     assert len(story.rejected) == (word == "unresolved" and bool(keys))
     return word

@@ -26,7 +26,7 @@ _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up 
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED, _SETTLED = 12, 1e-6  # evaluations of the joint fit, and the relative fall of its cost below which it ends
-_STRIDES = (4, 2)
+_STRIDES = (16, 8, 4, 2)
 _FAR, _COARSE = 9.0, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
 _SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
 

@@ -75,11 +75,11 @@ def diagnose(
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
     first = predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
     last = predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
-    held = bench.fitness(bench.evaluate(last.hypothesis, last.base, 2)[0], 2)
+    together = tuple(bench.fitness(bench.evaluate(last.hypothesis, last.base, k)[0], k) for k in range(3))
     both = (0,) if bench.own else (0, 1)
     slow = not story.accepted and story.quiet  # then whatever is left is noise
     expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
-    verdict = judge(story, held, expected)
+    verdict = judge(story, together, expected)
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
@@ -107,18 +107,20 @@ def take_back(story: Story) -> None:
         story.equivalent, story.last = {}, story.first
 
 
-def judge(story: Story, held: float, expected: tuple[float, float]) -> str:
+def judge(story: Story, together: tuple[float, ...], expected: tuple[float, float]) -> str:
     """The verdict's word.
 
-    ``held`` is the last fit's mean square on the holdout; ``expected`` are those that noise and the parameters' own uncertainty would leave
-    on the selection part and on the holdout: what is named has to predict both as well as that.
+    ``together`` are the mean squares of the fit to training and selection part on these two and on the holdout; ``expected`` are those that
+    noise and the parameters' own uncertainty would leave on the selection part, by the fit to the training part alone, and on the holdout:
+    what is named has to predict both as well as that. Where the training part tells less than it seems to, such as of an instant at which
+    nothing moves, it is enough that one fit does for both and predicts the holdout, all three to the noise.
     """
-    last = story.last
-    select, held = last.select / expected[0], held / expected[1]
+    last, least = story.last, max(story.limit, AT_NOISE)
+    select, held = last.select / expected[0], together[2] / expected[1]
     if not story.accepted:
         missing = last.train > max(story.limit, 1.1) or select > _NOISY or held > _NOISY**2
         return "unresolved" if missing else "nothing-missing"
-    if max(select, held) < _NOISY**2 and last.train < max(story.limit, AT_NOISE):
+    if (last.train < least and max(select, held) < _NOISY**2) or max(*together[:2], held) < least:
         return "named-up-to-class" if any(story.equivalent.get(k) for k in story.accepted) else "named"
     return "partial"
 
