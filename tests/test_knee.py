@@ -134,12 +134,18 @@ def test_what_the_law_asks_is_continuous_where_both_lines_are_passed(knee):
     assert np.any(both)
     for part in due:
         assert np.max(np.abs(np.diff(np.asarray(part)))) < 1e-4
-    # Where one line alone is passed, it is what the law's own step says.
-    for t in (65.0, 76.0):
+    # Where one line alone is passed on the whole way, it is what the law's own step says.
+    detwinned = Fractions(jnp.asarray(0.39), jnp.asarray(0.0))
+    for at, t in ((twinned, 65.0), (detwinned, 76.0)):
+        step = law.evolve(at, (jnp.asarray(t),) * 2, (jnp.asarray(110e6),) * 2)
+        asked = law.due(at, jnp.asarray(t), jnp.asarray(110e6))
+        assert np.asarray(asked) == pytest.approx(np.asarray(step) - np.asarray(at), abs=1e-12)
+        assert 0.05 < abs(float(asked.martensite)) < 0.34
+    # Where the other is reached on the way, the step goes as far as both are at rest.
+    for t in (70.0, 76.0):
         step = law.evolve(twinned, (jnp.asarray(t),) * 2, (jnp.asarray(110e6),) * 2)
-        asked = law.due(twinned, jnp.asarray(t), jnp.asarray(110e6))
-        assert np.asarray(asked) == pytest.approx(np.asarray(step) - np.asarray(twinned), abs=1e-12)
-        assert abs(float(asked.martensite)) > 0.05
+        assert abs(float(step.martensite) - 0.39) > 0.05
+        assert np.asarray(law.due(step, jnp.asarray(t), jnp.asarray(110e6))) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_derivatives_and_batches(knee):
