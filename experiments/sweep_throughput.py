@@ -227,7 +227,7 @@ def refinement(sweep, parts, best, count: int) -> Row:
     refined = []
     for row in refine.starts(shares, order, 3):
         say(f"refining design {row}")
-        refined.append(refine.refine(study, sweep.axes, few[row], steps, ("stroke", "max"), {"peak_temperature": (-np.inf, COLD)}))
+        refined.append(refine.refine(study, sweep.axes, few[row], {"stroke": "max"}, {"peak_temperature": (-np.inf, COLD)}))
     top = max(refined, key=lambda one: one.metrics["stroke"])
     spent = CHECKED + sum(one.simulations for one in refined)
     text = f"{np.degrees(top.metrics['stroke']):.2f} deg in {spent:,} simulations, "

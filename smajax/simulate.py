@@ -24,6 +24,7 @@ from smajax import parameters
 from smajax.errors import NumericsError
 from smajax.hysteresis.bouc_wen import PLACES, BoucWen
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.plant.effect import SecondNode
 from smajax.plant.plant import Plant, State
 from smajax.plant.step import end_tangent, push
 from smajax.recording import Recording
@@ -131,6 +132,18 @@ def time_constant(plant: Plant) -> jax.Array:
     """Time constant in s of the wire's cooling at 80 degC, a scalar: C d / (4 h)."""
     capacity = plant.heat.capacity(jnp.asarray(0.5))
     return capacity * plant.wire.diameter / (4.0 * jnp.maximum(plant.heat.convection(jnp.asarray(80.0)), 1.0))
+
+
+def modes(plant: Plant) -> tuple[jax.Array, jax.Array]:
+    """Time constants in s, scalars, of what is fastest and of what is slowest when the wire cools: bounds of both.
+
+    A second thermal node of strength s and time constant tau, see ``SecondNode``, makes the wire 1 + s times as fast while it is cold
+    itself; the sum of the two modes' time constants is at most that of the wire and (1 + s) tau.
+    """
+    wire = time_constant(plant)
+    nodes = [term for term in plant.terms if isinstance(term, SecondNode)]
+    takes = sum((node.strength for node in nodes), jnp.zeros(()))
+    return wire / (1.0 + takes), wire + (1.0 + takes) * sum((node.time_constant for node in nodes), jnp.zeros(()))
 
 
 def resolving_step(plant: Plant) -> jax.Array:

@@ -72,7 +72,7 @@ class _Range(BaseModel):
     to: Any = Field(None, examples=['"0.4 mm"'])
     scale: Annotated[str, one_of(SCALES)] = "even"
     points: int = Field(5, ge=2, le=100_000, examples=["5"])
-    values: list[Any] | None = Field(None, min_length=1, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'])
+    values: list[Any] | None = Field(None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'])
 
 
 class _Limit(BaseModel):
@@ -215,8 +215,10 @@ def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration], sampling: s
     content = data.get("parameters")
     if not isinstance(content, dict) or not content:
         raise InputError('the section [parameters] is missing: say what varies, as in wire.diameter = ["0.1 mm", "0.4 mm"]')
-    axes = []
+    axes: list[Axis] = []
     for name, value in _flat(content):
+        if any(axis.name == name for axis in axes):
+            raise InputError(f'parameters.{name} is given twice, as {name} and as "{name}": take one of the two out')
         if name not in table:
             raise InputError(f"parameters.{name} is not a parameter of this rig{advice(name, table, 'its parameters are')}")
         try:
@@ -254,6 +256,8 @@ def _axis(name: str, value: Any, declaration: Declaration) -> Axis:
             raise InputError("it has both values and a range: take one of the two out")
         if extra := [key for key in ("scale", "points") if isinstance(value, dict) and key in value]:
             raise InputError(f"{extra[0]} has no place beside values: take one of the two out")
+        if not given.values:
+            raise InputError("its list of values is empty: give at least one")
         values = tuple(quantity(v, declaration) for v in given.values)
         if declaration.whole and (broken := [v for v, number in zip(given.values, values, strict=True) if number != round(number)]):
             raise InputError(f"{show(broken[0])} is not a whole number, and {name} counts something: give whole ones")

@@ -121,7 +121,8 @@ class RigSubject:
         if isinstance(self.source, Wave):
             return None
         channels = {n: self.source.channels[n].tolist() for n in self.rig.plant.signals}
-        return {"name": self.source.name, "time": self.source.time.tolist(), "channels": channels, "units": dict(self.source.units)}
+        units = {n: unit for n, unit in self.source.units.items() if n in channels or n == "time"}
+        return {"name": self.source.name, "time": self.source.time.tolist(), "channels": channels, "units": units}
 
 
 @dataclass(frozen=True, eq=False)

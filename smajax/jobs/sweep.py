@@ -4,8 +4,6 @@ While it runs, its chunks lie in ``DIR.partial`` beside the result folder: a run
 and ``--resume`` goes on from them. What a partial folder belongs to is written in its ``sweep.json``.
 """
 
-import hashlib
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,9 +20,10 @@ from smajax.report.document import number, to_json
 from smajax.report.sweep import SCHEMA, figure, sentences, sweep_page
 from smajax.results import check_out, write_folder
 from smajax.sweep import cluster
-from smajax.sweep.chunks import Chunk, gather, here, run_chunks, slope_name, split
+from smajax.sweep.chunks import Chunk, check_room, gather, here, run_chunks, slope_name, split
 from smajax.sweep.front import cheapest, feasible, pareto, thinned
 from smajax.sweep.metrics import SETTLED
+from smajax.sweep.partial import digest, partial_folder
 from smajax.sweep.refine import Refined, refine, starts
 from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import pick_and_freeze
@@ -32,10 +31,8 @@ from smajax.sweep.study import INPUT, AbstractStudy
 from smajax.sweep.table import write_table
 from smajax.sweep_file import SweepFile, read_sweep
 from smajax.tables.parquet import pyarrow_parquet
-from smajax.toml_file import write_text
 
 _FRONT_SHOWN = 200
-_PARTIAL, _OWN = "smajax.sweep-partial/1", "sweep.json"
 
 
 class SweepJob(NamedTuple):
@@ -59,7 +56,6 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
     with clock.time("read"):
         given = read_sweep(job.sweep)
         header = given.header()
-        partial = _partial(out, header, resume=job.resume)
     study = given.study()
     progress.phase("drawing designs")
     with clock.time("draw"):
@@ -67,42 +63,47 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
         base = given.base()
         beside = pick_and_freeze(given.axes, base, given.seed) if base else np.zeros((0, len(given.axes)))
         chunks = split(study, np.concatenate([designs, beside]), given.chunk)
-    progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
-    with clock.time("simulate"), stopping(progress) as asked:
-        complete = _simulate(given, study, header, chunks, partial, job.scheduler, progress, lambda: asked.requested)
-    if not complete:
-        have = sum((partial / chunk.file).is_file() for chunk in chunks)
-        told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
-        return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
-    progress.phase("looking for the best")
-    columns = gather(chunks, partial)
-    both = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, len(designs)), slice(len(designs), None))]
-    main, apart = ({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in both)
-    with clock.time("refine"):
-        document, refined = _document(given, study, main, apart, progress)
-    reason = "; ".join(document["problems"])
-    code = 3 if reason else 0
-    run = run_record("sweep", given.subject, argv, clock, given.seed, code) | {"sweep": given.name, "header": _digest(header)}
-    units = {axis.name: axis.unit for axis in given.axes} | study.units
-    units |= {slope_name(n, axis.name): f"{study.units[n]}/({axis.unit})" for n in study.units for axis in given.axes}
+        try:
+            check_room(study, chunks, given.gradients)
+        except InputError as error:
+            raise InputError(f"{job.sweep}: {error}") from None
+    with partial_folder(out, header, resume=job.resume) as partial:
+        progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
+        with clock.time("simulate"), stopping(progress) as asked:
+            complete = _simulate(given, study, header, chunks, partial, job.scheduler, progress, lambda: asked.requested)
+        if not complete:
+            have = sum((partial / chunk.file).is_file() for chunk in chunks)
+            told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
+            return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
+        progress.phase("looking for the best")
+        columns = gather(chunks, partial)
+        both = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, len(designs)), slice(len(designs), None))]
+        main, apart = ({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in both)
+        with clock.time("refine"):
+            document, refined = _document(given, study, main, apart, progress)
+        reason = "; ".join(document["problems"])
+        code = 3 if reason else 0
+        run = run_record("sweep", given.subject, argv, clock, given.seed, code) | {"sweep": given.name, "header": digest(header)}
+        units = {axis.name: axis.unit for axis in given.axes} | study.units
+        units |= {slope_name(n, axis.name): f"{study.units[n]}/({axis.unit})" for n in study.units for axis in given.axes}
 
-    def fill(folder: Path) -> None:
-        (folder / "sweep.toml").write_text(given.text, "utf-8", newline="")
-        (folder / "rig.toml").write_text(given.subject.to_toml(), "utf-8")
-        write_table(folder / "sweep.parquet", main, header, {n: u for n, u in units.items() if n in main})
-        if base:
-            write_table(folder / "sensitivity.parquet", apart, header, {n: u for n, u in units.items() if n in apart})
-        for k, one in enumerate(refined):
-            if one.better:
-                values = {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True) if not a.name.startswith(INPUT)}
-                (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
-        (folder / "sweep.json").write_text(to_json(document), "utf-8")
-        (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
+        def fill(folder: Path) -> None:
+            (folder / "sweep.toml").write_text(given.text, "utf-8", newline="")
+            (folder / "rig.toml").write_text(given.subject.to_toml(), "utf-8")
+            write_table(folder / "sweep.parquet", main, header, {n: u for n, u in units.items() if n in main})
+            if base:
+                write_table(folder / "sensitivity.parquet", apart, header, {n: u for n, u in units.items() if n in apart})
+            for k, one in enumerate(refined):
+                if one.better:
+                    values = {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True) if not a.name.startswith(INPUT)}
+                    (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
+            (folder / "sweep.json").write_text(to_json(document), "utf-8")
+            (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
 
-    progress.phase("writing the report")
-    write_folder(out, run, fill)
-    shutil.rmtree(partial, ignore_errors=True)
-    return Outcome(out, document, code, reason)
+        progress.phase("writing the report")
+        write_folder(out, run, fill)
+        shutil.rmtree(partial, ignore_errors=True)
+        return Outcome(out, document, code, reason)
 
 
 def _simulate(
@@ -117,41 +118,6 @@ def _simulate(
         return run_chunks(chunks, names, partial, here(study, given.gradients), done, stop)
     with cluster.connected(scheduler) as client:
         return run_chunks(chunks, names, partial, cluster.across(client, header, given.gradients), done, stop)
-
-
-def _digest(header: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(header, sort_keys=True).encode()).hexdigest()
-
-
-def _partial(out: Path, header: Mapping[str, Any], *, resume: bool) -> Path:
-    """The folder of chunks, made if it is not there. InputError if there is one and it may not be gone on with."""
-    folder = out.with_name(out.name + ".partial")
-    own, wanted = folder / _OWN, {"schema": _PARTIAL, "header": _digest(header)}
-    if folder.is_dir() and own.is_file():
-        try:
-            held = json.loads(own.read_text("utf-8"))
-        except (OSError, ValueError):
-            held = None
-        count = len(list(folder.glob("chunk-*.parquet")))
-        if not resume and count:
-            raise InputError(f"{folder}: {count} chunks of an earlier run are there: add --resume to go on, or remove the folder")
-        if held != wanted and count:
-            raise InputError(
-                f"{folder}: its {count} chunks are of another sweep (file, rig, input or version changed): remove it, or undo that"
-            )
-    elif folder.exists() and (not folder.is_dir() or any(not _unfinished(path) for path in folder.iterdir())):
-        raise InputError(f"{folder}: smajax keeps its chunks there and did not make it: remove it, or name another --out")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: the folder cannot be made ({error.strerror or error}): name another --out") from None
-    write_text(own, json.dumps(wanted) + "\n")
-    return folder
-
-
-def _unfinished(path: Path) -> bool:
-    """Whether it is a file that a killed run left half written: it was about to take the name within."""
-    return path.name.startswith((f".{_OWN}.", ".chunk-")) and path.name.endswith(".part")
 
 
 def _document(
@@ -207,8 +173,8 @@ def _row(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray],
 
 
 def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray]) -> str:
-    """What to say if no design keeps the constraints: which one comes nearest, and where it is still beyond."""
-    miss = np.zeros(len(main["code"]))
+    """What to say if no design keeps the constraints: which of those that could be simulated comes nearest, and where it is beyond."""
+    miss = np.where(main["code"] == "done", 0.0, np.inf)
     for name, (low, high) in given.constraints.items():
         size = max(abs(end) for end in (low, high) if np.isfinite(end)) or 1.0
         over = np.maximum(np.maximum(low - main[name], main[name] - high), 0.0) / size
@@ -276,18 +242,10 @@ def _refined(
     pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
     pool = pool[~np.isnan(costs[pool, 0])]
     order = pool[np.argsort(costs[pool, 0], kind="stable")]
-    (name, way), *others = given.objectives.items()
-    rows = starts(shares, order, given.refined)
-    steps = int(study.steps(designs[rows]).max())
     found = []
-    for k, row in enumerate(rows):
-        progress.phase(f"refining design {int(main['design'][row])} ({k + 1} of {len(rows)})")
-        limits = dict(given.constraints)
-        for other, direction in others:
-            low, high = limits.get(other, (-np.inf, np.inf))
-            value = float(main[other][row])
-            limits[other] = (max(low, value), high) if direction == "max" else (low, min(high, value))
-        found.append(refine(study, given.axes, designs[row], steps, (name, way), limits))
+    for k, row in enumerate(starts(shares, order, given.refined)):
+        progress.phase(f"refining design {int(main['design'][row])} ({k + 1})")
+        found.append(refine(study, given.axes, designs[row], given.objectives, given.constraints))
     return found
 
 

@@ -16,7 +16,8 @@ in the paper's limiting efficiency.
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from dataclasses import replace
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -91,11 +92,19 @@ class FlexuralActuator(AbstractMachine):
     test: FlexuralTest
     bench: Cantilever
     cells: int = eqx.field(static=True, default=12)
-    wires: int = eqx.field(static=True, init=False)
+    wires: int = eqx.field(static=True, default=0)
 
     def __post_init__(self) -> None:
         # The grid of wires at a spacing has so many columns for each of them.
-        self.wires = round(float(self.body.count))
+        self.wires = self.wires or round(float(self.body.count))
+
+    def layout(self, values: Mapping[str, float]) -> int:
+        """See ``AbstractMachine``: of wires at a spacing their number."""
+        return 1 if self.body.spacing is None else round(values.get("body.count", float(self.wires)))
+
+    def laid_out(self, layout: int) -> Self:
+        """See ``AbstractMachine``."""
+        return self if self.body.spacing is None else replace(self, wires=layout)
 
     def check(self) -> None:
         """See ``AbstractMachine``."""
@@ -117,10 +126,13 @@ class FlexuralActuator(AbstractMachine):
 
     @property
     def section(self) -> CrossSection:
-        """The cross-section that cools; of wires at a spacing only with the count that the machine was made with, else NaN."""
+        """The cross-section that cools; of wires at a spacing only with the count that the machine is laid out for, else NaN.
+
+        These cannot be differentiated in their number: such a derivative is NaN.
+        """
         body, placement = self.body, EvenWires(self.body.count)
         if body.spacing is not None:
-            placement = SpacedWires(self.wires, jnp.where(body.count == self.wires, body.spacing, jnp.nan))
+            placement = SpacedWires(self.wires, jnp.where(body.count == self.wires, body.spacing, jnp.nan) + _without_slope(body.count))
         return CrossSection(self.tape, self.silicone, self.wire, placement, self.cooling, body.width, self.cells)
 
     @property
@@ -169,3 +181,14 @@ class FlexuralActuator(AbstractMachine):
             "temperature_after": course.at(self.test.pause),
             "frequency": 1.0 / (heating_time + time_to_cool),
         }
+
+
+@jax.custom_jvp
+def _without_slope(count: jax.Array) -> jax.Array:
+    """0, whose derivative is NaN: of what there is in whole numbers alone."""
+    return jnp.zeros_like(count)
+
+
+@_without_slope.defjvp
+def _(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    return jnp.zeros_like(primals[0]), jnp.where(tangents[0] == 0.0, 0.0, jnp.nan)

@@ -5,6 +5,7 @@ Its parameters stand in sections, one field each, and are read and set by the sa
 """
 
 from collections.abc import Mapping
+from typing import Self
 
 import equinox as eqx
 import jax
@@ -24,3 +25,11 @@ class AbstractMachine(eqx.Module):
 
     def check(self) -> None:
         """InputError, with the parameter and the cure, if dimensions do not fit together."""
+
+    def layout(self, values: Mapping[str, float]) -> int:
+        """Which program the design with these parameters needs, a whole number above 0; by default all share one."""
+        return 1
+
+    def laid_out(self, layout: int) -> Self:
+        """This machine for a program: its figures are those of designs of that layout, and NaN for others."""
+        return self

@@ -140,8 +140,8 @@ class SecondNode(HeatEffect):
 
     def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
         """See ``AbstractEffect``."""
-        over = 0.5 * (before.temperature + after.temperature) - where.environment.ambient
-        return relaxed(memory, self.share * over, step, self.time_constant)
+        first, last = (self.share * (at.temperature - where.environment.ambient) for at in (before, after))
+        return relaxed(memory, first, last, step, self.time_constant)
 
     def power(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``HeatEffect``."""
@@ -160,10 +160,12 @@ def engaged(z: jax.Array, contracted: jax.Array, reversal: jax.Array | float = 5
     return jnp.where(jnp.abs(free) < _END, free, jnp.sign(free))
 
 
-def relaxed(value: jax.Array, towards: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:
-    """What a value has become after a step in which it went towards another with a time constant."""
-    stays = jnp.exp(-step / time_constant)
-    return stays * value + (1.0 - stays) * towards
+def relaxed(value: jax.Array, before: jax.Array, after: jax.Array, step: jax.Array, time_constant: jax.Array) -> jax.Array:
+    """What a value has become after a step in which it went, with a time constant, towards another that moved evenly meanwhile."""
+    share = step / time_constant
+    lost = -jnp.expm1(-share)
+    lag = jnp.where(share > 0.0, lost / jnp.where(share > 0.0, share, 1.0), 1.0)  # 1 for no step at all
+    return value + lost * (before - value) + (after - before) * (1.0 - lag)
 
 
 class MaterialEffect(AbstractEffect):

@@ -314,7 +314,7 @@ class Plant(eqx.Module):
             first.time + 0.5 * step, half, between, stress,
             0.5 * (first.contraction + last.contraction), 0.5 * (first.travel + last.travel),
         )  # fmt: skip
-        remembered = jax.tree.map(lambda a, b: 0.5 * (a + b), memory, later)
+        remembered = memory | self._remember((HeatEffect,), memory, first, middle, 0.5 * step)
         rates = (rates[0], self._rate(middle, remembered, 0.5 * (before + after)), rates[1])
         return self.heat.balance(ends, (capacity[0], self._capacity(between.martensite), capacity[1]), rates, stored, step)
 

@@ -16,14 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.console import cores
+from smajax.errors import InputError
 from smajax.recording import Floats
-from smajax.sweep.study import CODES, AbstractStudy, differentiate_batch, evaluate_batch, programs
+from smajax.sweep.study import CODES, AbstractStudy, differentiate_batch, evaluate_batch
 from smajax.sweep.table import read_table, write_table
 
 # Designs in a batch on an accelerator: so many that it has work.
 WIDE_BATCH = 4096
 # Bytes for the arrays of a batch on each core, and on an accelerator.
 MEMORY, WIDE_MEMORY = 2**28, 2**33
+# Bytes that one design may take.
+_MOST = 2**31
 _STATES = 4
 CHUNK = 1024
 
@@ -45,7 +48,7 @@ class Chunk:
 
 def split(study: AbstractStudy, designs: Floats, size: int) -> list[Chunk]:
     """The chunks of a sweep, each of at most ``size`` designs that are resolved equally finely and do alike."""
-    steps, order = programs(study.steps(designs)), np.argsort(study.alike(designs), kind="stable")
+    steps, order = study.programs(designs), np.argsort(study.alike(designs), kind="stable")
     chunks: list[Chunk] = []
     for level in np.unique(steps)[::-1]:
         rows = order[steps[order] == level]
@@ -58,9 +61,19 @@ def split(study: AbstractStudy, designs: Floats, size: int) -> list[Chunk]:
 def batch_size(study: AbstractStudy, steps: int, gradients: bool) -> int:
     """Designs in one call of the compiled program, a power of two: as many as are fast, or as the memory for a batch holds."""
     fast, room = (WIDE_BATCH * jax.device_count(), WIDE_MEMORY * jax.device_count()) if wide() else (study.batch, MEMORY)
-    # Derivatives keep all states beside the channels, and a tangent for each axis.
-    each = 8 * study.numbers(steps) * ((1 + len(study.names)) * _STATES if gradients else 1)
-    return max(1, min(fast, 2 ** int(math.log2(max(1.0, room / each)))))
+    return max(1, min(fast, 2 ** int(math.log2(max(1.0, room / _bytes(study, steps, gradients))))))
+
+
+def check_room(study: AbstractStudy, chunks: Sequence[Chunk], gradients: bool) -> None:
+    """InputError, with the cure, if one design alone takes more memory than any may."""
+    steps = max(chunk.steps for chunk in chunks)
+    if (each := _bytes(study, steps, gradients)) > _MOST:
+        raise InputError(f"{study.longest(steps)}, {each / 2**30:.1f} GB a design, of {_MOST / 2**30:.0f} GB allowed: {study.shorter}")
+
+
+def _bytes(study: AbstractStudy, steps: int, gradients: bool) -> int:
+    """What one design takes; derivatives keep all states beside the channels, and a tangent for each axis."""
+    return 8 * study.numbers(steps) * ((1 + len(study.names)) * _STATES if gradients else 1)
 
 
 def threads() -> int:
@@ -183,8 +196,11 @@ def here(study: AbstractStudy, gradients: bool) -> Callable[[Sequence[Chunk]], I
 
 
 def gather(chunks: Sequence[Chunk], folder: Path) -> dict[str, np.ndarray]:
-    """The whole table of a sweep whose chunks are all there, in the designs' order."""
+    """The whole table of a sweep whose chunks are all there, in the designs' order. InputError if one holds others than it should."""
     parts: list[dict[str, Any]] = [read_table(folder / chunk.file) for chunk in chunks]
+    for chunk, part in zip(chunks, parts, strict=True):
+        if not np.array_equal(part["design"], chunk.rows):
+            raise InputError(f"{folder / chunk.file}: its designs are not those that belong there: remove the file, and add --resume")
     columns = {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
     order = np.argsort(columns["design"], kind="stable")
     return {n: values[order] for n, values in columns.items()}

@@ -93,9 +93,10 @@ def efficiency(cycle: Response) -> jax.Array:
 
 
 def time_to_cool(rest: Response) -> jax.Array:
-    """Seconds in which wire 1 loses 90 % of its excess over the surroundings after heating; NaN if it does not within the rest."""
+    """Seconds in which wire 1 loses 90 % of its excess over the surroundings after heating; infinite if it does not within the rest."""
     excess = rest.of("temperature")[0] - rest.ambient
-    return crossing(rest.time - rest.time[0], excess, (1.0 - COOLED) * excess[0])
+    level = (1.0 - COOLED) * excess[0]
+    return jnp.where(jnp.all(excess > level), jnp.inf, crossing(rest.time - rest.time[0], excess, level))
 
 
 def settling(cycle: Response) -> jax.Array:

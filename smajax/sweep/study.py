@@ -15,7 +15,7 @@ from smajax.recording import Floats, Recording
 from smajax.simulate import Code, Inputs
 from smajax.sweep.bandwidth import Reached, find
 from smajax.sweep.metrics import BANDWIDTH, METRICS, Response, settling
-from smajax.sweep.wave import REST, Span, Wave, lay, span
+from smajax.sweep.wave import Span, Wave, lay, span
 from smajax.units import CHANNELS, numbered
 
 INPUT = "input."
@@ -44,9 +44,26 @@ class AbstractStudy(eqx.Module):
         """How many numbers the simulation of one design holds at once, about."""
         return 1
 
+    def longest(self, steps: int) -> str:
+        """What to say of a design of so many steps that it is too large, and after it, in ``shorter``, what to do."""
+        return f"a design takes {steps:,} steps"
+
+    @property
+    def shorter(self) -> str:
+        """See ``longest``."""
+        return "narrow the parameters"
+
     def steps(self, designs: Floats) -> np.ndarray:
         """How finely each design, ``(m, axes)``, has to be resolved: whole numbers, shape ``(m,)``."""
         raise NotImplementedError
+
+    def programs(self, designs: Floats) -> np.ndarray:
+        """The steps with which each design is simulated, shape ``(m,)``: as few different ones as pay, each a program of its own."""
+        return programs(self.steps(designs))
+
+    def program(self, design: Floats) -> int:
+        """Steps that resolve a design, ``(axes,)``, and those around it, which share a program."""
+        return _doubled(int(self.steps(np.asarray(design)[None])[0]))
 
     def alike(self, designs: Floats) -> Floats:
         """A number for each design, shape ``(m,)``, near for designs that do alike, which are the cheapest in one batch."""
@@ -92,6 +109,19 @@ class RigStudy(AbstractStudy):
         runs = 1 + (3 if "bandwidth" in self.wanted else 0)
         return runs * (self.cycles + 1) * steps * (len(self.channels) + 2 * len(self.plant.signals))
 
+    def longest(self, steps: int) -> str:
+        """See ``AbstractStudy``."""
+        slow = "input.frequency" if isinstance(self.source, Wave) else "input.recording"
+        cycles = f"{self.cycles:,} cycles" if self.cycles > 1 else "1 cycle"
+        return f"{slow}: at the slowest input, or with the fastest wire, {cycles} take {steps:,} steps each"
+
+    @property
+    def shorter(self) -> str:
+        """See ``AbstractStudy``."""
+        if isinstance(self.source, Wave):
+            return "raise input.frequency, lower input.cycles, or begin wire.diameter higher"
+        return "take a shorter recording, or begin wire.diameter higher"
+
     def steps(self, designs: Floats) -> np.ndarray:
         """See ``AbstractStudy``: steps in a cycle, each a thirtieth of the wire's time constant."""
 
@@ -120,8 +150,7 @@ class RigStudy(AbstractStudy):
         resting = "time_to_cool" in self.wanted
         if isinstance(self.source, Wave):
             where = span(self.source, wires, steps, resting)
-            rest = REST * simulate.time_constant(plant) if resting else None
-            inputs = lay(self.source, wires, steps, values, rest)
+            inputs = lay(self.source, wires, steps, values, simulate.modes(plant) if resting else None)
         else:
             inputs, where = self._recorded(plant, steps)
         channels, code = simulate.watch(plant, inputs, self.channels)
@@ -192,12 +221,20 @@ class MachineStudy(AbstractStudy):
         return 8
 
     def steps(self, designs: Floats) -> np.ndarray:
-        """See ``AbstractStudy``: a machine resolves itself."""
-        return np.ones(len(designs), int)
+        """See ``AbstractStudy``: a machine resolves itself, but in one layout."""
+        return np.array([self.machine.layout(dict(zip(self.names, map(float, design), strict=True))) for design in designs], int)
+
+    def programs(self, designs: Floats) -> np.ndarray:
+        """See ``AbstractStudy``: no layout stands in for another."""
+        return self.steps(designs)
+
+    def program(self, design: Floats) -> int:
+        """See ``AbstractStudy``: the design's layout."""
+        return int(self.steps(np.asarray(design)[None])[0])
 
     def evaluate(self, design: jax.Array, steps: int, differentiable: bool = False) -> tuple[dict[str, jax.Array], jax.Array]:
         """See ``AbstractStudy``."""
-        machine = parameters.replace(self.machine, {n: design[k] for k, n in enumerate(self.names)})
+        machine = parameters.replace(self.machine, {n: design[k] for k, n in enumerate(self.names)}).laid_out(steps)
         found = machine.metrics()
         # An infinite figure is one: a wire that never warms has no end to its heating time.
         failed = jnp.any(jnp.stack([jnp.isnan(found[n]) for n in self.wanted]))
@@ -227,7 +264,7 @@ def differentiate_batch(study: AbstractStudy, designs: jax.Array, steps: int) ->
 
 def programs(wanted: np.ndarray) -> np.ndarray:
     """The steps with which each design is simulated, shape ``(m,)``, from those that it wants: as few different ones as pay."""
-    levels = [int(n) for n in np.unique(2 ** np.ceil(np.log2(wanted)).astype(int))[::-1]]
+    levels = sorted({_doubled(n) for n in wanted}, reverse=True)
     chosen = levels[:1]
     for level in levels[1:]:
         if np.sum(wanted <= level) * (chosen[-1] - level) > _WORTH:
@@ -237,3 +274,8 @@ def programs(wanted: np.ndarray) -> np.ndarray:
         inside = wanted <= level
         given[inside] = wanted[inside].max()
     return given
+
+
+def _doubled(steps: int) -> int:
+    """The next power of two."""
+    return 1 << (int(steps) - 1).bit_length()

@@ -14,8 +14,8 @@ import numpy as np
 from smajax.simulate import Inputs
 
 SHAPES = ("square", "sine", "triangle")
-# A rest after the last cycle, in time constants of the wire and in steps.
-REST, REST_STEPS = 6.0, 180
+# A rest after the last cycle, in time constants of the slowest part and in steps, of which the first is a share of the fastest part's.
+REST, REST_STEPS, _FIRST = 20.0, 240, 0.3
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,13 @@ def span(wave: Wave, wires: int, steps: int, rest: bool) -> Span:
     return Span(slice(end - per_cycle, end + 1), slice(after, after + REST_STEPS + 1) if rest else slice(0, 0))
 
 
-def lay(wave: Wave, wires: int, steps: int, values: Mapping[str, jax.Array], rest: jax.Array | None = None) -> Inputs:
+def lay(
+    wave: Wave, wires: int, steps: int, values: Mapping[str, jax.Array], modes: tuple[jax.Array, jax.Array] | None = None
+) -> Inputs:  # fmt: skip
     """The wave on its grid with about ``steps`` steps a cycle; ``values`` may hold another ``amplitude`` and ``frequency``, scalars.
 
-    With ``rest`` (s) the wave begins once more after its last cycle, is switched off at the end of wire 1's heating, and stays so.
+    With ``modes``, the fastest and the slowest time constant (s) of what cools, the wave begins once more after its last cycle, is
+    switched off at the end of wire 1's heating, and stays so for ``REST`` of the slowest.
     """
     amplitude = jnp.asarray(values.get("amplitude", wave.amplitude), jnp.float64)
     period = 1.0 / jnp.asarray(values.get("frequency", wave.frequency), jnp.float64)
@@ -86,12 +89,14 @@ def lay(wave: Wave, wires: int, steps: int, values: Mapping[str, jax.Array], res
         first, last = at[:-1], at[1:]
     durations = jnp.tile(jnp.asarray(np.diff(fractions)), wave.cycles) * period
     before, after = jnp.tile(first, (wave.cycles, 1)), jnp.tile(last, (wave.cycles, 1))
-    if rest is not None:
+    if modes is not None:
         heating = _heating(wave, wires, steps)
         off = jnp.zeros((REST_STEPS, wires))
-        # Cooling is fast at first: the rest's steps grow.
-        growing = jnp.asarray(np.diff(np.linspace(0.0, 1.0, REST_STEPS + 1) ** 2))
-        durations = jnp.concatenate([durations, jnp.asarray(np.diff(fractions)[:heating]) * period, growing * rest])
+        # Cooling is fast at first: the rest's steps grow by equal factors, so that each is as small a share of the time that has passed.
+        first_scale = _FIRST * modes[0]
+        growth = jnp.log1p(REST * modes[1] / first_scale)
+        resting = first_scale * jnp.expm1(growth * jnp.linspace(0.0, 1.0, REST_STEPS + 1))
+        durations = jnp.concatenate([durations, jnp.asarray(np.diff(fractions)[:heating]) * period, jnp.diff(resting)])
         before = jnp.concatenate([before, first[:heating], off])
         after = jnp.concatenate([after, last[:heating], off])
     before, after = amplitude * before, amplitude * after

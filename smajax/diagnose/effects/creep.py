@@ -24,7 +24,7 @@ class Creep(MaterialEffect):
 
     def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
         """See ``AbstractEffect``."""
-        return relaxed(memory, 0.5 * (before.fractions.martensite + after.fractions.martensite), step, self.time_constant)
+        return relaxed(memory, before.fractions.martensite, after.fractions.martensite, step, self.time_constant)
 
     def strain(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
