@@ -30,7 +30,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from smajax import parameters, recording
-from smajax.control import references
+from smajax.control import metrics
 from smajax.control.adaptive import AdaptivePID
 from smajax.control.allocation import Allocation
 from smajax.control.bpid import BPID
@@ -48,10 +48,10 @@ from smajax.control.slow_loop import Feedforward
 from smajax.errors import InputError
 from smajax.fit.operators import Series
 from smajax.rig import Rig
-from smajax.rig_schema import one_of, quantity
-from smajax.toml_file import STRICT, advice, parse, read_text, show, validate
+from smajax.rig_schema import as_text, one_of, quantity
+from smajax.scenario_file import read_scenario
+from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
 from smajax.units import CHANNELS
-from smajax.units import parse as parse_quantity
 
 KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
@@ -76,19 +76,6 @@ class _Feedforward(BaseModel):
     operators: int = Field(10, ge=1, le=100, examples=["10"])
     range: list[Any] | None = Field(None, min_length=2, max_length=2, examples=['["0.1 A", "0.35 A"]'])
     recording: str | None = Field(None, examples=['"slow.csv"'])
-
-
-class _Reference(BaseModel):
-    model_config = STRICT
-    kind: Annotated[str, one_of(("step", "staircase", "sine", "recorded"))]
-    duration: Any = Field(None, examples=['"60 s"'])
-    low: Any = Field(None, examples=['"0 mm"'])
-    high: Any = Field(None, examples=['"5 mm"'])
-    at: Any = Field(None, examples=['"1 s"'])
-    levels: list[Any] = Field([], examples=['["2 mm", "6 mm", "4 mm"]'])
-    hold: Any = Field(None, examples=['"20 s"'])
-    frequency: Any = Field(None, examples=['"0.1 Hz"'])
-    file: str | None = Field(None, examples=['"wanted.csv"'])
 
 
 class _Tune(BaseModel):
@@ -130,13 +117,6 @@ class _Robust(BaseModel):
     draws: int = Field(8, ge=1, le=4096, examples=["8"])
     check: int = Field(64, ge=1, le=100_000, examples=["500"])
     vary: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = ["15 degC", "30 degC"] }'])
-
-
-class _Change(BaseModel):
-    model_config = STRICT
-    parameter: str = Field(examples=['"load.mass"'])
-    at: Any = Field(examples=['"30 s"'])
-    value: Any = Field(examples=['"0.3 kg"'])
 
 
 class Robust(NamedTuple):
@@ -181,46 +161,67 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     for key in data:
         if key not in _SECTIONS:
             raise InputError(f"[{key}] is not a section of a controller{advice(key, _SECTIONS[1:], 'the sections are')}")
+    check_schema(data)
     for needed, example in (("controller", 'kind = "pid"'), ("gains", 'kp = "..."'), ("reference", 'kind = "step"')):
         if needed not in data:
             raise InputError(f"the section [{needed}] is missing: add it, with lines like {example}")
     head = validate(_Controller, data["controller"], "controller")
     tune = validate(_Tune, data.get("tune", {}), "tune")
-    plant, period = rig.plant, _quantity(head.period, "s", "controller.period", least=1e-6)
+    plant, period = rig.plant, quantity_at(head.period, "s", "controller.period", least=1e-6)
     channel = head.channel or plant.mechanism.coordinate
     if channel not in plant.observable or channel not in CHANNELS:
         known = [c for c in plant.observable if c in CHANNELS]
         raise InputError(f"controller.channel: '{channel}' cannot be steered here{advice(channel, known, 'the channels are')}")
-    carrier = None if head.carrier is None else _quantity(head.carrier, "Hz", "controller.carrier", least=1e-3)
-    driven = DrivenPlant.of(plant, period, carrier=carrier)
+    carrier = None if head.carrier is None else quantity_at(head.carrier, "Hz", "controller.carrier", least=1e-3)
+    try:
+        driven = DrivenPlant.of(plant, period, carrier=carrier)
+    except InputError as error:
+        raise InputError(f"controller{'.carrier' if carrier else ''}: {error}") from None
     command, unit = CHANNELS[plant.drive.control].unit, CHANNELS[channel].unit
     difference = "K" if unit == "degC" else unit
-    lower, upper = (_quantity(v, command, "controller.output") for v in head.output)
+    lower, upper = (quantity_at(v, command, "controller.output") for v in head.output)
     if not lower < upper:
         raise InputError("controller.output: the first limit has to be below the second")
     if driven.wires == 1 and lower < 0.0:
         raise InputError(f"controller.output: a wire cannot be cooled by its drive: make the least output {show('0 ' + command)} or more")
+    if driven.wires == 2 and not lower < 0.0 < upper:
+        raise InputError(
+            "controller.output: above 0 it heats the first wire, below 0 the second: give a least output below 0 and one above"
+        )
     if head.kind != "adaptive-pid" and "law" in data["controller"]:
         raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
     sensor = validate(_Sensor, data.get("sensor", {}), "sensor")
-    noise, quantum = (_optional(v, difference, f"sensor.{k}") for k, v in (("noise", sensor.noise), ("quantum", sensor.quantum)))
-    delay = round(_optional(sensor.delay, "s", "sensor.delay") / period)
+    noise, quantum = (_positive(v, difference, f"sensor.{k}") for k, v in (("noise", sensor.noise), ("quantum", sensor.quantum)))
+    wait = _positive(sensor.delay, "s", "sensor.delay") / period
+    if abs(wait - round(wait)) > 1e-6 * max(wait, 1.0):
+        ends = [as_text(period * n, "s") for n in (math.floor(wait), math.ceil(wait))]
+        raise InputError(f"sensor.delay = {show(sensor.delay)} is not a whole number of controller.period: give {ends[0]} or {ends[1]}")
     guard = None
     if "guard" in data:
         given = validate(_Guard, data["guard"], "guard")
-        kp, ki = _quantity(given.kp, f"{command}/K", "guard.kp"), _optional(given.ki, f"{command}/K/s", "guard.ki")
-        inner = PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, upper), period=period)
-        guard = TemperatureGuard(inner, jnp.asarray(_quantity(given.limit, "degC", "guard.limit")))
+        kp, ki = (_positive(v, f"{command}/K{over}", f"guard.{k}") for v, k, over in ((given.kp, "kp", ""), (given.ki, "ki", "/s")))
+        if not kp + ki > 0.0:
+            raise InputError("guard.kp and guard.ki are 0, so that the guard would never let a command through: give guard.kp a value")
+        guard = TemperatureGuard(PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, max(upper, -lower)), period=period), jnp.asarray(
+            quantity_at(given.limit, "degC", "guard.limit", least=float(plant.environment.ambient))
+        ))  # fmt: skip
     loop = Loop(
         _controller(head, period, (lower, upper)),
-        Allocation(*_arrays(upper, 0.0), wires=driven.wires),
-        Sensing(jnp.asarray(noise), jnp.asarray(quantum), delay),
+        Allocation(*_arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
+        Sensing(jnp.asarray(noise), jnp.asarray(quantum), round(wait)),
         guard,
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
-    scenario = _scenario(data, path, rig, (unit, channel, period), tune.seed)
+    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[channel])
+    scenario = read_scenario(data, path.parent, rig, (channel, unit, period), rest, tune.seed)
     weights, settle = _objective(tune.objective)
+    limits = _limits(data.get("limits", {}))
+    if not metrics.jumps(np.asarray(scenario.reference), float(scenario.before), period).rows:
+        if settle:
+            raise InputError("tune.objective: the reference never jumps and holds, so that nothing settles: ask for tracking instead")
+        if idle := [k for k in ("overshoot", "settling") if k in limits]:
+            raise InputError(f"limits.{idle[0]}: the reference never jumps and holds, so that there is nothing to limit: take it out")
     return ControllerFile(
         name=path.name,
         driven=driven,
@@ -230,9 +231,9 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         bounds=_bounds(tune, loop, units),
         weights=weights,
         settle=settle,
-        limits=_limits(data.get("limits", {})),
+        limits=limits,
         feedforward=_feedforward(data["feedforward"], path, rig, (head, command, channel)) if "feedforward" in data else None,
-        band=_quantity(tune.band, "1", "tune.band", least=1e-4),
+        band=quantity_at(tune.band, "1", "tune.band", least=1e-4),
         starts=tune.starts,
         seed=tune.seed,
         robust=_robust(data["robust"], path, rig) if "robust" in data else None,
@@ -277,7 +278,7 @@ def _feedforward(data: Any, path: Path, rig: Rig, around: tuple[_Controller, str
     if given.recording is None:
         if given.range is None:
             return Feedforward(given.operators)
-        low, high = (_quantity(v, unit, "feedforward.range") for v in given.range)
+        low, high = (quantity_at(v, unit, "feedforward.range") for v in given.range)
         if not low < high:
             raise InputError("feedforward.range: the first command has to be below the second")
         return Feedforward(given.operators, (low, high))
@@ -296,15 +297,19 @@ def _bounds(tune: _Tune, loop: Loop, units: Mapping[str, str]) -> dict[str, tupl
     for name in [*free, *tune.bounds]:
         if name not in values:
             raise InputError(f"tune: there is no gain '{name}'{advice(name, values, 'the gains are')}")
+    if held := [name for name in tune.bounds if name not in free]:
+        raise InputError(f"tune.bounds.{held[0]}: {held[0]} is not tuned: add it to tune.free, or take its bounds out")
     ends = {}
     for name in free:
         if name in tune.bounds:
             given = tune.bounds[name]
             if not isinstance(given, list) or len(given) != 2:
                 raise InputError(f'tune.bounds: {name} needs two quantities: write {name} = ["...", "..."]')
-            low, high = (_quantity(v, units[name], f"tune.bounds.{name}") for v in given)
+            low, high = (quantity_at(v, units[name], f"tune.bounds.{name}") for v in given)
         else:
             low, high = 0.01 * values[name], 100.0 * values[name]
+        if low == high > 0.0:
+            raise InputError(f"tune.bounds.{name} leaves it no room: take {name} out of tune.free, or widen its bounds")
         if not 0.0 < low <= values[name] <= high:
             raise InputError(
                 f"tune: {name} starts at {values[name]:.6g} {units[name]} and is to be tuned between {low:.6g} and {high:.6g}: "
@@ -328,68 +333,32 @@ def _objective(given: Any) -> tuple[dict[str, float], bool]:
             raise InputError(f"tune.objective: '{name}' cannot be weighed{advice(name, TERMS, 'what can be are')}")
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0.0 <= weight < math.inf:
             raise InputError(f"tune.objective: the weight {name} = {show(weight)} is not a number of 0 or more")
+    if not any(given.values()):
+        raise InputError("tune.objective: no weight is above 0, so that nothing is wanted: give one")
     return {name: float(w) for name, w in given.items()}, False
 
 
 def _limits(data: Any) -> dict[str, float]:
     given = validate(_Limits, data, "limits")
     units = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
-    return {k: _quantity(v, units[k], f"limits.{k}") for k, v in given.model_dump().items() if v is not None}
-
-
-def _scenario(data: Mapping[str, Any], path: Path, rig: Rig, seen: tuple[str, str, float], seed: int) -> Scenario:
-    unit, channel, period = seen
-    given = validate(_Reference, data["reference"], "reference")
-
-    def level(value: Any, key: str, unit: str = unit, **ends: float) -> float:
-        if value is None:
-            field = _Reference.model_fields[key]
-            raise InputError(f"reference.{key} is missing: a {given.kind} needs a line like {key} = {(field.examples or [''])[0]}")
-        return _quantity(value, unit, f"reference.{key}", **ends)
-
-    rest = 0.0
-    if given.kind == "recorded":
-        if given.file is None:
-            raise InputError('reference.file is missing: name the recording, as in file = "wanted.csv"')
-        wanted = recording.read(path.parent / given.file, required=(channel,), mapping=rig.channels.columns)
-        time = references.clock(float(wanted.time[-1] - wanted.time[0]) + period, period)
-        values = references.recorded(time, wanted.time, wanted.channels[channel])
-        rest = float(values[0])
-    else:
-        duration = level(given.duration, "duration", "s", least=2 * period)
-        time = references.clock(duration, period)
-        if given.kind == "step":
-            rest = _optional(given.low, unit, "reference.low")
-            values = references.step(time, rest, level(given.high, "high"), _optional(given.at, "s", "reference.at"))
-        elif given.kind == "staircase":
-            if not given.levels:
-                raise InputError('reference.levels is missing: a staircase needs a line like levels = ["2 mm", "6 mm", "4 mm"]')
-            steps = [_quantity(v, unit, "reference.levels") for v in given.levels]
-            values = references.staircase(time, steps, level(given.hold, "hold", "s", least=period))
-        else:
-            rest = _optional(given.low, unit, "reference.low")
-            values = references.sine(time, rest, level(given.high, "high"), level(given.frequency, "frequency", "Hz", least=1e-6))
-    changes: dict[str, np.ndarray] = {}
-    listed = data.get("change", [])
-    for change in listed if isinstance(listed, list) else [listed]:
-        one = validate(_Change, change, "change")
-        declared = parameters.declaration(rig.plant, one.parameter)
-        series = changes.setdefault(one.parameter, np.full(len(time), float(parameters.get(rig.plant, one.parameter))))
-        series[time >= _quantity(one.at, "s", "change.at") - 1e-9] = quantity(one.value, declared)
-    draws = np.random.default_rng(seed).standard_normal(len(time))
-    return Scenario(
-        jnp.asarray(values), jnp.asarray(rest), jnp.asarray(draws), {name: jnp.asarray(series) for name, series in changes.items()}
-    )
+    found = {k: quantity_at(v, units[k], f"limits.{k}") for k, v in given.model_dump().items() if v is not None}
+    for key, value in found.items():
+        if key != "temperature" and not (value > 0.0 or (key == "overshoot" and value == 0.0)):
+            raise InputError(f"limits.{key} = {show(getattr(given, key))} is not possible: give one above 0")
+    return found
 
 
 def _robust(data: Any, path: Path, rig: Rig) -> Robust:
     given = validate(_Robust, data, "robust")
     vary = {}
     for name, ends in given.vary.items():
-        declared = parameters.declaration(rig.plant, name)
         if not isinstance(ends, list) or len(ends) != 2:
             raise InputError(f'robust.vary: {name} needs two quantities: write "{name}" = ["...", "..."]')
-        vary[name] = (quantity(ends[0], declared), quantity(ends[1], declared))
+        try:
+            declared = parameters.declaration(rig.plant, name)
+            vary[name] = (quantity(ends[0], declared), quantity(ends[1], declared))
+        except InputError as error:
+            raise InputError(f"robust.vary: {error}") from None
         if not vary[name][0] <= vary[name][1]:
             raise InputError(f"robust.vary: the range of {name} is empty: put the smaller value first")
     if given.fit is None and not vary:
@@ -401,15 +370,5 @@ def _arrays(*values: float) -> tuple[Any, ...]:
     return tuple(jnp.asarray(v, jnp.float64) for v in values)
 
 
-def _optional(value: Any, unit: str, place: str) -> float:
-    return 0.0 if value is None else _quantity(value, unit, place)
-
-
-def _quantity(value: Any, unit: str, place: str, *, least: float = -math.inf) -> float:
-    try:
-        number = parse_quantity(value, unit)
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
-    if not number >= least:
-        raise InputError(f"{place} = {show(value)} is too small: give {least:g} {unit} or more")
-    return number
+def _positive(value: Any, unit: str, place: str) -> float:
+    return 0.0 if value is None else quantity_at(value, unit, place, least=0.0)

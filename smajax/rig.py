@@ -41,7 +41,7 @@ from smajax.rig_schema import (
     require,
     section_model,
 )
-from smajax.toml_file import parse, read_text, render, show, validate, write_text
+from smajax.toml_file import check_schema, parse, read_text, render, show, validate, write_text
 
 _HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
 _SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
@@ -143,8 +143,7 @@ class _Set(NamedTuple):
 def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path) -> Rig:
     _refuse_machine(data.get("rig"))
     check_sections(data)
-    if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
-        raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
+    check_schema(data)
     if "rig" not in data:
         raise InputError('the section [rig] is missing: add [rig] with lines like kind = "dead-weight" and control = "current"')
     head = validate(RigSection, data["rig"], "rig")

@@ -41,8 +41,8 @@ from smajax.sweep.chunks import CHUNK
 from smajax.sweep.space import SAMPLINGS, Axis
 from smajax.sweep.study import AbstractStudy
 from smajax.sweep.table import read_header
-from smajax.sweep_subject import Subject, again, quantity_at, read_subject
-from smajax.toml_file import STRICT, advice, parse, read_text, show, validate
+from smajax.sweep_subject import Subject, again, read_subject
+from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
 
 WAYS = ("max", "min")
 SCALES = ("even", "log")
@@ -168,8 +168,7 @@ def _head(data: Mapping[str, Any]) -> _Sweep:
         if key not in _SECTIONS:
             what = f"[{key}] is not a section of a sweep" if isinstance(value, dict) else f"{key} is not known"
             raise InputError(f"{what}{advice(key, _SECTIONS, 'the sections are')}")
-    if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
-        raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
+    check_schema(data)
     if "sweep" not in data:
         raise InputError('the section [sweep] is missing: add [sweep] with a line like rig = "rig.toml"')
     return validate(_Sweep, data["sweep"], "sweep")

@@ -21,9 +21,8 @@ from smajax.sweep.metrics import METRICS
 from smajax.sweep.space import Axis
 from smajax.sweep.study import INPUT, AbstractStudy, MachineStudy, RigStudy
 from smajax.sweep.wave import SHAPES, Wave
-from smajax.toml_file import STRICT, read_text, show, validate
+from smajax.toml_file import STRICT, quantity_at, read_text, show, validate
 from smajax.units import CHANNELS
-from smajax.units import parse as parse_quantity
 
 NAMES = (*METRICS, "bandwidth")
 _USUAL = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
@@ -251,11 +250,3 @@ def _wave(rig: Rig, given: _Input) -> Wave:
     if not 0.0 < duty < 1.0:
         raise InputError(f"input.duty = {show(given.duty)} is not possible: give the share of a cycle that is on, between 0 and 1")
     return Wave(str(given.wave), amplitude, frequency, duty, given.cycles or 4)
-
-
-def quantity_at(value: Any, unit: str, place: str) -> float:
-    """A quantity in a unit; the sentence of an error names its place."""
-    try:
-        return parse_quantity(value, unit)
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None

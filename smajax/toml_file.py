@@ -4,6 +4,7 @@ A sentence names the place (row and column where the file is not TOML at all, se
 say how a value is written by an example on the field, and raise ``InputError`` in their own validators where a type alone says too little.
 """
 
+import math
 import os
 import re
 import tomllib
@@ -14,6 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smajax.errors import InputError, nearest
+from smajax.units import parse as parse_quantity
 
 Section = TypeVar("Section", bound=BaseModel)
 
@@ -184,3 +186,20 @@ def _value(value: Any) -> str:
 def _text(text: str) -> str:
     escapes = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
     return '"' + "".join(escapes.get(c) or (f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else c) for c in text) + '"'
+
+
+def check_schema(data: Mapping[str, Any]) -> None:
+    """InputError for a file that is of a version that this one does not know."""
+    if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
+        raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
+
+
+def quantity_at(value: Any, unit: str, place: str, *, least: float = -math.inf) -> float:
+    """A quantity in a unit, at least so large; InputError with its place in the file, and the cure."""
+    try:
+        number = parse_quantity(value, unit)
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+    if not number >= least:
+        raise InputError(f"{place} = {show(value)} is too small: give {least:g}{'' if unit == '1' else ' ' + unit} or more")
+    return number

@@ -343,6 +343,26 @@ def test_one_command_for_two_wires():
     split = Allocation(jnp.asarray(1.0), jnp.asarray(0.1), 2)
     for command, each in ((0.4, (0.5, 0.1)), (-0.4, (0.1, 0.5)), (3.0, (1.0, 0.1)), (0.0, (0.1, 0.1))):
         np.testing.assert_allclose(split(jnp.asarray(command)), each)
+    uneven = dataclasses.replace(split, second=jnp.asarray(0.3))
+    for command, each in ((0.4, (0.5, 0.1)), (-0.4, (0.1, 0.3)), (3.0, (1.0, 0.1))):
+        np.testing.assert_allclose(uneven(jnp.asarray(command)), each)
+
+
+def test_jumps_of_a_reference():
+    """Of one that never moves none; where it goes over from one level to the next in several samples, one."""
+    assert metrics.jumps(np.full(50, 3.0), 3.0, 0.1).rows == ()
+    assert metrics.jumps(np.linspace(0.0, 1.0, 50), 0.0, 0.1).rows == ()
+    ramps = np.interp(np.arange(200), [0, 50, 54, 120, 123, 200], [1.0, 1.0, 3.0, 3.0, 2.0, 2.0])
+    found = metrics.jumps(ramps, 0.0, 0.1)
+    assert found.rows == (0, 51, 121) and found.ends() == [(0, 51), (51, 121), (121, 200)]
+    assert found.size[[0, 50, 51, 120, 121, 199]].tolist() == [1.0, 1.0, 2.0, 2.0, -1.0, -1.0]
+    assert found.since[[0, 50, 51, 60]].tolist() == pytest.approx([0.0, 5.0, 0.0, 0.9])
+    # A value that follows at once overshoots nothing and has settled with the reference.
+    told = metrics.answers(ramps, ramps, found, 0.1)
+    assert [a.overshoot for a in told] == [0.0] * 3 and max(a.settling for a in told) < 0.4
+    # One that hunts about the new level does not.
+    value = ramps + np.where(np.arange(200) >= 54, 0.2 * np.cos(np.arange(200)), 0.0)
+    assert metrics.answers(value, ramps, found, 0.1)[1].overshoot == pytest.approx(0.1, abs=0.01)
 
 
 def test_pulses_average_to_their_duty():
@@ -409,6 +429,7 @@ CONTROLLERS = {
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 def test_the_c_header_of_two_wires(tmp_path, pair):
     loop = with_gains(pair[1], {"co_contraction": 0.15})
+    loop = dataclasses.replace(loop, allocation=dataclasses.replace(loop.allocation, second=jnp.asarray(0.4)))
     (tmp_path / "controller.h").write_text(c_header(loop, ("A", "rad"), "0"))
     (tmp_path / "c.c").write_text(
         '#include "controller.h"\nvoid run(double r, double y, double *each) {\n'
@@ -423,7 +444,35 @@ def test_the_c_header_of_two_wires(tmp_path, pair):
         controller = loop.controller
         _, command = controller.step(controller.reset(jnp.asarray(error), jnp.zeros(())), jnp.asarray(error), jnp.zeros(()))
         np.testing.assert_allclose(each, loop.allocation(command), rtol=1e-14)
-    assert as_document(loop, dict.fromkeys(gains(loop), "-"))["gains"]["co_contraction"]["value"] == 0.15
+    document = as_document(loop, dict.fromkeys(gains(loop), "-"))
+    assert document["gains"]["co_contraction"]["value"] == 0.15 and document["wires"] == [0.7, 0.4]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+def test_the_c_header_of_a_guard(tmp_path):
+    """It cuts what the controller gives, wire by wire, as the guard does here; a thermometer that falls out keeps its last value."""
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.1), jnp.asarray(84.0))
+    loop = loop_of(pid(low=0.0), guard=guard, upper=0.5)
+    (tmp_path / "controller.h").write_text(c_header(loop, ("A", "m"), "0"))
+    (tmp_path / "c.c").write_text(
+        '#include "controller.h"\nvoid run(int n, const double *t, const double *u, double *v) {\n'
+        "    smajax_guard_state g; smajax_state s; int k; smajax_reset(&s, 0, 0); smajax_step(&s, 0, 0); smajax_guard_reset(&g, t[0]);\n"
+        "    for (k = 0; k < n; k++) v[k] = smajax_guard(&g, t[k], u[k]);\n}\n"
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-shared", "-fPIC", "-o", "c.so", "c.c"]
+    subprocess.run(["cc", *flags], cwd=tmp_path, check=True)
+    warm, u = np.clip(70.0 + np.cumsum(RNG.standard_normal(300)), 60.0, 95.0), np.abs(RNG.standard_normal(300))
+    warm[40] = np.nan
+    cut, pointer = np.empty(300), ctypes.POINTER(ctypes.c_double)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (warm, u, cut)))
+    warm[40] = warm[39]
+    state, expected = guard.reset(jnp.asarray(warm[0])), []
+    for t, command in zip(warm, u, strict=True):
+        state, allowed = guard.step(state, jnp.asarray(t), jnp.asarray(command))
+        expected.append(float(allowed))
+    np.testing.assert_allclose(cut, expected, rtol=1e-12, atol=1e-12)
+    assert np.any(cut < u) and np.any(cut == u)
+    assert as_document(loop, dict.fromkeys(gains(loop), "-"))["guard"] == {"limit": 84.0, "kp": 0.05, "ki": 0.02, "upper": 0.5}
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
@@ -436,14 +485,31 @@ def test_the_c_header_does_the_same(tmp_path, name):
         "    smajax_state s; int k; smajax_reset(&s, r[0], y[0]);\n    for (k = 0; k < n; k++) u[k] = smajax_step(&s, r[k], y[k]);\n}\n"
     )
     subprocess.run(
-        ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-O1", "-shared", "-fPIC", "-o", "c.so", "c.c", "-lm"],
+        [
+            "cc",
+            "-std=c99",
+            "-Wall",
+            "-Wextra",
+            "-Wconversion",
+            "-Werror",
+            "-ffp-contract=off",
+            "-O1",
+            "-shared",
+            "-fPIC",
+            "-o",
+            "c.so",
+            "c.c",
+            "-lm",
+        ],
         cwd=tmp_path,
         check=True,
     )
     r, y = np.cumsum(RNG.standard_normal(300)) * 0.2, np.cumsum(RNG.standard_normal(300)) * 0.2
+    y[[100, 101, 200]] = np.nan, np.inf, -np.inf  # a sensor that falls out counts as where it was
     u = np.empty(300)
     pointer = ctypes.POINTER(ctypes.c_double)
     ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (r, y, u)))
+    y[[100, 101, 200]] = y[[99, 99, 199]]
     expected = series(controller, r, y)
     np.testing.assert_allclose(u, expected, rtol=1e-12, atol=1e-12)
     assert np.ptp(u) > 0.5

@@ -21,6 +21,7 @@ from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
 from smajax.fit.operators import Series
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
+from smajax.jobs.tune import reach
 from smajax.report.tuning import text
 from smajax.rig import read_rig
 from smajax.simulate import respond
@@ -28,7 +29,12 @@ from tests.conftest import ROOT
 from tests.test_control import hip, loop_of, pid
 
 RIG = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
-FILE = """
+STAIRS = """kind = "staircase"
+duration = "15 s"
+levels = ["4 mm", "2 mm"]
+hold = "8 s"
+"""
+FILE = f"""
 schema = 1
 [controller]
 kind = "pid"
@@ -38,13 +44,11 @@ output = ["0 A", "0.5 A"]
 kp = "30 A/m"
 ki = "10 A/m/s"
 [reference]
-kind = "staircase"
-duration = "15 s"
-levels = ["4 mm", "2 mm"]
-hold = "8 s"
-[tune]
+{STAIRS}[tune]
 starts = 1
 """
+SINE = 'kind = "sine"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nfrequency = "0.5 Hz"\n'
+STEP = 'kind = "step"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nat = "2 s"\n'
 
 
 def hip_tuning(dt=0.05, seconds=100.0, gains=(0.00518, 1.178e-4, 0.05697), **limits) -> Tuning:
@@ -155,7 +159,8 @@ def test_slopes_that_tell_nothing_end_the_search(monkeypatch):
 
     monkeypatch.setattr("smajax.control.tune._slope", slope)
     found = tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {"overshoot": 5.0})
-    assert len(asked) == 3 and found.rollouts == 3 * 3 + 5
+    # As many by the search without limits that leads the way.
+    assert len(asked) == 3 + 3 and found.rollouts == 3 * (3 + 3) + 7
     asked.clear()
     tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {})
     assert len(asked) < 10
@@ -247,6 +252,11 @@ def read_model(path):
         ),
         (('kp = "30 A/m"', 'kp = "3000 A/m"'), "the start gains are unstable"),
         (("[tune]", '[limits]\ntemperature = "78 degC"\n[tune]'), "the limit on temperature is not met: it is 78 degC"),
+        (("[tune]", '[limits]\novershoot = "0 %"\nsettling = "50 ms"\n[tune]'), "the limit on settling is not met: it is 0.05 s"),
+        (
+            ("[tune]", '[tune]\nbounds = { kp = ["1e-3 A/m", "40 A/m"], ki = ["1e-4 A/m/s", "20 A/m/s"] }\nobjective = { energy = 1 }'),
+            "give the reference up",
+        ),
     ],
 )
 def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
@@ -254,6 +264,49 @@ def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
     assert done.exit_code == 3 and sentence in done.output.replace("\n", ""), done.output
     doc = json.loads((tmp_path / "out" / "tune.json").read_text())
     assert sentence in "".join(doc["problems"]) and (tmp_path / "out" / "controller.h").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "most"),
+    [
+        ((), 6.0e-3),
+        (('"50 ms"', '"200 ms"'), 6.0e-3),  # within a period the full command goes far beyond the limit
+        (('"0.5 A"', '"500 A"'), 6.0e-3),
+        (("110 degC", "92 degC"), 6.0e-3),
+        (("110 degC", "75 degC"), 0.0),
+        (("[limits]", '[guard]\nlimit = "75 degC"\nkp = "0.1 A/K"\n[limits]'), 0.0),
+        (("[limits]", '[limits]\ncurrent = "0.2 A"'), 0.0),
+        (("[limits]", '[limits]\nstress = "100 MPa"'), 0.0),  # the load alone makes 111 MPa
+    ],
+)
+def test_what_a_rig_reaches_within_the_limits(tmp_path, change, most):
+    text = FILE + '[limits]\ntemperature = "110 degC"\n'
+    assert not change or change[0] in text
+    (tmp_path / "c.toml").write_text(text.replace(*change) if change else text)
+    found = reach(read_controller(tmp_path / "c.toml", read_rig(RIG)))
+    assert found.least <= 0.0 and (found.largest > most if most else found.largest < 0.5e-3)
+
+
+def test_a_channel_that_falls_with_heat_is_refused(tmp_path):
+    text = (
+        FILE.replace('kind = "pid"', 'kind = "pid"\nchannel = "strain"').replace('"30 A/m"', '"30 A/1"').replace('"10 A/m/s"', '"10 A/1/s"')
+    )
+    done = run(tmp_path, text.replace(STAIRS, STEP.replace("1 mm", "3 %").replace("3 mm", "2 %")))
+    told = " ".join(done.output.split())
+    assert done.exit_code == 2 and "controller.channel: strain falls while the wire is heated" in told and "steer displacement" in told
+
+
+def test_each_of_two_wires_has_a_largest_command_of_its_own(tmp_path):
+    rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
+    text = (ROOT / "data" / "controllers" / "rotary.toml").read_text("utf-8")
+    assert 'output = ["-1.2 A", "1.2 A"]' in text
+    (tmp_path / "c.toml").write_text(text.replace('output = ["-1.2 A", "1.2 A"]', 'output = ["-0.5 A", "1.2 A"]'))
+    loop = read_controller(tmp_path / "c.toml", rig).loop
+    assert loop.allocation.most.tolist() == [1.2, 0.5]
+    assert loop.allocation(jnp.asarray(-0.5)).tolist() == [0.1, 0.5] and loop.allocation(jnp.asarray(1.3)).tolist() == [1.2, 0.1]
+    (tmp_path / "c.toml").write_text(text.replace('output = ["-1.2 A", "1.2 A"]', 'output = ["0 A", "1.2 A"]'))
+    with pytest.raises(InputError, match="give a least output below 0 and one above"):
+        read_controller(tmp_path / "c.toml", rig)
 
 
 def test_a_feedforward_is_fitted_and_its_misfit_told(tmp_path, monkeypatch):
@@ -320,6 +373,23 @@ BAD = {
     ("[reference]", "[feedforward]\noperators = 0\n[reference]"): "feedforward.operators",
     ("[reference]", '[feedforward]\nrange = ["0.3 A", "0.1 A"]\n[reference]'): "the first command has to be below the second",
     (HEAD, HEAD.replace('"pid"', '"bpid"') + "[feedforward]\n"): '[feedforward] is for kind = "pid" and "ppid"',
+    ("schema = 1", "schema = 99"): "schema = 99 is not known",
+    ("[tune]", '[sensor]\nnoise = "-1 um"\n[tune]'): "sensor.noise = '-1 um' is too small",
+    ("[tune]", '[sensor]\ndelay = "80 ms"\n[tune]'): "is not a whole number of controller.period: give 50 ms or 100 ms",
+    ("[tune]", '[guard]\nlimit = "90 degC"\nkp = "-1 A/K"\n[tune]'): "guard.kp = '-1 A/K' is too small",
+    ("[tune]", '[guard]\nlimit = "90 degC"\nkp = "0 A/K"\n[tune]'): "the guard would never let a command through",
+    ("[tune]", '[limits]\ncurrent = "-1 A"\n[tune]'): "limits.current = '-1 A' is not possible",
+    ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { ki = ["1 A/m/s", "50 A/m/s"] }'): "tune.bounds.ki: ki is not tuned",
+    ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { kp = ["30 A/m", "30 A/m"] }'): "tune.bounds.kp leaves it no room",
+    ("[tune]", "[tune]\nobjective = { tracking = 0 }"): "nothing is wanted",
+    ("[tune]", '[[change]]\nparameter = "load.mass"\nat = "15 s"\nvalue = "0.3 kg"\n[tune]'): "is after the reference's end",
+    ('hold = "8 s"', 'hold = "15 s"'): "2 levels of '15 s' do not fit into '15 s'",
+    ('hold = "8 s"', 'hold = "8 s"\nhigh = "1 mm"'): "reference.high has no place with a staircase",
+    (STAIRS, SINE.replace("0.5 Hz", "10 Hz")): "reference.frequency = '10 Hz' is not below half a cycle",
+    (STAIRS, STEP.replace('at = "2 s"', 'at = "15 s"')): "reference.at = '15 s' is not within reference.duration",
+    (STAIRS + "[tune]", SINE + '[limits]\novershoot = "2 %"\n[tune]'): "limits.overshoot: the reference never jumps and holds",
+    (STAIRS + "[tune]", SINE + '[tune]\nobjective = "settling"'): "so that nothing settles",
+    ('duration = "15 s"', 'duration = "15 days"'): "has 25,920,000 samples of 0.05 s: make it 2 to 500,000",
 }
 
 
@@ -342,14 +412,24 @@ def test_what_a_file_can_ask_for(tmp_path):
         path.write_text(text)
         return read_controller(path, rig)
 
-    recorded = of(FILE.replace('kind = "staircase"', 'kind = "recorded"\nfile = "wanted.csv"'))
+    recorded = of(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "wanted.csv"\n'))
     np.testing.assert_allclose(np.asarray(recorded.scenario.reference)[[0, 2, 4, 5]], [0.0, 1e-3, 2e-3, 2.5e-3])
-    wave = of(FILE.replace('kind = "staircase"', 'kind = "sine"\nlow = "1 mm"\nhigh = "3 mm"\nfrequency = "0.5 Hz"'))
+    wave = of(FILE.replace(STAIRS, SINE))
     assert float(wave.scenario.reference.min()) == pytest.approx(1e-3) and float(wave.scenario.reference.max()) == pytest.approx(3e-3)
-    step = of(FILE.replace('kind = "staircase"', 'kind = "step"\nlow = "1 mm"\nhigh = "3 mm"\nat = "2 s"'))
+    step = of(FILE.replace(STAIRS, STEP))
     assert float(step.scenario.before) == 1e-3 and int(np.argmax(np.asarray(step.scenario.reference) > 2e-3)) == 40
     loaded = of(FILE + '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n[guard]\nlimit = "100 degC"\nkp = "0.1 A/K"\n')
     assert loaded.scenario.changes["load.mass"][99:101].tolist() == [0.2, 0.3] and float(loaded.loop.guard.limit) == 100.0
+    changes = [
+        '[[change]]\nparameter = "load.mass"\nat = "9 s"\nvalue = "100 g"\n',
+        '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n',
+    ]
+    for order in (changes, changes[::-1]):
+        assert of(FILE + "".join(order)).scenario.changes["load.mass"][jnp.asarray([99, 100, 179, 180])].tolist() == [0.2, 0.3, 0.3, 0.1]
+    warm = of(FILE.replace("A/m", "A/K").replace('kind = "pid"', 'kind = "pid"\nchannel = "temperature"').replace(
+        STAIRS, STEP.replace('low = "1 mm"\n', "").replace("3 mm", "70 degC")
+    ))  # fmt: skip
+    assert float(warm.scenario.before) == 20.0  # where the wire is at rest
     for kind, extra in (("bpid", 'kb = "50 1/m"'), ("ppid", 'kp_rest = "20 A/m"\nband = "0.1 mm"'), ("adaptive-pid", "rate_p = 0.1")):
         found = of(FILE.replace('kind = "pid"', f'kind = "{kind}"').replace("[reference]", extra + "\n[reference]"))
         assert type(found.loop.controller).__name__.lower() == kind.replace("-", "")

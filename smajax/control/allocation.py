@@ -10,19 +10,27 @@ from smajax.parameters import parameter
 class Allocation(eqx.Module):
     """Gives a command to ``wires`` wires; one wire takes it as it is.
 
-    Of an antagonistic pair the first wire takes what is positive and the second what is negative, each up to ``upper``;
-    ``co_contraction`` heats both, so that none hangs slack when its turn comes.
+    Of an antagonistic pair the first wire takes what is positive, up to ``upper``, and the second what is negative, up to ``second``
+    (``None``: as much); ``co_contraction`` heats both, so that none hangs slack when its turn comes.
     """
 
     upper: jax.Array
     co_contraction: jax.Array = parameter("u", "command that both wires of a pair get at least", 0.0)
     wires: int = eqx.field(static=True, default=1)
+    second: jax.Array | None = None
+
+    @property
+    def most(self) -> jax.Array:
+        """The largest command of each wire, shape ``(wires,)``."""
+        if self.wires == 1:
+            return self.upper[None]
+        return jnp.stack([self.upper, self.upper if self.second is None else self.second])
 
     def __call__(self, command: jax.Array) -> jax.Array:
         """Commands of the wires, shape ``(wires,)``."""
         if self.wires == 1:
             return command[None]
-        return jnp.clip(self.co_contraction + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.upper)
+        return jnp.clip(self.co_contraction + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.most)
 
 
 def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -> jax.Array:

@@ -2,8 +2,9 @@
 
 The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
-feedforward; call ``smajax_step`` once a period. Of a loop with two wires it also holds ``smajax_allocate``, which gives each wire its
-command.
+feedforward; call ``smajax_step`` once a period. A measurement that is no number is taken for the last one that was. Of a loop with two
+wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a guard ``smajax_guard``, which cuts a wire's
+command to what its temperature allows.
 """
 
 from typing import Any
@@ -13,6 +14,7 @@ from smajax.control.bpid import BPID, LEAST
 from smajax.control.controller import AbstractController
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
+from smajax.control.guard import TemperatureGuard
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop
@@ -24,8 +26,9 @@ _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the
  *     smajax_state s;
  *     smajax_reset(&s, reference, value);
  *     each period:  command = smajax_step(&s, reference, value);
- *
+{use} *
  * Units: reference and value in {channel_unit}, command in {command_unit}. Define SMAJAX_REAL as float where doubles are slow.
+ * A value that is no number (a sensor that fell out) counts as the last one that was.
  */
 #ifndef SMAJAX_CONTROLLER_H
 #define SMAJAX_CONTROLLER_H
@@ -41,13 +44,18 @@ typedef SMAJAX_REAL smajax_real;
 {constants}
 
 typedef struct {{
-    smajax_real integral, last, slope;{more}
+    smajax_real integral, last, slope, value;{more}
 }} smajax_state;
 
 static smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {seen} }}
 
 static smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upper) {{
     return x < lower ? lower : x > upper ? upper : x;
+}}
+
+static smajax_real smajax_known(smajax_real measured, smajax_real *last) {{
+    if (measured - measured <= 0) *last = measured;
+    return *last;
 }}
 {functions}
 static smajax_real smajax_slope(const smajax_state *s, smajax_real reference, smajax_real value) {{
@@ -69,20 +77,45 @@ static smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_rea
 static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
     s->integral = 0;
     s->last = smajax_seen(reference, value);
-    s->slope = 0;{reset}
+    s->slope = 0;
+    s->value = value;{reset}
 }}
 
-static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real measured) {{
+    smajax_real value = smajax_known(measured, &s->value);
 {step}
 }}
-{pair}
+{pair}{guard}
 #endif
 """
 _PAIR = """
 /* The commands of two wires that pull against each other: a command above 0 heats the first, one below 0 the second. */
 static void smajax_allocate(smajax_real command, smajax_real each[2]) {{
-    each[0] = smajax_clip(SMAJAX_CO_CONTRACTION + (command > 0 ? command : 0), 0, (smajax_real){upper!r});
-    each[1] = smajax_clip(SMAJAX_CO_CONTRACTION + (command < 0 ? -command : 0), 0, (smajax_real){upper!r});
+    each[0] = smajax_clip(SMAJAX_CO_CONTRACTION + (command > 0 ? command : 0), 0, (smajax_real){first!r});
+    each[1] = smajax_clip(SMAJAX_CO_CONTRACTION + (command < 0 ? -command : 0), 0, (smajax_real){second!r});
+}}
+"""
+_GUARD_USE = """ *     and then, once a period and wire, with a smajax_guard_state g that smajax_guard_reset(&g, temperature) has set:
+ *     command = smajax_guard(&g, temperature, command);
+"""
+_GUARD = """
+/* What keeps a wire below {limit!r} degC: a state for each wire; temperatures in degC. */
+typedef struct {{
+    smajax_real integral, temperature;
+}} smajax_guard_state;
+
+static void smajax_guard_reset(smajax_guard_state *g, smajax_real temperature) {{
+    g->integral = 0;
+    g->temperature = temperature;
+}}
+
+static smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
+    smajax_real error = (smajax_real){limit!r} - smajax_known(temperature, &g->temperature);
+    smajax_real grown = g->integral + (smajax_real){ki!r} * error * SMAJAX_PERIOD, wanted = (smajax_real){kp!r} * error + grown;
+    int pushes = (wanted > (smajax_real){upper!r} && grown > g->integral) || (wanted < 0 && grown < g->integral);
+    if (!pushes) g->integral = grown;
+    wanted = smajax_clip(wanted, 0, (smajax_real){upper!r});
+    return command < wanted ? command : wanted;
 }}
 """
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
@@ -176,14 +209,18 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         raise InputError(f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID and adaptive PID can")
     if inverse is not None:
         told = inverse_document(inverse)
-        listed = {k: ", ".join(map(repr, told[k])) for k in ("thresholds", "densities")}
+        listed = {k: ", ".join(f"(smajax_real){v!r}" for v in told[k]) for k in ("thresholds", "densities")}
         extra |= told["envelope"] | {"direct": told["direct"], "edge": EDGE}
         parts |= {"functions": _INVERSE.format(**listed), "include": "#include <math.h>\n"}
         parts["more"] += "\n    smajax_real plays[SMAJAX_PLAYS];"
         parts["reset"] += _PLAYS_BEGIN
     pid = controller.inner
     values = {name: float(gain(owner, name)) for name in gains(owner)} | extra
-    pair = _PAIR.format(upper=float(owner.allocation.upper)) if isinstance(owner, Loop) and owner.allocation.wires > 1 else ""
+    pair = guard = use = ""
+    if isinstance(owner, Loop) and owner.allocation.wires > 1:
+        pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
+    if isinstance(owner, Loop) and owner.guard is not None:
+        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard))
     constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
     if inverse is not None:
         constants.append(f"#define SMAJAX_PLAYS {len(inverse.thresholds)}")
@@ -199,12 +236,17 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         seen="return reference - value;" if pid.derivative_on == "error" else "(void)reference; return -value;",
         step=step,
         pair=pair,
+        guard=guard,
+        use=use,
         **parts,
     )
 
 
 def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict[str, Any]:
-    """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward."""
+    """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward.
+
+    Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does.
+    """
     controller = owner.controller if isinstance(owner, Loop) else owner
     pid, inverse = controller.inner, inverse_of(controller)
     document = {
@@ -215,7 +257,18 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
         "derivative_on": pid.derivative_on,
         "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
     }
-    return document if inverse is None else document | {"feedforward": inverse_document(inverse)}
+    if inverse is not None:
+        document["feedforward"] = inverse_document(inverse)
+    if isinstance(owner, Loop) and owner.allocation.wires > 1:
+        document["wires"] = [float(most) for most in owner.allocation.most]
+    if isinstance(owner, Loop) and owner.guard is not None:
+        document["guard"] = guard_document(owner.guard)
+    return document
+
+
+def guard_document(guard: TemperatureGuard) -> dict[str, float]:
+    """A guard's numbers: the temperature that it keeps (degC), its gains, and the largest command."""
+    return {"limit": float(guard.limit), "kp": float(guard.pid.kp), "ki": float(guard.pid.ki), "upper": float(guard.pid.upper)}
 
 
 def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:

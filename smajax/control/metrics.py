@@ -15,21 +15,26 @@ class Jumps(NamedTuple):
     rows: tuple[int, ...]
 
     def ends(self) -> list[tuple[int, int]]:
-        """First row of each hold and the row after its last."""
+        """First row of each jump and the row after its hold's last."""
         return list(zip(self.rows, (*self.rows[1:], len(self.since))[: len(self.rows)], strict=True))
 
 
 def jumps(reference: np.ndarray, before: float, period: float) -> Jumps:
-    """The jumps of a reference that holds otherwise; none of one that moves at more than a tenth of its samples."""
+    """The jumps of a reference that holds otherwise; none of one that moves at more than a tenth of its samples.
+
+    Samples on end at which it moves, as a recorded reference does from one of its rows to the next, are one jump.
+    """
     change = np.diff(reference, prepend=before)
-    at = np.flatnonzero(change != 0.0)
+    moves = change != 0.0
     since, size = np.zeros(len(reference)), np.zeros(len(reference))
-    if len(at) > 0.1 * len(reference):
+    if np.sum(moves) > 0.1 * len(reference):
         return Jumps(since, size, ())
-    for row, end in zip(at, [*at[1:], len(reference)], strict=True):
+    at = np.flatnonzero(moves & ~np.append(False, moves[:-1]))
+    for row, end in zip(at, np.append(at, len(reference))[1:], strict=True):
         since[row:end] = period * np.arange(end - row)
-        size[row:end] = change[row]
-    return Jumps(since, size, tuple(int(row) for row in at))
+        size[row:end] = reference[end - 1] - (reference[row] - change[row])
+    kept = [int(row) for row in at if size[row] != 0.0]
+    return Jumps(np.where(size != 0.0, since, 0.0), size, tuple(kept))
 
 
 class Answer(NamedTuple):
@@ -44,8 +49,7 @@ def answers(value: np.ndarray, reference: np.ndarray, found: Jumps, period: floa
     """One for each jump; between samples the value goes straight."""
     told = []
     for first, end in found.ends():
-        size = found.size[first]
-        share = 1.0 + (value[first:end] - reference[first:end]) / size
+        share = 1.0 + (value[first:end] - reference[end - 1]) / found.size[first]
         rise = _first(share, 0.9) - _first(share, 0.1)
         told.append(Answer(rise * period, settled(share - 1.0, band) * period, max(float(np.max(share)) - 1.0, 0.0)))
     return told

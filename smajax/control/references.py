@@ -6,12 +6,15 @@ import numpy as np
 
 from smajax.errors import InputError
 
+# A rollout remembers about a kilobyte for each.
+_MOST = 500_000
+
 
 def clock(duration: float, period: float) -> np.ndarray:
-    """Times of the samples in s, from 0 to before ``duration``. Raises ``InputError`` if there are fewer than two, or millions."""
+    """Times of the samples in s, from 0 to before ``duration``. Raises ``InputError`` if there are fewer than two, or too many."""
     count = round(duration / period)
-    if not 2 <= count <= 5_000_000:
-        raise InputError(f"a duration of {duration:g} s has {count} samples of {period:g} s: make it 2 to 5 million")
+    if not 2 <= count <= _MOST:
+        raise InputError(f"a duration of {duration:g} s has {count:,} samples of {period:g} s: make it 2 to {_MOST:,}")
     return np.arange(count) * period
 
 

@@ -291,13 +291,16 @@ def _usable(tuner: _Tuner, found: _Candidate) -> _Candidate:
 
 
 def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
-    """The terms made small within the limits by an augmented Lagrangian, from where they are small without.
+    """The terms made small within the limits by an augmented Lagrangian, from where they are small without, to one member at least.
 
     If that is far beyond a limit, from the point that violates the limits least.
     """
     if tuner.plain:
         return _without(tuner, points)
-    point = _near(tuner, points)
+    spent = tuner.rollouts
+    free = _Tuner(tuner.tuning.alone(), tuner.unlimited, lambda count, cost: tuner.progress(spent + count, cost))
+    point = _without(free, points)
+    tuner.rollouts += free.rollouts
     tried = tuner.candidates(np.vstack([point, points]))
     best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
     if tried[0].worst > _GROSS:

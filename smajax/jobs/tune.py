@@ -34,6 +34,9 @@ from smajax.rig import Rig, read_rig
 from smajax.units import CHANNELS, numbered
 
 _BATCH = 64
+# Commands that are tried at each sample to see what the rig can reach, by equal factors down to this share of the largest one's power.
+_COMMANDS, _LEAST_POWER = 64, 1e-8
+_IDLE = 0.9  # of the error of a rig that is left alone: gains that leave more have given the reference up
 
 
 class TuneJob(NamedTuple):
@@ -69,7 +72,10 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         given = read_controller(job.controller, rig)
         controller_text = job.controller.read_text("utf-8-sig")
         seed = given.seed if job.seed is None else job.seed
-        drawn = _drawn(given, rig, seed)
+        try:
+            drawn = _drawn(given, rig, seed)
+        except InputError as error:
+            raise InputError(f"{job.controller}: robust.fit: {error}") from None
     fed = None
     if given.feedforward is not None:
         progress.phase("fitting the feedforward to a slow loop")
@@ -80,9 +86,12 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             )
     progress.phase("trying the start gains")
     with clock.time("start"):
-        reach = _reach(given)
-        beyond = _beyond(given, reach)
-        given = replace(given, scenario=_cut(given.scenario, reach)) if beyond else given
+        far = reach(given)
+        if (channel := given.loop.channel) != rig.plant.mechanism.coordinate and _falls(given):
+            why = f"{channel} falls while the wire is heated, and no gain is negative"
+            raise InputError(f"{job.controller}: controller.channel: {why}: steer {rig.plant.mechanism.coordinate}")
+        beyond = _beyond(given, far)
+        given = replace(given, scenario=_cut(given.scenario, far)) if beyond else given
         own = {n: float(gain(given.loop, n)) for n in given.bounds}
         first = behave(given, own)
     progress.phase("tuning")
@@ -198,46 +207,83 @@ def _drawn(given: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
     return found | members.spread(given.robust.vary, count, rng)
 
 
-def _reach(given: ControllerFile) -> tuple[float, float]:
-    """The least and largest value of the channel that the largest command reaches by the reference's end, within the limit on temperature.
+class Reach(NamedTuple):
+    """What a rig can do within the limits: the least and largest value of the channel."""
 
-    Of two wires, both are heated in turn.
+    least: float
+    largest: float
+
+
+def reach(given: ControllerFile) -> Reach:
+    """What the channel reaches by the reference's end, within the limits on temperature, stress and current and below a guard's.
+
+    At each sample a wire gets the largest of many commands with which it keeps them until the next one. Of two wires, both are heated in
+    turn.
     """
-    driven, upper = given.driven, float(given.loop.controller.inner.upper)
+    driven, loop, limits = given.driven, given.loop, given.limits
     count = max(given.scenario.reference.shape[0], math.ceil(5.0 / driven.period))
+    ends = {k: limits.get(k, math.inf) for k in ("temperature", "stress", "current")}
+    if loop.guard is not None:
+        ends["temperature"] = min(ends["temperature"], float(loop.guard.limit))
 
     @eqx.filter_jit
-    def held(command: jax.Array) -> tuple[jax.Array, jax.Array]:
-        def one(state: Any, _: Any) -> tuple[Any, Any]:
-            state, _, _ = driven.advance(state, command)
-            seen = driven.read(state, command)
-            return state, (seen[given.loop.channel], jnp.max(jnp.stack([seen[n] for n in _of(given, "temperature")])))
+    def greedy(most: jax.Array) -> tuple[jax.Array, jax.Array]:
+        shares = jnp.append(jnp.zeros(1), jnp.sqrt(jnp.geomspace(_LEAST_POWER, 1.0, _COMMANDS - 1)))[:, None] * most[None]
+
+        def tried(state: Any, command: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
+            later, _, unsolved = driven.advance(state, command)
+            seen = driven.read(later, command)
+            kept = [jnp.all(jnp.stack([seen[n] for n in _of(given, k)]) <= end) for k, end in ends.items()]
+            value = seen[loop.channel]
+            return later, value, jnp.all(jnp.stack(kept)) & (unsolved == 0) & jnp.isfinite(value)
+
+        def one(state: Any, _: Any) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+            later, value, kept = jax.vmap(lambda command: tried(state, command))(shares)
+            best = jnp.max(jnp.where(kept, jnp.arange(_COMMANDS), 0))
+            return jax.tree.map(lambda leaf: leaf[best], later), (value[best], kept[best])
 
         return jax.lax.scan(one, driven.start(), None, length=count)[1]
 
-    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[given.loop.channel])
-    values = [rest]
-    for wire in range(driven.wires):
-        value, warm = map(np.asarray, held(jnp.zeros(driven.wires).at[wire].set(upper)))
-        values += [float(v) for v in value[(warm <= given.limits.get("temperature", math.inf)) & np.isfinite(value)]]
-    return min(values), max(values)
+    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[loop.channel])
+    found = []
+    for wire, most in enumerate(loop.allocation.most):
+        value, kept = map(np.asarray, greedy(jnp.zeros(driven.wires).at[wire].set(most)))
+        found.append(np.append(rest, value[kept]))
+    return Reach(float(np.min(np.concatenate(found))), float(np.max(np.concatenate(found))))
 
 
-def _beyond(given: ControllerFile, reach: tuple[float, float]) -> str:
+def _falls(given: ControllerFile) -> bool:
+    """Whether the channel goes down, on the whole, while its first wire gets all that there is."""
+    driven, channel = given.driven, given.loop.channel
+    most = given.loop.allocation.most * (jnp.arange(driven.wires) == 0)
+    count = max(10, math.ceil(10.0 / driven.period))
+
+    def one(state: Any, _: Any) -> tuple[Any, jax.Array]:
+        state, _, _ = driven.advance(state, most)
+        return state, driven.read(state, most)[channel]
+
+    value = np.asarray(eqx.filter_jit(lambda state: jax.lax.scan(one, state, None, length=count)[1])(driven.start()))
+    moved = value - float(driven.read(driven.start(), jnp.zeros(driven.wires))[channel])
+    moved = moved[np.isfinite(moved)]
+    return len(moved) > 0 and float(moved[np.argmax(np.abs(moved))]) < 0.0
+
+
+def _beyond(given: ControllerFile, reach: Reach) -> str:
     """What to say of a reference that the rig cannot follow; nothing if it can."""
     wanted, channel = np.asarray(given.scenario.reference), given.loop.channel
     room = 0.02 * max(float(np.ptp(np.append(wanted, float(given.scenario.before)))), 1e-12)
-    if reach[0] - room <= wanted.min() and wanted.max() <= reach[1] + room:
+    if reach.least - room <= wanted.min() and wanted.max() <= reach.largest + room:
         return ""
-    ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), *reach)]
+    ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), reach.least, reach.largest)]
     told = f"the reference goes from {ends[0]} to {ends[1]}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
-    told += " within the limit on temperature" if "temperature" in given.limits else ""
+    limited = given.loop.guard is not None or any(k in given.limits for k in ("temperature", "stress", "current"))
+    told += " within the limits" if limited else ""
     return told + ("; tuned for the reference cut to that" if _cut(given.scenario, reach) is not given.scenario else "")
 
 
-def _cut(scenario: Scenario, reach: tuple[float, float]) -> Scenario:
+def _cut(scenario: Scenario, reach: Reach) -> Scenario:
     """The scenario with its reference within the reach, if that leaves half of it."""
-    cut = jnp.clip(scenario.reference, *reach)
+    cut = jnp.clip(scenario.reference, reach.least, reach.largest)
     whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
     left = float(jnp.ptp(jnp.append(cut, scenario.before)))
     return eqx.tree_at(lambda s: s.reference, scenario, cut) if left > 0.5 * whole else scenario
@@ -260,10 +306,15 @@ def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str
             unstable += bool(_unstable(given, still, k))
             broken += bool(broken_limits(given.limits, numbers))
     table = {n: np.array([t[n] for t in told]) for n in told[0]}
-    with np.errstate(invalid="ignore"):
-        spread = {n: [number(float(q)) for q in np.nanquantile(v, [0.05, 0.5, 0.95])] for n, v in table.items()}
-        worst = {n: number(float(np.max(v))) for n, v in table.items()}
+    spread = {n: [number(float(q)) for q in _quantiles(v)] for n, v in table.items()}
+    worst = {n: number(float(np.max(v))) for n, v in table.items()}
     return {"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """5, 50 and 95 % of what is a number; an infinite one, such as a settling time that never ends, is."""
+    known = np.sort(values[~np.isnan(values)])
+    return np.quantile(known, [0.05, 0.5, 0.95], method="inverted_cdf") if len(known) else np.full(3, np.nan)
 
 
 def broken_limits(limits: Mapping[str, float], numbers: Mapping[str, float]) -> list[str]:
@@ -308,13 +359,21 @@ def _document(
         problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found give {ends[0]}")
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
+    idle = _idle(given)
+    if idle > 0.0 and last.numbers["rmse"] > _IDLE * idle and not beyond:
+        ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle)]
+        told = f"the best gains found give the reference up: they leave an error of {ends[0]}, a rig that is left alone one of {ends[1]}"
+        problems.append(f"{told}; try more starts, other start gains or wider limits")
+    if checks and (few := {k: checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks["tuned"][k]}):
+        told = " and ".join(f"{count} {'are unstable' if k == 'unstable' else 'are beyond a limit'}" for k, count in few.items())
+        problems.append(f"of {checks['tuned']['draws']} draws {told} with the best gains found: narrow what varies, or raise robust.draws")
     document: dict[str, Any] = {
         "schema": SCHEMA,
         "rig": rig.name,
         "controller": given.name,
         "channel": given.loop.channel,
         "unit": unit,
-        "feasible": not broken and not last.unstable,
+        "feasible": not broken and not last.unstable and not any(checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks),
         "problems": problems,
         "gains": table,
         "metrics": {
@@ -332,6 +391,14 @@ def _document(
         "smajax": __version__,
     }  # fmt: skip
     return document | {"summary": sentences(document)}
+
+
+def _idle(given: ControllerFile) -> float:
+    """The tracking error (RMS) of a rig that stays at rest; 0 for a reference that is near it all the time."""
+    rest = float(given.driven.read(given.driven.start(), jnp.zeros(given.driven.wires))[given.loop.channel])
+    wanted = np.append(np.asarray(given.scenario.reference), rest)
+    error = float(np.sqrt(np.mean((wanted - rest) ** 2)))
+    return error if error > 0.1 * float(np.ptp(wanted)) else 0.0
 
 
 def _fed(given: ControllerFile, fed: Identified) -> dict[str, Any]:

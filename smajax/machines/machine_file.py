@@ -27,7 +27,7 @@ from smajax.machines.machine import AbstractMachine
 from smajax.machines.soft_bending import SoftBending
 from smajax.parameters import as_float, declarations
 from smajax.rig_schema import as_text, one_of, section_model
-from smajax.toml_file import STRICT, advice, parse, read_text, render, show, validate, write_text
+from smajax.toml_file import STRICT, advice, check_schema, parse, read_text, render, validate, write_text
 from smajax.units import example_of
 
 MACHINES: Mapping[str, type[AbstractMachine]] = {"flexural": FlexuralActuator, "soft-bending": SoftBending, "knee": Knee}
@@ -91,8 +91,7 @@ def write(path: str | Path, machine: AbstractMachine, values: Mapping[str, Any] 
 
 
 def _machine(data: Mapping[str, Any]) -> AbstractMachine:
-    if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
-        raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
+    check_schema(data)
     if "rig" not in data:
         raise InputError('the section [rig] is missing: add [rig] with a line kind = "flexural"')
     kind = validate(_Head, data["rig"], "rig").kind
