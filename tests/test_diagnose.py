@@ -372,17 +372,39 @@ def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(tracer, monk
     assert set(caught.value.state) == {u.label for u in tracer.bench.plain.unknowns}
 
 
+def planted(bench: Bench, fitted: Refit, hypothesis: Hypothesis, parts: tuple[int, ...]) -> list:
+    """The bench's problems with measurements that a hypothesis and white noise make on some parts."""
+    problems = list(bench.problems)
+    for k in parts:
+        blown, _ = bench.evaluate(hypothesis, fitted.base, k)
+        weight = np.asarray(problems[k].data.weight)
+        noise = np.random.default_rng(6 + k).normal(size=weight.shape)
+        measured = np.asarray(problems[k].data.measured) + (blown.reshape(weight.shape) + noise) / np.where(weight > 0.0, weight, np.inf)
+        problems[k] = dataclasses.replace(problems[k], data=eqx.tree_at(lambda d: d.measured, problems[k].data, measured))
+    return problems
+
+
+def test_an_instant_at_which_nothing_moves_is_looked_for_where_the_cost_is_flat(tracer, fitted, monkeypatch):
+    """The draught sets in while the wire is cold: the training recording tells hardly when, the selection recording does."""
+    bench, name = tracer.bench, "effects.airflow-change.instant"
+    draught = Hypothesis().extended("airflow-change", {"effects.airflow-change.strength": 0.4, name: 26.4})
+    monkeypatch.setattr(bench, "problems", planted(bench, fitted, draught, (0, 1, 2)))
+    astray = draught.at({name: 27.35})
+    trial = tracer.judged(Refit(astray, fitted.base, *bench.evaluate(astray, fitted.base, 0), Stop.converged))
+    near = tracer.timely(trial)
+    assert near.train < trial.train < 1.1 and abs(near.refit.values[name] - 26.4) < 0.75
+    # Where the search has left it, its slope does not tell what it may do to a prediction; where the cost is flat, all instants count.
+    assert tracer.untimed(near.refit, 0) < 0.05 < 0.2 < tracer.untimed(near.refit, 2)
+    joined = tracer.joined(trial.refit)
+    assert joined.values[name] == pytest.approx(26.4, abs=0.15) and tracer.untimed(joined, 2, (0, 1)) < tracer.untimed(near.refit, 2)
+    assert tracer.timely(tracer.judged(fitted)).refit is fitted
+
+
 def test_an_instant_is_looked_for_over_the_whole_recording(tracer, fitted, monkeypatch):
     """A search that has set in far from the draught's instant ends beside it; one at the noise, or without an instant, is left alone."""
     bench = tracer.bench
     draught = Hypothesis().extended("airflow-change", {"effects.airflow-change.strength": 0.4, "effects.airflow-change.instant": 21.3})
-    blown, _ = bench.evaluate(draught, fitted.base, 0)
-    problem = bench.problems[0]
-    weight = np.asarray(problem.data.weight)
-    noise = np.random.default_rng(6).normal(size=weight.shape)
-    measured = np.asarray(problem.data.measured) + (blown.reshape(weight.shape) + noise) / np.where(weight > 0.0, weight, np.inf)
-    data = eqx.tree_at(lambda d: d.measured, problem.data, measured)
-    monkeypatch.setattr(bench, "problems", [dataclasses.replace(problem, data=data), *bench.problems[1:]])
+    monkeypatch.setattr(bench, "problems", planted(bench, fitted, draught, (0,)))
     astray = bench.search(draught.at({"effects.airflow-change.instant": 60.0}), fitted.base).advance(8)
     found = [bench.reached(s) for s in tracer.elsewhere(astray)]
     assert len(found) == 1 and bench.fitness(found[0].residual, 0) < 1.1 < bench.fitness(bench.reached(astray).residual, 0)

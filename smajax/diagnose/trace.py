@@ -147,6 +147,7 @@ def trace(
             break
     _backward(tracer, story)
     _swap(tracer, story)
+    story.last = tracer.timely(story.last)
     return tracer, story
 
 
@@ -292,7 +293,7 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
     promising = sorted((k for k in near if story.promise[k].gain > 0.0), key=lambda k: -story.promise[k].gain)
     say(f"round 1: refitting {len(near)} effects")
     trials = tracer.race(
-        [Extension(refit, k, scores.found[k].strength, scores.shapes[k]) for k in near],
+        [Extension(refit, k, scores.found[k].strength, scores.shapes[k], scores.found[k].gain) for k in near],
         [Extension(refit, k, story.promise[k].strength, story.promise[k].shape) for k in promising[:_AFAR]],
     )
     best = min(trials, key=lambda t: t.total, default=None)
@@ -320,7 +321,7 @@ def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Calla
             keys = frozenset((*trial.keys, key))
             if one.gain > 0.0 and keys not in seen:
                 seen.add(keys)
-                extensions.append(Extension(trial.refit, key, one.strength, scores.shapes[key]))
+                extensions.append(Extension(trial.refit, key, one.strength, scores.shapes[key], one.gain))
     say(f"round {turn + 1}: refitting {len(extensions)} sets of effects")
     return tracer.race(extensions)
 

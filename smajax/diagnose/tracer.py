@@ -18,12 +18,17 @@ from smajax.parameters import declarations
 
 _HEATS = ((99, 5), (8, 4), (5, 8), (3, 30))  # how many go on, and for how many steps, the first of which only looks at the start
 _APART = 5
+_PROMISING = 3  # of those that promise most
 _HOPELESS = 30.0
 _BEHIND = 4.0  # times the least cost: no search from there wins any more
 _JUDGED = 10  # sets of effects, at most, whose prediction is looked at
 _LOOK, _LOOKS = 8, 4  # steps of a look, and how many follow the first
 _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up after a look
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
+# Near the end: of the recording's length, how far apart, and how many at most; up to which share more than is left counts as flat; and
+# how much less, in sums of squares over the noise, is worth another search.
+_CLOSE, _PLACES_CLOSE, _FLAT, _FAINT = 1200, 60, 1.1, 4.0
+_ALLOWED = 9.0  # sums of squares more than the least: what noise may do to an instant
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED, _SETTLED = 12, 1e-6  # evaluations of the joint fit, and the relative fall of its cost below which it ends
 _STRIDES = (16, 8, 4, 2)
@@ -65,12 +70,14 @@ class Trial:
 
 
 class Extension(NamedTuple):
-    """One effect more for a fit: its key, the strength expected in units of the typical one, and its shape."""
+    """One effect more for a fit: its key, the strength expected in units of the typical one, its shape, and the gain that its score
+    promises (0: not known)."""
 
     parent: Refit
     key: str
     strength: float
     shape: tuple
+    gain: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,11 +206,14 @@ class Tracer:
             strength = math.copysign(size, one.strength or 1.0) * self.bench.effects[one.key].typical
             return one.parent.hypothesis.extended(one.key, {f"effects.{one.key}.strength": strength, **own})
 
-        def search(one: Extension, size: float, base: np.ndarray, near: bool) -> Running:
-            return self.bench.search(started(one, size), base, near=near, stride=stride)
+        def search(one: Extension, size: float, base: np.ndarray, near: bool, *, held: bool = False) -> Running:
+            return self.bench.search(started(one, size), base, near=near, held=held, stride=stride)
 
         close = [search(e, min(abs(e.strength) or 0.1, 0.1), e.parent.base, False) for e in beside]
         distant = [search(e, min(max(abs(e.strength), 0.3), 2.0), self.bench.nominal, True) for e in afar]
+        # What promises most starts a second time, its shape held: freed too early, a shape may wander off, or go around a long bend.
+        promising = sorted((e for e in beside if e.gain > 0.0 and e.shape), key=lambda e: -e.gain)[:_PROMISING]
+        close += [search(e, min(abs(e.strength) or 0.1, 0.1), e.parent.base, False, held=True) for e in promising]
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [close, distant]
         everyone = [s for f in fields for s in f]
@@ -325,15 +335,74 @@ class Tracer:
         enough = running.stride > 1 and self.stride(running.cost / self.bench.samples) >= running.stride
         return running if enough else self.bench.whole(running)
 
+    def timely(self, trial: Trial) -> Trial:
+        """A trial with its instants where they leave least of the training recording, near where its search has left them."""
+        better = self._timed(trial.refit, (0,))
+        if better is None:
+            return trial
+        found = self.judged(self.fit(better, trial.refit.base, 1, rtol=1e-7))
+        return found if found.train < trial.train else trial
+
+    def _timed(self, refit: Refit, parts: Sequence[int]) -> Hypothesis | None:
+        """The hypothesis with an instant at which less is left of these parts; ``None`` if its own are as good as any near them."""
+        found = None
+        for name in self._instants(refit):
+            times, costs = self._around(refit, found or refit.hypothesis, name, parts)
+            if np.min(costs) < costs[0] - _FAINT:
+                found = (found or refit.hypothesis).at({name: float(times[np.argmin(costs)])})
+        return found
+
+    def _instants(self, refit: Refit) -> list[str]:
+        return [n for n in self.bench.moved(refit.hypothesis) if n.endswith(".instant")]
+
+    def _around(self, refit: Refit, hypothesis: Hypothesis, name: str, parts: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """An instant's own value and others near it, and the sum of squares that each leaves of these parts.
+
+        While the wire is cold, say, it hardly matters when a draught sets in: the cost is all but flat there, its slope tells a search
+        nothing, and the instant itself is where it dips a little. All that lies between here and where the cost rises is looked at.
+        """
+        bench, now, ends = self.bench, refit.values[name], []
+
+        def left(instant: float) -> float:
+            at = hypothesis.at({name: instant})
+            cost = sum(float(np.sum(bench.flat(bench.evaluate(at, refit.base, k)[0], k) ** 2)) for k in parts)
+            return cost if math.isfinite(cost) else math.inf
+
+        here, apart = left(now), bench.duration / _CLOSE
+        for way in (-1.0, 1.0):
+            reach = apart
+            while 0.0 < now + way * reach < bench.duration and left(now + way * reach) < _FLAT * here:
+                reach *= 2.0
+            ends.append(float(np.clip(now + way * reach, 0.0, bench.duration)))
+        times = np.linspace(ends[0], ends[1], min(int((ends[1] - ends[0]) / apart) + 2, _PLACES_CLOSE))
+        return np.append(now, times), np.array([here, *in_pairs(left, list(times))])
+
+    def untimed(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
+        """Mean square over the noise that an instant makes of a prediction of part ``k``, being anywhere where ``fitted`` parts allow."""
+        bench, total = self.bench, 0.0
+        predicted = bench.evaluate(refit.hypothesis, refit.base, k)[0]
+        for name in self._instants(refit):
+            times, costs = self._around(refit, refit.hypothesis, name, fitted)
+            alike = times[costs < np.min(costs) + _ALLOWED]
+            others = in_pairs(lambda t: bench.evaluate(refit.hypothesis.at({name: t}), refit.base, k)[0], list(alike))  # noqa: B023
+            total += float(np.mean([np.mean(bench.flat(other - predicted, k) ** 2) for other in others]))
+        return total
+
     def joined(self, refit: Refit) -> Refit:
         """A refit's parameters, fitted to the training and the selection part together from where they are.
 
         What one recording leaves open, the other may know; the holdout is predicted with these. A refit with parameters that each recording
         has of its own stays what it is.
         """
-        bench, moved = self.bench, self.bench.moved(refit.hypothesis)
-        if bench.own:
+        if self.bench.own:
             return refit
+        found = self._joined(refit)
+        better = self._timed(found, (0, 1))
+        return found if better is None else self._joined(dataclasses.replace(found, hypothesis=better))
+
+    def _joined(self, refit: Refit) -> Refit:
+        """See ``joined``: by one search."""
+        bench, moved = self.bench, self.bench.moved(refit.hypothesis)
         lower, upper = bench.ends(moved)
         scales = np.array([bench.scale(name) for name in moved])
 

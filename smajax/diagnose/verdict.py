@@ -80,6 +80,9 @@ def diagnose(
     slow = not story.accepted and story.quiet  # then whatever is left is noise
     expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
     verdict = judge(story, together, expected)
+    if verdict == "partial":  # an instant may be open by more than its slope tells
+        open_by = tracer.untimed(story.last.refit, 1), tracer.untimed(last, 2, both)
+        verdict = judge(story, together, (expected[0] + open_by[0], expected[1] + open_by[1]))
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
