@@ -11,8 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.cli import app
+from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
+from smajax.control.reach import reach
 from smajax.control.rollout import Scenario
 from smajax.control.slow_loop import Feedforward, identify
 from smajax.control.tune import Tuned, objective_of, tune, wanted_of
@@ -21,7 +23,8 @@ from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
 from smajax.fit.operators import Series
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
-from smajax.jobs.tune import reach
+from smajax.jobs import tune as jobs_tune
+from smajax.jobs.tune import Checked
 from smajax.report.tuning import text
 from smajax.rig import read_rig
 from smajax.simulate import respond
@@ -283,8 +286,31 @@ def test_what_a_rig_reaches_within_the_limits(tmp_path, change, most):
     text = FILE + '[limits]\ntemperature = "110 degC"\n'
     assert not change or change[0] in text
     (tmp_path / "c.toml").write_text(text.replace(*change) if change else text)
-    found = reach(read_controller(tmp_path / "c.toml", read_rig(RIG)))
+    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    found = reach(given.driven, given.loop, given.scenario, given.limits)
     assert found.least <= 0.0 and (found.largest > most if most else found.largest < 0.5e-3)
+
+
+def test_draws_that_fail_are_tuned_for(tmp_path, monkeypatch):
+    """The first that fail take the places of half of those that gains were tuned for; what fails less is kept, and the rollouts count."""
+    (tmp_path / "c.toml").write_text(FILE + '[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n')
+    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    drawn = {"load.mass": np.linspace(0.15, 0.25, 20)}
+    tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, {"load.mass": drawn["load.mass"][:4]})
+    first = Tuned(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, 0.0, 100, ())
+    asked: list[list[float]] = []
+
+    def tuned(on, *_, **__):
+        asked.append(on.members["load.mass"].tolist())
+        return first._replace(gains={"kp": 30.0 + len(asked), "ki": 10.0}, rollouts=10)
+
+    failing = {30.0: (7, 9, 11), 31.0: (5, 6), 32.0: (5, 6)}
+    monkeypatch.setattr(jobs_tune, "tune", tuned)
+    monkeypatch.setattr(jobs_tune, "_check", lambda given, gains, drawn: Checked({}, failing[gains["kp"]]))
+    found, checked = jobs_tune._harder(given, tuning, first, Checked({}, failing[30.0]), drawn, 0, Progress(True))
+    mass = drawn["load.mass"]
+    assert asked == [mass[[7, 9, 0, 1]].tolist(), mass[[5, 6, 0, 1]].tolist()]
+    assert found.gains["kp"] == 31.0 and checked.failing == (5, 6) and found.rollouts == 120
 
 
 def test_a_channel_that_falls_with_heat_is_refused(tmp_path):

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,7 +16,8 @@ from smajax.control import members, metrics
 from smajax.control.export import as_document, c_header
 from smajax.control.gains import gain, gains, unit_of
 from smajax.control.margins import Margins, margins, restless
-from smajax.control.rollout import Loop, Rollout, Scenario
+from smajax.control.reach import Reach, cut, falls, reach
+from smajax.control.rollout import Loop, Rollout
 from smajax.control.slow_loop import Identified, identify, with_inverse
 from smajax.control.tune import Tuned, tune
 from smajax.control.tuning import NOISES, SPREAD, Tuning, noises, roll
@@ -34,8 +34,7 @@ from smajax.rig import Rig, read_rig
 from smajax.units import CHANNELS, numbered
 
 _BATCH = 64
-# Commands that are tried at each sample to see what the rig can reach, by equal factors down to this share of the largest one's power.
-_COMMANDS, _LEAST_POWER = 64, 1e-8
+_AGAIN = 3  # times that gains are tuned on for draws that fail
 _IDLE = 0.9  # of the error of a rig that is left alone: gains that leave more have given the reference up
 
 
@@ -58,6 +57,13 @@ class Behaviour:
     numbers: dict[str, float]
     margins: Margins
     unstable: str
+
+
+class Checked(NamedTuple):
+    """What gains do on draws: a document, and which draws are unstable or beyond a limit."""
+
+    document: dict[str, Any]
+    failing: tuple[int, ...]
 
 
 def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -86,12 +92,12 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             )
     progress.phase("trying the start gains")
     with clock.time("start"):
-        far = reach(given)
-        if (channel := given.loop.channel) != rig.plant.mechanism.coordinate and _falls(given):
+        far = reach(given.driven, given.loop, given.scenario, given.limits)
+        if (channel := given.loop.channel) != rig.plant.mechanism.coordinate and falls(given.driven, given.loop):
             why = f"{channel} falls while the wire is heated, and no gain is negative"
             raise InputError(f"{job.controller}: controller.channel: {why}: steer {rig.plant.mechanism.coordinate}")
         beyond = _beyond(given, far)
-        given = replace(given, scenario=_cut(given.scenario, far)) if beyond else given
+        given = replace(given, scenario=cut(given.scenario, far)) if beyond else given
         own = {n: float(gain(given.loop, n)) for n in given.bounds}
         first = behave(given, own)
     progress.phase("tuning")
@@ -106,13 +112,17 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         )  # fmt: skip
     progress.phase("checking")
     with clock.time("check"):
-        last = behave(given, found.gains)
         checks = {when: _check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
+    if checks and checks["tuned"].failing:
+        with clock.time("tune"):
+            found, checks["tuned"] = _harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
+    last = behave(given, found.gains)
     units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
     progress.phase("exporting")
     with clock.time("export"):
         fmus, left_out = _fmus(given, rig, last, units)
-    document = _document(given, rig, found, (first, last), checks, beyond, seed) | {"left_out": left_out}
+    told = {when: one.document for when, one in checks.items()}
+    document = _document(given, rig, found, (first, last), told, beyond, seed) | {"left_out": left_out}
     if fed is not None:
         document["feedforward"] = _fed(given, fed)
         document["summary"] = sentences(document)
@@ -207,94 +217,47 @@ def _drawn(given: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
     return found | members.spread(given.robust.vary, count, rng)
 
 
-class Reach(NamedTuple):
-    """What a rig can do within the limits: the least and largest value of the channel."""
-
-    least: float
-    largest: float
-
-
-def reach(given: ControllerFile) -> Reach:
-    """What the channel reaches by the reference's end, within the limits on temperature, stress and current and below a guard's.
-
-    At each sample a wire gets the largest of many commands with which it keeps them until the next one. Of two wires, both are heated in
-    turn.
-    """
-    driven, loop, limits = given.driven, given.loop, given.limits
-    count = max(given.scenario.reference.shape[0], math.ceil(5.0 / driven.period))
-    ends = {k: limits.get(k, math.inf) for k in ("temperature", "stress", "current")}
-    if loop.guard is not None:
-        ends["temperature"] = min(ends["temperature"], float(loop.guard.limit))
-
-    @eqx.filter_jit
-    def greedy(most: jax.Array) -> tuple[jax.Array, jax.Array]:
-        shares = jnp.append(jnp.zeros(1), jnp.sqrt(jnp.geomspace(_LEAST_POWER, 1.0, _COMMANDS - 1)))[:, None] * most[None]
-
-        def tried(state: Any, command: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-            later, _, unsolved = driven.advance(state, command)
-            seen = driven.read(later, command)
-            kept = [jnp.all(jnp.stack([seen[n] for n in _of(given, k)]) <= end) for k, end in ends.items()]
-            value = seen[loop.channel]
-            return later, value, jnp.all(jnp.stack(kept)) & (unsolved == 0) & jnp.isfinite(value)
-
-        def one(state: Any, _: Any) -> tuple[Any, tuple[jax.Array, jax.Array]]:
-            later, value, kept = jax.vmap(lambda command: tried(state, command))(shares)
-            best = jnp.max(jnp.where(kept, jnp.arange(_COMMANDS), 0))
-            return jax.tree.map(lambda leaf: leaf[best], later), (value[best], kept[best])
-
-        return jax.lax.scan(one, driven.start(), None, length=count)[1]
-
-    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[loop.channel])
-    found = []
-    for wire, most in enumerate(loop.allocation.most):
-        value, kept = map(np.asarray, greedy(jnp.zeros(driven.wires).at[wire].set(most)))
-        found.append(np.append(rest, value[kept]))
-    return Reach(float(np.min(np.concatenate(found))), float(np.max(np.concatenate(found))))
-
-
-def _falls(given: ControllerFile) -> bool:
-    """Whether the channel goes down, on the whole, while its first wire gets all that there is."""
-    driven, channel = given.driven, given.loop.channel
-    most = given.loop.allocation.most * (jnp.arange(driven.wires) == 0)
-    count = max(10, math.ceil(10.0 / driven.period))
-
-    def one(state: Any, _: Any) -> tuple[Any, jax.Array]:
-        state, _, _ = driven.advance(state, most)
-        return state, driven.read(state, most)[channel]
-
-    value = np.asarray(eqx.filter_jit(lambda state: jax.lax.scan(one, state, None, length=count)[1])(driven.start()))
-    moved = value - float(driven.read(driven.start(), jnp.zeros(driven.wires))[channel])
-    moved = moved[np.isfinite(moved)]
-    return len(moved) > 0 and float(moved[np.argmax(np.abs(moved))]) < 0.0
-
-
-def _beyond(given: ControllerFile, reach: Reach) -> str:
+def _beyond(given: ControllerFile, far: Reach) -> str:
     """What to say of a reference that the rig cannot follow; nothing if it can."""
     wanted, channel = np.asarray(given.scenario.reference), given.loop.channel
     room = 0.02 * max(float(np.ptp(np.append(wanted, float(given.scenario.before)))), 1e-12)
-    if reach.least - room <= wanted.min() and wanted.max() <= reach.largest + room:
+    if far.least - room <= wanted.min() and wanted.max() <= far.largest + room:
         return ""
-    ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), reach.least, reach.largest)]
+    ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), far.least, far.largest)]
     told = f"the reference goes from {ends[0]} to {ends[1]}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
     limited = given.loop.guard is not None or any(k in given.limits for k in ("temperature", "stress", "current"))
     told += " within the limits" if limited else ""
-    return told + ("; tuned for the reference cut to that" if _cut(given.scenario, reach) is not given.scenario else "")
+    return told + ("; tuned for the reference cut to that" if cut(given.scenario, far) is not given.scenario else "")
 
 
-def _cut(scenario: Scenario, reach: Reach) -> Scenario:
-    """The scenario with its reference within the reach, if that leaves half of it."""
-    cut = jnp.clip(scenario.reference, reach.least, reach.largest)
-    whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
-    left = float(jnp.ptp(jnp.append(cut, scenario.before)))
-    return eqx.tree_at(lambda s: s.reference, scenario, cut) if left > 0.5 * whole else scenario
+def _harder(
+    given: ControllerFile, tuning: Tuning, found: Tuned, checked: Checked, drawn: Mapping[str, np.ndarray], seed: int, progress: Progress
+) -> tuple[Tuned, Checked]:  # fmt: skip
+    """Gains tuned on, a few times, for the draws among those checked that fail, beside some of those that they were tuned for."""
+    count = tuning.count
+    for _ in range(_AGAIN):
+        if not checked.failing:
+            break
+        progress.phase(f"tuning on for {len(checked.failing)} draws that are unstable or beyond a limit")
+        rows = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *range(count)]))[:count]
+        few = {n: v[np.resize(rows, count)] for n, v in drawn.items()}
+        on = Tuning.of(given.driven, tuning.steered(found.gains), given.scenario, given.bounds, few, tuning.draws)
+        again = tune(on, given.weights, given.limits, settle=given.settle, seed=seed, band=given.band)
+        found = found._replace(rollouts=found.rollouts + again.rollouts)
+        now = _check(given, again.gains, drawn)
+        if len(now.failing) >= len(checked.failing):
+            break
+        found, checked = again._replace(rollouts=found.rollouts), now
+    return found, checked
 
 
-def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str, np.ndarray]) -> Checked:
     """Metrics of every draw: median and 5 to 95 %, and how many are stable (without noise) and within the limits."""
     count = len(next(iter(drawn.values())))
     size = min(_BATCH, count)
     told: list[dict[str, float]] = []
     unstable = broken = 0
+    failing: list[int] = []
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up: one program serves all
         some = {n: v[rows] for n, v in drawn.items()}
@@ -303,12 +266,13 @@ def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str
         for k in range(min(size, count - first)):
             numbers = _numbers(given, {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k]))
             told.append(numbers)
-            unstable += bool(_unstable(given, still, k))
-            broken += bool(broken_limits(given.limits, numbers))
+            restless, beyond = bool(_unstable(given, still, k)), bool(broken_limits(given.limits, numbers))
+            unstable, broken = unstable + restless, broken + beyond
+            failing += [first + k] * (restless or beyond)
     table = {n: np.array([t[n] for t in told]) for n in told[0]}
     spread = {n: [number(float(q)) for q in _quantiles(v)] for n, v in table.items()}
     worst = {n: number(float(np.max(v))) for n, v in table.items()}
-    return {"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}
+    return Checked({"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}, tuple(failing))
 
 
 def _quantiles(values: np.ndarray) -> np.ndarray:
