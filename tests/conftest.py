@@ -1,5 +1,6 @@
 """Strict by default: float64, warnings are errors, shapes and types checked at run time, and one compilation cache for the whole run."""
 
+import gc
 import os
 import pathlib
 
@@ -20,6 +21,14 @@ from jaxtyping import install_import_hook  # noqa: E402
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 install_import_hook(["smajax.plant", "smajax.simulate", "smajax.fit"], "beartype.beartype")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_programs():
+    """Compiled programs of one file of tests serve no other: kept, they would fill the memory of a small machine."""
+    yield
+    jax.clear_caches()
+    gc.collect()
 
 
 @pytest.fixture(scope="session")
