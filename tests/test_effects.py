@@ -338,6 +338,26 @@ def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
     assert np.all(np.diff(ways) < 0.0)
 
 
+def test_a_pulley_that_sticks_while_detwinning_begins_or_ends_can_be_simulated():
+    """The balance is steep there and flat beside it: Newton's steps went to and fro over the kink between, as far each time."""
+    friction = catalogue()["coulomb-friction"](reversal=1e-6)  # pyright: ignore[reportCallIssue]
+    small = {"wire.diameter": 1.5e-4, "wire.length": 0.3, "wire.prestrain": 0.025, "pulley.radius": 0.012}
+    plant = parameters.replace(dataclasses.replace(plants.light_rotary(), effects=(friction,)), small)
+    levels = np.random.default_rng(0).uniform(0.15, 0.36, 20)
+    first, rows = np.repeat(levels * (np.arange(20) % 2 == 0), 100), 2000
+    channels = {"current_1": first, "current_2": np.repeat(levels, 100) - first, "angle": np.zeros(rows)}
+    inputs = simulate.lay_out(plant, plants.recording(channels, 0.02 * np.arange(rows)))
+
+    def turned(strength: jax.Array) -> tuple[jax.Array, jax.Array]:
+        member = parameters.replace(plant, {"effects.coulomb-friction.strength": strength})
+        states, code = simulate.run(member, inputs)
+        return code, jnp.ptp(simulate.observe(member, states, inputs, ("angle",))["angle"])
+
+    codes, ranges = jax.jit(jax.vmap(turned))(jnp.append(jnp.geomspace(2e6, 4e7, 256)[249:], 2e6))
+    assert not np.any(codes)
+    assert np.all(np.asarray(ranges) > 1.0)
+
+
 def test_friction_at_its_end_moves_with_nothing_however_rest_is_rounded():
     """Else rounding would pick the derivative, another one for a step's start than for its end, and tangents would grow at rest."""
     for end in (-1.0, 1.0):

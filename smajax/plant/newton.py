@@ -14,6 +14,7 @@ _ITERATIONS = 40
 # A last Newton step follows the loop, so the loop may stop where that step's error, quadratic in these, is below rounding of any recording.
 _TEMPERATURE_TOLERANCE = 1e-3
 _STRESS_TOLERANCE = 1e3
+_SHORT = 0.05  # of Newton's step: as short a one shows the other side of a kink
 _FRICTION = 0.01  # times the tolerances, where there is dry friction
 
 Residual = Callable[[jax.Array], jax.Array]
@@ -30,7 +31,8 @@ def solve(residual: Residual, guess: jax.Array, wires: int) -> Found:
     """Newton's method with halving.
 
     A step is taken if it lessens what is left of the balances or, since near a kink no step along Newton's direction may do so, if what it
-    leaves asks for a shorter step by the Jacobian at its start (natural monotonicity: Deuflhard 2004, section 3.3).
+    leaves asks for a shorter step by the Jacobian at its start (natural monotonicity: Deuflhard 2004, section 3.3). From a kink itself,
+    such as rest, where the Jacobian may be that of the wrong side, even a short step does neither, and is taken to see the other side.
     """
     scale = _scale(guess, wires)
 
@@ -43,7 +45,7 @@ def solve(residual: Residual, guess: jax.Array, wires: int) -> Found:
         trial = z + fraction * change
         value, later, new = _newton(residual, trial)
         left, shorter = _norm(value, scale), _norm(linear(slope, value), scale) <= (1.0 - 0.25 * fraction) * _norm(change, scale)
-        better = shorter | (left <= jnp.maximum(1.0, error))  # within the tolerances, rounding may raise it
+        better = shorter | (left <= jnp.maximum(1.0, error)) | (fraction < _SHORT)  # within the tolerances, rounding may raise it
         taken = (trial, left, new, later, jnp.asarray(1.0))
         kept = (z, error, change, slope, 0.5 * fraction)
         return (*jax.tree.map(lambda a, b: jnp.where(better, a, b), taken, kept), count + 1)
@@ -64,11 +66,11 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
     scale = _FRICTION * _scale(guess, wires)
 
     def unsolved(carry: tuple) -> jax.Array:
-        *_, change, open_, count, _, _ = carry
+        _, _, change, _, open_, count, *_ = carry
         return (count == 0) | (((_norm(change, scale) > 1.0) | open_) & (count < most))
 
     def iterate(carry: tuple) -> tuple:
-        z, error, change, open_, count, fraction, (low, high) = carry
+        z, error, change, first, open_, count, fraction, (low, high) = carry
         trial = z + fraction * change
         value, slope, new = _newton(residual, trial)
         # What the last equation leaves says on which side the answer lies only where the others hold: else they come first.
@@ -80,16 +82,21 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
         outside = (trial[-1] + new[-1] <= low) | (trial[-1] + new[-1] >= high)
         outside &= jnp.isfinite(halved)
         last, along = jnp.arange(size) == size - 1, jnp.where(settled, halved, 0.0)
-        held = -linear(jnp.where(last[:, None], last[None, :] * 1.0, slope), jnp.where(last, -along, value))
+        alone = jnp.where(last[:, None], last[None, :] * 1.0, slope)
+        held = -linear(alone, jnp.where(last, -along, value))
         new = jnp.where(outside | ~settled, held, new)
         # A halved step may be short without an answer near.
         waiting = (outside & (high - low > scale[-1])) | ~settled
-        # Only while the last one stands still do the others have to leave less from step to step.
-        better, left = settled | (others <= error), jnp.where(settled, jnp.inf, others)
+        # Only while the last one stands still do the others have to leave less from step to step, or to ask for shorter ones: so much
+        # less that they do not go to and fro over a kink.
+        asked = _norm(linear(first, jnp.where(last, 0.0, value)), scale) <= (1.0 - 0.25 * fraction) * _norm(change, scale)
+        better = settled | asked | (others <= (1.0 - 0.1 * fraction) * error) | (fraction < _SHORT)
+        left = jnp.where(settled, jnp.inf, others)
         return (
             jnp.where(better, trial, z),
             jnp.where(better, left, error),
             jnp.where(better, new, change),
+            jnp.where(better, alone, first),
             jnp.where(better, waiting, open_),
             count + 1,
             jnp.where(better, 1.0, 0.5 * fraction),
@@ -97,8 +104,8 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
         )
 
     ends = (jnp.asarray(-jnp.inf), jnp.asarray(jnp.inf))
-    start = (guess, jnp.asarray(jnp.inf), jnp.zeros(size), jnp.asarray(False), 0, jnp.asarray(1.0), ends)
-    z, _, change, _, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
+    start = (guess, jnp.asarray(jnp.inf), jnp.zeros(size), jnp.eye(size), jnp.asarray(False), 0, jnp.asarray(1.0), ends)
+    z, _, change, _, _, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
     return z + change, (count >= most) | ~jnp.all(jnp.isfinite(change))
 
 
