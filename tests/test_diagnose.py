@@ -25,7 +25,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.trace import Story, _arrived, _swap, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
-from smajax.diagnose.verdict import diagnose, judge, predicting, take_back
+from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
 from smajax.fit.problem import rounding_noise
@@ -516,6 +516,19 @@ def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():
     assert Story({}, {}, first, first, 1.05, {}).explained_by(better) == pytest.approx(0.8)
     first = trial((), 11.0, 21.0)
     assert Story({}, {}, first, first, 1.05, {}).explained_by(trial(("latent-heat",), 3.0, 5.0)) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(("before", "after", "helps"), [(2.0, 1.0, True), (1.0, 1.0, False), (1.0, 2.0, False), (math.nan, 1.0, True)])
+def test_effects_that_leave_the_holdout_as_it_was_are_no_partial_answer(before, after, helps):
+    noise = np.random.default_rng(1).standard_normal((2, 1000))
+    left = {(): before * noise[0], ("creep",): after * noise[1]}
+    bench = SimpleNamespace(
+        evaluate=lambda hypothesis, base, k: (left[hypothesis.keys], None),
+        series=lambda residual, k: {"motion": residual},
+        channels=("motion",),
+    )
+    tracer = SimpleNamespace(bench=bench, seed=0)
+    assert _helps(tracer, trial((), 9.0, 9.0).refit, trial(("creep",), 9.0, 9.0).refit) == helps  # pyright: ignore[reportArgumentType]
 
 
 def trial(keys, train, select):

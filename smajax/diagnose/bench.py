@@ -308,7 +308,7 @@ class Bench:
         if held:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
-        search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol)
+        search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol, large=True)
         return Running(search, hypothesis, form, stride, near, rtol, self.count)
 
     def whole(self, running: Running, steps: int = _POLISH) -> Running:
@@ -365,7 +365,7 @@ class Bench:
         columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
         start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
         model = self.model(hypothesis, moved, problem, form)
-        solved = least_squares.Search(residual, model, start[None], -free, free, size=problem.size).advance(1).result()
+        solved = least_squares.Search(residual, model, start[None], -free, free, size=problem.size, large=True).advance(1).result()
         self.count(solved.simulations)
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
@@ -382,7 +382,7 @@ class Bench:
         start, lower, upper = (np.concatenate([base[: self.shared], own[self.shared :], np.zeros(SLOTS)]) for own in (nominal, *ends))
         problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
         model = self.model(hypothesis, (), problem)
-        solved = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size).advance(15).result()
+        solved = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, large=True).advance(15).result()
         self.count(solved.simulations)
         return solved.points[0][: self.size]
 

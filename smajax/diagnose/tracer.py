@@ -28,6 +28,7 @@ _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 # Near the end: of the recording's length, how far apart, and how many at most; up to which share more than is left counts as flat; and
 # how much less, in sums of squares over the noise, is worth another search.
 _CLOSE, _PLACES_CLOSE, _FLAT, _FAINT = 1200, 60, 1.1, 4.0
+_TIMELY = 100.0  # mean square over the noise, beyond which it is not an instant that is a little off
 _ALLOWED = 9.0  # sums of squares more than the least: what noise may do to an instant
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _JOINED, _SETTLED = 12, 1e-6  # evaluations of the joint fit, and the relative fall of its cost below which it ends
@@ -337,7 +338,7 @@ class Tracer:
 
     def timely(self, trial: Trial) -> Trial:
         """A trial with its instants where they leave least of the training recording, near where its search has left them."""
-        better = self._timed(trial.refit, (0,))
+        better = self._timed(trial.refit, (0,)) if trial.train < _TIMELY else None
         if better is None:
             return trial
         found = self.judged(self.fit(better, trial.refit.base, 1, rtol=1e-7))
@@ -397,7 +398,7 @@ class Tracer:
         if self.bench.own:
             return refit
         found = self._joined(refit)
-        better = self._timed(found, (0, 1))
+        better = self._timed(found, (0, 1)) if self.bench.fitness(found.residual, 0) < _TIMELY else None
         return found if better is None else self._joined(dataclasses.replace(found, hypothesis=better))
 
     def _joined(self, refit: Refit) -> Refit:

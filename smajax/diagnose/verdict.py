@@ -63,11 +63,11 @@ def diagnose(
     """Traces, judges, and says what to do next. The bench holds three recordings, for training, selection and holdout.
 
     ``given`` are the standard deviations of channels' noise that are known, SI. Raises NumericsError if the first fit does not come to rest
-    and no effect lets it; its ``state`` holds the point where it ended.
+    and is not at the noise either, and no effect lets it; its ``state`` holds the point where it ended.
     """
     tracer, story = trace(bench, seed=seed, given=given, say=say)
     take_back(story)
-    if not (story.rests or story.accepted):
+    if not (story.rests or story.accepted or story.first.train < max(story.limit, AT_NOISE)):
         told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
         values, _ = bench.problems[0].values(jnp.asarray(story.first.refit.base))
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
@@ -80,9 +80,14 @@ def diagnose(
     slow = not story.accepted and story.quiet  # then whatever is left is noise
     expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
     verdict = judge(story, together, expected)
-    if verdict == "partial":  # an instant may be open by more than its slope tells
+    least = max(story.limit, AT_NOISE)
+    if verdict == "partial" and (story.last.train < least or max(together[:2]) < least):
+        # An instant may be open by more than its slope tells.
         open_by = tracer.untimed(story.last.refit, 1), tracer.untimed(last, 2, both)
         verdict = judge(story, together, (expected[0] + open_by[0], expected[1] + open_by[1]))
+    if verdict == "partial" and not _helps(tracer, first, last):
+        _reject(story, "does not lessen the error on the holdout")
+        last, verdict = first, "unresolved"
     stage = shape = None
     if verdict in ("unresolved", "partial"):
         say("looking for the stage where the rest lives")
@@ -105,9 +110,20 @@ def predicting(bench: Bench, *refits: Refit) -> Refit:
 def take_back(story: Story) -> None:
     """Takes back effects that leave most of the excess unexplained."""
     if story.accepted and story.explained < EXPLAINED and story.last.train > max(story.limit, AT_NOISE):
-        why = f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause"
-        story.rejected += [(key, why) for key in story.accepted]
-        story.equivalent, story.last = {}, story.first
+        _reject(story, f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause")
+
+
+def _reject(story: Story, why: str) -> None:
+    """Takes all effects back."""
+    story.rejected += [(key, why) for key in story.accepted]
+    story.equivalent, story.last = {}, story.first
+
+
+def _helps(tracer: Tracer, first: Refit, last: Refit) -> bool:
+    """Whether the holdout's error falls in any channel by more than chance, or ``first`` cannot predict it at all."""
+    bench = tracer.bench
+    before, after = (bench.series(bench.evaluate(refit.hypothesis, refit.base, 2)[0], 2) for refit in (first, last))
+    return any(not bootstrap(before[c], after[c], tracer.seed)[0] <= 0.0 for c in bench.channels)
 
 
 def judge(story: Story, together: tuple[float, ...], expected: tuple[float, float]) -> str:

@@ -183,8 +183,7 @@ class Solved(NamedTuple):
     history: list[tuple[int, float, float]]
 
 
-@eqx.filter_jit
-def _advance(
+def _further(
     solver: BoundedLevenbergMarquardt, fn: Callable, points: jax.Array, states: LMState, bounds: tuple, rest: Any, apart: bool
 ) -> tuple:
     def further(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
@@ -203,12 +202,17 @@ def _advance(
     return jax.lax.map(alone, (points, states, bounds)) if apart else jax.vmap(together)(points, states, bounds)
 
 
+_advance = eqx.filter_jit(_further)
+# Of a large program that is no batch LLVM's later optimisations take a sixth of the compiling, and make nothing faster.
+_advance_large = eqx.filter_jit(_further, compiler_options={"xla_backend_optimization_level": 1})
+
+
 class Search:
     """Searches from each row of ``starts``, shape ``(s, p)``, that can be taken up again where they stood.
 
     Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``fn`` gives ``size`` residuals; ``rtol`` as in
     ``BoundedLevenbergMarquardt``. Starts take their steps as one batch, or ``apart``, one after another: that is as fast where ``fn`` is
-    a batch itself, and those that have ended cost nothing.
+    a batch itself, and those that have ended cost nothing. A ``large`` program is compiled with less effort.
     """
 
     def __init__(
@@ -222,7 +226,9 @@ class Search:
         size: int,
         rtol: float = 1e-7,
         apart: bool = False,
+        large: bool = False,
     ):
+        self._advance = _advance_large if large else _advance
         self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol), sparing=apart)
         low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
         self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
@@ -240,7 +246,7 @@ class Search:
         try:
             while self.steps < last and (running := int(np.sum(np.asarray(self._states.stop) == Stop.running))):
                 self.simulations += running * (1 + self._points.shape[1])
-                moved = _advance(self._solver, self._fn, self._points, self._states, self._bounds, self._rest, self._apart)
+                moved = self._advance(self._solver, self._fn, self._points, self._states, self._bounds, self._rest, self._apart)
                 self._points, self._states = jax.block_until_ready(moved)
                 self.steps += 1
                 self._wall = time.perf_counter() - began

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from smajax import __version__
+from smajax.diagnose.effects import catalogue
 from smajax.diagnose.preflight import Sight
 from smajax.diagnose.residual import Look
 from smajax.diagnose.tracer import AT_NOISE
 from smajax.diagnose.verdict import PARTS, Diagnosis
+from smajax.parameters import declarations
 from smajax.recording import Recording
 from smajax.report import html, plots
 from smajax.report.document import difference_unit, number, recording_entry
@@ -141,7 +143,9 @@ def sentences(doc: Mapping[str, Any]) -> list[str]:
     for key in doc["effects"]:
         entry = next(r for r in doc["ranking"] if r["key"] == key)
         span = f" (95 %: {entry['lower95']:.3g} to {entry['upper95']:.3g})" if entry["lower95"] is not None else ""
-        told.append(f"The rig has {key} of {entry['strength']:.3g} {entry['unit']}{span}, an effect of the {entry['stage']} stage.")
+        unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+        meaning = declarations(catalogue()[key])["strength"].meaning
+        told.append(f"The rig has {key} of {entry['strength']:.3g}{unit}{span}, an effect of the {entry['stage']} stage: {meaning}.")
         if doc["equivalent"].get(key):
             told.append(f"These recordings cannot tell it from {', '.join(doc['equivalent'][key])}.")
     stage = doc["unresolved_stage"]
