@@ -60,7 +60,7 @@ def close_loop(
         return min((final.fit(hypothesis, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
 
     def residuals(refit: Refit) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        predicted, _ = final.evaluate(refit.hypothesis, refit.base, 1)
+        predicted = final.predict(refit.hypothesis, refit.base, 1)
         fitted, held = final.series(refit.residual), final.series(predicted, 1)
         return {c: v * final.noise[c] for c, v in fitted.items()}, {c: v * final.noise[c] for c, v in held.items()}
 

@@ -92,7 +92,7 @@ def exhaustive(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
         if criterion(next_best) >= criterion(best):
             break
         best = next_best
-    held, _ = bench.evaluate(best.hypothesis, best.base, 2)
+    held = bench.predict(best.hypothesis, best.base, 2)
     first = best.hypothesis.keys[0] if best.hypothesis.keys else ""
     return first, math.sqrt(bench.fitness(held, 2)) * bench.noise["displacement"] / NOISE
 
@@ -105,7 +105,7 @@ def sparse(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
     fitted = bench.fit(Hypothesis(), bench.nominal, max_steps=60, rtol=1e-8)
     errors, tables = [], []
     for k, recording in enumerate(recordings):
-        left, _ = bench.evaluate(Hypothesis(), fitted.base, k)
+        left = bench.predict(Hypothesis(), fitted.base, k)
         errors.append(-bench.series(left, k)["displacement"] * bench.noise["displacement"] * 1e3)
         states = bench.states(fitted, jax.tree.map(lambda leaf: leaf[0], bench.problems[k].data.inputs))
         count, time_ = len(recording), recording.time

@@ -119,6 +119,13 @@ def _inputs(*arrays: np.ndarray) -> Inputs:
     return Inputs(*map(jax.device_put, arrays))  # jnp.asarray would compile a program for each shape
 
 
+class Track(eqx.Module):
+    """Where a plant went: its states at the ``g`` grid points as rows of numbers, shape ``(g, s)``, and the result code."""
+
+    rows: jax.Array
+    code: jax.Array
+
+
 class Simulation(eqx.Module):
     """A plant's response: ``channels`` by name, shape ``(n,)``, in SI and degC; the states behind them; and a result code."""
 
@@ -317,12 +324,33 @@ def _kept(plant: Plant, inputs: Inputs, until: Any, keep: Callable[[Plant, State
 
 @_kept.def_jvp
 def _kept_jvp(primals: tuple, tangents: tuple) -> tuple:
-    """Pushes the tangent from step to step, the states being known by now.
+    """Pushes the tangent from step to step, the states being known by then."""
+    plant, inputs, until, keep = primals
+    track = Track(*_march(plant, inputs, _row, until))
+    values, moved = _pushed(track, keep, until, (plant, inputs), tangents[:2])
+    return (values, track.code), (moved, None)
+
+
+@eqx.filter_custom_jvp
+def _seen(plant: Plant, inputs: Inputs, until: Any, keep: Callable[[Plant, State, jax.Array], jax.Array], track: Track) -> jax.Array:
+    """What ``keep`` makes of the plant, the states of ``track`` and the signals at every grid point, a row of numbers each."""
+    unflatten = _unflatten(plant, inputs)
+    return jax.vmap(lambda row, signal: keep(plant, unflatten(row), signal))(track.rows, _signals(inputs))
+
+
+@_seen.def_jvp
+def _seen_jvp(primals: tuple, tangents: tuple) -> tuple:
+    """The plant's tangent moves the states, too: they are where the simulation of this plant leads."""
+    plant, inputs, until, keep, track = primals
+    return _pushed(track, keep, until, (plant, inputs), tangents[:2])
+
+
+def _pushed(track: Track, keep: Callable[[Plant, State, jax.Array], jax.Array], until: Any, at: tuple, along: tuple) -> tuple:
+    """What ``keep`` makes of known states at every grid point, and its tangent, pushed from step to step.
 
     What comes out is linear in the tangents, so that reverse mode comes with it; the states are its tape.
     """
-    (plant, inputs, until, keep), (moved, driven, *_) = primals, tangents
-    flat, code = _march(plant, inputs, _row, until)
+    (plant, inputs), (moved, driven), flat = at, along, track.rows
     unflatten, signal = _unflatten(plant, inputs), _signals(inputs)
 
     def kept(plant: Plant, row: jax.Array, signal: jax.Array) -> jax.Array:
@@ -353,7 +381,7 @@ def _kept_jvp(primals: tuple, tangents: tuple) -> tuple:
     values = jax.vmap(lambda row, signal: kept(plant, row, signal))(flat, signal)
     if until is None:
         _, rest = jax.lax.scan(recur, first, rows)
-        return (values, code), (jnp.concatenate([at_start[None], rest]), None)
+        return values, jnp.concatenate([at_start[None], rest])
     # Filled up with steps that lead nowhere: what comes of them is left out.
     blocked = jax.tree.map(lambda leaf: _blocked(leaf, leaf[-1]), rows)
 
@@ -364,7 +392,7 @@ def _kept_jvp(primals: tuple, tangents: tuple) -> tuple:
 
     room = jnp.zeros((blocked[0].shape[0] * _BLOCK, len(at_start)))
     _, rest = jax.lax.fori_loop(0, _blocks(until), further, (first, room))
-    return (values, code), (jnp.concatenate([at_start[None], rest[: len(flat) - 1]]), None)
+    return values, jnp.concatenate([at_start[None], rest[: len(flat) - 1]])
 
 
 def run(plant: Plant, inputs: Inputs) -> tuple[State, jax.Array]:
@@ -382,11 +410,24 @@ def observe(plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]
     return {c: values[c] for c in channels}
 
 
-def watch(plant: Plant, inputs: Inputs, channels: Sequence[str], until: jax.Array | None = None) -> tuple[dict[str, jax.Array], jax.Array]:
+def track(plant: Plant, inputs: Inputs, until: jax.Array | None = None) -> Track:
+    """Where a plant goes, for ``watch``: so simulation and derivatives can be two programs. Not differentiable."""
+    return Track(*_march(plant, inputs, _row, until))
+
+
+def blank_track(plant: Plant, inputs: Inputs) -> Track:
+    """A track of the right shapes that leads nowhere."""
+    size = jax.eval_shape(lambda: _row(plant, plant.start(inputs.sampled[0]), inputs.sampled[0])).shape[0]
+    return Track(jnp.zeros((inputs.time.shape[0], size)), jnp.asarray(Code.unsolved.value))
+
+
+def watch(
+    plant: Plant, inputs: Inputs, channels: Sequence[str], until: jax.Array | None = None, known: Track | None = None
+) -> tuple[dict[str, jax.Array], jax.Array]:
     """The named channels at the samples, each of shape ``(n,)``, and the result code; stores no states, for batches.
 
     Differentiable as ``run`` is. With ``until``, a whole number that is not batched, no sample may lie after that grid point, the
-    simulation ends there, and there is no reverse mode.
+    simulation ends there, and there is no reverse mode. A ``known`` track has to be that of this plant.
     """
     names = list(dict.fromkeys([*channels, *(c for effect in plant.effects for c in effect.sees)]))
 
@@ -394,7 +435,10 @@ def watch(plant: Plant, inputs: Inputs, channels: Sequence[str], until: jax.Arra
         values = plant.outputs(state, signal)
         return jnp.stack([values[c] for c in names])
 
-    values, code = _kept(plant, inputs, until, keep)
+    if known is None:
+        values, code = _kept(plant, inputs, until, keep)
+    else:
+        values, code = _seen(plant, inputs, until, keep, known), known.code
     read = plant.read(dict(zip(names, values[inputs.rows].T, strict=True)), inputs.time[inputs.rows])
     return {c: read[c] for c in channels}, code
 

@@ -23,7 +23,7 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
-from smajax.diagnose.trace import Story, _arrived, _swap, objection, trace
+from smajax.diagnose.trace import Story, _arrived, _backward, _swap, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
@@ -376,7 +376,7 @@ def planted(bench: Bench, fitted: Refit, hypothesis: Hypothesis, parts: tuple[in
     """The bench's problems with measurements that a hypothesis and white noise make on some parts."""
     problems = list(bench.problems)
     for k in parts:
-        blown, _ = bench.evaluate(hypothesis, fitted.base, k)
+        blown = bench.predict(hypothesis, fitted.base, k)
         weight = np.asarray(problems[k].data.weight)
         noise = np.random.default_rng(6 + k).normal(size=weight.shape)
         measured = np.asarray(problems[k].data.measured) + (blown.reshape(weight.shape) + noise) / np.where(weight > 0.0, weight, np.inf)
@@ -421,7 +421,7 @@ def test_a_coating_and_the_ends_of_a_wire_are_one_class(tracer, monkeypatch):
     planted = Hypothesis(("coating",), (("effects.coating.strength", 0.2), ("effects.coating.time_constant", 4.0)))
     problems = []
     for k, problem in enumerate(bench.problems):
-        residual, _ = bench.evaluate(planted, bench.nominal, k)
+        residual = bench.predict(planted, bench.nominal, k)
         weight = np.asarray(problem.data.weight)
         moved = np.where(
             weight > 0, (residual.reshape(weight.shape) + rng.standard_normal(weight.shape)) / np.where(weight > 0, weight, 1.0), 0.0
@@ -438,7 +438,7 @@ def test_a_coating_and_the_ends_of_a_wire_are_one_class(tracer, monkeypatch):
 def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():
     refits = [Refit(Hypothesis(), np.full(1, k), np.zeros(1), np.zeros((1, 1)), Stop.converged) for k in range(3)]
     left = {0: (1.0, np.inf), 1: (np.nan, 1.0), 2: (1.0, 1.0)}
-    bench = SimpleNamespace(evaluate=lambda hypothesis, base, k: (left[int(base[0])][k - 1], None), fitness=lambda residual, k: residual)
+    bench = SimpleNamespace(predict=lambda hypothesis, base, k: left[int(base[0])][k - 1], fitness=lambda residual, k: residual)
     assert predicting(bench, *refits) is refits[2]
     assert predicting(bench, *refits[:2]) is refits[1]
 
@@ -511,6 +511,25 @@ def test_a_refit_that_is_worse_than_without_its_effect_is_taken_to_its_end_first
     assert [(t.keys, t.train) for t in found] == [(("backlash",), 8.0), (("creep",), 9.0)]
 
 
+def test_an_effect_that_is_not_missed_is_dropped_and_no_fit_made_twice():
+    """The fit before the last effect is known; only those without an earlier one are made."""
+    made, pair = [], trial(("creep", "backlash"), 1.0, 1.0)
+    bench = SimpleNamespace(samples=1000)
+    tracer = SimpleNamespace(
+        bench=bench,
+        stride=lambda train: 1,
+        fit=lambda h, base, stride: made.append(h.keys),
+        judged=lambda refit: trial(("backlash",), 1.0, 1.0),
+    )
+    story = Story({}, {}, trial((), 9.0, 9.0), pair, 1.05, {}, way=[trial(("creep",), 3.0, 3.0), pair])
+    _backward(tracer, story)  # pyright: ignore[reportArgumentType]
+    assert (story.accepted, made) == (("backlash",), [("backlash",)])
+    assert story.rejected == [("creep", "is no longer missed beside the other effects")]
+    tracer.judged, story.last, story.rejected = lambda refit: trial(("backlash",), 3.0, 3.0), pair, []
+    _backward(tracer, story)  # pyright: ignore[reportArgumentType]
+    assert (story.accepted, len(made), story.rejected) == (("creep", "backlash"), 2, [])
+
+
 def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():
     first, better = trial((), 11.0, math.nan), trial(("latent-heat",), 3.0, 40.0)
     assert Story({}, {}, first, first, 1.05, {}).explained_by(better) == pytest.approx(0.8)
@@ -523,7 +542,7 @@ def test_effects_that_leave_the_holdout_as_it_was_are_no_partial_answer(before, 
     noise = np.random.default_rng(1).standard_normal((2, 1000))
     left = {(): before * noise[0], ("creep",): after * noise[1]}
     bench = SimpleNamespace(
-        evaluate=lambda hypothesis, base, k: (left[hypothesis.keys], None),
+        predict=lambda hypothesis, base, k: left[hypothesis.keys],
         series=lambda residual, k: {"motion": residual},
         channels=("motion",),
     )

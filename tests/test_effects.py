@@ -132,7 +132,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
     """All effects of a rig in one program: absent at 0, and the derivative there is that of a small step."""
     made = bench(kind, seconds, observe, stages)
     nominal = made.nominal
-    nothing, _ = made.evaluate(Hypothesis(), nominal, 0)
+    nothing = made.predict(Hypothesis(), nominal, 0)
     without = np.asarray(eqx.filter_jit(Problem.residual)(made.plain, nominal))
     assert np.max(np.abs(made.flat(nothing) - without)) < 1e-6 * np.linalg.norm(without)
     silent = set()
@@ -142,7 +142,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
         for size in (1e-4, -1e-4):  # wires that start just taut have one derivative to either side
             strength = (f"effects.{key}.strength", size * made.effects[key].typical)
             at = Hypothesis((key,), (strength, *((f"effects.{key}.{n}", v) for n, v in shape)))
-            changes.append((made.evaluate(at, nominal, 0)[0] - nothing) / size)
+            changes.append((made.predict(at, nominal, 0) - nothing) / size)
         if np.linalg.norm(column) < 1e-6 * np.linalg.norm(nothing):
             silent.add(key)
             assert np.linalg.norm(changes[0]) < 1e-3 * np.linalg.norm(nothing), key
@@ -167,7 +167,7 @@ def test_what_is_planted_is_recovered():
         size = made.effects[key].typical
         truth = Hypothesis((key,), tuple({strength: size, **shapes}.items()))
         made.problems[0] = problem
-        residual, _ = made.evaluate(truth, base, 0)
+        residual = made.predict(truth, base, 0)
         moved = np.where(weight > 0, residual.reshape(weight.shape) / np.where(weight > 0, weight, 1.0), 0.0)
         made.problems[0] = eqx.tree_at(lambda p: p.data.measured, problem, problem.data.measured + moved)
         found = made.fit(Hypothesis((key,), tuple({strength: 0.2 * size, **shapes}.items())), base, max_steps=20, rtol=1e-8)
@@ -237,7 +237,7 @@ def beside_the_reference(hidden, effects):
     rig = reference_rig(shipped("recordings", "dead-weight") / "rig.toml")
     truth = [displacement(rig, Hidden(**own), recording.time, recording.channels["current"]) for own in ({}, hidden)]
     values = {f"effects.{key}.{name}": value for key, own in effects.items() for name, value in own.items()}
-    residual = made.series(made.evaluate(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0)[0])["displacement"]
+    residual = made.series(made.predict(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0))["displacement"]
     moved = recording.channels["displacement"] + residual * made.noise["displacement"]
     return (np.sqrt(np.mean((other - truth[1]) ** 2)) / made.noise["displacement"] for other in (moved, truth[0]))
 
@@ -262,7 +262,7 @@ def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
     currents = np.column_stack([recording.channels["current_1"], recording.channels["current_2"]])
     truth = [angle(rig, Hidden(**own), recording.time, currents, 40) for own in ({}, hidden)]
     values = {f"effects.{key}.{name}": value for key, own in effects.items() for name, value in own.items()}
-    residual = made.series(made.evaluate(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0)[0])["angle"]
+    residual = made.series(made.predict(Hypothesis(tuple(effects), tuple(values.items())), made.nominal, 0))["angle"]
     moved = recording.channels["angle"] + residual * made.noise["angle"]
     apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
     assert apart < 0.2 * made.noise["angle"] < 0.05 * effect

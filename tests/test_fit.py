@@ -6,6 +6,7 @@ Truths are made by tests/reference, which shares no code with what is fitted.
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -88,6 +89,39 @@ def test_residual_is_the_noise_in_sample_and_out(result):
     assert result.noise_floor["displacement"] == pytest.approx(NOISE, rel=0.15)
     assert result.discretisation["displacement"] < 0.2 * NOISE
     assert result.rmse("displacement", "select") is None
+
+
+@pytest.mark.parametrize("recordings", [1, 2])
+def test_simulation_and_derivatives_as_two_programs_say_what_one_does(recordings):
+    problem = build(plants.dead_weight(), [recorded(TRUTH, seed=k, rows=150) for k in range(recordings)], Settings(), step=0.04)
+    at = jnp.asarray(problem.nominal)
+    track = eqx.filter_jit(lambda v: problem.track(v))(at)
+    blank = problem.blank_track(at)
+    assert (blank.rows.shape, blank.code.shape, blank.code.dtype) == (track.rows.shape, track.code.shape, track.code.dtype)
+    whole, left = eqx.filter_jit(problem.residual)(at), eqx.filter_jit(problem.residual)(at, track)
+    np.testing.assert_allclose(left, whole, rtol=0, atol=1e-9)
+    slopes, known = (eqx.filter_jit(lambda v, *k: jax.jacfwd(lambda v: problem.residual(v, *k))(v))(at, *more) for more in ((), (track,)))
+    np.testing.assert_allclose(known, slopes, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(slopes))))
+
+
+def test_a_search_with_a_program_ahead_of_it_takes_the_same_steps():
+    """The residual asks for what it was given at the same point; where that is worse than before, no derivatives are asked for."""
+
+    def bent(v, rest):
+        return jnp.stack([v[0] - 1.0, rest * (v[1] - v[0] ** 2)])
+
+    def ahead(v, rest):
+        asked.append(np.asarray(v))
+        return bent(v, rest)
+
+    asked = []
+    start, ends = np.array([[-1.2, 1.0]]), (np.full(2, -5.0), np.full(2, 5.0))
+    plain = least_squares.Search(bent, jnp.asarray(10.0), start, *ends, size=2).advance(60)
+    led = least_squares.Search(lambda v, args: args[1] + (bent(v, args[0]) - args[1]), jnp.asarray(10.0), start, *ends, size=2, ahead=ahead)
+    led.trace()
+    assert led.advance(60).steps == plain.steps == len(asked) - 1
+    np.testing.assert_allclose(led.result().points, plain.result().points, rtol=1e-9)
+    np.testing.assert_allclose(led.result().points, [[1.0, 1.0]], rtol=1e-6)
 
 
 def test_profile_agrees_with_the_interval(result):

@@ -21,10 +21,9 @@ from smajax.diagnose import freeform, score
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Form, Hypothesis, Refit, Running
 from smajax.diagnose.part import Part
-from smajax.diagnose.program import SLOTS, Model, residual
+from smajax.diagnose.program import SLOTS, Model, begin_search, compiling, simulated
 from smajax.diagnose.steps import longer, shorter
 from smajax.errors import InputError
-from smajax.fit import least_squares
 from smajax.fit.least_squares import Solved, Stop
 from smajax.fit.problem import Problem, Settings, build
 from smajax.parameters import declarations
@@ -89,8 +88,8 @@ class Bench:
         self.plain = self._weighted(build(plant, train, settings, **self._layout), self._rows[0])
         self.set_noise(self.noise)
         self.simulations, self._counting = 0, threading.Lock()
-        self._ready = threading.Thread(target=self.evaluate, args=(Hypothesis(), self.nominal, 0), daemon=True)
-        self._ready.start()  # the large program compiles while the small one fits
+        start = self._start(Hypothesis(), self.nominal, ())
+        self._compiling = compiling(self.model(Hypothesis(), (), self.problems[0]), start)  # goes on while the small program fits
 
     def _split(self, whole: Problem) -> None:
         """Makes a problem of each part, and its vector's nominal values and ends: shared entries, then those of its own recordings.
@@ -215,19 +214,25 @@ class Bench:
             self._sparse[stride] = found or self.problems[0]
         return self._sparse[stride] if stride > 1 else self.problems[0]
 
+    def cost(self, hypothesis: Hypothesis, base: np.ndarray, stride: int) -> float:
+        """Sum of the squared residuals over the noise on the training part, as far as ``strided`` sees it; infinite where it fails."""
+        left = self.predict_at(self.strided(stride), hypothesis, base)
+        return float(left @ left) if np.all(np.isfinite(left)) else math.inf
+
     def coarseness(self, refit: Refit, stride: int) -> float:
         """Mean square of what the longer steps of ``strided`` do to a refit's residual; infinite if it has no such steps."""
         problem = self.strided(stride)
         if problem is self.problems[0]:
             return math.inf
-        coarse, _ = self.evaluate_at(problem, refit.hypothesis, refit.base)
+        coarse = self.predict_at(problem, refit.hypothesis, refit.base)
         shape = problem.data.weight.shape
         fine, kept = refit.residual.reshape(shape)[:, :, ::stride], np.asarray(problem.data.weight) > 0.0
         return float(np.mean((coarse.reshape(shape) - np.pad(fine, ((0, 0), (0, 0), (0, shape[2] - fine.shape[2]))))[kept] ** 2))
 
     def compiled(self) -> None:
-        """Waits until the large program is compiled."""
-        self._ready.join()
+        """Waits until the large programs are compiled."""
+        for thread in self._compiling:
+            thread.join()
 
     def model(self, hypothesis: Hypothesis, moved: Sequence[str], problem: Problem, form: Form | None = None) -> Model:
         """The program's data for a hypothesis on a problem; the parameters ``moved`` are the slots', in units of ``scale``.
@@ -308,8 +313,7 @@ class Bench:
         if held:
             shapes = slice(self.size + len(hypothesis.keys), self.size + len(moved))
             lower[shapes] = upper[shapes] = start[shapes]
-        search = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, rtol=rtol, large=True)
-        return Running(search, hypothesis, form, stride, near, rtol, self.count)
+        return Running(begin_search(model, start, lower, upper, rtol), hypothesis, form, stride, near, rtol, self.count)
 
     def whole(self, running: Running, steps: int = _POLISH) -> Running:
         """A search that sees some of the samples, gone on from where it stands with all of them, by at most so many steps."""
@@ -365,10 +369,31 @@ class Bench:
         columns = self.size + len(moved) + (form.matrix.shape[1] if form else 0)
         start, free = self._start(hypothesis, base, moved, nodes), np.full(self.size + SLOTS, math.inf)
         model = self.model(hypothesis, moved, problem, form)
-        solved = least_squares.Search(residual, model, start[None], -free, free, size=problem.size, large=True).advance(1).result()
+        solved = begin_search(model, start, -free, free).advance(1).result()
         self.count(solved.simulations)
         failed = solved.stops[0] is Stop.failed
         return np.where(failed, math.nan, solved.residuals[0]), solved.jacobians[0][:, :columns]
+
+    def predict(self, hypothesis: Hypothesis, base: np.ndarray, k: int) -> np.ndarray:
+        """Residual on part ``k``, as by ``evaluate``, which takes twice as long."""
+        if k and self.own:
+            base = self._anchored(hypothesis, base, k)
+        return self.predict_at(self.problems[k], hypothesis, base)
+
+    def predict_at(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        base: np.ndarray,
+        moved: Sequence[str] = (),
+        form: Form | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """As ``predict``, under the inputs of a problem that is laid out like the bench's own; with a free term if there is one."""
+        start = jnp.asarray(self._start(hypothesis, base, moved, nodes))
+        left = np.asarray(simulated(start, self.model(hypothesis, moved, problem, form)).residual)
+        self.count(1)
+        return left if math.isfinite(float(left @ left)) else np.full(len(left), math.nan)
 
     def _start(self, hypothesis: Hypothesis, base: np.ndarray, moved: Sequence[str], nodes: np.ndarray | None = None) -> np.ndarray:
         values = dict(hypothesis.values)
@@ -382,7 +407,7 @@ class Bench:
         start, lower, upper = (np.concatenate([base[: self.shared], own[self.shared :], np.zeros(SLOTS)]) for own in (nominal, *ends))
         problem = self._weighted(self.problems[k], self.parts[k].anchor_rows())
         model = self.model(hypothesis, (), problem)
-        solved = least_squares.Search(residual, model, start[None], lower, upper, size=problem.size, large=True).advance(15).result()
+        solved = begin_search(model, start, lower, upper).advance(15).result()
         self.count(solved.simulations)
         return solved.points[0][: self.size]
 
@@ -405,7 +430,7 @@ class Bench:
         rows there count twice, and those after them nothing.
         """
         halved, known = shorter(self.problems[0])
-        finer, _ = self.evaluate_at(halved, refit.hypothesis, refit.base)
+        finer = self.predict_at(halved, refit.hypothesis, refit.base)
         by = (refit.residual - finer).reshape(len(known), len(self.channels), -1)
         for k, samples in enumerate(known):
             by[k, :, samples:] = 0.0

@@ -86,7 +86,7 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
     if not np.isfinite(fitted.chi2):
         return None
     moved = bench.moved(fitted.hypothesis)
-    predicted, _ = bench.evaluate(fitted.hypothesis, fitted.base, 1, moved, form, fitted.nodes)
+    predicted = bench.predict_at(bench.problems[1], fitted.hypothesis, fitted.base, moved, form, fitted.nodes)
     made = freeform.KINDS[kind]
     at = np.linspace(low, high, nodes)
     return Shape(

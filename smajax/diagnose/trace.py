@@ -64,7 +64,8 @@ class Story:
     """What happened: from the first fit to the last, what was accepted, what else would do, what was refused and why.
 
     ``promise`` is what each effect would explain at the rig's nominal values: a large effect has bent the fit's
-    parameters so far that scores there mislead. So far, perhaps, that the first fit did not come to rest (``rests``).
+    parameters so far that scores there mislead. So far, perhaps, that the first fit did not come to rest (``rests``). ``way`` are the
+    fits that were accepted one after the other.
     """
 
     preflight: dict[str, Sight]
@@ -74,6 +75,7 @@ class Story:
     limit: float
     promise: dict[str, Promise]
     rests: bool = True
+    way: list[Trial] = dataclasses.field(default_factory=list)
     rivals: dict[str, list[Trial]] = dataclasses.field(default_factory=dict)
     equivalent: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
     rejected: list[tuple[str, str]] = dataclasses.field(default_factory=list)
@@ -247,6 +249,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
         return []
     say(f"with {' and '.join(best.keys)}: error over noise {math.sqrt(story.first.select):.3g} -> {math.sqrt(best.select):.3g}, selected")
     story.last = best
+    story.way.append(best)
     others = sorted((t for t in trials if set(t.keys) != set(best.keys)), key=lambda t: t.total)
     for key in best.keys:
         swapped = [t for t in others if set(best.keys) - {key} <= set(t.keys) and key not in t.keys]
@@ -338,8 +341,9 @@ def _backward(tracer: Tracer, story: Story) -> None:
         if len(story.accepted) < 2:
             return
         refit = story.last.refit
-        stride = tracer.stride(story.last.train)
-        judged = tracer.judged(tracer.fit(refit.hypothesis.without(key), refit.base, stride))
+        rest = refit.hypothesis.without(key)
+        known = [t for t in story.way if set(t.keys) == set(rest.keys)]
+        judged = known[0] if known else tracer.judged(tracer.fit(rest, refit.base, tracer.stride(story.last.train)))
         if not math.isfinite(judged.total):
             continue
         loss = 1.0 - math.sqrt(story.last.select / judged.select)

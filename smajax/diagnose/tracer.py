@@ -252,8 +252,9 @@ class Tracer:
 
         for name in (n for n in bench.moved(refit.hypothesis) if n.endswith(".instant")):
             times = [bench.duration * (k + 0.5) / _INSTANTS for k in range(_INSTANTS)]
-            started = in_pairs(lambda t: search({name: t}).advance(1), times)  # noqa: B023
-            several = in_pairs(lambda s: s.advance(_LOOK), sorted(started, key=lambda s: s.cost)[:_PLACES])
+            costs = in_pairs(lambda t: bench.cost(refit.hypothesis.at({name: t}), refit.base, stride), times)  # noqa: B023
+            best = sorted(zip(costs, times, strict=True))[:_PLACES]
+            several = in_pairs(lambda one: search({name: one[1]}).advance(1 + _LOOK), best)  # noqa: B023
             found.append(self.whole(min(several, key=lambda s: s.cost).advance(_HEATS[-1][1])))
         return found
 
@@ -366,7 +367,7 @@ class Tracer:
 
         def left(instant: float) -> float:
             at = hypothesis.at({name: instant})
-            cost = sum(float(np.sum(bench.flat(bench.evaluate(at, refit.base, k)[0], k) ** 2)) for k in parts)
+            cost = sum(float(np.sum(bench.flat(bench.predict(at, refit.base, k), k) ** 2)) for k in parts)
             return cost if math.isfinite(cost) else math.inf
 
         here, apart = left(now), bench.duration / _CLOSE
@@ -381,11 +382,11 @@ class Tracer:
     def untimed(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
         """Mean square over the noise that an instant makes of a prediction of part ``k``, being anywhere where ``fitted`` parts allow."""
         bench, total = self.bench, 0.0
-        predicted = bench.evaluate(refit.hypothesis, refit.base, k)[0]
+        predicted = bench.predict(refit.hypothesis, refit.base, k)
         for name in self._instants(refit):
             times, costs = self._around(refit, refit.hypothesis, name, fitted)
             alike = times[costs < np.min(costs) + _ALLOWED]
-            others = in_pairs(lambda t: bench.evaluate(refit.hypothesis.at({name: t}), refit.base, k)[0], list(alike))  # noqa: B023
+            others = in_pairs(lambda t: bench.predict(refit.hypothesis.at({name: t}), refit.base, k), list(alike))  # noqa: B023
             total += float(np.mean([np.mean(bench.flat(other - predicted, k) ** 2) for other in others]))
         return total
 
@@ -445,7 +446,7 @@ class Tracer:
 
     def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
-        predicted, _ = self.bench.evaluate(refit.hypothesis, refit.base, 1)
+        predicted = self.bench.predict(refit.hypothesis, refit.base, 1)
         channel = self.bench.channels[0]
         rmse = float(np.sqrt(np.mean(self.bench.series(predicted, 1)[channel] ** 2))) * self.bench.noise[channel]
         train = self.bench.fitness(refit.residual, 0) if math.isfinite(refit.chi2) else math.inf

@@ -75,7 +75,7 @@ def diagnose(
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
     first = predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
     last = predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
-    together = tuple(bench.fitness(bench.evaluate(last.hypothesis, last.base, k)[0], k) for k in range(3))
+    together = tuple(bench.fitness(bench.predict(last.hypothesis, last.base, k), k) for k in range(3))
     both = (0,) if bench.own else (0, 1)
     slow = not story.accepted and story.quiet  # then whatever is left is noise
     expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
@@ -102,7 +102,7 @@ def diagnose(
 def predicting(bench: Bench, *refits: Refit) -> Refit:
     """The first of the refits that predicts selection and holdout part at all: a bad fit may run away under another input."""
     for refit in refits:
-        if all(math.isfinite(bench.fitness(bench.evaluate(refit.hypothesis, refit.base, k)[0], k)) for k in (1, 2)):
+        if all(math.isfinite(bench.fitness(bench.predict(refit.hypothesis, refit.base, k), k)) for k in (1, 2)):
             return refit
     return refits[-1]
 
@@ -122,7 +122,7 @@ def _reject(story: Story, why: str) -> None:
 def _helps(tracer: Tracer, first: Refit, last: Refit) -> bool:
     """Whether the holdout's error falls in any channel by more than chance, or ``first`` cannot predict it at all."""
     bench = tracer.bench
-    before, after = (bench.series(bench.evaluate(refit.hypothesis, refit.base, 2)[0], 2) for refit in (first, last))
+    before, after = (bench.series(bench.predict(refit.hypothesis, refit.base, 2), 2) for refit in (first, last))
     return any(not bootstrap(before[c], after[c], tracer.seed)[0] <= 0.0 for c in bench.channels)
 
 
@@ -191,8 +191,8 @@ def _conclude(
     bench, (first, last) = tracer.bench, fits
     noise = bench.noise
     residuals = {
-        "before": [first.residual, *(bench.evaluate(Hypothesis(), first.base, k)[0] for k in (1, 2))],
-        "after": [last.residual, *(bench.evaluate(last.hypothesis, last.base, k)[0] for k in (1, 2))],
+        "before": [first.residual, *(bench.predict(Hypothesis(), first.base, k) for k in (1, 2))],
+        "after": [last.residual, *(bench.predict(last.hypothesis, last.base, k) for k in (1, 2))],
     }
     series = {when: [bench.series(r, k) for k, r in enumerate(found)] for when, found in residuals.items()}
     rmse, cut95 = {}, {}

@@ -204,7 +204,8 @@ def _further(
 
 _advance = eqx.filter_jit(_further)
 # Of a large program that is no batch LLVM's later optimisations take a sixth of the compiling, and make nothing faster.
-_advance_large = eqx.filter_jit(_further, compiler_options={"xla_backend_optimization_level": 1})
+LARGE = {"xla_backend_optimization_level": 1}
+_advance_large = eqx.filter_jit(_further, compiler_options=LARGE)  # pyright: ignore[reportCallIssue]
 
 
 class Search:
@@ -212,7 +213,9 @@ class Search:
 
     Minimises ``sum(fn(v, rest)**2)`` within bounds of shape ``(p,)`` or ``(s, p)``; ``fn`` gives ``size`` residuals; ``rtol`` as in
     ``BoundedLevenbergMarquardt``. Starts take their steps as one batch, or ``apart``, one after another: that is as fast where ``fn`` is
-    a batch itself, and those that have ended cost nothing. A ``large`` program is compiled with less effort.
+    a batch itself, and those that have ended cost nothing. With ``ahead``, a program
+    of its own that is called with the one start's trial point and ``rest`` before each step, ``fn`` is called with both ``rest`` and what
+    that gives; then only a step that is taken costs derivatives.
     """
 
     def __init__(
@@ -226,10 +229,10 @@ class Search:
         size: int,
         rtol: float = 1e-7,
         apart: bool = False,
-        large: bool = False,
+        ahead: Callable[[jax.Array, Any], Any] | None = None,
     ):
-        self._advance = _advance_large if large else _advance
-        self._fn, self._rest, self._solver = fn, rest, BoundedLevenbergMarquardt(jnp.asarray(rtol), sparing=apart)
+        self._fn, self._rest, self._ahead = fn, rest, ahead
+        self._solver = BoundedLevenbergMarquardt(jnp.asarray(rtol), sparing=apart or ahead is not None)
         low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
         self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
         self._states = _begin(self._solver, self._points, size)
@@ -246,8 +249,7 @@ class Search:
         try:
             while self.steps < last and (running := int(np.sum(np.asarray(self._states.stop) == Stop.running))):
                 self.simulations += running * (1 + self._points.shape[1])
-                moved = self._advance(self._solver, self._fn, self._points, self._states, self._bounds, self._rest, self._apart)
-                self._points, self._states = jax.block_until_ready(moved)
+                self._points, self._states = jax.block_until_ready(self._program(*self._arguments()))
                 self.steps += 1
                 self._wall = time.perf_counter() - began
                 best = self.cost
@@ -256,6 +258,18 @@ class Search:
         except KeyboardInterrupt:
             self._interrupted = True
         return self
+
+    def trace(self) -> None:
+        """Traces the program of a step, which is kept for its compiling."""
+        self._program.lower(*self._arguments())
+
+    @property
+    def _program(self) -> Any:
+        return _advance if self._ahead is None else _advance_large
+
+    def _arguments(self) -> tuple:
+        rest = self._rest if self._ahead is None else (self._rest, self._ahead(self._states.trial[0], self._rest))
+        return self._solver, self._fn, self._points, self._states, self._bounds, rest, self._apart
 
     @property
     def cost(self) -> float:

@@ -8,7 +8,7 @@ was not measured there and weighs nothing: so channels of different rates, and p
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -117,27 +117,46 @@ class Problem(Searchable):
         own = natural[len(self.shared) :].reshape(-1, len(self.own)).T if self.own else []
         return shared, {name: own[i] for i, name in enumerate(self.own)}
 
-    def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Model of the observed channels, shape ``(r, c, n)``, and the result code of each recording, shape ``(r,)``."""
+    def predict(self, vector: jax.Array, known: simulate.Track | None = None) -> tuple[jax.Array, jax.Array]:
+        """Model of the observed channels, shape ``(r, c, n)``, and the result code of each recording, shape ``(r,)``.
+
+        ``known`` is what ``track`` gives at this vector, where that has been asked.
+        """
+
+        def single(member: Plant, inputs: simulate.Inputs, known: simulate.Track | None) -> tuple[jax.Array, jax.Array]:
+            values, code = simulate.watch(member, inputs, self.channels, self.data.until, known)
+            return jnp.stack([values[c] for c in self.channels]), code
+
+        return self._each(single, vector, known)
+
+    def track(self, vector: jax.Array) -> simulate.Track:
+        """Where the plant goes, for ``predict`` and ``residual``; leaves with a leading axis of ``r`` recordings."""
+        return self._each(lambda member, inputs, _: simulate.track(member, inputs, self.data.until), vector, None)
+
+    def blank_track(self, vector: jax.Array) -> simulate.Track:
+        """A track of the right shapes that leads nowhere."""
+        return self._each(lambda member, inputs, _: simulate.blank_track(member, inputs), vector, None)
+
+    def _each(self, single: Callable[[Plant, simulate.Inputs, Any], Any], vector: jax.Array, known: Any) -> Any:
+        """A function of the plant, of a recording's inputs and of what is known of it, for each recording."""
         shared, own = self.values(vector)
         plant = parameters.replace(self.plant, shared)
 
-        def single(own: dict[str, jax.Array], inputs: simulate.Inputs) -> tuple[jax.Array, jax.Array]:
-            member = parameters.replace(plant, own)
-            values, code = simulate.watch(member, inputs, self.channels, self.data.until)
-            return jnp.stack([values[c] for c in self.channels]), code
+        def one(own: dict[str, jax.Array], inputs: simulate.Inputs, known: Any) -> Any:
+            return single(parameters.replace(plant, own), inputs, known)
 
+        each = own, self.data.inputs, known
         if self.data.measured.shape[0] == 1:  # one recording needs no batch: its program compiles and runs faster
-            model, code = single(*jax.tree.map(lambda leaf: leaf[0], (own, self.data.inputs)))
-            return model[None], code[None]
-        return jax.vmap(single)(own, self.data.inputs)
+            return jax.tree.map(lambda leaf: leaf[None], one(*jax.tree.map(lambda leaf: leaf[0], each)))
+        return jax.vmap(one)(*each)
 
-    def residual(self, vector: jax.Array) -> jax.Array:
+    def residual(self, vector: jax.Array, known: simulate.Track | None = None) -> jax.Array:
         """Model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
 
         Of a simulation that fails it is ``_FAILED`` times as large: a search takes no step from a sound state into such a one.
+        ``known`` as in ``predict``.
         """
-        model, code = self.predict(vector)
+        model, code = self.predict(vector, known)
         weight = self.data.weight * jnp.where(code == simulate.Code.done, 1.0, _FAILED)[:, None, None]
         return jnp.where(weight > 0, (model - self.data.measured) * weight, 0.0).ravel()
 
