@@ -23,6 +23,8 @@ from smajax.diagnose import experiment, localise, residual, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.diagnose.instants import left_open
+from smajax.diagnose.joint import joined
 from smajax.diagnose.trace import Story, _arrived, _backward, _swap, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
@@ -394,9 +396,10 @@ def test_an_instant_at_which_nothing_moves_is_looked_for_where_the_cost_is_flat(
     near = tracer.timely(trial)
     assert near.train < trial.train < 1.1 and abs(near.refit.values[name] - 26.4) < 0.75
     # Where the search has left it, its slope does not tell what it may do to a prediction; where the cost is flat, all instants count.
-    assert tracer.untimed(near.refit, 0) < 0.05 < 0.2 < tracer.untimed(near.refit, 2)
-    joined = tracer.joined(trial.refit)
-    assert joined.values[name] == pytest.approx(26.4, abs=0.15) and tracer.untimed(joined, 2, (0, 1)) < tracer.untimed(near.refit, 2)
+    assert left_open(tracer.bench, near.refit, 0) < 0.05 < 0.2 < left_open(tracer.bench, near.refit, 2)
+    both = joined(tracer.bench, trial.refit)
+    assert both.values[name] == pytest.approx(26.4, abs=0.15)
+    assert left_open(tracer.bench, both, 2, (0, 1)) < left_open(tracer.bench, near.refit, 2)
     assert tracer.timely(tracer.judged(fitted)).refit is fitted
 
 

@@ -1,15 +1,13 @@
 """What is done at a fit again and again: scores of what could be missing, refits with one effect more, and how they predict."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 
-from smajax.diagnose import localise, score
+from smajax.diagnose import instants, localise, score
 from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.hypothesis import Hypothesis, Refit, Running
 from smajax.fit import uncertainty
@@ -25,16 +23,9 @@ _JUDGED = 10  # sets of effects, at most, whose prediction is looked at
 _LOOK, _LOOKS = 8, 4  # steps of a look, and how many follow the first
 _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up after a look
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
-# Near the end: of the recording's length, how far apart, and how many at most; up to which share more than is left counts as flat; and
-# how much less, in sums of squares over the noise, is worth another search.
-_CLOSE, _PLACES_CLOSE, _FLAT, _FAINT = 1200, 60, 1.1, 4.0
-_TIMELY = 100.0  # mean square over the noise, beyond which it is not an instant that is a little off
-_ALLOWED = 9.0  # sums of squares more than the least: what noise may do to an instant
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
-_JOINED, _SETTLED = 12, 1e-6  # evaluations of the joint fit, and the relative fall of its cost below which it ends
 _STRIDES = (16, 8, 4, 2)
 _FAR, _COARSE = 9.0, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
-_SEEN = 1e-9  # of the largest: a parameter that moves the residual by less is not fitted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -339,110 +330,11 @@ class Tracer:
 
     def timely(self, trial: Trial) -> Trial:
         """A trial with its instants where they leave least of the training recording, near where its search has left them."""
-        better = self._timed(trial.refit, (0,)) if trial.train < _TIMELY else None
+        better = instants.better(self.bench, trial.refit, (0,))
         if better is None:
             return trial
         found = self.judged(self.fit(better, trial.refit.base, 1, rtol=1e-7))
         return found if found.train < trial.train else trial
-
-    def _timed(self, refit: Refit, parts: Sequence[int]) -> Hypothesis | None:
-        """The hypothesis with an instant at which less is left of these parts; ``None`` if its own are as good as any near them."""
-        found = None
-        for name in self._instants(refit):
-            times, costs = self._around(refit, found or refit.hypothesis, name, parts)
-            if np.min(costs) < costs[0] - _FAINT:
-                found = (found or refit.hypothesis).at({name: float(times[np.argmin(costs)])})
-        return found
-
-    def _instants(self, refit: Refit) -> list[str]:
-        return [n for n in self.bench.moved(refit.hypothesis) if n.endswith(".instant")]
-
-    def _around(self, refit: Refit, hypothesis: Hypothesis, name: str, parts: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """An instant's own value and others near it, and the sum of squares that each leaves of these parts.
-
-        While the wire is cold, say, it hardly matters when a draught sets in: the cost is all but flat there, its slope tells a search
-        nothing, and the instant itself is where it dips a little. All that lies between here and where the cost rises is looked at.
-        """
-        bench, now, ends = self.bench, refit.values[name], []
-
-        def left(instant: float) -> float:
-            at = hypothesis.at({name: instant})
-            cost = sum(float(np.sum(bench.flat(bench.predict(at, refit.base, k), k) ** 2)) for k in parts)
-            return cost if math.isfinite(cost) else math.inf
-
-        here, apart = left(now), bench.duration / _CLOSE
-        for way in (-1.0, 1.0):
-            reach = apart
-            while 0.0 < now + way * reach < bench.duration and left(now + way * reach) < _FLAT * here:
-                reach *= 2.0
-            ends.append(float(np.clip(now + way * reach, 0.0, bench.duration)))
-        times = np.linspace(ends[0], ends[1], min(int((ends[1] - ends[0]) / apart) + 2, _PLACES_CLOSE))
-        return np.append(now, times), np.array([here, *in_pairs(left, list(times))])
-
-    def untimed(self, refit: Refit, k: int, fitted: Sequence[int] = (0,)) -> float:
-        """Mean square over the noise that an instant makes of a prediction of part ``k``, being anywhere where ``fitted`` parts allow."""
-        bench, total = self.bench, 0.0
-        predicted = bench.predict(refit.hypothesis, refit.base, k)
-        for name in self._instants(refit):
-            times, costs = self._around(refit, refit.hypothesis, name, fitted)
-            alike = times[costs < np.min(costs) + _ALLOWED]
-            others = in_pairs(lambda t: bench.predict(refit.hypothesis.at({name: t}), refit.base, k), list(alike))  # noqa: B023
-            total += float(np.mean([np.mean(bench.flat(other - predicted, k) ** 2) for other in others]))
-        return total
-
-    def joined(self, refit: Refit) -> Refit:
-        """A refit's parameters, fitted to the training and the selection part together from where they are.
-
-        What one recording leaves open, the other may know; the holdout is predicted with these. A refit with parameters that each recording
-        has of its own stays what it is.
-        """
-        if self.bench.own:
-            return refit
-        found = self._joined(refit)
-        better = self._timed(found, (0, 1)) if self.bench.fitness(found.residual, 0) < _TIMELY else None
-        return found if better is None else self._joined(dataclasses.replace(found, hypothesis=better))
-
-    def _joined(self, refit: Refit) -> Refit:
-        """See ``joined``: by one search."""
-        bench, moved = self.bench, self.bench.moved(refit.hypothesis)
-        lower, upper = bench.ends(moved)
-        scales = np.array([bench.scale(name) for name in moved])
-
-        def at(point: np.ndarray) -> Hypothesis:
-            return refit.hypothesis.at(dict(zip(moved, (point[bench.size :] * scales).tolist(), strict=True)))
-
-        @functools.lru_cache(maxsize=2)  # SciPy asks for the residual and for its derivative one after the other
-        def both(packed: bytes) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
-            point = np.frombuffer(packed)
-            parts = in_pairs(lambda k: bench.evaluate(at(point), point[: bench.size], k, moved), (0, 1))
-            residual = np.concatenate([bench.flat(r, k) for k, (r, _) in enumerate(parts)])
-            jacobian = np.concatenate([np.column_stack([bench.flat(c, k) for c in j.T]) for k, (_, j) in enumerate(parts)])
-            return residual, jacobian, parts[0]
-
-        start = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)]).clip(lower, upper)
-        left, slopes, _ = both(start.tobytes())
-        if not np.all(np.isfinite(left)):
-            return refit
-        size = np.linalg.norm(slopes, axis=0)
-        free = (lower < upper) & (size > _SEEN * np.max(size))
-
-        def whole(x: np.ndarray) -> bytes:
-            point = start.copy()
-            point[free] = x
-            return point.tobytes()
-
-        with np.errstate(over="ignore"):  # its own step length, where one singular value is next to nothing
-            found = scipy.optimize.least_squares(
-                lambda x: both(whole(x))[0],
-                start[free],
-                lambda x: both(whole(x))[1][:, free],  # pyright: ignore[reportArgumentType]
-                (lower[free], upper[free]),
-                x_scale="jac",
-                ftol=_SETTLED,
-                max_nfev=_JOINED,
-            )
-        point = np.frombuffer(whole(found.x))
-        return Refit(at(point), point[: bench.size], *both(whole(found.x))[2], refit.stop)
 
     def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""

@@ -8,11 +8,12 @@ from types import MappingProxyType
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.diagnose import experiment, localise, score
+from smajax.diagnose import experiment, instants, localise, score
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.experiment import Next
 from smajax.diagnose.hypothesis import Hypothesis, Refit
+from smajax.diagnose.joint import joined
 from smajax.diagnose.localise import Shape
 from smajax.diagnose.preflight import Sight, sight
 from smajax.diagnose.residual import Look, look
@@ -73,8 +74,8 @@ def diagnose(
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
     say("predicting the holdout")
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
-    first = predicting(bench, tracer.joined(story.first.refit), story.first.refit, unfitted)
-    last = predicting(bench, tracer.joined(story.last.refit), story.last.refit) if story.accepted else first
+    first = predicting(bench, joined(bench, story.first.refit), story.first.refit, unfitted)
+    last = predicting(bench, joined(bench, story.last.refit), story.last.refit) if story.accepted else first
     together = tuple(bench.fitness(bench.predict(last.hypothesis, last.base, k), k) for k in range(3))
     both = (0,) if bench.own else (0, 1)
     slow = not story.accepted and story.quiet  # then whatever is left is noise
@@ -83,7 +84,7 @@ def diagnose(
     least = max(story.limit, AT_NOISE)
     if verdict == "partial" and (story.last.train < least or max(together[:2]) < least):
         # An instant may be open by more than its slope tells.
-        open_by = tracer.untimed(story.last.refit, 1), tracer.untimed(last, 2, both)
+        open_by = instants.left_open(bench, story.last.refit, 1), instants.left_open(bench, last, 2, both)
         verdict = judge(story, together, (expected[0] + open_by[0], expected[1] + open_by[1]))
     if verdict == "partial" and not _helps(tracer, first, last):
         _reject(story, "does not lessen the error on the holdout")
