@@ -231,7 +231,8 @@ def main() -> None:
         told += f"{max(ratios):.2f} (worst); {np.median(seconds):.0f} s"
         facts = [{"case": key, **dataclasses.asdict(a)} for key, a in all_of_them]
         rows.append(Row(name, "-", told, None, {"cases": facts}))
-    finish("diagnosis_rivals", rows, args)
+    words = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
+    finish("diagnosis_rivals", rows, args, words=words)
 
 
 if __name__ == "__main__":
