@@ -25,6 +25,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.instants import left_open
 from smajax.diagnose.joint import joined
+from smajax.diagnose.step_errors import coarseness
 from smajax.diagnose.trace import Story, _arrived, _backward, _swap, objection, trace
 from smajax.diagnose.tracer import Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
@@ -276,7 +277,7 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, mo
     assert sparse.values["effects.latent-heat.strength"] == pytest.approx(whole.values["effects.latent-heat.strength"], rel=1e-3)
     looked = bench.search(start, fitted.base, stride=4).advance(1)
     assert looked.cost == pytest.approx(bench.search(start, fitted.base).advance(1).cost, rel=0.05)
-    assert 0.0 < bench.coarseness(fitted, 2) < bench.coarseness(fitted, 4) < 0.2 * bench.fitness(fitted.residual, 0)
+    assert 0.0 < coarseness(bench, fitted, 2) < coarseness(bench, fitted, 4) < 0.2 * bench.fitness(fitted.residual, 0)
     # Longer steps are for what stands out: not near the noise, nor where they would themselves be most of what is left.
     monkeypatch.setattr(tracer, "_coarse", {4: 0.5, 2: 0.1})
     assert [tracer.stride(left) for left in (1.0, 9.0, 20.0, 49.0, 51.0)] == [1, 1, 2, 2, 4]
@@ -287,7 +288,7 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, mo
     assert left.chi2 == pytest.approx(bench.fit(Hypothesis(), fitted.base).chi2, rel=0.05)
     monkeypatch.setattr(bench, "traits", bench.traits - {"clock"})
     monkeypatch.setattr(bench, "_sparse", {})
-    assert bench.strided(4) is bench.problems[0] and bench.coarseness(fitted, 4) == math.inf
+    assert bench.strided(4) is bench.problems[0] and coarseness(bench, fitted, 4) == math.inf
 
 
 def test_what_nearly_explains_the_residual_is_swapped_for_what_it_is_confused_with(tracer, fitted, monkeypatch):

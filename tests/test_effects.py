@@ -13,6 +13,7 @@ import pytest
 from smajax import parameters, simulate
 from smajax.datasets import shipped
 from smajax.diagnose.bench import Bench
+from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.effects.airflow_change import AirflowChange
 from smajax.diagnose.hypothesis import Hypothesis
@@ -136,7 +137,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
     without = np.asarray(eqx.filter_jit(Problem.residual)(made.plain, nominal))
     assert np.max(np.abs(made.flat(nothing) - without)) < 1e-6 * np.linalg.norm(without)
     silent = set()
-    for (key, shape), column in made.columns(Hypothesis(), nominal).items():
+    for (key, shape), column in effect_columns(made, Hypothesis(), nominal).items():
         assert np.all(np.isfinite(column)), key
         changes = []
         for size in (1e-4, -1e-4):  # wires that start just taut have one derivative to either side

@@ -22,7 +22,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Form, Hypothesis, Refit, Running
 from smajax.diagnose.part import Part
 from smajax.diagnose.program import SLOTS, Model, begin_search, compiling, simulated
-from smajax.diagnose.steps import longer, shorter
+from smajax.diagnose.steps import longer
 from smajax.errors import InputError
 from smajax.fit.least_squares import Solved, Stop
 from smajax.fit.problem import Problem, Settings, build
@@ -180,18 +180,6 @@ class Bench:
         own = {name: value for name, value in refit.values.items() if name.split(".")[1] in refit.hypothesis.keys}
         return parameters.replace(plant, {**shared, **own})
 
-    def span(self, refit: Refit, against: str) -> tuple[float, float]:
-        """Lowest and highest value of a state (a word of ``freeform.AGAINST``) over the training part, without effects."""
-        low, high = math.inf, -math.inf
-        for k, recording in enumerate(self.parts[0].recordings):
-            states = self.states(refit, jax.tree.map(lambda leaf, k=k: leaf[k], self.problems[0].data.inputs))
-            martensite = np.asarray(states.fractions.martensite)[: len(recording)]
-            travelled = np.cumsum(np.abs(np.diff(martensite, axis=0)), axis=0)
-            temperature = np.asarray(states.temperature)[: len(recording)]
-            values = {"temperature": temperature, "martensite": martensite, "travel": travelled}[against]
-            low, high = min(low, float(values.min())), max(high, float(values.max()))
-        return low, high
-
     def states(self, refit: Refit, inputs: simulate.Inputs) -> Any:
         """States of the plant without effects, at a refit's parameters, under inputs laid out like the bench's own."""
         return _states(dataclasses.replace(self.fitted(refit), effects=()), inputs)[0]
@@ -218,16 +206,6 @@ class Bench:
         """Sum of the squared residuals over the noise on the training part, as far as ``strided`` sees it; infinite where it fails."""
         left = self.predict_at(self.strided(stride), hypothesis, base)
         return float(left @ left) if np.all(np.isfinite(left)) else math.inf
-
-    def coarseness(self, refit: Refit, stride: int) -> float:
-        """Mean square of what the longer steps of ``strided`` do to a refit's residual; infinite if it has no such steps."""
-        problem = self.strided(stride)
-        if problem is self.problems[0]:
-            return math.inf
-        coarse = self.predict_at(problem, refit.hypothesis, refit.base)
-        shape = problem.data.weight.shape
-        fine, kept = refit.residual.reshape(shape)[:, :, ::stride], np.asarray(problem.data.weight) > 0.0
-        return float(np.mean((coarse.reshape(shape) - np.pad(fine, ((0, 0), (0, 0), (0, shape[2] - fine.shape[2]))))[kept] ** 2))
 
     def compiled(self) -> None:
         """Waits until the large programs are compiled."""
@@ -422,41 +400,6 @@ class Bench:
         inputs = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(np.asarray(leaf)[None], count, axis=0)), inputs.padded(grid, samples))
         data = dataclasses.replace(mine.data, inputs=inputs, until=jnp.max(inputs.rows))
         return self._weighted(dataclasses.replace(mine, data=data), [np.arange(len(recording))])
-
-    def step_error(self, refit: Refit) -> np.ndarray:
-        """How much of the training part's residual, shape of ``flat``, comes from the finite length of the steps.
-
-        Steps half as long are simulated on the same program, which takes them through the first half of each recording only. The
-        rows there count twice, and those after them nothing.
-        """
-        halved, known = shorter(self.problems[0])
-        finer = self.predict_at(halved, refit.hypothesis, refit.base)
-        by = (refit.residual - finer).reshape(len(known), len(self.channels), -1)
-        for k, samples in enumerate(known):
-            by[k, :, samples:] = 0.0
-        return 2.0 * 4.0 / 3.0 * self.flat(by.ravel())
-
-    def columns(self, hypothesis: Hypothesis, base: np.ndarray) -> dict[tuple[str, tuple[tuple[str, float], ...]], np.ndarray]:
-        """The residual's derivative by the strength of every effect that is not there yet, at each value of its shape's grid.
-
-        Keyed by effect and shape; in units of the typical strength; on the training recording.
-        """
-        asked = [key for key in self.effects if key not in (*self.known, *hypothesis.keys)]
-        wanted = [(key, shape) for key in asked for shape in self.grid(key)]
-        batches: list[list[tuple[str, tuple[tuple[str, float], ...]]]] = []
-        for item in wanted:
-            home = next((b for b in batches if len(b) < SLOTS and all(other[0] != item[0] for other in b)), None)
-            if home is None:
-                batches.append(home := [])
-            home.append(item)
-
-        def one(batch: list) -> list[np.ndarray]:
-            at = hypothesis.at({f"effects.{key}.{name}": value for key, shape in batch for name, value in shape})
-            _, jacobian = self.evaluate(at, base, 0, [f"effects.{key}.strength" for key, _ in batch])
-            return [jacobian[:, self.size + j] for j in range(len(batch))]
-
-        found = in_pairs(one, batches)
-        return {item: column for batch, columns in zip(batches, found, strict=True) for item, column in zip(batch, columns, strict=True)}
 
     def grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
         """The shapes at which an effect is tried."""

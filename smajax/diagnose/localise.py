@@ -7,8 +7,10 @@ parameters, adjusted for its freedom, is the share that can live there. Drive, m
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
+import jax
 import numpy as np
 
 from smajax.diagnose import freeform, score
@@ -75,7 +77,7 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
     if nodes < 3:
         return None
     against = [a for a in freeform.AGAINST if a != "time"]
-    options = [(kind, a, bench.span(refit, a)) for kind in kinds for a in against]
+    options = [(kind, a, _span(bench, refit, a)) for kind in kinds for a in against]
     options = [o for o in options if o[2][1] > o[2][0]]
     found = [_share(q, left, _hats(bench, refit, *o, nodes)) for o in options]
     if not found:
@@ -93,6 +95,19 @@ def shape(bench: Bench, refit: Refit, q: np.ndarray, left: np.ndarray, stage: st
         stage if made is freeform.FreeStrain else made.stage, made.key, made.adds, state, at, fitted.nodes * _unit(bench, kind),
         bench.fitness(refit.residual, 0), bench.fitness(fitted.residual, 0), bench.fitness(predicted, 1),
     )  # fmt: skip
+
+
+def _span(bench: Bench, refit: Refit, against: str) -> tuple[float, float]:
+    """Lowest and highest value of a state (a word of ``freeform.AGAINST``) over the training part, without effects."""
+    low, high = math.inf, -math.inf
+    for k, recording in enumerate(bench.parts[0].recordings):
+        states = bench.states(refit, jax.tree.map(lambda leaf, k=k: leaf[k], bench.problems[0].data.inputs))
+        martensite = np.asarray(states.fractions.martensite)[: len(recording)]
+        travelled = np.cumsum(np.abs(np.diff(martensite, axis=0)), axis=0)
+        temperature = np.asarray(states.temperature)[: len(recording)]
+        values = {"temperature": temperature, "martensite": martensite, "travel": travelled}[against]
+        low, high = min(low, float(values.min())), max(high, float(values.max()))
+    return low, high
 
 
 def _unit(bench: Bench, kind: int) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from smajax.diagnose import score
 from smajax.diagnose.bench import Bench
+from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis
 from smajax.plant.effect import AbstractEffect
@@ -51,7 +52,7 @@ def preflight(bench: Bench) -> tuple[dict[str, Sight], dict[str, Promise]]:
     q = score.basis(jacobian)
     left = score.project(q, bench.flat(residual))
     promise: dict[str, Promise] = {}
-    columns = {item: bench.flat(column) for item, column in bench.columns(Hypothesis(), nominal).items()}
+    columns = {item: bench.flat(column) for item, column in effect_columns(bench, Hypothesis(), nominal).items()}
     best: dict[str, tuple[score.Score, np.ndarray]] = {}
     for (key, shape), column in columns.items():
         one = bench.scored(key, q, left, column)

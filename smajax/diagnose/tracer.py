@@ -9,7 +9,9 @@ import numpy as np
 
 from smajax.diagnose import instants, localise, score
 from smajax.diagnose.bench import Bench, in_pairs
+from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.hypothesis import Hypothesis, Refit, Running
+from smajax.diagnose.step_errors import coarseness
 from smajax.fit import uncertainty
 from smajax.fit.least_squares import Stop
 from smajax.parameters import declarations
@@ -102,7 +104,7 @@ class Tracer:
         """The plant without effects at a fitted point."""
         self.bench.compiled()
         found = Refit(Hypothesis(), point, *self.bench.evaluate(Hypothesis(), point, 0), stop)
-        self._coarse = {stride: self.bench.coarseness(found, stride) for stride in _STRIDES}
+        self._coarse = {stride: coarseness(self.bench, found, stride) for stride in _STRIDES}
         return found
 
     def stride(self, fitness: float) -> int:
@@ -123,7 +125,7 @@ class Tracer:
         jacobian = np.column_stack([bench.flat(c) for c in refit.jacobian[:, self.free(refit)].T])
         q = score.basis(jacobian)
         left = score.project(q, bench.flat(refit.residual))
-        columns = {item: bench.flat(column) for item, column in bench.columns(refit.hypothesis, refit.base).items()}
+        columns = {item: bench.flat(column) for item, column in effect_columns(bench, refit.hypothesis, refit.base).items()}
         found: dict[str, score.Score] = {}
         shapes: dict[str, tuple] = {}
         for (key, shape), column in columns.items():

@@ -17,6 +17,7 @@ from smajax.diagnose.joint import joined
 from smajax.diagnose.localise import Shape
 from smajax.diagnose.preflight import Sight, sight
 from smajax.diagnose.residual import Look, look
+from smajax.diagnose.step_errors import step_error
 from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
 from smajax.diagnose.tracer import AT_NOISE, Tracer
 from smajax.errors import NumericsError
@@ -248,7 +249,7 @@ def _intervals(tracer: Tracer, refit: Refit) -> dict[str, tuple[float, float]]:
     spread = 1.96 * np.sqrt(np.diag(covariance))
     # Steps of finite length pull the parameters on the other recordings as they do on the first one.
     normal = np.linalg.pinv(sum(j.T @ j for j in whole), hermitian=True)
-    spread += np.abs(normal @ (whole[0].T @ bench.step_error(refit))) * len(whole)
+    spread += np.abs(normal @ (whole[0].T @ step_error(bench, refit))) * len(whole)
     return {
         name: (refit.values[name] - s * bench.scale(name), refit.values[name] + s * bench.scale(name))
         for name, s in zip(moved, spread[-len(moved) :], strict=True)
