@@ -270,7 +270,9 @@ def properties(
         str,
         typer.Option("--columns", metavar="A,B,...", help=r"Headers of a file without: 'temperature \[degC],strain [%],-'; - is left out."),
     ] = "",
-    delimiter: Annotated[str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' for tabulators.")] = ",",
+    delimiter: Annotated[
+        str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' and 'space' by name.")
+    ] = ",",
     as_json: Json = False,
 ) -> None:
     """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
@@ -278,7 +280,7 @@ def properties(
     from smajax.report.document import to_json
 
     names = [name.strip() for name in columns.split(",")] if columns else None
-    between = "\t" if delimiter in ("tab", "\\t") else delimiter
+    between = {"tab": "\t", "\\t": "\t", "space": " "}.get(delimiter, delimiter)
     document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between))
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:

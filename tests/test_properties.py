@@ -244,6 +244,12 @@ def test_the_command_reads_the_files_of_others(shared, tmp_path, file, rows, col
     assert done.exit_code == 0 and told in done.output and "A_f" in done.output
 
 
+def test_spaces_between_columns_have_a_name(shared):
+    files = sorted(str(p) for p in (shared / "data" / "tamu-flexinol-isobaric").glob("*_100MPa.txt"))
+    done = CliRunner().invoke(app, ["properties", *files, "--delimiter", "space", "--columns", "temperature [degC],strain,stress [MPa]"])
+    assert files and done.exit_code == 0 and "A_f" in done.output, done.output
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
