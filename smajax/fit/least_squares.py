@@ -203,7 +203,7 @@ def _further(
 
 
 _advance = eqx.filter_jit(_further)
-# Of a large program that is no batch LLVM's later optimisations take a sixth of the compiling, and make nothing faster.
+# Of a large program that is no batch LLVM's later optimisations take long, and make nothing faster.
 LARGE = {"xla_backend_optimization_level": 1}
 _advance_large = eqx.filter_jit(_further, compiler_options=LARGE)  # pyright: ignore[reportCallIssue]
 
