@@ -83,9 +83,16 @@ def _simulated(vector: jax.Array, model: Model) -> Simulated:
 simulated: Callable[[jax.Array, Model], Simulated] = eqx.filter_jit(_simulated, compiler_options=LARGE)  # pyright: ignore[reportCallIssue]
 
 
-def begin_search(model: Model, start: np.ndarray, lower: np.ndarray, upper: np.ndarray, rtol: float = 1e-7) -> Search:
-    """A search for the vector from ``start``, within bounds of its shape."""
-    return Search(residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol, ahead=simulated)
+def begin_search(
+    model: Model,
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    rtol: float = 1e-7,
+    ahead: Callable[[jax.Array, Model], Simulated] = simulated,
+) -> Search:
+    """A search for the vector from ``start``, within bounds of its shape; ``ahead`` simulates before each step."""
+    return Search(residual, model, start[None], lower, upper, size=model.problem.size, rtol=rtol, ahead=ahead)
 
 
 def compiling(model: Model, vector: np.ndarray) -> list[threading.Thread]:
@@ -95,7 +102,7 @@ def compiling(model: Model, vector: np.ndarray) -> list[threading.Thread]:
     """
     at, free = jnp.asarray(vector), np.full(len(vector), np.inf)
     nowhere = Simulated(model.blank_track(at), jnp.zeros(model.problem.size))
-    slopes = Search(residual, model, vector[None], -free, free, size=model.problem.size, ahead=lambda *_: nowhere)
+    slopes = begin_search(model, vector, -free, free, ahead=lambda *_: nowhere)
     slopes.trace()
     threads = [threading.Thread(target=task, daemon=True) for task in ((lambda: slopes.advance(1)), (lambda: simulated(at, model)))]
     for thread in threads:

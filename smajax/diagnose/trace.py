@@ -88,6 +88,11 @@ class Story:
         return self.last.keys
 
     @property
+    def least(self) -> float:
+        """Mean square over the noise that a fit with the right effects may leave."""
+        return max(self.limit, AT_NOISE)
+
+    @property
     def quiet(self) -> bool:
         """Whether noise may well give what the first fit left, if it is as slow as that is."""
         return min((r.p_value for r in self.ranking.values() if r.p_value is not None), default=1.0) > DETECTED
@@ -360,7 +365,7 @@ def _swap(tracer: Tracer, story: Story) -> None:
     samples = tracer.bench.samples
     for key in story.accepted:
         last = story.last
-        if len(last.keys) < 2 or last.train < max(story.limit, AT_NOISE) or last.total > 2.0 * _NEARLY:
+        if len(last.keys) < 2 or last.train < story.least or last.total > 2.0 * _NEARLY:
             return
         others = tracer.kin(dataclasses.replace(last, refit=last.refit.with_last(key)))
         best = min(others, key=lambda t: t.total, default=None)

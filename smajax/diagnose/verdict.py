@@ -19,7 +19,7 @@ from smajax.diagnose.preflight import Sight, sight
 from smajax.diagnose.residual import Look, look
 from smajax.diagnose.step_errors import step_error
 from smajax.diagnose.trace import EXPLAINED, Ranked, Story, trace
-from smajax.diagnose.tracer import AT_NOISE, Tracer
+from smajax.diagnose.tracer import Tracer
 from smajax.errors import NumericsError
 from smajax.fit import uncertainty
 
@@ -69,7 +69,7 @@ def diagnose(
     """
     tracer, story = trace(bench, seed=seed, given=given, say=say)
     take_back(story)
-    if not (story.rests or story.accepted or story.first.train < max(story.limit, AT_NOISE)):
+    if not (story.rests or story.accepted or story.first.train < story.least):
         told = "the fit of the rig as it is written down did not come to rest, so its residual says nothing: widen fit.bounds"
         values, _ = bench.problems[0].values(jnp.asarray(story.first.refit.base))
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
@@ -82,8 +82,7 @@ def diagnose(
     slow = not story.accepted and story.quiet  # then whatever is left is noise
     expected = tracer.expected(story.last.refit, 1, slow=slow), tracer.expected(last, 2, both, slow=slow)
     verdict = judge(story, together, expected)
-    least = max(story.limit, AT_NOISE)
-    if verdict == "partial" and (story.last.train < least or max(together[:2]) < least):
+    if verdict == "partial" and min(story.last.train, max(together[:2])) < story.least:
         # An instant may be open by more than its slope tells.
         open_by = instants.left_open(bench, story.last.refit, 1), instants.left_open(bench, last, 2, both)
         verdict = judge(story, together, (expected[0] + open_by[0], expected[1] + open_by[1]))
@@ -111,7 +110,7 @@ def predicting(bench: Bench, *refits: Refit) -> Refit:
 
 def take_back(story: Story) -> None:
     """Takes back effects that leave most of the excess unexplained."""
-    if story.accepted and story.explained < EXPLAINED and story.last.train > max(story.limit, AT_NOISE):
+    if story.accepted and story.explained < EXPLAINED and story.last.train > story.least:
         _reject(story, f"together the effects found explain {100 * story.explained:.0f} % of what is missing, too little for a cause")
 
 
@@ -136,7 +135,7 @@ def judge(story: Story, together: tuple[float, ...], expected: tuple[float, floa
     what is named has to predict both as well as that. Where the training part tells less than it seems to, such as of an instant at which
     nothing moves, it is enough that one fit does for both and predicts the holdout, all three to the noise.
     """
-    last, least = story.last, max(story.limit, AT_NOISE)
+    last, least = story.last, story.least
     select, held = last.select / expected[0], together[2] / expected[1]
     if not story.accepted:
         missing = last.train > max(story.limit, 1.1) or select > _NOISY or held > _NOISY**2
@@ -152,7 +151,7 @@ def _rest(tracer: Tracer, story: Story) -> tuple[str | None, Shape | None]:
     ``None`` if only another input shows it and nothing stands in for it.
     """
     refit = story.last.refit
-    if story.accepted and story.last.train < max(story.limit, AT_NOISE):
+    if story.accepted and story.last.train < story.least:
         return tracer.bench.effects[story.last.key].stage, None
     scores = tracer.scores(refit)
     left = tracer.shares(refit, scores) if story.accepted else story.stages
