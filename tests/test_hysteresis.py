@@ -21,6 +21,8 @@ SEVEN = {"alpha": 0.3, "k": 2.0, "d": 1.5, "a": 1.2, "beta": 0.8, "gamma": -0.1,
 TIME = np.linspace(0.0, 20.0, 400)
 INPUT = np.sin(TIME) * (1.0 + 0.3 * np.sin(0.37 * TIME))
 follow = eqx.filter_jit(respond)
+# One envelope, two that lie side by side, and two of other slopes, the unloading one above wherever the input comes.
+UNLOADING = [None, (1.0, 2.0, 0.3, 0.12), (1.1, 1.6, 0.5, 0.4)]
 
 
 def envelope(*values: float) -> Envelope:
@@ -160,6 +162,30 @@ def test_the_inverse_gives_the_input_back(count, unloading):
     np.testing.assert_allclose(follow(law.inverse(), time, wanted), INPUT, atol=1e-9)
 
 
+def falling(law: PrandtlIshlinskii) -> PrandtlIshlinskii:
+    """The law whose output is the other's, turned upside down."""
+
+    def turned(top: Envelope) -> Envelope:
+        return dataclasses.replace(top, height=-top.height, middle=-top.middle)
+
+    return dataclasses.replace(law, loading=turned(law.loading), unloading=law.unloading and turned(law.unloading))
+
+
+@pytest.mark.parametrize("unloading", UNLOADING)
+def test_an_output_that_falls_with_its_input_has_falling_envelopes(unloading):
+    rising, time = operator(unloading and envelope(*unloading)), jnp.asarray(TIME)
+    law = falling(rising)
+    wanted = follow(law, time, jnp.asarray(INPUT))
+    np.testing.assert_allclose(wanted, -follow(rising, time, jnp.asarray(INPUT)), atol=1e-14)
+    np.testing.assert_allclose(follow(law.inverse(), time, wanted), INPUT, atol=1e-9)
+
+
+def test_envelopes_that_go_opposite_ways_have_no_inverse():
+    law = operator(envelope(-1.0, 2.0, 0.3, 0.12))
+    with pytest.raises(InputError, match="one envelope rises and the other falls"):
+        law.inverse()
+
+
 @pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12)])
 def test_without_a_direct_part_there_is_no_inverse(unloading):
     law = dataclasses.replace(operator(unloading and envelope(*unloading)), direct=jnp.asarray(0.0))
@@ -191,10 +217,6 @@ def plays(law: PrandtlIshlinskii, values: list[float]) -> np.ndarray:
     for before, after in zip(values[:-1], values[1:], strict=True):
         state = law.advance(state, jnp.asarray(before), jnp.asarray(after), jnp.asarray(1.0))
     return np.asarray(state)
-
-
-# One envelope, two that lie side by side, and two of other slopes, the unloading one above wherever the input comes.
-UNLOADING = [None, (1.0, 2.0, 0.3, 0.12), (1.1, 1.6, 0.5, 0.4)]
 
 
 @pytest.mark.parametrize("count", [10, 20])

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.kinks import within
 
 _FAR = 3.0  # times half the range of the outputs: where closed loop ends that runs away
 
@@ -40,7 +41,7 @@ class Narx(AbstractOperator):
         """See ``AbstractOperator.advance``."""
         outputs, inputs = state
         inputs = jnp.append(self._entering(before), inputs[:-1])
-        new = jnp.clip(self._next(outputs, inputs), -_FAR, _FAR)
+        new = within(self._next(outputs, inputs), -_FAR, _FAR)
         return jnp.append(new, outputs[:-1]), inputs
 
     def output(self, state: tuple, value: jax.Array) -> jax.Array:

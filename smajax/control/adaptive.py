@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from smajax.control.controller import AbstractController
 from smajax.control.pid import PID, PIDState
+from smajax.kinks import within
 from smajax.parameters import parameter
 
 
@@ -58,7 +59,7 @@ class AdaptivePID(AbstractController):
             state.kd + self.rate_d * times[2] * slope,
         )
         first = (self.pid.kp, self.pid.ki, self.pid.kd)
-        kp, ki, kd = (jnp.clip(new, 0.0, self.growth * start) for new, start in zip(moved, first, strict=True))
+        kp, ki, kd = (within(new, 0.0, self.growth * start) for new, start in zip(moved, first, strict=True))
         now = eqx.tree_at(lambda p: (p.kp, p.ki, p.kd), self.pid, (kp, ki, kd))
         inner, output = now.step(state.inner, reference, value)
         return AdaptiveState(inner, summed, kp, ki, kd), output

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller, within
 from smajax.parameters import parameter
 
 
@@ -30,7 +31,7 @@ class Allocation(eqx.Module):
         """Commands of the wires, shape ``(wires,)``."""
         if self.wires == 1:
             return command[None]
-        return jnp.clip(self.co_contraction + jnp.maximum(jnp.stack([command, -command]), 0.0), 0.0, self.most)
+        return within(self.co_contraction + larger(jnp.stack([command, -command]), 0.0), 0.0, self.most)
 
 
 def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -> jax.Array:
@@ -42,6 +43,6 @@ def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -
     def on_until(time: jax.Array) -> jax.Array:
         periods = time * carrier
         whole = jnp.floor(periods)
-        return (whole * duty + jnp.minimum(periods - whole, duty)) / carrier
+        return (whole * duty + smaller(periods - whole, duty)) / carrier
 
     return (on_until(start + step) - on_until(start)) / step

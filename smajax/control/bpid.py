@@ -8,10 +8,10 @@ makes the loop linear in the PID's output v, with the gain that it has at the po
 """
 
 import jax
-import jax.numpy as jnp
 
 from smajax.control.controller import AbstractController
 from smajax.control.pid import PID, PIDState
+from smajax.kinks import larger
 from smajax.parameters import parameter
 
 LEAST = 0.05  # of 1 + K_b y: below, the compensator would ask for twenty times the PID's output
@@ -35,7 +35,7 @@ class BPID(AbstractController):
 
     def step(self, state: PIDState, reference: jax.Array, value: jax.Array) -> tuple[PIDState, jax.Array]:
         """See ``AbstractController.step``."""
-        at_point, here = (jnp.maximum(1.0 + self.kb * y, LEAST) for y in (self.tuning_point, value))
+        at_point, here = (larger(1.0 + self.kb * y, LEAST) for y in (self.tuning_point, value))
         factor = at_point / here
         state, output = self.pid.within(state, reference, value, self.pid.lower / factor, self.pid.upper / factor)
         return state, factor * output

@@ -17,6 +17,7 @@ from smajax import parameters
 from smajax.blackbox.transfer_function import TransferFunction
 from smajax.control.allocation import pulsed
 from smajax.errors import InputError
+from smajax.kinks import larger
 from smajax.plant.plant import Plant
 from smajax.plant.step import land
 from smajax.simulate import default_step
@@ -192,7 +193,7 @@ class DrivenTransferFunction(AbstractDriven):
         size = self.whole + 2
         ring = ring.at[place].set(command[0])
         # In the delay's rest of this period the command of one period earlier still acts.
-        rest = jnp.maximum(self.function.delay - self.whole * self.period, 0.0)
+        rest = larger(self.function.delay - self.whole * self.period, 0.0)
         for duration, age in ((rest, self.whole + 1), (self.period - rest, self.whole)):
             kept, entering = self.function.held(duration)
             inner = kept @ inner + entering * ring[(place - age) % size]
@@ -204,7 +205,7 @@ class DrivenTransferFunction(AbstractDriven):
 
     def response(self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array) -> jax.Array:
         """See ``AbstractDriven.response``; exact, since it is linear. ``state`` does not matter."""
-        rest = jnp.maximum(self.function.delay - self.whole * self.period, 0.0)
+        rest = larger(self.function.delay - self.whole * self.period, 0.0)
         (late, entering), (kept, later) = self.function.held(rest), self.function.held(self.period - rest)
         size = self.function.order
 

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 from smajax import parameters
 from smajax.control.driven import DrivenPlant
 from smajax.control.observers import AbstractThermometer, each
+from smajax.kinks import larger, within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
 from smajax.plant.step import push
@@ -88,7 +89,7 @@ class EnsembleFilter(AbstractThermometer):
             own, noise = jnp.mean(away[:, at] ** 2) * self.members / (self.members - 1), self.noise[_base(name, self.noise)] ** 2
             slope = away[:, at] @ away / (self.members - 1) / (own + noise)
             far = self.trust * jnp.sqrt(own + noise)
-            mean = mean + slope * jnp.clip(measured[name] - mean[at], -far, far)
+            mean = mean + slope * within(measured[name] - mean[at], -far, far)
             away = away - jnp.outer(away[:, at], slope) / (1.0 + jnp.sqrt(1.0 / (1.0 + own / noise)))
         after = _deviation(away)
         widened = 1.0 + self.relaxation * (before / jnp.where(after > 0.0, after, 1.0) - 1.0) * (after > 0.0)
@@ -126,7 +127,7 @@ class EnsembleFilter(AbstractThermometer):
 
     def _follows(self) -> jax.Array:
         """Share of the way to its wire that a thermocouple goes in a period."""
-        return 1.0 - jnp.exp(-self.driven.period / jnp.maximum(self.lag, 1e-9))
+        return 1.0 - jnp.exp(-self.driven.period / larger(self.lag, 1e-9))
 
     def _key(self, ensemble: Ensemble, use: int) -> jax.Array:
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), use)
@@ -144,7 +145,7 @@ class EnsembleFilter(AbstractThermometer):
     def _possible(self, values: jax.Array) -> jax.Array:
         """A member's parameters where the equations hold, shape ``(p,)``."""
         ends = [parameters.declaration(self.driven.plant, n) for n in self._unknown]
-        return jnp.clip(values, jnp.asarray([e.lower for e in ends]), jnp.asarray([e.upper for e in ends]))
+        return within(values, jnp.asarray([e.lower for e in ends]), jnp.asarray([e.upper for e in ends]))
 
     def _as(self, values: jax.Array) -> DrivenPlant:
         return _as(self.driven, tuple(self._unknown), values)
@@ -174,8 +175,8 @@ class EnsembleFilter(AbstractThermometer):
         """The ensemble with other temperatures, fractions, thermocouples and parameters; fractions stay within 0 and 1."""
         wires, (state, time) = self.driven.wires, ensemble.states
         temperature, detwinned, twinned, probes = (members[:, i * wires : (i + 1) * wires] for i in range(4))
-        detwinned = jnp.clip(detwinned, 0.0, 1.0)
-        fractions = Fractions(detwinned, jnp.clip(twinned, 0.0, 1.0 - detwinned))
+        detwinned = within(detwinned, 0.0, 1.0)
+        fractions = Fractions(detwinned, within(twinned, 0.0, 1.0 - detwinned))
         unknown = jax.vmap(self._possible)(members[:, 4 * wires : 4 * wires + len(self.unknown)])
         state = state._replace(temperature=temperature, fractions=fractions)
         return ensemble._replace(states=(state, time), probes=probes, unknown=unknown)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from smajax.control.controller import AbstractController
 from smajax.control.pid import PID
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.kinks import within
 
 
 class FeedforwardPID(AbstractController):
@@ -32,6 +33,6 @@ class FeedforwardPID(AbstractController):
         """See ``AbstractController.step``."""
         inner, operator, last = state
         operator = self.inverse.advance(operator, last, reference, jnp.asarray(self.pid.period))
-        ahead = jnp.clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper)
+        ahead = within(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper)
         inner, rest = self.pid.within(inner, reference, value, self.pid.lower - ahead, self.pid.upper - ahead)
         return (inner, operator, reference), ahead + rest

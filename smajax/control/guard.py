@@ -2,9 +2,9 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
 from smajax.control.pid import PID, PIDState
+from smajax.kinks import larger, smaller
 
 
 class TemperatureGuard(eqx.Module):
@@ -20,4 +20,4 @@ class TemperatureGuard(eqx.Module):
     def step(self, state: PIDState, temperature: jax.Array, command: jax.Array) -> tuple[PIDState, jax.Array]:
         """The state after a sample, and the command cut to what the wire may get."""
         state, allowed = self.pid.step(state, self.limit, temperature)
-        return state, jnp.minimum(command, jnp.maximum(allowed, 0.0))
+        return state, smaller(command, larger(allowed, 0.0))

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from smajax.control.metrics import BAND
 from smajax.control.rollout import Rollout
+from smajax.kinks import larger, largest
 from smajax.units import numbered
 
 TERMS = ("tracking", "itae", "energy", "effort")
@@ -82,7 +83,7 @@ def parts(done: Rollout, task: Task, wanted: Wanted) -> Parts:
         jnp.where(jumped & jnp.isfinite(over), (share - _finite(over)) / wanted.band, -1.0),
         jnp.where(late, (jnp.abs(share) - wanted.band) / wanted.band, -1.0),
         *(
-            none if (values := task.each(channels, name)) is None else _above(jnp.max(values, axis=0), limit, scale)
+            none if (values := task.each(channels, name)) is None else _above(largest(values, axis=0), limit, scale)
             for name, limit, scale in (
                 ("temperature", hot, _KELVIN),
                 ("stress", stressed, _SHARE * _finite(stressed)),
@@ -96,12 +97,12 @@ def parts(done: Rollout, task: Task, wanted: Wanted) -> Parts:
 def residual(found: Parts, scale: jax.Array, wanted: Wanted, multipliers: jax.Array, mu: jax.Array) -> jax.Array:
     """All residuals, shape ``(9 n,)``; ``scale``, shape ``(4,)``, are the terms at the start, ``multipliers``, shape ``(5, n)``."""
     terms = found.terms * jnp.sqrt(wanted.weights / scale)[:, None]
-    limits = jnp.sqrt(mu) * jnp.maximum(found.violated + multipliers / mu, 0.0)
+    limits = jnp.sqrt(mu) * larger(found.violated + multipliers / mu, 0.0)
     return jnp.concatenate([terms.ravel(), limits.ravel()])
 
 
 def _above(values: jax.Array, limit: jax.Array, scale: Any) -> jax.Array:
-    return jnp.where(jnp.isfinite(limit), (values - _finite(limit)) / jnp.maximum(scale, 1e-12), -1.0)
+    return jnp.where(jnp.isfinite(limit), (values - _finite(limit)) / larger(scale, 1e-12), -1.0)
 
 
 def _finite(limit: jax.Array) -> jax.Array:

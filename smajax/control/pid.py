@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.control.controller import AbstractController
+from smajax.kinks import within
 from smajax.parameters import parameter
 
 
@@ -60,7 +61,7 @@ class PID(AbstractController):
         error = reference - value
         grown = state.integral + self.ki * error * self.period
         wanted = self.kp * error + grown + self.kd * slope
-        output = jnp.clip(wanted, lower, upper)
+        output = within(wanted, lower, upper)
         pushes = ((wanted > upper) & (grown > state.integral)) | ((wanted < lower) & (grown < state.integral))
         return PIDState(jnp.where(pushes, state.integral, grown), self._seen(reference, value), slope), output
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from smajax.control.controller import AbstractController
 from smajax.control.pid import PID, PIDState
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.kinks import within
 from smajax.parameters import parameter
 
 
@@ -46,7 +47,7 @@ class PPID(AbstractController):
         ahead = jnp.zeros(())
         if self.inverse is not None:
             operator = self.inverse.advance(operator, last, reference, jnp.asarray(self.pid.period))
-            ahead = jnp.where(error > 0.0, jnp.clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper), 0.0)
+            ahead = jnp.where(error > 0.0, within(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper), 0.0)
         inner = PIDState(jnp.where(rests == rested, inner.integral, 0.0), inner.last, inner.slope)
         holding = eqx.tree_at(lambda p: (p.kp, p.kd), self.pid, (self.kp_rest, jnp.zeros(())))
         moving = eqx.tree_at(lambda p: p.ki, self.pid, jnp.zeros(()))

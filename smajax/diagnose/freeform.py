@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.effect import AbstractEffect, HeatEffect, Instant, MaterialEffect, Where
 from smajax.plant.plant import Plant
@@ -37,7 +38,7 @@ class FreeForm(AbstractEffect):
     def _looked_up(self, now: Instant) -> jax.Array:
         states = (jnp.broadcast_to(now.time, now.temperature.shape), now.temperature, now.fractions.martensite, now.travel)
         place = sum(m * (s - a) / (b - a) for m, s, a, b in zip(self.mix, states, self.low, self.high, strict=True))
-        place = jnp.clip(place, 0.0, 1.0) * (KNOTS - 1)
+        place = within(place, 0.0, 1.0) * (KNOTS - 1)
         left = jnp.clip(jnp.floor(place).astype(int), 0, KNOTS - 2)
         return self.strength * (self.knots[left] * (left + 1 - place) + self.knots[left + 1] * (place - left))
 

@@ -34,6 +34,14 @@ def _ranges(series: Sequence[Series]) -> tuple[float, float, float, float]:
     )
 
 
+def _way(series: Sequence[Series]) -> float:
+    """1 where the output rises with the input, -1 where it falls."""
+    values, outputs = np.concatenate([s.input for s in series]), np.concatenate([s.output for s in series])
+    seen = np.isfinite(outputs)
+    covariance = float(np.mean((values[seen] - np.mean(values[seen])) * (outputs[seen] - np.mean(outputs[seen]))))
+    return -1.0 if covariance < 0.0 else 1.0
+
+
 def _duration(series: Sequence[Series]) -> float:
     return max(float(s.time[-1] - s.time[0]) for s in series)
 
@@ -82,7 +90,8 @@ def prandtl_ishlinskii(
     ``thresholds``, in the output's unit, are fitted as evenly spread ones up to a largest (``"even"``), each for itself (``"free"``), or
     held at rising values, shape ``(count,)``; ``densities`` are fitted or held at values of that shape. While both are fitted, the height
     of the loading envelope is held: envelopes and thresholds so many times larger, with direct part and densities so many times smaller,
-    are the same law. Raises ``InputError`` for values that no operator has.
+    are the same law. The envelopes rise or fall as the output does with the input, by their covariance. Raises ``InputError`` for values
+    that no operator has.
     """
     gaps = np.diff(np.asarray(thresholds, float), prepend=0.0) if not isinstance(thresholds, str) else None
     held = np.asarray(densities, float) if not isinstance(densities, str) else None
@@ -91,12 +100,12 @@ def prandtl_ishlinskii(
     if held is not None and (held.shape != (count,) or not np.all(held >= 0.0)):
         raise InputError(f"densities have to be {count} numbers of at least 0: give as many as plays, or 'free'")
     low, span, bottom, swing = _ranges(series)
-    middle = low + 0.5 * span
+    middle, way = low + 0.5 * span, _way(series)
 
-    envelope = {"height": 0.5 * swing, "slope": 3.0 / span, "shift": -3.0 / span * middle, "middle": bottom + 0.5 * swing}
+    envelope = {"height": way * 0.5 * swing, "slope": 3.0 / span, "shift": -3.0 / span * middle, "middle": bottom + 0.5 * swing}
     far = 5.0 + 10.0 / span * abs(middle)
     ends = {
-        "height": (0.1 * swing, swing),
+        "height": (0.1 * swing, swing) if way > 0.0 else (-swing, -0.1 * swing),
         "slope": (0.2 / span, 40.0 / span),
         "shift": (-far, far),
         "middle": (bottom - swing, bottom + 2 * swing),

@@ -22,6 +22,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.fit import least_squares
 from smajax.fit.searchable import Searchable, costs, residual
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.kinks import within
 
 _UNEVEN = 0.01
 _WIDE = 30.0
@@ -393,7 +394,7 @@ def _closed(point: jax.Array, ridged: Ridged, box: tuple[jax.Array, jax.Array]) 
     """Where BFGS ends, the cost there, and its steps. It knows no box: points outside stand for the nearest ones inside."""
 
     def cost(vector: jax.Array, ridged: Ridged) -> jax.Array:
-        return jnp.mean(ridged.residual(jnp.clip(vector, *box)) ** 2)
+        return jnp.mean(ridged.residual(within(vector, *box)) ** 2)
 
     solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=ridged, max_steps=300, throw=False)
-    return jnp.clip(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]
+    return within(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]

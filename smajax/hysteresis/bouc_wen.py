@@ -23,6 +23,7 @@ from jax.core import Tracer
 
 from smajax.errors import InputError
 from smajax.hysteresis.operator import AbstractOperator
+from smajax.kinks import larger, within
 
 _FULL = 36.0  # the place at which 1 - v is a rounding error
 _BELOW, _ABOVE = 112, 108
@@ -64,7 +65,7 @@ class BoucWen(AbstractOperator):
         size = jnp.abs(_level(place))
         some = jnp.where(size > 0.0, size, 1.0)
         power = jnp.where(size > 0.0, some**self.n, 0.0)
-        gap = jnp.where(place > 0.0, jnp.exp(-jnp.maximum(place, 0.0)), 0.5)
+        gap = jnp.where(place > 0.0, jnp.exp(-larger(place, 0.0)), 0.5)
         above = -jnp.expm1(self.n * jnp.log1p(-gap)) / gap  # (1 - v^n) / (1 - v) without differences of what is almost the same
         return 1.0 / jnp.where(place > 0.0, above, 1.0 + (2.0 * self.sigma - 1.0) * power)
 
@@ -99,13 +100,13 @@ class BoucWen(AbstractOperator):
 
 def _level(place: jax.Array) -> jax.Array:
     """v at a place of the curve."""
-    return jnp.where(place < 0.0, place, -jnp.expm1(-jnp.maximum(place, 0.0)))
+    return jnp.where(place < 0.0, place, -jnp.expm1(-larger(place, 0.0)))
 
 
 def _place(level: jax.Array) -> jax.Array:
     """The place of v on the curve."""
-    gap = jnp.maximum(1.0 - jnp.maximum(level, 0.0), np.exp(-_FULL))
-    return jnp.where(level < 0.0, jnp.maximum(level, -1.0), -jnp.log(gap))
+    gap = larger(1.0 - larger(level, 0.0), np.exp(-_FULL))
+    return jnp.where(level < 0.0, larger(level, -1.0), -jnp.log(gap))
 
 
 def _pieces(knots: Any, values: Any, slopes: jax.Array) -> jax.Array:
@@ -129,12 +130,12 @@ def _between(at: jax.Array, piece: jax.Array) -> jax.Array:
 
 def _way(w: jax.Array, side: jax.Array, piece: jax.Array, rho: jax.Array, end: jax.Array, moved: jax.Array) -> jax.Array:
     """How far along the curve w is after the input has ``moved``, up to the curve's ``end``."""
-    return jnp.clip(_between(_place(side * w), piece) + rho * jnp.abs(moved), 0.0, end)
+    return within(_between(_place(side * w), piece) + rho * jnp.abs(moved), 0.0, end)
 
 
 def _reached(w: jax.Array, side: jax.Array, way: jax.Array, piece: jax.Array, moved: jax.Array) -> jax.Array:
     """The new w."""
-    place = jnp.clip(_between(way, piece), PLACES[0], PLACES[-1])
+    place = within(_between(way, piece), PLACES[0], PLACES[-1])
     return jnp.where(moved == 0.0, w, side * _level(place))
 
 

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.errors import InputError
+from smajax.kinks import larger
 from smajax.machines.bending_moment import BilinearLaw
 from smajax.machines.cantilever import Cantilever
 from smajax.machines.cross_section import Cooling, CrossSection, Layer, SectionWire
@@ -161,7 +162,7 @@ class FlexuralActuator(AbstractMachine):
         heat = wire.density * area * self.wire_length * warmed
         resistance = heating.resistivity * self.wire_length / area
         heating_time = heat / (heating.current**2 * resistance)
-        course = self.section.cool(jnp.maximum(10.0, 10.0 * self.test.pause))
+        course = self.section.cool(larger(10.0, 10.0 * self.test.pause))
         time_to_cool = course.cooled(self.test.target)
         return {
             "moment": moment,

@@ -34,6 +34,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.errors import InputError
+from smajax.kinks import larger, largest, swing, within
 from smajax.machines.machine import AbstractMachine
 from smajax.parameters import parameter
 from smajax.plant.drive import VoltageDrive
@@ -82,7 +83,7 @@ class Clutch(eqx.Module):
 
     def share(self, current: jax.Array) -> jax.Array:
         """The share of the rated torque at a current in A."""
-        return jnp.clip(current / self.current, 0.0, 1.0)
+        return within(current / self.current, 0.0, 1.0)
 
     def transmitted(self, slip: jax.Array, current: jax.Array) -> jax.Array:
         """Torque in N m from the motor to the belt, at the clutch."""
@@ -162,7 +163,7 @@ class Knee(AbstractMachine):
     def stress(self, fractions: Fractions, temperature: jax.Array, stretch: jax.Array) -> jax.Array:
         """Stress that the law sees in springs of a stretch in m; none in a slack one."""
         free = self._law.strain(fractions, temperature, jnp.zeros_like(stretch), self.environment.ambient)
-        return jnp.maximum(self._law.modulus(fractions) * (stretch / self.wire.motion_per_strain - free), 0.0)
+        return larger(self._law.modulus(fractions) * (stretch / self.wire.motion_per_strain - free), 0.0)
 
     def forces(self, state: KneeState) -> jax.Array:
         """Pull of the springs in N, shape ``(2,)``."""
@@ -250,16 +251,16 @@ class Knee(AbstractMachine):
             "austenite_stiffness": self.stiffness(none),
             "martensite_stiffness": self.stiffness(one),
             "spring_resistance": self.material.resistivity_martensite * self.wire.length / self.wire.area,
-            "heating_time": self.heating_time(jnp.maximum(self.command.first, self.command.second)),
+            "heating_time": self.heating_time(larger(self.command.first, self.command.second)),
             "spring_torque": self.joint.radius * hot,
             "motor_speed": self.motor_speed(self.command.motor),
             "motor_torque": self.motor.torque_constant * self.motor.current,
             "motor_torque_at_knee": self.clutch.belt * self.motor.torque_constant * self.motor.current,
             "clutch_torque_at_knee": self.clutch.belt * self.clutch.torque,
             "angle": end.angle,
-            "stroke": jnp.max(way.angle) - jnp.min(way.angle),
-            "force": jnp.max(jax.vmap(self.forces)(way)),
-            "peak_temperature": jnp.max(way.temperature),
+            "stroke": swing(way.angle),
+            "force": largest(jax.vmap(self.forces)(way)),
+            "peak_temperature": largest(way.temperature),
             "energy_per_cycle": self.command.duration * jnp.trapezoid(jax.vmap(self.power)(way), share),
             "slip": self.slip(end),
             "clutch_sticks": jnp.where((whole > 0) & (passed < whole * jnp.tanh(1.0)), 1.0, 0.0),

@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller
 from smajax.parameters import parameter
 from smajax.plant.effect import AbstractEffect, engaged
 from smajax.plant.material.base import AbstractMaterial, Fractions
@@ -87,11 +88,11 @@ class TendonLimb(AbstractMechanism):
 
     def unloaded(self, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``: the load at angle 0."""
-        return jnp.maximum(self._stress_under(self.limb.moment(jnp.zeros(()), around.environment.gravity), around), 0.0)[None]
+        return larger(self._stress_under(self.limb.moment(jnp.zeros(()), around.environment.gravity), around), 0.0)[None]
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
-        return jnp.maximum(unknown, 0.0)
+        return larger(unknown, 0.0)
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
@@ -100,7 +101,7 @@ class TendonLimb(AbstractMechanism):
         after = self.move(unknown, strain, motion, around, step)
         moment = self.pulley.moment(motion[3:], after[3:], self.pulley.inertia) + self.limb.moment(after[3], around.environment.gravity)
         passed = self.sheath.passed(after[2]) if self.sheath else 1.0
-        pull = jnp.maximum(unknown, 0.0) * passed - self._stress_under(moment, around)
+        pull = larger(unknown, 0.0) * passed - self._stress_under(moment, around)
         stands = around.modulus * (motion[3] - after[3]) * self.metres / around.wire.motion_per_strain
         return jnp.where(step > 0, pull, stands)
 
@@ -111,7 +112,7 @@ class TendonLimb(AbstractMechanism):
     def move(self, unknown: jax.Array, strain: jax.Array, motion: Any, around: Surroundings, step: jax.Array) -> tuple:
         """See ``AbstractMechanism``; a slack wire lets the limb be."""
         installed, before, z, *turning = motion
-        slack = jnp.minimum(unknown[0], 0.0) / around.modulus
+        slack = smaller(unknown[0], 0.0) / around.modulus
         angle = (installed - strain[0] - slack) * around.wire.motion_per_strain / self.metres
         return installed, strain[0], engaged(z, before - strain[0]), *self.pulley.turned(tuple(turning), angle, step)
 

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller
 from smajax.parameters import parameter
 from smajax.plant.effect import AbstractEffect
 from smajax.plant.material.base import AbstractMaterial, Fractions
@@ -107,7 +108,7 @@ class AbstractMechanism(eqx.Module):
     def dragged(self, stress: jax.Array, drag: jax.Array) -> jax.Array:
         """The wires' stresses if a drag of ``drag`` Pa works against the contraction; a wire cannot push."""
         share = jnp.ones(1) if self.wires == 1 else jnp.array([0.5, -0.5])
-        return jnp.maximum(stress + share * drag, 0.0)
+        return larger(stress + share * drag, 0.0)
 
     def fractions(self, material: AbstractMaterial, temperature: jax.Array, prescribed: dict, around: Surroundings) -> Fractions:
         """Fractions of the wires (each of shape ``(wires,)``) as installed, at their start temperature."""
@@ -199,7 +200,7 @@ class BiasSpring(AbstractMechanism):
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
-        return jnp.maximum(unknown, 0.0)
+        return larger(unknown, 0.0)
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
@@ -237,13 +238,13 @@ class TestingMachine(AbstractMechanism):
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
-        return jnp.maximum(unknown, 0.0)
+        return larger(unknown, 0.0)
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
     ) -> jax.Array:
         """See ``AbstractMechanism``: the wire's strain against the prescribed one."""
-        return around.modulus * (strain - around.wire.prestrain - prescribed["strain"]) + jnp.minimum(unknown, 0.0)
+        return around.modulus * (strain - around.wire.prestrain - prescribed["strain"]) + smaller(unknown, 0.0)
 
     def start(self, strain: jax.Array) -> tuple:
         """See ``AbstractMechanism``: nothing."""

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import smaller
 from smajax.plant import newton
 from smajax.plant.drive import AbstractDrive, resistance
 from smajax.plant.effect import AbstractEffect, DriveEffect, HeatEffect, Instant, MaterialEffect, MechanismEffect, SensorEffect, Where
@@ -94,7 +95,7 @@ class Plant(eqx.Module):
         temperature = jnp.broadcast_to(prescribed.get("temperature", resting), (self.mechanism.wires,))
         installed = self.mechanism.fractions(self.law, temperature, prescribed, around)
         detwinned = installed.detwinned if self.initial.detwinned is None else jnp.broadcast_to(self.initial.detwinned, temperature.shape)
-        twinned = jnp.minimum(installed.twinned, 1.0 - detwinned)
+        twinned = smaller(installed.twinned, 1.0 - detwinned)
         if self.initial.twinned is not None:
             twinned = jnp.broadcast_to(self.initial.twinned, temperature.shape)
         fractions = Fractions(detwinned, twinned)

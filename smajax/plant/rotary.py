@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller, within
 from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions
 from smajax.plant.mechanism import AbstractMechanism, Pulley, Surroundings, detwinned
@@ -50,13 +51,13 @@ class LightRotary(AbstractMechanism):
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
-        return jnp.broadcast_to(jnp.maximum(unknown, 0.0), (2,))
+        return jnp.broadcast_to(larger(unknown, 0.0), (2,))
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
     ) -> jax.Array:
         """See ``AbstractMechanism``: the strains add up to twice the prestrain, or both wires are slack."""
-        return around.modulus * (0.5 * jnp.sum(strain) - around.wire.prestrain)[None] + jnp.minimum(unknown, 0.0)
+        return around.modulus * (0.5 * jnp.sum(strain) - around.wire.prestrain)[None] + smaller(unknown, 0.0)
 
     def start(self, strain: jax.Array) -> jax.Array:
         """See ``AbstractMechanism``: the angle."""
@@ -68,7 +69,7 @@ class LightRotary(AbstractMechanism):
         first = (around.wire.prestrain - strain[0]) * per_strain
         second = (strain[1] - around.wire.prestrain) * per_strain
         taut = 0.5 * (first + second)
-        return jnp.where(unknown[0] < 0.0, jnp.clip(motion, first, second), taut)
+        return jnp.where(unknown[0] < 0.0, within(motion, first, second), taut)
 
     def channels(self, strain: jax.Array, stress: jax.Array, motion: Any, around: Surroundings) -> dict[str, jax.Array]:
         """See ``AbstractMechanism``: angle in rad, and the moment of the wires in N m."""
@@ -108,17 +109,17 @@ class AbstractTurning(AbstractMechanism):
 
     def stress(self, unknown: jax.Array, prescribed: dict, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``."""
-        return jnp.maximum(unknown[:2], 0.0)
+        return larger(unknown[:2], 0.0)
 
     def balance(
         self, unknown: jax.Array, strain: jax.Array, motion: Any, prescribed: dict, around: Surroundings, step: jax.Array
     ) -> jax.Array:
         """See ``AbstractMechanism``: both wires' strains, and the balance of moments."""
         turned = unknown[2] / around.modulus * jnp.array([-1.0, 1.0])
-        wires = around.modulus * (strain - around.wire.prestrain - turned) + jnp.minimum(unknown[:2], 0.0)
+        wires = around.modulus * (strain - around.wire.prestrain - turned) + smaller(unknown[:2], 0.0)
         after = self.move(unknown, strain, motion, around, step)
         moments = self.pulley.moment(motion, after, self.inertia) + self.moment(after[0], around.environment)
-        pull = jnp.maximum(unknown[0], 0.0) - jnp.maximum(unknown[1], 0.0)
+        pull = larger(unknown[0], 0.0) - larger(unknown[1], 0.0)
         return jnp.append(wires, moments / (self.pulley.radius * around.wire.force_per_stress) - pull)
 
     def start(self, strain: jax.Array) -> tuple:
@@ -150,7 +151,7 @@ class Joint(AbstractTurning):
     def longest_step(self, around: Surroundings) -> jax.Array:
         """See ``AbstractMechanism``: a twelfth of the period in which the link swings between taut wires, not below 10 ms."""
         stiffness = 2.0 * around.modulus * around.wire.force_per_stress / around.wire.motion_per_strain * self.pulley.radius**2
-        return jnp.maximum(_FASTEST, 2.0 * math.pi / 12.0 * jnp.sqrt(self.inertia / stiffness))
+        return larger(_FASTEST, 2.0 * math.pi / 12.0 * jnp.sqrt(self.inertia / stiffness))
 
     @property
     def inertia(self) -> jax.Array:

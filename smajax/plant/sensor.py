@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger
 from smajax.parameters import Declaration
 from smajax.units import CHANNELS, channel_of
 
@@ -48,7 +49,7 @@ _INSTANT = 1e-9  # s; samples no further apart are one, as fillings are
 
 def slopes(series: jax.Array, time: jax.Array) -> jax.Array:
     """How fast a series, shape ``(n,)``, changes at its samples, per second: as it does between the samples beside each."""
-    return jnp.asarray(jnp.gradient(series)) / jnp.maximum(jnp.asarray(jnp.gradient(time)), _INSTANT)
+    return jnp.asarray(jnp.gradient(series)) / larger(jnp.asarray(jnp.gradient(time)), _INSTANT)
 
 
 def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array:
@@ -57,7 +58,7 @@ def lagged(series: jax.Array, time: jax.Array, constant: jax.Array) -> jax.Array
     Exact for what is, between samples, a cubic with the series' ``slopes``. Differentiable at 0, where it is the series itself.
     """
     gap, slope = jnp.diff(time), slopes(series, time)
-    share = constant / jnp.maximum(gap, _INSTANT)
+    share = constant / larger(gap, _INSTANT)
     decays = share > 0.02  # below, what is left of the last sample is under rounding
     stays = jnp.where(decays, jnp.exp(-1.0 / jnp.where(decays, share, 1.0)), 0.0)
     # x = x_0 + b u + c u^2 + d u^3 from one sample to the next one; behind the lag each power loses so much of what it has come to.

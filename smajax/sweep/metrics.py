@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, largest, swing
 from smajax.units import numbered
 
 Channels = Mapping[str, jax.Array]
@@ -57,22 +58,22 @@ class Metric(NamedTuple):
 
 def stroke(cycle: Response) -> jax.Array:
     """Largest less smallest value of the coordinate, in m or rad."""
-    return jnp.ptp(cycle.channels[cycle.coordinate])
+    return swing(cycle.channels[cycle.coordinate])
 
 
 def force(whole: Response) -> jax.Array:
     """The largest pull in a wire, N."""
-    return jnp.max(whole.of("force"))
+    return largest(whole.of("force"))
 
 
 def peak_stress(whole: Response) -> jax.Array:
     """The largest stress in a wire, Pa."""
-    return jnp.max(whole.of("stress"))
+    return largest(whole.of("stress"))
 
 
 def peak_temperature(whole: Response) -> jax.Array:
     """The hottest wire's highest temperature, degC."""
-    return jnp.max(whole.of("temperature"))
+    return largest(whole.of("temperature"))
 
 
 def energy_per_cycle(cycle: Response) -> jax.Array:
@@ -84,7 +85,7 @@ def work_per_cycle(cycle: Response) -> jax.Array:
     """Work that the wires do while they shorten, J: the integral of force over shortening, where that is positive."""
     pull, strain = cycle.of("force"), cycle.of("strain")
     shortened = -jnp.diff(strain, axis=1) * cycle.motion
-    return cycle.parallel * jnp.sum(jnp.maximum(0.5 * (pull[:, 1:] + pull[:, :-1]) * shortened, 0.0))
+    return cycle.parallel * jnp.sum(larger(0.5 * (pull[:, 1:] + pull[:, :-1]) * shortened, 0.0))
 
 
 def efficiency(cycle: Response) -> jax.Array:
@@ -107,11 +108,11 @@ def settling(cycle: Response) -> jax.Array:
     """
     closing = [_gap(cycle.channels[cycle.coordinate], _STILL * jnp.abs(cycle.motion))]
     closing += [_gap(one, jnp.asarray(_EVEN)) for one in cycle.of("temperature")]
-    return jnp.max(jnp.stack(closing))
+    return largest(jnp.stack(closing))
 
 
 def _gap(values: jax.Array, least: jax.Array) -> jax.Array:
-    return jnp.abs(values[-1] - values[0]) / jnp.maximum(jnp.ptp(values), least)
+    return jnp.abs(values[-1] - values[0]) / larger(swing(values), least)
 
 
 def crossing(at: jax.Array, values: jax.Array, level: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax import parameters, simulate
+from smajax.kinks import swing
 from smajax.plant.material.base import Fractions
 from smajax.plant.plant import Plant
 from smajax.recording import Floats, Recording
@@ -196,7 +197,7 @@ class RigStudy(AbstractStudy):
             inputs = lay(wave, plant.mechanism.wires, steps, {**values, "frequency": frequency})
             channels, code = simulate.watch(plant, inputs, self.channels)
             last = self._response(plant, inputs, channels).cut(cycle)
-            return Reached(jnp.ptp(last.channels[last.coordinate]), settling(last) if "settling" in self.wanted else jnp.zeros(()), code)
+            return Reached(swing(last.channels[last.coordinate]), settling(last) if "settling" in self.wanted else jnp.zeros(()), code)
 
         lowest = jnp.asarray(values.get("frequency", wave.frequency), jnp.float64)
         held, fixed = jax.lax.stop_gradient((plant, dict(values)))

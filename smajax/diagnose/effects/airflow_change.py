@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.effect import HeatEffect, Instant, Where
 
@@ -24,7 +25,7 @@ class AirflowChange(HeatEffect):
 
     def begin(self, memory: jax.Array, time: jax.Array, step: jax.Array) -> jax.Array:
         """See ``HeatEffect``."""
-        return jnp.where(step > 0.0, jnp.clip((time + step - self.instant) / jnp.where(step > 0.0, step, 1.0), 0.0, 1.0), memory)
+        return jnp.where(step > 0.0, within((time + step - self.instant) / jnp.where(step > 0.0, step, 1.0), 0.0, 1.0), memory)
 
     def power(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``HeatEffect``."""

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, within
 from smajax.parameters import parameter
 from smajax.plant.effect import MechanismEffect
 
@@ -22,10 +23,10 @@ class Backlash(MechanismEffect):
 
     def carry(self, motion: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``MechanismEffect``."""
-        gap = jnp.maximum(self.strength, jax.lax.stop_gradient(_LEAST * (jnp.max(motion) - jnp.min(motion))) + 1e-300)
+        gap = larger(self.strength, jax.lax.stop_gradient(_LEAST * (jnp.max(motion) - jnp.min(motion))) + 1e-300)
 
         def follow(z: jax.Array, moved: jax.Array) -> tuple[jax.Array, jax.Array]:
-            z = jnp.clip(z + moved / gap, -1.0, 1.0)
+            z = within(z + moved / gap, -1.0, 1.0)
             return z, z
 
         _, z = jax.lax.scan(follow, self.begin, jnp.diff(motion, prepend=motion[:1]), unroll=8)

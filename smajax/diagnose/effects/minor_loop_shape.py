@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger
 from smajax.parameters import parameter
 from smajax.plant.effect import MaterialEffect
 from smajax.plant.material.base import Fractions
@@ -19,11 +20,11 @@ def _slowed(before: jax.Array, after: jax.Array, exponent: jax.Array) -> jax.Arr
     """
     falling = (after < before) & (before > _LEAST)
     first = jnp.where(falling, before, 1.0)
-    own = jnp.log(first) - jnp.log(jnp.where(falling, jnp.maximum(after, 1e-30), 1.0))
+    own = jnp.log(first) - jnp.log(jnp.where(falling, larger(after, 1e-30), 1.0))
     growth = first**exponent * own
     u = exponent * growth
     flat = jnp.abs(u) < _FLAT
-    wide = jnp.where(flat, 1.0, jnp.maximum(u, -1.0 + 1e-12))
+    wide = jnp.where(flat, 1.0, larger(u, -1.0 + 1e-12))
     mean = jnp.where(flat, 1.0 - u / 2.0 + u * u / 3.0 - u**3 / 4.0, jnp.log1p(wide) / wide)
     slowed = jnp.where(after > _COMPLETE * before, first * jnp.exp(-growth * mean), 0.0)
     return jnp.where(falling, slowed, after)
@@ -44,5 +45,5 @@ class MinorLoopShape(MaterialEffect):
         back = _slowed(first, last, self.strength)
         forth = 1.0 - _slowed(1.0 - first, 1.0 - last, self.strength)
         martensite = jnp.where(last < first, back, forth)
-        scale = martensite / jnp.maximum(last, 1e-12)
+        scale = martensite / larger(last, 1e-12)
         return Fractions(after.detwinned * scale, after.twinned * scale)

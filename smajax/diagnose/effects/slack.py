@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger
 from smajax.parameters import parameter
 from smajax.plant.effect import MechanismEffect
 
@@ -21,4 +22,4 @@ class Slack(MechanismEffect):
 
     def carry(self, motion: jax.Array, seen: dict[str, jax.Array], time: jax.Array) -> jax.Array:
         """See ``MechanismEffect``; the motion never goes back, so the span is at least the slack."""
-        return -self.strength * jnp.tanh(motion / jnp.maximum(self.span, self.strength))
+        return -self.strength * jnp.tanh(motion / larger(self.span, self.strength))

@@ -1,8 +1,8 @@
 """Plastic strain that the highest stress so far leaves behind."""
 
 import jax
-import jax.numpy as jnp
 
+from smajax.kinks import larger
 from smajax.parameters import parameter
 from smajax.plant.effect import Instant, MaterialEffect, Where
 
@@ -26,9 +26,9 @@ class Slip(MaterialEffect):
 
     def remember(self, memory: jax.Array, before: Instant, after: Instant, step: jax.Array, where: Where) -> jax.Array:
         """See ``AbstractEffect``."""
-        return jnp.maximum(memory, after.stress / _REFERENCE)
+        return larger(memory, after.stress / _REFERENCE)
 
     def strain(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
-        felt = jnp.maximum(memory, 1e-9)
+        felt = larger(memory, 1e-9)
         return self.strength * felt**self.exponent

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, within
 from smajax.parameters import parameter
 from smajax.plant.effect import SensorEffect
 from smajax.plant.sensor import slopes
@@ -26,9 +27,9 @@ class TimeSkew(SensorEffect):
 def _at(wanted: jax.Array, time: jax.Array, series: jax.Array) -> jax.Array:
     """A series between its samples by cubics through them, whose slope at a sample is the same from both sides; its ends go on level."""
     slope = slopes(series, time)
-    wanted = jnp.clip(wanted, time[0], time[-1])
+    wanted = within(wanted, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(wanted), side="right") - 1, 0, len(time) - 2)
-    gap = jnp.maximum(time[i + 1] - time[i], 1e-9)
+    gap = larger(time[i + 1] - time[i], 1e-9)
     u = (wanted - time[i]) / gap
     near = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * series[i] + u * (1.0 - u) ** 2 * gap * slope[i]
     return near + u**2 * (3.0 - 2.0 * u) * series[i + 1] - u**2 * (1.0 - u) * gap * slope[i + 1]

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
+from smajax.kinks import within
 from smajax.parameters import parameter
 
 
@@ -87,7 +87,7 @@ class AbstractMaterial(eqx.Module):
 
     def installed(self, strain: jax.Array) -> Fractions:
         """The fractions of a cold, stress-free wire that was drawn out to ``strain``: detwinned as far as needed, the rest twinned."""
-        detwinned = jnp.clip(strain / self.max_strain, 0.0, 1.0)
+        detwinned = within(strain / self.max_strain, 0.0, 1.0)
         return Fractions(detwinned, 1.0 - detwinned)
 
 

@@ -24,6 +24,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, within
 from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 
@@ -57,7 +58,7 @@ def _sine(share: jax.Array) -> jax.Array:
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def remaining(progress: jax.Array, smoothing: float) -> jax.Array:
     """Share left to transform, cos^2(pi/2 progress), for progress clipped to 0..1, and never below ``smoothing``."""
-    sine = _sine(1.0 - jnp.clip(progress, 0.0, 1.0))
+    sine = _sine(1.0 - within(progress, 0.0, 1.0))
     return smoothing + (1.0 - smoothing) * sine * sine
 
 
@@ -65,7 +66,7 @@ def remaining(progress: jax.Array, smoothing: float) -> jax.Array:
 def _remaining_jvp(smoothing: float, primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     """By hand, since the derivative of a cosine is a sine, and that of its series costs twice as much."""
     (progress,), (tangent,) = primals, tangents
-    done = jnp.clip(progress, 0.0, 1.0)
+    done = within(progress, 0.0, 1.0)
     sine, cosine = _sine(1.0 - done), _sine(done)
     slope = jnp.where((progress > 0.0) & (progress < 1.0), -(1.0 - smoothing) * math.pi * sine * cosine, 0.0)
     return smoothing + (1.0 - smoothing) * sine * sine, slope * tangent
@@ -98,7 +99,7 @@ class Brinson(AbstractMaterial):
         """How far into their bands the driving variables of the three branches are: 0 at the start, 1 at the finish."""
         above = temperature - self.martensite_start - self.martensite_shift
         reverse = temperature - self.austenite_start - self.austenite_shift - stress * (1.0 / self.clausius_clapeyron_austenite)
-        detwinning = stress - self.clausius_clapeyron_martensite * jnp.maximum(above, 0.0) - self.detwinning_start_stress
+        detwinning = stress - self.clausius_clapeyron_martensite * larger(above, 0.0) - self.detwinning_start_stress
         # Reciprocals of parameters leave the time loop; quotients by them would not.
         return (
             reverse * (1.0 / (self.austenite_finish - self.austenite_start)),

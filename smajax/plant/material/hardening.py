@@ -9,6 +9,8 @@ smaller ones let a transformation begin and end gradually. A material asks the o
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller
+
 # Enough for an error below 2e-9 at exponents down to 0.01.
 _STEPS = 6
 # Of log x: the error that a step of this size leaves is its square.
@@ -23,7 +25,7 @@ def hardening(fraction: jax.Array, n: jax.Array, m: jax.Array) -> jax.Array:
 
 def _power(base: jax.Array, exponent: jax.Array) -> jax.Array:
     """base^exponent for a base of 0..1, by logarithms, which compile to faster code than the library's power."""
-    return jnp.where(base > 0.0, jnp.exp(exponent * jnp.log(jnp.maximum(base, _LEAST))), 0.0)
+    return jnp.where(base > 0.0, jnp.exp(exponent * jnp.log(larger(base, _LEAST))), 0.0)
 
 
 @jax.custom_jvp
@@ -38,7 +40,7 @@ def _hardened_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array
     """By the implicit function theorem."""
     share, n, m = primals
     lower, near, small = _solve(share, n, m)
-    small = jnp.maximum(small, _LEAST)
+    small = larger(small, _LEAST)
     fraction, rest = jnp.where(lower, small, 1.0 - small), jnp.where(lower, 1.0 - small, small)
     logs = jnp.log(fraction), jnp.log(rest)
     grown, left = jnp.exp(n * logs[0]), jnp.exp(m * logs[1])
@@ -65,10 +67,10 @@ def _solve(share: jax.Array, n: jax.Array, m: jax.Array) -> tuple[jax.Array, jax
         x, w = jnp.exp(u), jnp.exp(a * u)
         rest = jnp.exp(b * jnp.log1p(-x))
         slope = 0.5 * (a * w + b * rest / (1.0 - x) * x)
-        new = jnp.minimum(u - (0.5 * (1.0 + w - rest) - target) / jnp.maximum(slope, _LEAST), top)
+        new = smaller(u - (0.5 * (1.0 + w - rest) - target) / larger(slope, _LEAST), top)
         return new, near & (jnp.abs(new - u) > _SETTLED), count + 1
 
     # Most steps of a wire lie outside its transformations: there the loop has no turns.
-    first = jnp.minimum(jnp.log(2.0 * target) / a, top), near, 0
+    first = smaller(jnp.log(2.0 * target) / a, top), near, 0
     u, *_ = jax.lax.while_loop(lambda carry: jnp.any(carry[1]) & (carry[2] < _STEPS), newton, first)
     return lower, near, jnp.exp(u)

@@ -30,6 +30,7 @@ nothing for a whole transformation, little for a partial one.
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger, smaller, within
 from smajax.parameters import parameter
 from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 from smajax.plant.material.hardening import hardened, hardening
@@ -58,25 +59,25 @@ class Lagoudas(AbstractMaterial):
         some = jnp.where(old > _NONE, old, 1.0)
         taken = self.max_strain * fractions.detwinned / some
         forward, reverse, slope = self._shares(hot, after, taken)
-        known = jnp.clip(jax.lax.stop_gradient(old), 0.0, 1.0)
+        known = within(jax.lax.stop_gradient(old), 0.0, 1.0)
         grows = forward > hardening(known, self.n1, self.n2)
         shrinks = (reverse < hardening(known, self.n3, self.n4)) & (old > _NONE)
         # Where nothing transforms, a share out of reach spares the inverse its work.
         reached = hardened(jnp.where(grows | shrinks, forward, 2.0), self.n1, self.n2)
-        grown = jnp.where(grows, jnp.maximum(reached - old, 0.0), 0.0)
+        grown = jnp.where(grows, larger(reached - old, 0.0), 0.0)
         strain = self.grown_strain(0.5 * (before + after))
         brought = strain * (1.0 / self.max_strain) * grown
         # Where the reverse transformation would go on past the forward line, what it takes grows again at once, under this stress: the
         # transformation strain rises until the two are at rest beside each other, or it is all that the stress can make.
         now = old + grown
         whole = jnp.where(now > _NONE, now, 1.0)
-        between = jnp.where(grows, now, jnp.minimum(reached, old))
+        between = jnp.where(grows, now, smaller(reached, old))
         held = self.max_strain * (fractions.detwinned + brought) / whole
         reverse = reverse + slope * (held - taken)
         lacking = hardening(between, self.n3, self.n4) - reverse
         again = shrinks & (lacking > 0.0)
-        risen = jnp.clip(held + lacking / jnp.where(slope > 0.0, slope, 1.0), held, jnp.maximum(held, strain)) * (1.0 / self.max_strain)
-        left = jnp.minimum(hardened(jnp.where(shrinks & ~again, reverse, 2.0), self.n3, self.n4), now)
+        risen = within(held + lacking / jnp.where(slope > 0.0, slope, 1.0), held, larger(held, strain)) * (1.0 / self.max_strain)
+        left = smaller(hardened(jnp.where(shrinks & ~again, reverse, 2.0), self.n3, self.n4), now)
         kept = jnp.where(shrinks, left / whole, 1.0)
         detwinned = jnp.where(again, risen * between, (fractions.detwinned + brought) * kept)
         return Fractions(detwinned, jnp.where(again, (1.0 - risen) * between, (fractions.twinned + grown - brought) * kept))
@@ -88,11 +89,11 @@ class Lagoudas(AbstractMaterial):
         partly twinned. Past both, some of it grows while some shrinks, until what there is is detwinned enough.
         """
         old = fractions.martensite
-        some = jnp.maximum(old, _FEW)
+        some = larger(old, _FEW)
         forward, reverse, _ = self._shares(temperature, stress, self.max_strain * fractions.detwinned / some)
-        grown = jnp.maximum(hardened(forward, self.n1, self.n2) - old, 0.0)
+        grown = larger(hardened(forward, self.n1, self.n2) - old, 0.0)
         brought = self.grown_strain(stress) * (1.0 / self.max_strain) * grown
-        lost = jnp.maximum(old - hardened(reverse, self.n3, self.n4), 0.0) / some
+        lost = larger(old - hardened(reverse, self.n3, self.n4), 0.0) / some
         return Fractions(brought - lost * fractions.detwinned, grown - brought - lost * fractions.twinned)
 
     def _shares(self, temperature: jax.Array, stress: jax.Array, taken: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -110,7 +111,7 @@ class Lagoudas(AbstractMaterial):
 
     def grown_strain(self, stress: jax.Array) -> jax.Array:
         """Transformation strain of martensite that grows under a stress, H_cur."""
-        above = jnp.maximum(stress - self.critical_stress, 0.0)
+        above = larger(stress - self.critical_stress, 0.0)
         return self.max_strain * (1.0 - (1.0 - self.min_strain_share) * jnp.exp(-self.strain_saturation * above))
 
     def _calibrated(self) -> tuple[jax.Array, jax.Array]:

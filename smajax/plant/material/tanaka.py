@@ -14,6 +14,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger
 from smajax.plant.material.base import AbstractMaterial, Fractions, mix
 from smajax.plant.material.brinson import remaining
 
@@ -57,7 +58,7 @@ class Tanaka(AbstractOneFraction):
 
     def left(self, start: jax.Array, end: jax.Array) -> jax.Array:
         """See ``AbstractOneFraction.left``: 0.01 to the power of the progress made behind the start."""
-        return jnp.exp(math.log(0.01) * (jnp.maximum(end, 0.0) - jnp.maximum(start, 0.0)))
+        return jnp.exp(math.log(0.01) * (larger(end, 0.0) - larger(start, 0.0)))
 
 
 class LiangRogers(AbstractOneFraction):

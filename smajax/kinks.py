@@ -1,0 +1,39 @@
+"""The larger and the smaller of two numbers, a number held between two ends, the largest of many: with derivatives that programs keep.
+
+``jnp.maximum`` and its like find the side whose derivative counts by asking which one equals the result. A compiled program may compute a
+side twice, with the product in it rounded and (as a fused multiply-add) not rounded, so that neither equals it, and the derivative is lost
+without a word. Here the comparison itself picks the side. At a tie both sides count half; what is no number stays none.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+
+def larger(a: ArrayLike, b: ArrayLike) -> jax.Array:
+    """The larger of two, element by element."""
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    return jnp.where(a > b, a, jnp.where(b > a, b, 0.5 * a + 0.5 * b))
+
+
+def smaller(a: ArrayLike, b: ArrayLike) -> jax.Array:
+    """The smaller of two, element by element."""
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    return jnp.where(a < b, a, jnp.where(b < a, b, 0.5 * a + 0.5 * b))
+
+
+def within(value: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> jax.Array:
+    """The value, or the end that it is beyond; one of two ends that cross is the upper one."""
+    return smaller(larger(value, lower), upper)
+
+
+def largest(values: jax.Array, axis: int | None = None) -> jax.Array:
+    """The largest value along an axis, or of all; of several that are, the first counts."""
+    values, axis = (jnp.ravel(values), 0) if axis is None else (values, axis)
+    place = jax.lax.stop_gradient(jnp.argmax(values, axis=axis, keepdims=True))
+    return jnp.squeeze(jnp.take_along_axis(values, place, axis=axis), axis)
+
+
+def swing(values: jax.Array) -> jax.Array:
+    """The largest value less the smallest one, of all."""
+    return largest(values) + largest(-values)
