@@ -37,6 +37,10 @@ _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
 _BACKWARDS = 0.02  # of the temperatures
+_BACK, _BACK_OF_NOISE = (
+    0.1,
+    6.0,
+)  # share of a branch's temperatures, and standard deviations of their noise: what goes back further is a loop
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 
 
@@ -55,11 +59,13 @@ class Cycle:
 
     On heating, ``transformation_strain`` is between the plateaus at austenite start and finish, ``actuation_strain`` between them at the
     coldest and the hottest row. ``width`` (K) is between the middles of the branches, ``span`` from martensite to austenite finish.
+    ``loops`` are the first and last rows of loops within it, which are left out.
     """
 
     number: int
     rows: tuple[int, int]
     values: dict[str, Value]
+    loops: tuple[tuple[int, int], ...] = ()
 
 
 def turns(temperature: np.ndarray) -> list[int]:
@@ -121,12 +127,15 @@ def analyse(
     pairs = _in_order(name, temperature, strain, smooth)
     for number, (cooling, heating) in enumerate(pairs, 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
+        loops = [loop for branch in (cooling, heating) for loop in _inner_loops(temperature, branch, smooth)]
+        inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)
+        whole = [branch[~np.isin(branch, inner)] for branch in (cooling, heating)]
         try:
-            values = _properties(temperature, strain, cooling, heating, smooth, np.random.default_rng([seed, number]))
+            values = _properties(temperature, strain, *whole, smooth, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
             continue
-        found.append(Cycle(number, rows, values))
+        found.append(Cycle(number, rows, values, tuple(sorted(loops))))
     return found, refused
 
 
@@ -135,6 +144,20 @@ def _in_order(name: str, temperature: np.ndarray, strain: np.ndarray, smooth: in
         refuse_disorder(name, temperature, strain)
         refuse_strays(name, "a strain of", strain)
     return cycles(name, temperature, smooth=smooth)
+
+
+def _inner_loops(temperature: np.ndarray, branch: np.ndarray, smooth: int) -> list[tuple[int, int]]:
+    """First and last rows of a branch's loops: from where the temperature turns back, further than noise takes it, to where it comes again.
+
+    An alloy remembers where it turned and goes on from there, so that the branch without them is as if they had not been.
+    """
+    warm = median_filter(temperature[branch], smooth, mode="nearest")
+    way = warm if warm[-1] > warm[0] else -warm
+    back = np.maximum.accumulate(way) - way
+    least = max(_BACK * float(np.ptp(warm)), _BACK_OF_NOISE * unsteadiness(warm))
+    edges = np.flatnonzero(np.diff(np.r_[False, back > 0.0, False]))
+    spans = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(int(branch[a]), int(branch[b])) for a, b in spans if np.max(back[a : b + 1]) > least]
 
 
 def _properties(

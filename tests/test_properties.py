@@ -205,6 +205,40 @@ def test_one_that_cannot_be_read_leaves_the_others(tmp_path):
     assert lacking.exit_code == 2 and "has no column stress" in lacking.output and not (tmp_path / "set.toml").exists()
 
 
+@pytest.mark.parametrize("warm_noise", [0.0, 1.0])
+def test_loops_within_a_cycle_are_left_out_and_said_to_be(tmp_path, warm_noise):
+    """On either branch it turns back half-way through the transformation, along a flat way, and comes again."""
+    cool, heat = np.linspace(150.0, 15.0, 160), np.linspace(15.0, 150.0, 160)
+    branches = {"cool": (cool, strain_of(cool, 40.0, 70.0)), "heat": (heat, strain_of(heat, 85.0, 110.0))}
+    temperature, strain, starts = [], [], []
+    for name, back in (("cool", 40.0), ("heat", -40.0), ("cool", 0.0), ("heat", 0.0)):
+        t, e = branches[name]
+        at = int(np.argmin(np.abs(t - (55.0 if name == "cool" else 97.0))))
+        away = back * np.sin(np.linspace(0.0, np.pi, 40))
+        loop = (t[at] + away, e[at] + 1e-5 * away) if back else (np.zeros(0), np.zeros(0))
+        starts += [len(np.concatenate([*temperature, [0.0] * (at + 1)]))] if back else []
+        temperature.append(np.r_[t[: at + 1], loop[0], t[at + 1 :]])
+        strain.append(np.r_[e[: at + 1], loop[1], e[at + 1 :]])
+    rng = np.random.default_rng(2)
+    warm, moved = np.concatenate(temperature), np.concatenate(strain)
+    noisy = warm + warm_noise * rng.standard_normal(len(warm)), moved + 1e-5 * rng.standard_normal(len(moved))
+    smooth = 9 if warm_noise else 1
+    found, refused = analyse("made", *noisy, smooth=smooth)
+    assert len(found) == 2 and not refused
+    assert [len(cycle.loops) for cycle in found] == [2, 0]
+    for (first, last), start in zip(found[0].loops, starts, strict=True):
+        assert abs(first - start) <= smooth + 1 and abs(last - start - 39) <= smooth + 2
+    for cycle in found:
+        for name, true in TRUE.items():
+            assert cycle.values[name].value == pytest.approx(true, abs=1.5 if warm_noise else 0.4), name
+    path = write(tmp_path / "loops.csv", *noisy)
+    result = CliRunner().invoke(app, ["properties", str(path), "--smooth", str(smooth)])
+    first, last = found[0].loops[0]
+    assert f"Left out of cycle 1: rows {first + 1} to {last + 1}, a loop within it." in result.output
+    told = json.loads(CliRunner().invoke(app, ["properties", str(path), "--smooth", str(smooth), "--json"]).output)
+    assert told["recordings"][0]["cycles"][0]["loops_left_out"][0] == [first + 1, last + 1]
+
+
 def test_a_file_given_twice_is_refused(tmp_path):
     path = write(tmp_path / "good.csv", *made(1))
     done = CliRunner().invoke(app, ["properties", str(path), str(tmp_path / "." / "good.csv")])

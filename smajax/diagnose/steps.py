@@ -16,10 +16,10 @@ _LONGEST = 4.0  # times the step that resolves the plant
 
 def longer(problem: Problem, recordings: Sequence[Recording], stride: int, *, interpolation: str, step: float | None) -> Problem | None:
     """The problem at every ``stride``-th sample, on steps as many times as long; ``None`` if these were too long for its plant."""
-    between = max(float(np.median(np.diff(r.time))) for r in recordings)
-    if stride * between > _LONGEST * simulate.default_step(problem.plant):
-        return None
     laid = [simulate.lay_out(problem.plant, r, interpolation=interpolation, step=step) for r in recordings]
+    usual = max(float(np.median(np.diff(one.time))) for one in laid)
+    if stride * usual > _LONGEST * simulate.default_step(problem.plant):
+        return None
     merged = [one.merged(stride, held=interpolation == "hold") for one in laid]
     merged += merged[-1:] * (len(problem.data.measured) - len(merged))
     grid, samples = problem.data.inputs.time.shape[1], problem.data.inputs.rows.shape[1]

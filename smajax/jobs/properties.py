@@ -168,7 +168,15 @@ def _entry(one: Read) -> dict[str, Any]:
         "stress_Pa": one.stress,
         "smoothed_rows": one.smooth,
         "mean": shown(mean_of(one.cycles)) if one.cycles else None,
-        "cycles": [{"number": c.number, "rows": [c.rows[0] + 1, c.rows[1] + 1], "values": shown(c.values)} for c in one.cycles],
+        "cycles": [
+            {
+                "number": c.number,
+                "rows": [c.rows[0] + 1, c.rows[1] + 1],
+                "loops_left_out": [[first + 1, last + 1] for first, last in c.loops],
+                "values": shown(c.values),
+            }
+            for c in one.cycles
+        ],
     }
 
 
@@ -190,7 +198,13 @@ def text(document: Mapping[str, Any]) -> str:
         for name, v in one["mean"].items():
             scale, digits, unit = (100.0, 3, "%") if name in _STRAINS else (1.0, 2, _unit(name))
             rows.append((_LABELS[name], *(f"{scale * v[k]:.{digits}f}" for k in ("value", "lower95", "upper95")), unit))
-        lines += [told, *table([("property", "mean", "95 % from", "to", "unit"), *rows], right=(1, 2, 3)), ""]
+        lines += [told, *table([("property", "mean", "95 % from", "to", "unit"), *rows], right=(1, 2, 3))]
+        lines += [
+            f"Left out of cycle {c['number']}: rows {first} to {last}, a loop within it."
+            for c in one["cycles"]
+            for first, last in c["loops_left_out"]
+        ]
+        lines.append("")
     lines += [f"Not read: {sentence}." for sentence in document["refused"]]
     return "\n".join(lines).rstrip()
 
