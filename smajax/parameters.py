@@ -23,6 +23,13 @@ TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),
     "material.thermal_expansion": ("material.thermal_expansion_austenite", "material.thermal_expansion_martensite"),
 }
+# Within each pair the first has to stay below the second, or a transformation has no band to run through, or a coil no room inside.
+ORDERED: tuple[tuple[str, str], ...] = (
+    ("material.austenite_start", "material.austenite_finish"),
+    ("material.martensite_finish", "material.martensite_start"),
+    ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
+    ("wire.diameter", "wire.coil_diameter"),
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, Field, create_model
 
 from smajax.datasets import shipped
 from smajax.errors import InputError, nearest
-from smajax.parameters import TIES, Declaration, declarations
+from smajax.parameters import ORDERED, TIES, Declaration, declarations
 from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
 from smajax.plant.heat import AbstractHeat, PolynomialHeat, PowerHeat, PrescribedTemperature
 from smajax.plant.limb import TendonLimb
@@ -57,13 +57,6 @@ INTERPOLATIONS = ("hold", "linear")
 # A path is followed by a material point: the wire's size then scales nothing but force and resistance.
 DEFAULTS: Mapping[str, Mapping[str, float]] = {"path": {"wire.diameter": 1e-3, "wire.length": 1.0}}
 OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
-# Within each pair the first has to stay below the second, or a transformation has no band to run through, or a coil no room inside.
-ORDERED = (
-    ("material.austenite_start", "material.austenite_finish"),
-    ("material.martensite_finish", "material.martensite_start"),
-    ("material.detwinning_start_stress", "material.detwinning_finish_stress"),
-    ("wire.diameter", "wire.coil_diameter"),
-)
 
 
 @dataclasses.dataclass(frozen=True)

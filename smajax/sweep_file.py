@@ -33,9 +33,9 @@ from pydantic import BaseModel, Field
 
 from smajax import __version__, parameters
 from smajax.errors import InputError
-from smajax.parameters import Declaration
+from smajax.parameters import ORDERED, Declaration
 from smajax.recording import Floats
-from smajax.rig_schema import ORDERED, as_text, one_of, quantity
+from smajax.rig_schema import as_text, one_of, quantity
 from smajax.sweep import space
 from smajax.sweep.chunks import CHUNK
 from smajax.sweep.space import SAMPLINGS, Axis

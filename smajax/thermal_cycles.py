@@ -129,9 +129,9 @@ def analyse(
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
         loops = [loop for branch in (cooling, heating) for loop in _inner_loops(temperature, branch, smooth)]
         inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)
-        whole = [branch[~np.isin(branch, inner)] for branch in (cooling, heating)]
+        cooling, heating = (branch[~np.isin(branch, inner)] for branch in (cooling, heating))
         try:
-            values = _properties(temperature, strain, *whole, smooth, np.random.default_rng([seed, number]))
+            values = _properties(temperature, strain, cooling, heating, smooth, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
             continue

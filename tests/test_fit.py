@@ -220,6 +220,35 @@ def test_a_search_takes_no_step_into_states_in_which_the_simulation_fails():
     assert 12.0 < found.estimates[0].estimate < 14.0 and found.responses[0].code == Code.done
 
 
+ENDS = ("material.martensite_finish", "material.martensite_start", "material.detwinning_start_stress", "material.detwinning_finish_stress")
+
+
+def test_ends_of_a_transformation_that_a_search_lets_cross_change_places():
+    """The plant is the same on the other side, and what a fit gives can be read again."""
+    problem = build(plants.dead_weight(), [recorded({})], Settings(free=ENDS), step=0.04)
+    names, scales = [u.name for u in problem.unknowns], np.asarray(problem.scales)
+    right = problem.nominal
+    crossed = (right * scales)[[1, 0, 3, 2]] / scales
+    for point in (right, crossed):
+        shared, _ = problem.values(jnp.asarray(point))
+        assert [float(shared[n]) for n in names] == pytest.approx(list(right * scales), rel=1e-12)
+    slopes = jax.jit(jax.jacfwd(problem.residual))
+    ordered, jacobian = problem.put_in_order(crossed, np.asarray(slopes(jnp.asarray(crossed))))
+    np.testing.assert_allclose(ordered, right, rtol=1e-12)
+    np.testing.assert_allclose(jacobian, slopes(jnp.asarray(right)), rtol=1e-6, atol=1e-6)
+    same = np.array([5.0, 5.0, 1.0, 1.0])
+    shared, _ = problem.values(jnp.asarray(same))
+    assert float(shared[names[0]]) < float(shared[names[1]]) and float(shared[names[2]]) < float(shared[names[3]])
+
+
+@pytest.mark.parametrize(("name", "other", "below"), [(*ENDS[:2], True), (*ENDS[1::-1], False)])
+def test_an_end_of_a_transformation_stays_on_its_side_of_one_that_is_held(name, other, below):
+    plant = plants.dead_weight()
+    problem = build(plant, [recorded({}, rows=50)], Settings(free=(name,), bounds={name: (-50.0, 200.0)}), step=0.04)
+    there, unknown = float(parameters.get(plant, other)), problem.unknowns[0]
+    assert (unknown.upper < there and unknown.lower == -50.0) if below else (unknown.lower > there and unknown.upper == 200.0)
+
+
 def test_bad_settings_are_refused():
     made = recorded({}, rows=50)
     with pytest.raises(InputError, match="made.csv has no channel 'angle'"):

@@ -143,7 +143,7 @@ def fit(
         raise NumericsError(f"{code.name} at the start values: {code.cure}; parameters: {simulate.describe(plant)}")
     best = int(np.nanargmin(np.where(np.isfinite(solved.costs), solved.costs, np.inf)))
     at_best = int(np.sum(solved.costs <= solved.costs[best] * 1.001))
-    vector = solved.points[best]
+    vector, jacobian = problem.put_in_order(solved.points[best], solved.jacobians[best])
     shared, own = problem.values(jnp.asarray(vector))
     fitted = parameters.replace(problem.plant, shared)
     plants = tuple(parameters.replace(fitted, {n: v[k] for n, v in own.items()}) for k in range(len(recordings)))
@@ -156,7 +156,7 @@ def fit(
     members = [*plants, *(general for _ in holdout)]
     roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
     responses, discretisation = respond(members, [*recordings, *holdout], roles, settings.observe, interpolation, step)
-    estimates, covariance, groups = _uncertainty(problem, vector, solved.residuals[best], solved.jacobians[best])
+    estimates, covariance, groups = _uncertainty(problem, vector, solved.residuals[best], jacobian)
     floor = {c: max(difference_noise(r.residual(c)) for r in responses[: len(recordings)]) for c in settings.observe}
     return Fit(
         problem=problem,

@@ -8,7 +8,7 @@ was not measured there and weighs nothing: so channels of different rates, and p
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -19,10 +19,13 @@ import numpy as np
 from smajax import parameters, simulate
 from smajax.errors import InputError
 from smajax.fit.searchable import Searchable
+from smajax.kinks import larger, smaller
+from smajax.parameters import ORDERED
 from smajax.plant.plant import Plant
 from smajax.recording import Recording
 
 _FAILED = 1e3
+_NARROWEST = 1e-3  # band of a transformation, relative to where its first end lies
 
 
 @runtime_checkable
@@ -111,11 +114,28 @@ class Problem(Searchable):
         return np.maximum(lower, middle - below), np.minimum(upper, middle + above)
 
     def values(self, vector: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-        """Parameter values of the vector: shared ones (scalars), and each recording's own, shape ``(r,)``."""
+        """Parameter values of the vector: shared ones (scalars), and each recording's own, shape ``(r,)``.
+
+        The two ends of a transformation that are both free have changed places where the vector has them the wrong way round: a search
+        may pass that line, and finds the same plant on its other side.
+        """
         natural = vector * self.scales
         shared = {name: natural[i] for i, name in enumerate(self.shared)}
         own = natural[len(self.shared) :].reshape(-1, len(self.own)).T if self.own else []
-        return shared, {name: own[i] for i, name in enumerate(self.own)}
+        return _in_order(shared), _in_order({name: own[i] for i, name in enumerate(self.own)})
+
+    def put_in_order(self, vector: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The vector of the same plant with all ends of transformations the right way round, and the residual's Jacobian there."""
+        vector, jacobian, scales = vector.copy(), jacobian.copy(), np.asarray(self.scales)
+        places = {(u.name, u.recording): i for i, u in enumerate(self.unknowns)}
+        for (name, recording), i in places.items():
+            for low, high in ORDERED:
+                k = places.get((high, recording))
+                if name == low and k is not None and vector[i] * scales[i] > vector[k] * scales[k]:
+                    ratio = scales[k] / scales[i]
+                    vector[i], vector[k] = vector[k] * ratio, vector[i] / ratio
+                    jacobian[:, i], jacobian[:, k] = jacobian[:, k] / ratio, jacobian[:, i] * ratio
+        return vector, jacobian
 
     def predict(self, vector: jax.Array, known: simulate.Track | None = None) -> tuple[jax.Array, jax.Array]:
         """Model of the observed channels, shape ``(r, c, n)``, and the result code of each recording, shape ``(r,)``.
@@ -161,6 +181,15 @@ class Problem(Searchable):
         return jnp.where(weight > 0, (model - self.data.measured) * weight, 0.0).ravel()
 
 
+def _in_order(values: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    """The values with the ends of each transformation in order, and not quite at one place."""
+    for low, high in ORDERED:
+        if low in values and high in values:
+            first, second = smaller(values[low], values[high]), larger(values[low], values[high])
+            values = values | {low: first, high: larger(second, first + _NARROWEST * jnp.abs(first))}
+    return values
+
+
 def build(
     plant: Plant,
     recordings: Sequence[Recording],
@@ -182,8 +211,9 @@ def build(
     shared = tuple(name for name in settings.free if name not in own)
     if not shared and not own:
         raise InputError("nothing is free: name the parameters to fit under [fit] free")
-    unknowns = [_unknown(plant, name, None, settings, recordings[0]) for name in shared]
-    unknowns += [_unknown(plant, name, r.name, settings, r) for r in recordings for name in own]
+    bounds = {name: _bounds(plant, name, settings, (*shared, *own)) for name in (*shared, *own)}
+    unknowns = [_unknown(plant, name, None, bounds[name], recordings[0]) for name in shared]
+    unknowns += [_unknown(plant, name, r.name, bounds[name], r) for r in recordings for name in own]
     noise = {c: settings.noise.get(c) or max(difference_noise(r.channels[c]) for r in recordings) for c in settings.observe}
     for name in own:  # a start value left to the plant becomes a leaf
         if name.startswith("initial."):
@@ -217,12 +247,12 @@ def rounding_noise(values: np.ndarray) -> float:
     return float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
 
 
-def _unknown(plant: Plant, name: str, recording: str | None, settings: Settings, sample: Recording) -> Unknown:
+def _unknown(plant: Plant, name: str, recording: str | None, bounds: tuple[float, float], sample: Recording) -> Unknown:
     declared = parameters.declaration(plant, name)
     nominal = float(parameters.get(plant, name))
     if math.isnan(nominal):
         nominal = _resting(plant, name, sample)
-    lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))
+    lower, upper = bounds
     if name.startswith("sensor.") and name.endswith("_offset"):
         channel = sample.channels.get(name.removeprefix("sensor.").removesuffix("_offset"))
         scale = float(np.nanmax(channel) - np.nanmin(channel)) if channel is not None else 1.0
@@ -231,6 +261,20 @@ def _unknown(plant: Plant, name: str, recording: str | None, settings: Settings,
         if declared.unit in ("degC", "K"):
             scale = _TYPICAL["K"]
     return Unknown(name, recording, nominal, lower, upper, scale, declared.unit)
+
+
+def _bounds(plant: Plant, name: str, settings: Settings, free: Collection[str]) -> tuple[float, float]:
+    """The bounds of a parameter; an end of a transformation that is free stays on its side of the other end where that is not."""
+    declared = parameters.declaration(plant, name)
+    lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))
+    for low, high in ORDERED:
+        other = high if name == low else low
+        if name not in (low, high) or other in free or other not in parameters.declared(plant):
+            continue
+        there = float(parameters.get(plant, other))
+        least = _NARROWEST * abs(there)
+        lower, upper = (lower, min(upper, there - least)) if name == low else (max(lower, there + least), upper)
+    return lower, upper
 
 
 # Steps of order one where a nominal value of zero gives no scale.

@@ -1,32 +1,24 @@
 """The job of ``smajax properties``: ASTM E3097 temperatures and strains of thermal cycles, and a parameter set to start a fit from."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from smajax import __version__, recording
+from smajax.cycle_set import Level, parameter_set
 from smajax.errors import InputError
-from smajax.parameter_file import Entry, write_parameters
+from smajax.parameter_file import write_parameters
 from smajax.recording import Recording
 from smajax.report.summary import table
-from smajax.thermal_cycles import NAMES, Cycle, Value, analyse, mean_of, unsteadiness
+from smajax.thermal_cycles import Cycle, Value, analyse, mean_of, unsteadiness
 
 SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
-_USUAL = 7e6  # Pa/K, where one stress does not tell
-_SLOPES = (1e6, 3e7)  # Pa/K, plausible ones
-# What thermal cycles under constant stress hardly tell, and a law needs: Pa, and the ends of what is plausible.
-_BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
-_USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
-_DETWINNING = {"detwinning_start_stress": (100e6, 0.0, 300e6), "detwinning_finish_stress": (170e6, 20e6, 500e6)}
-_APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEFT_OUT = "-"
 _NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
 _CURES = (
@@ -44,7 +36,6 @@ _CURES = (
 _HELD = (0.1, 5e6)  # share of a cycle's stress, and Pa: within the sum of both its rows stand under one stress
 _STEADY = 0.9  # of its rows that have to
 _SAME = (0.02, 2e6)  # likewise for cycles that stand under the same stress
-_LEVELS = 3  # stresses that tell how strain grows
 _LABELS = {
     "martensite_start": "M_s", "martensite_finish": "M_f", "austenite_start": "A_s", "austenite_finish": "A_f",
     "transformation_strain": "transformation strain", "actuation_strain": "actuation strain", "width": "hysteresis width",
@@ -98,7 +89,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
         "smajax": __version__,
     }
     if job.write_set is not None:
-        entries = parameter_set([one for one in read if one.cycles], job.model)
+        entries = parameter_set([Level(one.recording.name, one.stress, mean_of(one.cycles)) for one in read if one.cycles], job.model)
         names = ", ".join(dict.fromkeys(one.recording.name for one in read if one.cycles))
         write_parameters(job.write_set, entries, {"title": f"read by tangents from {names}", "source": "smajax properties"})
     return document
@@ -207,72 +198,3 @@ def text(document: Mapping[str, Any]) -> str:
         lines.append("")
     lines += [f"Not read: {sentence}." for sentence in document["refused"]]
     return "\n".join(lines).rstrip()
-
-
-def parameter_set(read: Sequence[Read], model: str) -> dict[str, Entry]:
-    """Start values for a law: temperatures at zero stress, slopes of the lines, and the largest transformation strain.
-
-    Compression counts like tension: both raise the temperatures.
-
-    The lines' slopes follow from the recordings' stresses where these differ by 10 MPa or more; else they are 7 MPa/K, and said to be.
-    Raises ``InputError`` where the stress is not known.
-    """
-    unknown = [one.recording.name for one in read if one.stress is None]
-    if unknown:
-        raise InputError(
-            f"{unknown[0]} has no column stress, so its temperatures cannot be brought to zero stress: add one, as in 'stress [MPa]'"
-        )
-    stress = np.abs(np.array([one.stress for one in read]))
-    means = [mean_of(one.cycles) for one in read]
-    values = {n: np.array([m[n].value for m in means]) for n in (*NAMES, "transformation_strain")}
-    entries: dict[str, Entry] = {}
-    for phase, letter in (("martensite", "C_M"), ("austenite", "C_A")):
-        middle = 0.5 * (values[f"{phase}_start"] + values[f"{phase}_finish"])
-        slope, told = _USUAL, f"{letter} is a usual value: one stress does not tell it"
-        if np.ptp(stress) > _APART:
-            per_stress = float(np.polyfit(stress, middle, 1)[0])
-            if per_stress > 0.0:
-                slope, told = 1.0 / per_stress, f"{letter} by a straight line through {len(read)} stresses"
-                told += "" if _SLOPES[0] <= slope <= _SLOPES[1] else f", cut from {slope / 1e6:.3g} MPa/K to the nearest plausible one"
-            else:
-                told = f"{letter} is a usual value: through {len(read)} stresses the temperatures fall, by {-1e6 * per_stress:.3g} K/MPa"
-        slope = float(np.clip(slope, *_SLOPES))
-        entries[f"material.clausius_clapeyron_{phase}"] = Entry(slope, "Pa/K", 0.3 * slope, 3.0 * slope, source=told)
-        for end in ("start", "finish"):
-            name = f"{phase}_{end}"
-            at_zero = float(np.mean(values[name] - stress / slope))
-            away = 40.0 + max(0.5 * (m[name].upper95 - m[name].lower95) for m in means)
-            entries[f"material.{name}"] = Entry(at_zero, "degC", at_zero - away, at_zero + away, source="tangents, brought to zero stress")
-    largest = float(np.clip(np.max(np.abs(values["transformation_strain"])), 1e-3, 0.1))
-    entries["material.max_strain"] = Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source="largest transformation strain")
-    wanted = _USUALLY | (_DETWINNING if model == "brinson" else {})
-    entries |= {f"material.{n}": Entry(value, "Pa", low, high, source=_BRINSON) for n, (value, low, high) in wanted.items()}
-    if model == "lagoudas":
-        entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
-        if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART:
-            entries |= _growing_strain(stress, np.abs(values["transformation_strain"]))
-    return {n: e for n, e in entries.items() if math.isfinite(e.value)}
-
-
-def _growing_strain(stress: np.ndarray, strain: np.ndarray) -> dict[str, Entry]:
-    """H_cur(sigma) = H_sat (1 - (1 - share) exp(-k sigma)) through the transformation strains of several stresses.
-
-    The critical stress, which a few stresses do not tell from k, starts at none; the lines' slopes hold at the middle of the stresses.
-    """
-    top, told = float(np.max(stress)), f"transformation strains at {len(stress)} stresses"
-
-    def away(unknown: np.ndarray) -> np.ndarray:
-        largest, share, rate = unknown
-        return (largest * (1.0 - (1.0 - share) * np.exp(-rate * stress / top)) - strain) / np.max(strain)
-
-    bounds = ([1e-3, 0.0, 0.1], [0.12, 1.0, 50.0])
-    begin = [[min(1.2 * float(np.max(strain)), 0.11), 0.3, rate] for rate in (0.5, 2.0, 8.0)]
-    best = min((least_squares(away, at, bounds=bounds, x_scale=at) for at in begin), key=lambda found: found.cost)
-    largest, share, saturation = float(best.x[0]), float(best.x[1]), float(best.x[2]) / top
-    return {
-        "material.max_strain": Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source=told),
-        "material.min_strain_share": Entry(share, "1", 0.0, 1.0, source=told),
-        "material.strain_saturation": Entry(saturation, "1/Pa", 0.1 * saturation, 10.0 * saturation, source=told),
-        "material.critical_stress": Entry(0.0, "Pa", 0.0, max(2.0 * float(np.min(stress)), 1e6), source="usual"),
-        "material.calibration_stress": Entry(float(np.mean(stress)), "Pa", 0.0, top, source="the middle of the stresses"),
-    }
