@@ -164,16 +164,47 @@ def test_a_training_recording_that_is_never_driven_tells_nothing(short, tmp_path
     assert done.exit_code == 3 and "current is 0 in all rows of train.csv" in done.output
 
 
-def test_a_rig_with_two_inputs_leaves_operators_out_and_says_why(tmp_path):
+def rotary(folder, overlap: float) -> None:
+    """The shipped pair of wires, some rows of it; for ``overlap`` s of each pulse of the first wire the second one is on, too."""
     rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
-    part = next((ROOT / "data" / "recordings" / "rotary").glob("*.csv"))
-    recording = rig.read(part)
-    for name, rows in (("train", slice(0, 200)), ("holdout", slice(200, 400))):
-        channels = {c: v[rows] for c, v in recording.channels.items()}
-        Recording.from_arrays(name, recording.time[rows], channels, recording.units).write(tmp_path / f"{name}.csv")
-    (tmp_path / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
+    recording = rig.read(ROOT / "data" / "recordings" / "rotary" / "train.csv")
+    for name, rows in (("train", slice(0, 1200, 4)), ("holdout", slice(1200, 2400, 4))):
+        channels, time = {c: v[rows] for c, v in recording.channels.items()}, recording.time[rows]
+        both = np.convolve(channels["current_1"] > 0.0, np.ones(int(overlap / (time[1] - time[0])) + 1))[: len(time)] > 0.0
+        second = np.where(channels["current_1"] > 0.0, 0.0, channels["current_2"])
+        channels["current_2"] = np.where(both & (overlap > 0.0), 0.2, second)
+        Recording.from_arrays(name, time, channels, recording.units).write(folder / f"{name}.csv")
+    (folder / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
+
+
+def test_two_wires_that_pull_by_turns_are_one_input(tmp_path):
+    rotary(tmp_path, 0.0)
+    done = run(tmp_path, "bouc-wen,transfer-function-one-pole,prandtl-ishlinskii", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    found = json.loads((tmp_path / "out" / "compare.json").read_text())
+    assert len(found["models"]) == 3
+    for m in found["models"]:
+        assert not m["why"] and "its input is current_1 less current_2" in m["note"] and m["fit_percent_train"] > 10.0, m
+
+
+def test_two_wires_that_pull_together_leave_operators_out_and_it_says_why(tmp_path):
+    rotary(tmp_path, 1.0)
     done = run(tmp_path, "bouc-wen", tmp_path / "out")
-    assert done.exit_code == 3 and "current_1 and current_2 change: hold the others still" in " ".join(done.output.split())
+    told = " ".join(done.output.split())
+    assert done.exit_code == 3 and "current_1 and current_2 change: both are on at" in told and "let the wires pull by turns" in told
+
+
+def test_what_is_observed_and_not_compared_is_said(short, tmp_path):
+    for part in ("train", "holdout"):
+        r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
+        warm = 20.0 + 60.0 * (r.channels["current"] > 0.1)
+        Recording.from_arrays(part, r.time, r.channels | {"temperature": warm}, {"displacement": "mm"}).write(tmp_path / f"{part}.csv")
+    text = (short / "rig.toml").read_text()
+    assert 'observe = ["displacement"]' in text
+    (tmp_path / "rig.toml").write_text(text.replace('observe = ["displacement"]', 'observe = ["displacement", "temperature"]'))
+    done = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
+    told = " ".join(done.output.split())
+    assert done.exit_code == 0 and "Compared is displacement alone: the laws are fitted to temperature as well" in told
 
 
 def test_an_input_that_only_scatters_is_held_still():

@@ -68,7 +68,7 @@ def test_a_normalised_form_without_a_seven_parameter_one_is_refused():
         law.to_seven(d=1.0, a=1.0)
 
 
-@pytest.mark.parametrize("wrong", [{"gamma": -SEVEN["beta"]}, {"a": -SEVEN["a"]}, {"d": 0.0}, {"n": 0.5}])
+@pytest.mark.parametrize("wrong", [{"gamma": -SEVEN["beta"]}, {"beta": -0.05, "gamma": 0.9}, {"a": -SEVEN["a"]}, {"d": 0.0}, {"n": 0.5}])
 def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
     """They would give no numbers, or a law that grows for ever."""
     with pytest.raises(InputError, match="of one sign, and n of at least 1"):

@@ -208,6 +208,18 @@ def test_one_that_cannot_be_read_leaves_the_others(tmp_path):
     assert lacking.exit_code == 2 and "has no column stress" in lacking.output and not (tmp_path / "set.toml").exists()
 
 
+def test_spaces_between_columns_are_noticed_and_cures_are_this_commands(tmp_path):
+    (tmp_path / "a.csv").write_text("temperature [degC] strain [%]\n20 1.5\n30 1.4\n")
+    done = CliRunner().invoke(app, ["properties", str(tmp_path / "a.csv")])
+    assert done.exit_code == 2 and "the columns are separated by spaces: give --delimiter space" in done.output
+    warm, strain = made(1)
+    (tmp_path / "b.csv").write_text(
+        "strain [%],temperature [degC]\n" + "".join(f"{t},{100 * e}\n" for t, e in zip(warm, strain, strict=True))
+    )
+    done = CliRunner().invoke(app, ["properties", str(tmp_path / "b.csv")])
+    assert done.exit_code == 2 and "the strain of 150 % is above 50 %" in done.output and "rig" not in done.output
+
+
 @pytest.mark.parametrize("warm_noise", [0.0, 1.0])
 def test_loops_within_a_cycle_are_left_out_and_said_to_be(tmp_path, warm_noise):
     """On either branch it turns back half-way through the transformation, along a flat way, and comes again."""

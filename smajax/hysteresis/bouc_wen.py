@@ -33,8 +33,9 @@ PLACES = np.concatenate([_FALLING, _FULL * np.linspace(0.0, 1.0, _ABOVE + 1) ** 
 
 
 class BoucWen(AbstractOperator):
-    """The law's five parameters: ``kx``, ``kw``, ``rho`` > 0 (one over the input), ``sigma`` >= 1/2 and ``n`` >= 1.
+    """The law's five parameters: ``kx``, ``kw``, ``rho`` > 0 (one over the input), ``sigma`` > 0 and ``n`` >= 1.
 
+    Below a ``sigma`` of 1/2, where fits do not look, w bends away from its end as it comes back, as no material does.
     ``simulate.respond`` integrates the curve and follows it.
     """
 
@@ -78,8 +79,8 @@ class BoucWen(AbstractOperator):
         """
         alpha, k, d, a, beta, gamma, n = (jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n))
         traced = any(isinstance(v, Tracer) for v in (d, a, beta, gamma, n))
-        if not traced and not bool(jnp.all((a * (beta + gamma) > 0.0) & (a * d > 0.0) & (n >= 1.0))):
-            raise InputError("no normalised form has these: give A, D and beta + gamma of one sign, and n of at least 1")
+        if not traced and not bool(jnp.all((a * (beta + gamma) > 0.0) & (a * beta > 0.0) & (a * d > 0.0) & (n >= 1.0))):
+            raise InputError("no normalised form has these: give A, D, beta and beta + gamma of one sign, and n of at least 1")
         largest = (a / (beta + gamma)) ** (1.0 / n)
         return cls(alpha * k, (1.0 - alpha) * d * k * largest, a / (d * largest), beta / (beta + gamma), n)
 

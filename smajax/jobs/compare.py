@@ -33,6 +33,7 @@ from smajax.results import check_out, write_folder
 from smajax.rig import Rig, read_rig
 from smajax.rig_schema import MATERIALS, as_text, channel_unit
 from smajax.simulate import Code
+from smajax.units import numbered
 
 TRANSFER = tuple(name for name in FAMILIES if name.startswith("transfer-function-"))
 MODELS = (*MATERIALS, *FAMILIES)
@@ -43,6 +44,7 @@ _OWN = {
 }
 _STARTS, _STARTS_OF_NETWORKS = 16, 2
 _ABOUT_A_LEVEL, _BESIDE = 0.05, 0.01  # of an input's level, and of the range of another of its kind: what moves by less is held still
+_TOGETHER = 0.02  # share of the rows at which wires that pull by turns may both be on
 _HUGE = 1e100  # its square would be no number
 
 
@@ -192,26 +194,56 @@ def with_law(rig: Rig, name: str) -> Rig:
 
 
 def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> Compared:
-    driving = _changing(rig.plant.signals, recordings)
-    if not driving:  # one that is on all the time is a step from rest, where it is the only one
-        driving = [c for c in rig.plant.signals if c.startswith(rig.plant.drive.control) and np.any(recordings[0].channels[c])]
-    if len(driving) != 1:
-        told = "no input changes" if not driving else f"{' and '.join(driving)} change"
-        cure = "hold the others still, or compare the material laws, which take all of them" if driving else "vary one"
-        raise InputError(f"{name} takes one input that changes, and here {told}: {cure}")
-    if not np.any(recordings[0].channels[driving[0]]):
+    driving = _driving(rig, name, recordings)
+    if not any(np.any(recordings[0].channels[c]) for c in driving):
         raise InputError(f"{driving[0]} is 0 in all rows of {recordings[0].name}, which does not tell its effect: give one that is driven")
-    family = FAMILIES[name]([Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in recordings[:1]])
-    laid, note = _laid(family, recordings, driving[0] if rig.interpolation == "hold" else "")
-    series = [Series(r.name, r.time, r.channels[driving[0]], r.channels[channel]) for r in laid]
+    family = FAMILIES[name]([_series(r, driving, channel) for r in recordings[:1]])
+    laid, note = _laid(family, recordings, driving if rig.interpolation == "hold" else ())
+    notes = [note, f"its input is {' less '.join(driving)}" if len(driving) > 1 else ""]
+    series = [_series(r, driving, channel) for r in laid]
     starts = _STARTS if family.weights is None else _STARTS_OF_NETWORKS
     result = fit_operator(family, series[:1], starts=starts, seed=seed)
     found = [result.respond(s) for s in series]
     if result.ridge:
-        told = f"a ridge of {result.ridge:g}, chosen by the last quarter of {recordings[0].name}, holds its weights"
-        note = f"{note}; {told}" if note else told
+        notes.append(f"a ridge of {result.ridge:g}, chosen by the last quarter of {recordings[0].name}, holds its weights")
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
-    return Compared(name, "input-output", family.size, tuple(at_rows), note=note, at_bound=result.at_bound)
+    told = "; ".join(one for one in notes if one)
+    return Compared(name, "input-output", family.size, tuple(at_rows), note=told, at_bound=result.at_bound)
+
+
+def _series(recording: Recording, driving: Sequence[str], channel: str) -> Series:
+    """A recording as a law sees it: of two wires that pull by turns, the one's command less the other's is its input."""
+    first, *second = (recording.channels[c] for c in driving)
+    return Series(recording.name, recording.time, first - sum(second), recording.channels[channel])
+
+
+def _driving(rig: Rig, name: str, recordings: Sequence[Recording]) -> list[str]:
+    """The input that changes, or those of two wires that pull by turns. Raises ``InputError`` where it is none, or where they are more."""
+    control, driving = rig.plant.drive.control, _changing(rig.plant.signals, recordings)
+    if not driving:  # one that is on all the time is a step from rest, where it is the only one
+        driving = [c for c in rig.plant.signals if control and c.startswith(control) and np.any(recordings[0].channels[c])]
+    if len(driving) == 1:
+        return driving
+    told = (
+        f"{name} takes one input that changes, and here {' and '.join(driving) if driving else 'no input'} change{'' if driving else 's'}"
+    )
+    if len(driving) == 2 and rig.plant.mechanism.wires == 2 and control and driving == list(numbered(control, 2)):
+        shares = [_together(r, driving) for r in recordings]
+        if max(shares) <= _TOGETHER:
+            return driving
+        worst = recordings[int(np.argmax(shares))]
+        raise InputError(
+            f"{told}: both are on at {100 * max(shares):.0f} % of the rows of {worst.name}: let the wires pull by turns, so that the one's "
+            "command less the other's is one input, or compare the material laws, which take both"
+        )
+    cure = "hold the others still, or compare the material laws, which take all of them" if driving else "vary one"
+    raise InputError(f"{told}: {cure}")
+
+
+def _together(recording: Recording, driving: Sequence[str]) -> float:
+    """Share of the rows at which all these inputs are on."""
+    on = [np.abs(recording.channels[c]) > _BESIDE * max(float(np.max(np.abs(recording.channels[c]))), 1e-300) for c in driving]
+    return float(np.mean(np.all(on, axis=0)))
 
 
 def _changing(signals: Sequence[str], recordings: Sequence[Recording]) -> list[str]:
@@ -224,12 +256,12 @@ def _changing(signals: Sequence[str], recordings: Sequence[Recording]) -> list[s
     return moved if len(found) > 1 and moved else found
 
 
-def _laid(family: Family, recordings: Sequence[Recording], held: str) -> tuple[list[Recording], str]:
-    """The recordings at the step that a law which goes row by row needs, and what was done to them; ``held`` names a held input."""
+def _laid(family: Family, recordings: Sequence[Recording], held: Sequence[str]) -> tuple[list[Recording], str]:
+    """The recordings at the step that a law which goes row by row needs, and what was done to them; ``held`` names held inputs."""
     step = float(np.median(np.diff(recordings[0].time)))
     if not family.even or all(evenly(r.time, step) for r in recordings):
         return list(recordings), ""
-    laid = [r if evenly(r.time, step) else r.resample(step, [held] if held else []) for r in recordings]
+    laid = [r if evenly(r.time, step) else r.resample(step, held) for r in recordings]
     names = " and ".join(r.name for r, there in zip(recordings, laid, strict=True) if there is not r)
     return laid, f"it needs rows every {step:.4g} s: {names} resampled for it, and scored at the rows recorded"
 
@@ -252,7 +284,8 @@ def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recordin
         models.append(entry)
     models.sort(key=lambda m: (m["rmse_holdout"] is None, m["rmse_holdout"]))
     document = {
-        "schema": SCHEMA, "rig": rig.name, "channel": channel, "unit": unit, "summary": "", "models": models,
+        "schema": SCHEMA, "rig": rig.name, "channel": channel, "not_compared": list(rig.fit.observe[1:]), "unit": unit, "summary": "",
+        "models": models,
         "recordings": [recording_entry(r, role) for r, role in zip(recordings, ("train", "holdout"), strict=True)],
         "seed": seed, "smajax": __version__,
     }  # fmt: skip

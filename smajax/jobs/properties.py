@@ -22,6 +22,8 @@ _ROWS = 9
 _LEFT_OUT = "-"
 _NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
 _CURES = (
+    (r'set delimiter = " " under \[channels\] in the rig', "give --delimiter space"),
+    (r", or, if it is right, give \w+ any_scale = true under \[channels\] in the rig", ""),
     (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
     (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
     (

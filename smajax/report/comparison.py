@@ -19,6 +19,9 @@ def summary(doc: Mapping[str, Any]) -> str:
     lowest = min(good, key=lambda m: m["bic"])
     if lowest is not best:
         told += f" By BIC, which knows the training recording only, it would be {lowest['name']}."
+    if doc["not_compared"]:
+        others = " and ".join(doc["not_compared"])
+        told += f" Compared is {doc['channel']} alone: the laws are fitted to {others} as well, the input-output laws are not."
     return told
 
 

@@ -21,6 +21,7 @@ _LONGEST_ROW = 2**20
 _ROWS_READ_SINGLY = 32
 _UTF8_MARK = b"\xef\xbb\xbf"
 _NAMES_OF_DELIMITERS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
+_SPACES = '" "'
 
 
 @final
@@ -107,6 +108,8 @@ class CsvTable(Table):
         if all(number_in(cell, self.decimal) is not None or cell.lower() == "nan" for cell in filled):
             raise InputError(f"{place}: the header is missing ('{filled[0]}' is a number): begin with a row like 'time [s],current [A]'")
         others = [other for other in _NAMES_OF_DELIMITERS if other != self.delimiter and other in cells[0]]
+        if len(cells) == 1 and not others and self.delimiter != " " and self._spaced(next_line):
+            raise InputError(f"{place}: the columns are separated by spaces: set delimiter = {_SPACES} under [channels] in the rig")
         if len(cells) == 1 and others:
             comma = 'and decimal = "," ' if others[0] != "," and b"," in next_line and b"." not in next_line else ""
             raise InputError(
@@ -114,6 +117,12 @@ class CsvTable(Table):
                 f"set delimiter = {_NAMES_OF_DELIMITERS[others[0]]} {comma}under [channels] in the rig"
             )
         return tuple(cells)
+
+    def _spaced(self, line: bytes) -> bool:
+        """Whether a row is several numbers with spaces between; a header of one column may have a space before its unit."""
+        parts = line.decode("utf-8", "replace").split(" ")
+        found = [part.strip() for part in parts if part.strip()]
+        return len(found) > 1 and all(number_in(part, self.decimal) is not None for part in found)
 
     def _given(self, headers: Sequence[str], line: bytes) -> tuple[str, ...]:
         cells = self._cells(line, self.first_row)
