@@ -27,7 +27,7 @@ _CATCHING_UP = 0.5  # of its cost, at most, is left to a search that catches up 
 _INSTANTS, _PLACES = 32, 5  # looked at, and searched from
 AT_NOISE = 1.25  # mean square over the noise that a fit with the right effects may leave, where the criterion asks for less
 _STRIDES = (16, 8, 4, 2)
-_FAR, _COARSE = 1.5, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
+_FAR, _COARSE = 9.0, 0.01  # mean square over the noise from which longer steps will do, and the share of it that they may change
 
 
 @dataclasses.dataclass(frozen=True)
