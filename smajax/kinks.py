@@ -10,16 +10,33 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 
+@jax.custom_jvp
 def larger(a: ArrayLike, b: ArrayLike) -> jax.Array:
-    """The larger of two, element by element."""
-    a, b = jnp.asarray(a), jnp.asarray(b)
-    return jnp.where(a > b, a, jnp.where(b > a, b, 0.5 * a + 0.5 * b))
+    """The larger of two floating-point numbers, element by element."""
+    return jnp.maximum(a, b)
 
 
+@jax.custom_jvp
 def smaller(a: ArrayLike, b: ArrayLike) -> jax.Array:
-    """The smaller of two, element by element."""
-    a, b = jnp.asarray(a), jnp.asarray(b)
-    return jnp.where(a < b, a, jnp.where(b < a, b, 0.5 * a + 0.5 * b))
+    """The smaller of two floating-point numbers, element by element."""
+    return jnp.minimum(a, b)
+
+
+def _mixed(above: jax.Array, below: jax.Array, first: jax.Array, second: jax.Array) -> jax.Array:
+    """The tangent of the side that counts, or half of each."""
+    return jnp.where(above, first, jnp.where(below, second, 0.5 * first + 0.5 * second))
+
+
+@larger.defjvp
+def _larger_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (a, b), (first, second) = primals, tangents
+    return jnp.maximum(a, b), _mixed(a > b, b > a, first, second)
+
+
+@smaller.defjvp
+def _smaller_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+    (a, b), (first, second) = primals, tangents
+    return jnp.minimum(a, b), _mixed(a < b, b < a, first, second)
 
 
 def within(value: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> jax.Array:

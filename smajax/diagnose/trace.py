@@ -10,6 +10,7 @@ each accepted effect has to be missed if it is taken away again. ``smajax.diagno
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from smajax.diagnose import residual, score
 from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.effects import catalogue
-from smajax.diagnose.hypothesis import Refit
+from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.preflight import Promise, Sight, preflight, sight, unseen
 from smajax.diagnose.program import SLOTS
 from smajax.diagnose.tracer import AT_NOISE, Extension, Scores, Tracer, Trial
@@ -130,15 +131,20 @@ def trace(
 
     Raises NumericsError if the simulation fails at the rig's own values.
     """
-    say("fitting the rig as it is written down")
-    point, stop, noise, rests = _first_fit(bench, seed, starts)
+    say("preflight: what these inputs can show")
+    with ThreadPoolExecutor(1) as pool:  # while the large programs are compiled, the small one fits
+        first_fit = pool.submit(_first_fit, bench, seed, starts)
+        bench.compiled()
+        if not np.all(np.isfinite(bench.predict(Hypothesis(), bench.nominal, 0))):
+            first_fit.result()
+        seen, promise = preflight(bench)
+        counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
+        say("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
+        say("fitting the rig as it is written down")
+        point, stop, noise, rests = first_fit.result()
     noise |= {c: (value, "rig file") for c, value in given.items() if c in noise}
     if not rests:
         say("it does not come to rest, so that its residual says little")
-    bench.compiled()
-    seen, promise = preflight(bench)
-    counts = [sum(s.status == status for s in seen.values()) for status in ("testable", "absorbed", "blind")]
-    say("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
     bench.set_noise({c: value for c, (value, _) in noise.items()})
     tracer = Tracer(bench, seed)
     first = tracer.judged(tracer.base(point, stop))
