@@ -24,7 +24,6 @@ from smajax import parameters
 from smajax.errors import NumericsError
 from smajax.hysteresis.bouc_wen import PLACES, BoucWen
 from smajax.hysteresis.operator import AbstractOperator
-from smajax.kinks import larger, smaller
 from smajax.plant.effect import SecondNode
 from smajax.plant.plant import Plant, State
 from smajax.plant.step import end_tangent, push
@@ -139,7 +138,7 @@ class Simulation(eqx.Module):
 def time_constant(plant: Plant) -> jax.Array:
     """Time constant in s of the wire's cooling at 80 degC, a scalar: C d / (4 h)."""
     capacity = plant.heat.capacity(jnp.asarray(0.5))
-    return capacity * plant.wire.diameter / (4.0 * larger(plant.heat.convection(jnp.asarray(80.0)), 1.0))
+    return capacity * plant.wire.diameter / (4.0 * jnp.maximum(plant.heat.convection(jnp.asarray(80.0)), 1.0))
 
 
 def modes(plant: Plant) -> tuple[jax.Array, jax.Array]:
@@ -156,7 +155,7 @@ def modes(plant: Plant) -> tuple[jax.Array, jax.Array]:
 
 def resolving_step(plant: Plant) -> jax.Array:
     """A step in s, a scalar of at most 50 ms, that resolves warming and cooling, a thirtieth of the time constant, and what swings."""
-    return smaller(smaller(0.05, time_constant(plant) / 30.0), plant.longest_step)
+    return jnp.minimum(jnp.minimum(0.05, time_constant(plant) / 30.0), plant.longest_step)  # a number, also while a batch is traced
 
 
 def default_step(plant: Plant) -> float:
