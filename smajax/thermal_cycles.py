@@ -37,10 +37,7 @@ _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
 _BACKWARDS = 0.02  # of the temperatures
-_BACK, _BACK_OF_NOISE = (
-    0.1,
-    6.0,
-)  # share of a branch's temperatures, and standard deviations of their noise: what goes back further is a loop
+_BACK, _BACK_OF_NOISE = 0.1, 6.0  # of a branch's temperatures, and of their noise (standard deviations): what goes back further is a loop
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 
 

@@ -38,8 +38,7 @@ def _way(series: Sequence[Series]) -> float:
     """1 where the output rises with the input, -1 where it falls."""
     values, outputs = np.concatenate([s.input for s in series]), np.concatenate([s.output for s in series])
     seen = np.isfinite(outputs)
-    covariance = float(np.mean((values[seen] - np.mean(values[seen])) * (outputs[seen] - np.mean(outputs[seen]))))
-    return -1.0 if covariance < 0.0 else 1.0
+    return -1.0 if float(np.cov(values[seen], outputs[seen])[0, 1]) < 0.0 else 1.0
 
 
 def _duration(series: Sequence[Series]) -> float:

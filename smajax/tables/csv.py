@@ -21,7 +21,6 @@ _LONGEST_ROW = 2**20
 _ROWS_READ_SINGLY = 32
 _UTF8_MARK = b"\xef\xbb\xbf"
 _NAMES_OF_DELIMITERS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
-_SPACES = '" "'
 
 
 @final
@@ -109,7 +108,7 @@ class CsvTable(Table):
             raise InputError(f"{place}: the header is missing ('{filled[0]}' is a number): begin with a row like 'time [s],current [A]'")
         others = [other for other in _NAMES_OF_DELIMITERS if other != self.delimiter and other in cells[0]]
         if len(cells) == 1 and not others and self.delimiter != " " and self._spaced(next_line):
-            raise InputError(f"{place}: the columns are separated by spaces: set delimiter = {_SPACES} under [channels] in the rig")
+            raise InputError(f'{place}: the columns are separated by spaces: set delimiter = " " under [channels] in the rig')
         if len(cells) == 1 and others:
             comma = 'and decimal = "," ' if others[0] != "," and b"," in next_line and b"." not in next_line else ""
             raise InputError(
