@@ -273,6 +273,7 @@ def properties(
     delimiter: Annotated[
         str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' and 'space' by name.")
     ] = ",",
+    decimal: Annotated[str, typer.Option("--decimal", metavar="SIGN", help="The decimal sign of text files and cells: '.' or ','.")] = ".",
     as_json: Json = False,
 ) -> None:
     """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
@@ -281,7 +282,7 @@ def properties(
 
     names = [name.strip() for name in columns.split(",")] if columns else None
     between = {"tab": "\t", "\\t": "\t", "space": " "}.get(delimiter, delimiter)
-    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between))
+    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between, decimal))
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')

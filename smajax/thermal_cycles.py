@@ -21,6 +21,7 @@ from scipy.stats import t as student
 
 from smajax.errors import InputError
 from smajax.fit.uncertainty import autoregression
+from smajax.inner_loops import inner_loops
 from smajax.row_order import refuse_disorder, refuse_strays
 from smajax.tangents import Lines, lay
 
@@ -33,11 +34,11 @@ _FREE = 6  # numbers in the lines
 _POOL = 8  # rows on a line that tell its noise
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
 _LEAST = 1e-6  # strain
+_EXPANSION = 5e-5  # 1/K: what no lattice expands by, a line beside the transformation as steep as this belongs to it
 _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
 _BACKWARDS = 0.02  # of the temperatures
-_BACK, _BACK_OF_NOISE = 0.1, 6.0  # of a branch's temperatures, and of their noise (standard deviations): what goes back further is a loop
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 
 
@@ -87,6 +88,25 @@ def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple
     A heating before the first cooling, of a specimen that may just have been loaded, counts only where there is no whole cycle else.
     Raises ``InputError`` if the rows hold no cycle, or if ``smooth`` is even: a median without a middle row puts all a row aside.
     """
+    branches, cools = _branches(name, temperature, smooth)
+    follow = [k for k in range(len(branches) - 1) if branches[k + 1][0] - branches[k][-1] <= 1 and cools[k] != cools[k + 1]]
+    pairs = [(branches[k], branches[k + 1]) for k in follow if cools[k]] or [(branches[k + 1], branches[k]) for k in follow]
+    if not pairs:
+        raise InputError(
+            f"{name}: no whole cycle is in it: a cooling and a heating branch of {_FEWEST} rows or more, over most of the temperatures"
+        )
+    return pairs
+
+
+def unpaired(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple[int, int, bool]]:
+    """First row, last row, and whether it cools, of each branch that is in none of the ``cycles``."""
+    taken = {int(branch[0]) for pair in cycles(name, temperature, smooth=smooth) for branch in pair}
+    branches, cools = _branches(name, temperature, smooth)
+    return [(int(b[0]), int(b[-1]), cool) for b, cool in zip(branches, cools, strict=True) if int(b[0]) not in taken]
+
+
+def _branches(name: str, temperature: np.ndarray, smooth: int) -> tuple[list[np.ndarray], list[bool]]:
+    """Rows of each way from hot to cold or back over most of the temperatures, and whether it cools."""
     if smooth % 2 == 0:
         raise InputError(f"{name}: temperatures are smoothed over an odd number of rows, and {smooth} is even: give {smooth + 1}")
     smooth_t = median_filter(temperature, smooth, mode="nearest")
@@ -95,17 +115,9 @@ def cycles(name: str, temperature: np.ndarray, *, smooth: int = 1) -> list[tuple
         raise InputError(f"{name}: smoothed over {smooth} rows the temperature moves by {reach:.3g} K: smooth over fewer")
     if reach < 5.0:
         raise InputError(f"{name}: the temperature moves by {reach:.3g} K: heat and cool through the transformation")
-    at = turns(smooth_t)
-    branches = [np.arange(a, b + 1) for a, b in itertools.pairwise(at)]
-    branches = [b for b in branches if len(b) >= _FEWEST and abs(smooth_t[b[-1]] - smooth_t[b[0]]) > 0.5 * reach]
-    cools = [bool(smooth_t[b[-1]] < smooth_t[b[0]]) for b in branches]
-    follow = [k for k in range(len(branches) - 1) if branches[k + 1][0] - branches[k][-1] <= 1 and cools[k] != cools[k + 1]]
-    pairs = [(branches[k], branches[k + 1]) for k in follow if cools[k]] or [(branches[k + 1], branches[k]) for k in follow]
-    if not pairs:
-        raise InputError(
-            f"{name}: no whole cycle is in it: a cooling and a heating branch of {_FEWEST} rows or more, over most of the temperatures"
-        )
-    return pairs
+    ways = [np.arange(a, b + 1) for a, b in itertools.pairwise(turns(smooth_t))]
+    found = [b for b in ways if len(b) >= _FEWEST and abs(smooth_t[b[-1]] - smooth_t[b[0]]) > 0.5 * reach]
+    return found, [bool(smooth_t[b[-1]] < smooth_t[b[0]]) for b in found]
 
 
 def analyse(
@@ -124,10 +136,10 @@ def analyse(
     pairs = _in_order(name, temperature, strain, smooth)
     for number, (cooling, heating) in enumerate(pairs, 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
-        loops = [loop for branch in (cooling, heating) for loop in _inner_loops(temperature, branch, smooth)]
-        inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)
-        cooling, heating = (branch[~np.isin(branch, inner)] for branch in (cooling, heating))
         try:
+            loops = [loop for branch in (cooling, heating) for loop in inner_loops(temperature, branch)]
+            inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)
+            cooling, heating = (branch[~np.isin(branch, inner)] for branch in (cooling, heating))
             values = _properties(temperature, strain, cooling, heating, smooth, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
@@ -141,20 +153,6 @@ def _in_order(name: str, temperature: np.ndarray, strain: np.ndarray, smooth: in
         refuse_disorder(name, temperature, strain)
         refuse_strays(name, "a strain of", strain)
     return cycles(name, temperature, smooth=smooth)
-
-
-def _inner_loops(temperature: np.ndarray, branch: np.ndarray, smooth: int) -> list[tuple[int, int]]:
-    """First and last rows of a branch's loops: from where the temperature turns back, further than noise takes it, to where it comes again.
-
-    An alloy remembers where it turned and goes on from there, so that the branch without them is as if they had not been.
-    """
-    warm = median_filter(temperature[branch], smooth, mode="nearest")
-    way = warm if warm[-1] > warm[0] else -warm
-    back = np.maximum.accumulate(way) - way
-    least = max(_BACK * float(np.ptp(warm)), _BACK_OF_NOISE * unsteadiness(warm))
-    edges = np.flatnonzero(np.diff(np.r_[False, back > 0.0, False]))
-    spans = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(int(branch[a]), int(branch[b])) for a, b in spans if np.max(back[a : b + 1]) > least]
 
 
 def _properties(
@@ -255,10 +253,15 @@ def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, ki
     slopes = lines.slopes[0]
     # What the strain moves beyond the plateaus' own slopes.
     jump = float(ends[0] - ends[1]) + 0.5 * float(slopes[0] + slopes[2]) * (high - low)
-    if not abs(jump) > _SEEN * scatter + _LEAST:
+    lengths = low - float(np.min(temperature)), float(np.max(temperature)) - high
+    steep = any(abs(k) > _EXPANSION and abs(k) * far > _SEEN * scatter for k, far in zip((slopes[0], slopes[2]), lengths, strict=True))
+    within = int(np.sum((temperature >= low) & (temperature <= high)))
+    seen = abs(jump) > _SEEN * scatter + _LEAST
+    if steep and (not seen or within < _WITHIN):
+        raise InputError(_unreached(kind))
+    if not seen:
         told = f"on {kind} the strain moves by {abs(jump):.2g} between lines about which it scatters by {scatter:.2g}"
         raise InputError(f"{told}: no transformation is seen; load more, or heat and cool further")
-    within = int(np.sum((temperature >= low) & (temperature <= high)))
     if within < _WITHIN:
         told = f"on {kind} {within} row{'' if within == 1 else 's'} lie on the transformation, fewer than {_WITHIN}"
         raise InputError(f"{told}: record more rows per kelvin, or heat and cool further")
@@ -267,9 +270,11 @@ def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, ki
             told = f"on {kind} {np.sum(beside)} rows are {side} than the transformation, fewer than {_BESIDE}"
             raise InputError(f"{told}: heat and cool further ({cure}), or record more rows per kelvin")
     if abs(slopes[1]) < _STEEPER * max(abs(slopes[0]), abs(slopes[2])):
-        raise InputError(
-            f"on {kind} a line beside the transformation is nearly as steep as it: its end was not reached, heat and cool further"
-        )
+        raise InputError(_unreached(kind))
+
+
+def _unreached(kind: str) -> str:
+    return f"on {kind} a line beside the transformation is nearly as steep as it: its end was not reached, heat and cool further"
 
 
 def mean_of(found: Sequence[Cycle]) -> dict[str, Value]:

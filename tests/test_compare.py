@@ -46,11 +46,13 @@ def test_models_are_ranked_by_what_they_predict(short, tmp_path):
     assert errors == sorted(errors) and found["unit"] == "mm" and errors[0] < 0.3 * errors[1]
     for m in found["models"]:
         assert m["fit_percent_holdout"] < 100.0 and m["parameters"] > 3 and np.isfinite(m["bic"]) and m["wall_s"] > 0.0
+        free = [p for p in m["fitted"].values() if p["free"]]
+        assert len(free) == m["parameters"] and sum(p["lower95"] is not None and p["lower95"] < p["value"] for p in free) > 3
         told = f"{m['name']}: at its bound: {', '.join(m['at_bound'])}"
         assert (told in done.output) is bool(m["at_bound"])
     assert "brinson predicts the holdout best" in done.output
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "transfer-function-one-pole" in page
+    assert "transfer-function-one-pole" in page and "Fitted parameters" in page and "<td>delay</td>" in page
     again = CliRunner().invoke(app, ["report", str(tmp_path / "out")])
     assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
 
@@ -122,6 +124,24 @@ def test_what_few_rows_do_not_tell_is_said(short, tmp_path):
     done = run(tmp_path, "brinson", tmp_path / "more")
     assert done.exit_code == 3
     assert "train.csv: 5 measured rows do not tell the 6 parameters of brinson: record more rows" in done.output
+
+
+def test_a_sensor_that_reads_from_elsewhere_costs_a_law_nothing(short, tmp_path):
+    """Bouc-Wen's law for the distance to the weight, which gets less as the wire contracts: the fit to the contraction, turned over."""
+    for part in ("train", "holdout"):
+        r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
+        away = 0.012 - r.channels["displacement"]
+        Recording.from_arrays(part, r.time, {**r.channels, "displacement": away}, {"displacement": "mm"}).write(tmp_path / f"{part}.csv")
+    (tmp_path / "rig.toml").write_text((short / "rig.toml").read_text())
+    ends = []
+    for folder in (short, tmp_path):
+        out = tmp_path / f"out-{folder.name}"
+        assert run(folder, "bouc-wen", out).exit_code == 0
+        ends.append(json.loads((out / "compare.json").read_text())["models"][0])
+    assert ends[1]["rmse_train"] == pytest.approx(ends[0]["rmse_train"], rel=1e-3)
+    one, other = (e["fitted"] for e in ends)
+    assert other["rest"]["value"] == pytest.approx(0.012 - one["rest"]["value"], abs=2e-5)
+    assert other["kw"]["value"] == pytest.approx(-one["kw"]["value"], rel=2e-2)
 
 
 def test_what_holds_a_network_is_said(short, tmp_path):

@@ -133,8 +133,8 @@ def test_derivatives_of_bouc_wen(n):
     point = jnp.stack(leaves)
     forward, reverse = (np.asarray(jax.jit(mode(mean))(point)) for mode in (jax.jacfwd, jax.grad))
     np.testing.assert_allclose(reverse, forward, rtol=1e-6)
-    for k in range(5):
-        step = 1e-6 * jnp.eye(5)[k]
+    for k in range(6):
+        step = 1e-6 * jnp.eye(6)[k]
         ends = [float(mean(point + side * step)) for side in ((1, -1) if n > 1.0 else (1, 0))]
         assert forward[k] == pytest.approx((ends[0] - ends[1]) / (1e-6 * (2 if n > 1.0 else 1)), rel=1e-3, abs=1e-7)
 
@@ -142,7 +142,7 @@ def test_derivatives_of_bouc_wen(n):
 def test_batches_of_bouc_wens_derivatives_are_single_ones():
     leaves, form = jax.tree.flatten(BoucWen.from_seven(**SEVEN))
     time, values = jnp.asarray(TIME[:120]), jnp.asarray(INPUT[:120])
-    points = jnp.stack(leaves)[None, :] * jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (3, 5)))
+    points = jnp.stack(leaves)[None, :] * jnp.asarray(np.random.default_rng(1).uniform(0.9, 1.1, (3, 6)))
 
     def response(point):
         return respond(jax.tree.unflatten(form, point), time, values)

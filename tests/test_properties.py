@@ -6,6 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.io
 from scipy.signal import lfilter
 from scipy.stats import binom
 from typer.testing import CliRunner
@@ -157,6 +158,14 @@ def test_turns_are_found_in_noise():
     assert len(at) == 9 and all(abs(a - b) < 8 for a, b in zip(at, range(0, 1281, 160), strict=True))
 
 
+def _turned(first: int, last: int, count: int) -> np.ndarray:
+    """Rows of which a block of the first cooling runs backwards, in every cycle."""
+    rows = np.arange(count)
+    for start in range(0, count, 320):
+        rows[start + first : start + last] = rows[start + first : start + last][::-1]
+    return rows
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -166,7 +175,9 @@ def test_turns_are_found_in_noise():
         (lambda t, e: (t, 2e-3 * np.random.default_rng(1).standard_normal(len(e)) - 1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
         (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "heat and cool further"),
+        (lambda t, e: (t[(t > 62.0)], e[(t > 62.0)]), "its end was not reached"),
         (lambda t, e: (t[::-1], e[::-1]), "the rows run backwards"),
+        (lambda t, e: (t[_turned(40, 80, len(t))], e[_turned(40, 80, len(t))]), "rows 42 to 80 go back by"),
         (
             lambda t, e: (t, np.where(np.arange(len(e)) == 400, 0.5, e)),
             "row 401 of the data: a strain of 0.5 stands alone among rows of about 0.0",
@@ -254,6 +265,63 @@ def test_loops_within_a_cycle_are_left_out_and_said_to_be(tmp_path, warm_noise):
         in CliRunner().invoke(app, ["properties", str(path), *options]).output
     )
     assert abs(first - found[0].loops[0][0]) <= 3 and abs(last - found[0].loops[0][1]) <= 3
+
+
+@pytest.mark.parametrize(("back", "rows", "warm_noise"), [(3.0, 60, 0.0), (8.0, 60, 0.0), (8.0, 60, 0.5), (15.0, 80, 2.0)])
+def test_small_loops_are_left_out_too(back, rows, warm_noise):
+    """On cooling it turns back a little at 50 degC, along a flat way: rows that would move the start by kelvins."""
+    t, e = made(1)
+    at = int(np.argmin(np.abs(t[:160] - 50.0)))
+    away = back * (1.0 - np.abs(np.linspace(-1.0, 1.0, rows)))
+    rng = np.random.default_rng(4)
+    warm = np.r_[t[: at + 1], t[at] + away, t[at + 1 :]]
+    warm = warm + warm_noise * rng.standard_normal(len(warm))
+    strain = np.r_[e[: at + 1], np.full(rows, e[at]), e[at + 1 :]]
+    (cycle,), refused = analyse("made", warm, strain, smooth=9 if warm_noise > 0.5 else 1)
+    assert not refused and len(cycle.loops) == 1
+    for name, true in TRUE.items():
+        assert cycle.values[name].value == pytest.approx(true, abs=0.3 + 0.6 * warm_noise), name
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_noisy_thermometer_is_no_loop(seed):
+    """10 K of noise, alone or going together over a few rows, on one long cycle."""
+    t, e = made(1, rows=800)
+    own = np.random.default_rng(seed).standard_normal(len(t))
+    for noise in (10.0 * own, 3.0 * lfilter([1.0], [1.0, -0.7], own)):
+        found, _ = analyse("noisy", t + noise, e, smooth=9)
+        assert len(found) == 1 and not found[0].loops
+
+
+def test_branches_that_are_in_no_cycle_are_said(tmp_path):
+    """A file that begins cold: heated, cooled, heated and cooled."""
+    t, e = made(3)
+    path = write(tmp_path / "cold.csv", t[160:800], e[160:800])
+    told = CliRunner().invoke(app, ["properties", str(path)]).output
+    assert "cold.csv: 1 cycle" in told
+    assert "Left out: rows 1 to 160, a heating without a cooling before it in the file." in told
+    assert "Left out: rows 480 to 640, a cooling without a heating after it in the file." in told
+    document = json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).output)
+    assert document["recordings"][0]["in_no_cycle"][1] == {"rows": [480, 640], "branch": "cooling"}
+    whole = CliRunner().invoke(app, ["properties", str(write(tmp_path / "whole.csv", t, e))]).output
+    assert "3 cycles" in whole and "Left out" not in whole
+
+
+def test_decimal_commas_and_matlab_files_have_cures_of_this_command(tmp_path):
+    warm, strain = made(1)
+    rows = "".join(f"{t:.6g};{100 * e:.9g}\n".replace(".", ",") for t, e in zip(warm, strain, strict=True))
+    (tmp_path / "german.csv").write_text("temperature [degC];strain [%]\n" + rows)
+    run = lambda *words: CliRunner().invoke(app, ["properties", *map(str, words)])  # noqa: E731
+    assert 'give --delimiter ";" --decimal ,' in run(tmp_path / "german.csv").output
+    assert "has a decimal comma: give --decimal ," in run(tmp_path / "german.csv", "--delimiter", ";").output
+    assert "A_f" in run(tmp_path / "german.csv", "--delimiter", ";", "--decimal", ",").output
+    scipy.io.savemat(tmp_path / "a.mat", {"temperature": warm, "strain": strain})
+    assert "save a struct beside it with units.temperature = 'degC'" in run(tmp_path / "a.mat").output
+    scipy.io.savemat(tmp_path / "b.mat", {"warm": warm, "strain": strain})
+    assert "save one vector per channel, named temperature, strain and stress" in run(tmp_path / "b.mat").output
+    assert "with a struct units" in run(tmp_path / "a.mat", "--columns", "temperature [degC],strain").output
+    scipy.io.savemat(tmp_path / "c.mat", {"temperature": warm, "strain": strain, "units": {"temperature": "degC", "strain": "1"}})
+    assert "A_f" in run(tmp_path / "c.mat").output
 
 
 def test_a_file_given_twice_is_refused(tmp_path):

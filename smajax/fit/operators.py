@@ -7,7 +7,7 @@ in the unit box between the bounds. Recordings of different length are filled up
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from jax.flatten_util import ravel_pytree
 
 from smajax import simulate
 from smajax.errors import InputError, NumericsError
-from smajax.fit import least_squares
+from smajax.fit import least_squares, uncertainty
 from smajax.fit.searchable import Searchable, costs, residual
 from smajax.hysteresis.operator import AbstractOperator
 from smajax.kinks import within
@@ -154,7 +154,9 @@ class Ridged(Searchable):
 class OperatorFit:
     """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included).
 
-    ``step`` is the time between the rows that it was fitted to, s; ``ridge`` what held a network's weights, 0 of other laws.
+    ``step`` is the time between the rows that it was fitted to, s; ``ridge`` what held a network's weights, 0 of other laws. ``half`` are
+    the half-widths of the 95 % intervals, alike: infinite where the recording does not tell, NaN of what is held or at a bound, ``None`` of
+    networks, whose weights have none.
     """
 
     family: Family
@@ -166,20 +168,46 @@ class OperatorFit:
     wall: float
     step: float
     ridge: float = 0.0
+    half: Any = None
+
+    def _leaves(self) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Name, value, both ends and half of the interval of each leaf of the parameters."""
+        trees = (self.parameters, self.family.lower, self.family.upper, self.parameters if self.half is None else self.half)
+        for (path, value), *others in zip(*(jax.tree_util.tree_leaves_with_path(tree) for tree in trees), strict=True):
+            low, high, half = (np.asarray(other) for _, other in others)
+            half = half if self.half is not None else np.full(low.shape, np.nan)
+            yield ".".join(str(key.key) for key in path), np.asarray(value), low, high, half
+
+    @property
+    def values(self) -> dict[str, dict[str, Any]]:
+        """The law's numbers by name, lists of arrays, with the ends of their 95 % intervals; ``None`` where there are none."""
+
+        def shown(values: Any) -> Any:
+            return np.asarray(np.where(np.isfinite(values), values, None)).tolist()
+
+        return {
+            name: {"value": shown(value), "lower95": shown(value - half), "upper95": shown(value + half), "free": bool(np.any(low < high))}
+            for name, value, low, high, half in self._leaves()
+        }
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The free parameters whose interval is wider than all that their bounds allow; of an array, how many of its entries."""
+        told = []
+        for name, value, low, high, half in self._leaves():
+            open_ = 2.0 * half > high - low
+            if np.any(open_):
+                told.append(f"{name} ({np.sum(open_)} of {value.size})" if value.ndim else name)
+        return tuple(told)
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """The free parameters that ended at a bound, each with its value there; of an array, how many of its entries."""
         told = []
-        sides = zip(
-            *(jax.tree_util.tree_leaves_with_path(side) for side in (self.parameters, self.family.lower, self.family.upper)), strict=True
-        )
-        for (path, value), (_, low), (_, high) in sides:
-            away = np.minimum(np.asarray(value - low), np.asarray(high - value))
-            held = (away <= _AT * np.asarray(high - low)) & np.asarray(low < high)
+        for name, value, low, high, _ in self._leaves():
+            held = _at_bound(value, low, high)
             if np.any(held):
-                where = f"{np.sum(held)} of {held.size}" if held.ndim else f"{float(value):.4g}"
-                told.append(f"{'.'.join(str(key.key) for key in path)} ({where})")
+                told.append(f"{name} ({f'{np.sum(held)} of {held.size}' if held.ndim else f'{float(value):.4g}'})")
         return tuple(told)
 
     def respond(self, series: Series) -> np.ndarray:
@@ -189,6 +217,11 @@ class OperatorFit:
 
 
 _respond = eqx.filter_jit(simulate.respond)
+
+
+def _at_bound(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which free parameters are at a bound."""
+    return np.asarray((np.minimum(value - low, high - value) <= _AT * (high - low)) & (low < high))
 
 
 def build_operator(family: Family, series: Sequence[Series], weight: float | None = None) -> OperatorProblem:
@@ -271,11 +304,11 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     series best when fitted to the rows before it; with that one it is then fitted to all rows.
     """
     began = time.perf_counter()
-    problem, ridge = build_operator(family, series), 0.0
+    problem, ridge, slopes = build_operator(family, series), 0.0, None
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
     if family.weights is None:
-        vector, simulations = _by_forward(problem, family, starts, seed, max_steps)
+        vector, simulations, slopes = _by_forward(problem, family, starts, seed, max_steps)
     else:
         vector, simulations, ridge = _by_reverse(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
     if vector is None:
@@ -286,30 +319,49 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     return OperatorFit(
         family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
         time.perf_counter() - began, float(np.median(np.diff(series[0].time))), ridge,
+        None if slopes is None else maker.unravel(jnp.asarray(_half_widths(problem, vector, slopes))),
     )  # fmt: skip
 
 
 _weighted = eqx.filter_jit(residual)
 
 
-def _by_forward(problem: OperatorProblem, family: Family, starts: int, seed: int, max_steps: int) -> tuple[np.ndarray | None, int]:
-    """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess."""
+def _half_widths(problem: OperatorProblem, vector: np.ndarray, slopes: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Half-widths of the parameters' 95 % intervals, shape ``(p,)``, from residual and Jacobian at the fit's end: see ``OperatorFit``."""
+    low, high = problem.box
+    free = np.flatnonzero((low < high) & ~_at_bound(vector, low, high))
+    seen = np.asarray(problem.data.weight) > 0
+    left, columns = (v.reshape(*seen.shape, *v.shape[1:]) for v in slopes)
+    each = [(columns[k][rows][:, free], left[k][rows]) for k, rows in enumerate(seen)]
+    spread = uncertainty.covariance([c for c, _ in each], [r for _, r in each], len(free))
+    half = np.full(len(vector), np.nan)
+    half[free] = uncertainty.critical(int(np.sum(seen)), len(free)) * np.sqrt(np.diag(spread))
+    return half * np.asarray(problem.width)
+
+
+def _by_forward(
+    problem: OperatorProblem, family: Family, starts: int, seed: int, max_steps: int
+) -> tuple[np.ndarray | None, int, tuple[np.ndarray, np.ndarray] | None]:
+    """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess.
+
+    The best end, the simulations that it took, and residual and Jacobian there.
+    """
     lower, upper = problem.box
     drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in family.others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
     points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
-    rng, simulations, best, least = np.random.default_rng(seed), len(drawn), None, math.inf
+    rng, simulations, best, least, slopes = np.random.default_rng(seed), len(drawn), None, math.inf, None
     for _ in range(_ROUNDS):
         before = least
         for point in points:
             solved = least_squares.Search(residual, problem, point[None], lower, upper, size=problem.size).advance(max_steps).result()
             simulations += solved.simulations
             if solved.costs[0] < least:
-                least, best = float(solved.costs[0]), solved.points[0]
+                least, best, slopes = float(solved.costs[0]), solved.points[0], (solved.residuals[0], solved.jacobians[0])
         if best is None or not family.kinked or not least < (1.0 - _LOWER) * before:
             break
         points = best + _BESIDE * rng.standard_normal((_SIDES, len(best)))
-    return best, simulations * problem.data.measured.shape[0]
+    return best, simulations * problem.data.measured.shape[0], slopes
 
 
 def _draw(problem: OperatorProblem, count: int, seed: int) -> np.ndarray:

@@ -16,6 +16,7 @@ small one, and |w| <= 1 holds by construction.
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +36,7 @@ PLACES = np.concatenate([_FALLING, _FULL * np.linspace(0.0, 1.0, _ABOVE + 1) ** 
 class BoucWen(AbstractOperator):
     """The law's five parameters: ``kx``, ``kw``, ``rho`` > 0 (one over the input), ``sigma`` > 0 and ``n`` >= 1.
 
+    ``rest`` is what the output's sensor reads where x and w are 0; the law itself has none.
     Below a ``sigma`` of 1/2, where fits do not look, w bends away from its end as it comes back, as no material does.
     ``simulate.respond`` integrates the curve and follows it.
     """
@@ -44,6 +46,7 @@ class BoucWen(AbstractOperator):
     rho: jax.Array
     sigma: jax.Array
     n: jax.Array
+    rest: jax.Array = eqx.field(default_factory=lambda: jnp.zeros(()))
 
     def start(self, first: jax.Array) -> jax.Array:
         """See ``AbstractOperator.start``: nothing is stored yet."""
@@ -51,7 +54,7 @@ class BoucWen(AbstractOperator):
 
     def output(self, state: Any, value: jax.Array) -> jax.Array:
         """See ``AbstractOperator.output``; ``state`` is w."""
-        return self.kx * value + self.kw * state
+        return self.rest + self.kx * value + self.kw * state
 
     def follow(self, ways: jax.Array, values: jax.Array) -> jax.Array:
         """Outputs for the inputs ``values``, shape ``(n,)`` each; ``ways`` to the ``PLACES``, shape ``(m,)``, come from ``slowness``."""

@@ -8,7 +8,7 @@ that go row by row see both recordings at the training recording's median step, 
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -77,6 +77,7 @@ class Compared:
     note: str = ""
     at_bound: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
+    fitted: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
 
 
 def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -173,7 +174,11 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
     held = tuple(f"{e.name} ({as_text(e.estimate, e.unit)})" for e in result.estimates if e.at_bound)
     open_ = tuple(e.name for e in result.estimates if undetermined(estimate_entry(e)))
     predictions = tuple(r.model[channel] for r in result.responses)
-    return Compared(name, "law", len(result.problem.unknowns), predictions, at_bound=held, undetermined=open_)
+    fitted = {
+        e.name: {"value": number(e.estimate), "lower95": number(e.lower95), "upper95": number(e.upper95), "free": True, "unit": e.unit}
+        for e in result.estimates
+    }
+    return Compared(name, "law", len(result.problem.unknowns), predictions, at_bound=held, undetermined=open_, fitted=fitted)
 
 
 def with_law(rig: Rig, name: str) -> Rig:
@@ -208,7 +213,10 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
         notes.append(f"a ridge of {result.ridge:g}, chosen by the last quarter of {recordings[0].name}, holds its weights")
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     told = "; ".join(one for one in notes if one)
-    return Compared(name, "input-output", family.size, tuple(at_rows), note=told, at_bound=result.at_bound)
+    return Compared(
+        name, "input-output", family.size, tuple(at_rows), note=told, at_bound=result.at_bound, undetermined=result.undetermined,
+        fitted=result.values,
+    )  # fmt: skip
 
 
 def _series(recording: Recording, driving: Sequence[str], channel: str) -> Series:
@@ -280,6 +288,7 @@ def _document(rig: Rig, found: Sequence[Compared], recordings: Sequence[Recordin
             samples = int(np.sum(np.isfinite(pairs[0][0])))
             bic = number(samples * math.log(max(float(errors[0]), 1e-300) ** 2) + one.parameters * math.log(samples))
         entry |= {"parameters": one.parameters, "rmse_train": rmse[0], "rmse_holdout": rmse[1], "bic": bic}
+        entry |= {"fitted": dict(one.fitted)}
         entry |= {"fit_percent_train": percent[0], "fit_percent_holdout": percent[1], "wall_s": round(one.wall, 2)}
         models.append(entry)
     models.sort(key=lambda m: (m["rmse_holdout"] is None, m["rmse_holdout"]))

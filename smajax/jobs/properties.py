@@ -14,26 +14,44 @@ from smajax.errors import InputError
 from smajax.parameter_file import write_parameters
 from smajax.recording import Recording
 from smajax.report.summary import table
-from smajax.thermal_cycles import Cycle, Value, analyse, mean_of, unsteadiness
+from smajax.thermal_cycles import Cycle, Value, analyse, mean_of, unpaired, unsteadiness
 
 SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
 _ROWS = 9
 _LEFT_OUT = "-"
+_TEXT = (".csv", ".txt")
 _NAMED = "--columns, as in --columns 'temperature [degC],strain [%]'"
+# Cures that a rig would have, and this command's.
 _CURES = (
     (r'set delimiter = " " under \[channels\] in the rig', "give --delimiter space"),
     (r", or, if it is right, give \w+ any_scale = true under \[channels\] in the rig", ""),
+    (r'set delimiter = ("[^"]+") and decimal = "," under \[channels\] in the rig', r"give --delimiter \1 --decimal ,"),
     (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
+    (r'set decimal = "," under \[channels\] in the rig', "give --decimal ,"),
+    (r"set delimiter and decimal under \[channels\]", "give --delimiter and --decimal"),
     (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
-    (
-        r"rename it, map it under \[channels\].*",
-        f"rename it, or name it by {_NAMED}",
-    ),
-    (r"or give the unit under \[channels\]", "in the file or by --columns"),
     (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or take its row out"),
     (r", or take it out of \[fit\] observe", ""),
+)
+_CURES_OF_TEXT = (
+    (r"rename it, map it under \[channels\].*", f"rename it, or name it by {_NAMED}"),
+    (r"or give the unit under \[channels\]", "in the file or by --columns"),
     (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_NAMED}"),
+)
+_CURES_OF_MAT = (
+    (r"rename it, map it under \[channels\].*", "save one vector per channel, named temperature, strain and stress"),
+    (r"write the header like '(\w+) \[([^]]+)\]', or give the unit under \[channels\]", r"save a struct beside it with units.\1 = '\2'"),
+    (r"so add a column '(\w+) [^']*' or map one to \w+ under \[channels\] in the rig", r"so save a vector \1 beside them"),
+    (
+        r"give the file headers like 'temperature \[degC\]'",
+        "name its variables temperature and strain, with a struct units: units.strain = '%'",
+    ),
+)
+_CURES_OF_OTHERS = (
+    (r"rename it, map it under \[channels\].*", "rename it in the file, or take it out"),
+    (r", or give the unit under \[channels\]", ""),
+    (r" or map one to \w+ under \[channels\] in the rig", ""),
 )
 _HELD = (0.1, 5e6)  # share of a cycle's stress, and Pa: within the sum of both its rows stand under one stress
 _STEADY = 0.9  # of its rows that have to
@@ -44,12 +62,15 @@ _LABELS = {
     "span": "span A_f - M_f",
 }  # fmt: skip
 _STRAINS = ("transformation_strain", "actuation_strain")
+_WAYS = {True: "cooling", False: "heating"}
+_PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
 
 
 class PropertiesJob(NamedTuple):
     """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``.
 
-    ``columns`` are headers of text files without ("temperature [degC]", or "-" for one to leave out), ``delimiter`` separates them.
+    ``columns`` are headers of text files without ("temperature [degC]", or "-" for one to leave out), ``delimiter`` separates them, and
+    ``decimal`` is their numbers' sign.
     """
 
     paths: Sequence[Path]
@@ -58,17 +79,22 @@ class PropertiesJob(NamedTuple):
     model: str = "brinson"
     columns: Sequence[str] | None = None
     delimiter: str = ","
+    decimal: str = "."
 
 
 @dataclasses.dataclass(frozen=True)
 class Read:
-    """What was read of one recording, or of its cycles at one stress: their ``stress`` in Pa where it was recorded."""
+    """What was read of one recording, or of its cycles at one stress: their ``stress`` in Pa where it was recorded.
+
+    ``alone`` are its branches that are in no cycle: see ``thermal_cycles.unpaired``.
+    """
 
     recording: Recording
     smooth: int
     cycles: list[Cycle]
     refused: list[str]
     stress: float | None
+    alone: Sequence[tuple[int, int, bool]] = ()
 
 
 def run_properties(job: PropertiesJob) -> dict[str, Any]:
@@ -100,21 +126,22 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
 def _read(path: Path, job: PropertiesJob) -> list[Read]:
     wanted = {"required": ("temperature",), "observed": ("strain",), "clock": False, "ignore": (_LEFT_OUT,)}
     try:
-        one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter)
+        one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter, decimal=job.decimal)
     except InputError as error:
-        raise InputError(_by_options(str(error))) from None
+        raise InputError(_by_options(str(error), path.suffix.lower())) from None
     warm = one.channels["temperature"]
     rows = job.smooth if job.smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
         found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
+        alone = unpaired(one.name, warm, smooth=rows)
     except InputError as error:
         return [Read(one, rows, [], [str(error)], None)]
     if "stress" not in one.channels:
-        return [Read(one, rows, found, refused, None)]
+        return [Read(one, rows, found, refused, None, alone)]
     levels, moving = _by_stress(one, found)
     if not levels:
-        return [Read(one, rows, [], refused + moving, None)]
-    return [Read(one, rows, cycles, [] if k else refused + moving, stress) for k, (stress, cycles) in enumerate(levels)]
+        return [Read(one, rows, [], refused + moving, None, alone)]
+    return [Read(one, rows, cycles, [] if k else refused + moving, stress, () if k else alone) for k, (stress, cycles) in enumerate(levels)]
 
 
 def _by_stress(one: Recording, found: Sequence[Cycle]) -> tuple[list[tuple[float, list[Cycle]]], list[str]]:
@@ -141,9 +168,10 @@ def _near(stress: np.ndarray | float, level: float, within: tuple[float, float])
     return np.abs(stress - level) <= within[0] * abs(level) + within[1]
 
 
-def _by_options(sentence: str) -> str:
-    """A sentence about a file whose cure is in a rig, with the options of this command in its place."""
-    for said, instead in _CURES:
+def _by_options(sentence: str, ending: str) -> str:
+    """A sentence about a file of this ending whose cure is in a rig, with what this command has in its place."""
+    own = _CURES_OF_TEXT if ending in _TEXT else _CURES_OF_MAT if ending == ".mat" else _CURES_OF_OTHERS
+    for said, instead in (*_CURES, *own):
         sentence = re.sub(said, instead, sentence)
     return sentence
 
@@ -170,6 +198,7 @@ def _entry(one: Read) -> dict[str, Any]:
             }
             for c in one.cycles
         ],
+        "in_no_cycle": [{"rows": [first + 1, last + 1], "branch": _WAYS[cools]} for first, last, cools in one.alone],
     }
 
 
@@ -196,6 +225,10 @@ def text(document: Mapping[str, Any]) -> str:
             f"Left out of cycle {c['number']}: rows {first} to {last}, a loop within it."
             for c in one["cycles"]
             for first, last in c["loops_left_out"]
+        ]
+        lines += [
+            f"Left out: rows {a['rows'][0]} to {a['rows'][1]}, a {a['branch']} without a {_PARTNERS[a['branch']]} it in the file."
+            for a in one["in_no_cycle"]
         ]
         lines.append("")
     lines += [f"Not read: {sentence}." for sentence in document["refused"]]

@@ -3,11 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from smajax.report import html, plots
 from smajax.report import summary as texts
 from smajax.report.prediction import Series
 
 SCHEMA = "smajax.compare/1"
+_FITTED = ("parameter", "value", "95 % from", "to", "unit")
+_LISTED = 20
 _HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
 
 
@@ -47,6 +51,21 @@ def notes(doc: Mapping[str, Any]) -> list[str]:
     return told + [f"{name}: not determined by the training recording: {names}" for name, names in open_]
 
 
+def fitted_rows(fitted: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Name, value, ends of the interval and unit of a model's parameters; of arrays of more than twenty numbers their count."""
+
+    def shown(value: Any) -> str:
+        if isinstance(value, list):
+            flat = np.ravel(np.asarray(value, object))
+            return f"{len(flat)} numbers, in compare.json" if len(flat) > _LISTED else ", ".join(shown(v) for v in flat)
+        return "-" if value is None else f"{value:.5g}"
+
+    return [
+        (name, shown(p["value"]), *("" if isinstance(p["value"], list) else shown(p[k]) for k in ("lower95", "upper95")), p.get("unit", ""))
+        for name, p in fitted.items()
+    ]
+
+
 def text(doc: Mapping[str, Any], folder: str) -> str:
     """What the command prints."""
     lines = [f"{doc['channel']} in {doc['unit']}:", *texts.table([_HEAD, *rows(doc)], right=range(1, len(_HEAD))), "", doc["summary"]]
@@ -68,5 +87,12 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
         found = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
         ordered = {m["name"]: found[m["name"]] for m in doc["models"] if m["name"] in found}
         sections.append(html.draw(plots.comparison_picture(ordered, doc["channel"], role), pictures))
+    sections.append("<h2>Fitted parameters</h2>")
+    sections.append(
+        "<p>With 95 % intervals where there are any; inputs and outputs of input-output laws in SI units and degC, times in s.</p>"
+    )
+    for m in doc["models"]:
+        if m["fitted"]:
+            sections += [f"<h3>{html.escape(m['name'])}</h3>", html.table(_FITTED, fitted_rows(m["fitted"]), numbers=(1, 2, 3))]
     sections += ["<h2>Where this comes from</h2>", html.recordings(doc["recordings"]), html.provenance(run), html.rig_text(rig)]
     return html.page(f"Comparison on {doc['rig']}", f"What several models make of {doc['channel']}.", sections, pictures)
