@@ -27,7 +27,7 @@ from smajax.diagnose.instants import left_open
 from smajax.diagnose.joint import joined
 from smajax.diagnose.step_errors import coarseness
 from smajax.diagnose.trace import Story, _arrived, _backward, _swap, objection, trace
-from smajax.diagnose.tracer import Tracer, Trial
+from smajax.diagnose.tracer import Extension, Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
 from smajax.fit.least_squares import Stop
@@ -266,6 +266,15 @@ def test_an_effect_in_another_ones_place_is_tried_in_its_usual_shapes_or_in_that
     assert turns == [1e-5, 3e-6]
     slow = dataclasses.replace(fitted, hypothesis=fitted.hypothesis.extended("coating", {"effects.coating.time_constant": 7.0}))
     assert tracer._shapes("end-conduction", "coating", slow) == [{"effects.end-conduction.time_constant": 7.0}]
+
+
+def test_what_promises_most_is_trusted_near_the_noise_only(tracer, fitted):
+    for times, trusts in ((1.5, True), (20.0, False)):
+        refit = dataclasses.replace(fitted, residual=np.full(len(fitted.residual), times))
+        offers = [Extension(refit, key, 0.1, (), gain) for key, gain in (("coating", 5.0), ("creep", 80.0), ("backlash", 0.0))]
+        found = tracer._trusted(offers)
+        assert (found is offers[1]) is trusts and (trusts or found is None)
+    assert tracer._trusted([Extension(refit, "creep", 0.1, (), 0.0)]) is None and tracer._trusted([]) is None
 
 
 def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, monkeypatch):

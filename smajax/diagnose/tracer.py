@@ -208,6 +208,8 @@ class Tracer:
         # What promises most starts a second time, its shape held: freed too early, a shape may wander off, or go around a long bend.
         promising = sorted((e for e in beside if e.gain > 0.0 and e.shape), key=lambda e: -e.gain)[:_PROMISING]
         close += [search(e, min(abs(e.strength) or 0.1, 0.1), e.parent.base, False, held=True) for e in promising]
+        # Near the noise what promises most may be trusted, and goes on though others fall sooner: its valley may be a long one.
+        trusted = [s for e, s in zip(beside, close, strict=False) if e is self._trusted(beside)]
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [close, distant]
         everyone = [s for f in fields for s in f]
@@ -217,6 +219,7 @@ class Tracer:
             if steps > _APART:
                 whole = sorted((s for f in fields for s in f), key=lambda s: s.cost)
                 fields = [[s for s in whole if s.cost < _BEHIND * whole[0].cost][:count]]
+                fields[0] += [s for s in trusted if math.isfinite(s.cost) and all(s is not other for other in fields[0])]
                 if whole and self.stride(whole[0].cost / self.bench.samples) < stride:
                     fields = [[self.bench.whole(s, 0) for s in fields[0]]]
                     everyone += fields[0]
@@ -229,6 +232,12 @@ class Tracer:
         ends = in_pairs(self.bench.reached, list(best.values())[:_JUDGED])
         trials = in_pairs(self.judged, [r for r in ends if math.isfinite(r.chi2)])
         return [t for t in trials if math.isfinite(t.total) and not self.nothing(t)]
+
+    def _trusted(self, extensions: Sequence[Extension]) -> Extension | None:
+        """The extension that promises most, if its parent is so near to the noise that a score, which is of first order, holds there."""
+        most = max(extensions, key=lambda e: e.gain, default=None)
+        near = most is not None and most.gain > 0.0 and self.bench.fitness(most.parent.residual, 0) < _FAR
+        return most if near else None
 
     def elsewhere(self, running: Running) -> list[Running]:
         """Searches that set in at a search's end, unless it is at the noise, with each instant that it moves wherever that costs least.
