@@ -131,7 +131,7 @@ def rows_of(name: str, case: Case, quick: bool, curves: dict[str, list[Curve]]) 
     met = ours.settling <= case.settling and ours.overshoot <= 0.02
     numbers = {"gains": found.gains, "settling": ours.settling, "overshoot": ours.overshoot, "rollouts": found.rollouts}
     rows.append(Row(f"{name}, ours", f"<= {case.settling:g} s, <= 2 %", told(ours), met, numbers))
-    rows.append(Row(f"{name}, our gains", "-", ", ".join(f"{n} {v:.4g}" for n, v in found.gains.items()), None))
+    rows.append(Row(f"{name}, our gains", "-", ", ".join(f"{n} {v:.7g}" for n, v in found.gains.items()), None))
     reached = next((n for n, s in found.history if s <= case.settling), found.rollouts)
     rows.append(Row(f"{name}, rollouts", "<= 183", f"{found.rollouts} in all, {reached} to {case.settling:g} s", found.rollouts <= 183))
     rows.append(Row(f"{name}, seconds", "-", f"{first:.1f}, compiling included; {again:.2f} again", None))

@@ -22,7 +22,7 @@ from smajax.control.export import as_document, c_header
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains, unit_of, with_gains
 from smajax.control.guard import TemperatureGuard
-from smajax.control.margins import margins, restless
+from smajax.control.margins import margins, restless, swings
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop, Scenario, rollout
@@ -412,6 +412,26 @@ def test_what_counts_as_unrest():
     assert "overflow" in restless(calm, reference, np.full(400, np.nan), 1.0)
 
 
+def test_slow_swings_count_as_unrest_and_dying_ones_do_not():
+    """However short the controller's period: the command moves by next to nothing from sample to sample."""
+    time = np.arange(4000) * 0.01
+    still = np.zeros((4000, 1))
+    steps, sine = np.where(time < 20.0, 1.0, 5.0), 3.0 + 1.5 * np.sin(0.5 * time)
+    for reference, told in ((steps, "by 50 %"), (sine, "by 67 %")):
+        swinging = reference + np.sin(2.5 * time)
+        assert f"goes on swinging about its reference {told} of what" in restless(still, reference, swinging, 1.0)
+        assert restless(still, reference, reference + 0.05 * np.sin(2.5 * time), 1.0) == ""
+    dying = steps + np.exp(-np.where(time < 20.0, time, time - 20.0) / 5.0) * np.sin(2.5 * time)
+    assert restless(still, steps, dying, 1.0) == ""
+    lagging = 3.0 + 1.2 * np.sin(0.5 * time - 0.8)
+    assert restless(still, sine, lagging, 1.0) == ""
+
+
+def test_swings_are_from_turn_to_turn():
+    assert swings(np.array([0.0, 2.0, 1.9, 3.0, 0.5, 0.6, 0.4, 4.0, 4.0, 0.0]), 0.3) == pytest.approx([3.0, 2.6, 3.6])
+    assert swings(np.linspace(0.0, 1.0, 50), 0.1) == []
+
+
 ENVELOPE = Envelope(*map(jnp.asarray, (1.5, 2.0, -1.0, 0.2)))
 INVERSE = PrandtlIshlinskii(jnp.asarray(0.7), jnp.asarray([0.1, 0.2, 0.4]), jnp.asarray([0.2, 0.1, 0.3]), ENVELOPE).inverse()
 CONTROLLERS = {
@@ -472,6 +492,10 @@ def test_the_c_header_of_a_guard(tmp_path):
         expected.append(float(allowed))
     np.testing.assert_allclose(cut, expected, rtol=1e-12, atol=1e-12)
     assert np.any(cut < u) and np.any(cut == u)
+    # A thermometer that is not there at the start, or falls out for good: a wire whose temperature is not known is not heated.
+    warm = np.where((np.arange(300) < 20) | (np.arange(300) >= 200), np.nan, 60.0)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (warm, u, cut)))
+    assert np.all(cut[:20] == 0.0) and np.any(cut[20:200] > 0.0) and np.any(cut[200:208] > 0.0) and np.all(cut[211:] == 0.0)
     assert as_document(loop, dict.fromkeys(gains(loop), "-"))["guard"] == {"limit": 84.0, "kp": 0.05, "ki": 0.02, "upper": 0.5}
 
 
@@ -513,6 +537,11 @@ def test_the_c_header_does_the_same(tmp_path, name):
     expected = series(controller, r, y)
     np.testing.assert_allclose(u, expected, rtol=1e-12, atol=1e-12)
     assert np.ptp(u) > 0.5
+    # Before both are numbers the command is 0, and it begins then; a reference that falls out counts as where it was.
+    late, gone = np.where(np.arange(300) < 5, np.nan, y), np.where(np.isin(np.arange(300), (0, 150)), np.nan, r)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (gone, late, u)))
+    gone[150] = gone[149]
+    np.testing.assert_allclose(u, np.append(np.zeros(5), series(controller, gone[5:], y[5:])), rtol=1e-12, atol=1e-12)
 
 
 def test_gains_have_names_and_units():

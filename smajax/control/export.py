@@ -4,7 +4,7 @@ The header holds one controller: its gains as constants, its state as a structur
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
 feedforward; call ``smajax_step`` once a period. A measurement that is no number is taken for the last one that was. Of a loop with two
 wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a guard ``smajax_guard``, which cuts a wire's
-command to what its temperature allows.
+command to what its temperature allows, to 0 where it has not been known for a second.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the
  *     each period:  command = smajax_step(&s, reference, value);
 {use} *
  * Units: reference and value in {channel_unit}, command in {command_unit}. Define SMAJAX_REAL as float where doubles are slow.
- * A value that is no number (a sensor that fell out) counts as the last one that was.
+ * A value or reference that is no number (a sensor that fell out) counts as the last one that was; before the first ones the command is 0.
  */
 #ifndef SMAJAX_CONTROLLER_H
 #define SMAJAX_CONTROLLER_H
@@ -44,7 +44,8 @@ typedef SMAJAX_REAL smajax_real;
 {constants}
 
 typedef struct {{
-    smajax_real integral, last, slope, value;{more}
+    smajax_real integral, last, slope, value, reference;
+    int begun;{more}
 }} smajax_state;
 
 static smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {seen} }}
@@ -53,8 +54,12 @@ static smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upp
     return x < lower ? lower : x > upper ? upper : x;
 }}
 
+static int smajax_is_number(smajax_real x) {{
+    return x - x <= 0;
+}}
+
 static smajax_real smajax_known(smajax_real measured, smajax_real *last) {{
-    if (measured - measured <= 0) *last = measured;
+    if (smajax_is_number(measured)) *last = measured;
     return *last;
 }}
 {functions}
@@ -75,15 +80,22 @@ static smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_rea
 }}
 
 static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
+    s->begun = smajax_is_number(reference) && smajax_is_number(value);
+    s->reference = s->begun ? reference : 0;
+    s->value = s->begun ? value : 0;
     s->integral = 0;
-    s->last = smajax_seen(reference, value);
-    s->slope = 0;
-    s->value = value;{reset}
+    s->last = smajax_seen(s->reference, s->value);
+    s->slope = 0;{reset}
 }}
 
-static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real measured) {{
-    smajax_real value = smajax_known(measured, &s->value);
+static smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value) {{
 {step}
+}}
+
+static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+    if (!s->begun) smajax_reset(s, reference, value);
+    if (!s->begun) return smajax_clip(0, SMAJAX_LOWER, SMAJAX_UPPER);
+    return smajax_go(s, smajax_known(reference, &s->reference), smajax_known(value, &s->value));
 }}
 {pair}{guard}
 #endif
@@ -101,23 +113,36 @@ _GUARD_USE = """ *     and then, once a period and wire, with a smajax_guard_sta
 _GUARD = """
 /* What keeps a wire below {limit!r} degC: a state for each wire; temperatures in degC. */
 typedef struct {{
-    smajax_real integral, temperature;
+    smajax_real integral, temperature, blind;
 }} smajax_guard_state;
 
+/* Without a temperature for so many seconds a wire is not heated. */
+#define SMAJAX_GUARD_BLIND ((smajax_real){blind!r})
+
 static void smajax_guard_reset(smajax_guard_state *g, smajax_real temperature) {{
+    int known = smajax_is_number(temperature);
     g->integral = 0;
-    g->temperature = temperature;
+    g->temperature = known ? temperature : 0;
+    g->blind = known ? 0 : SMAJAX_GUARD_BLIND;
 }}
 
-static smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
-    smajax_real error = (smajax_real){limit!r} - smajax_known(temperature, &g->temperature);
+static smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
+    smajax_real error = (smajax_real){limit!r} - temperature;
     smajax_real grown = g->integral + (smajax_real){ki!r} * error * SMAJAX_PERIOD, wanted = (smajax_real){kp!r} * error + grown;
     int pushes = (wanted > (smajax_real){upper!r} && grown > g->integral) || (wanted < 0 && grown < g->integral);
     if (!pushes) g->integral = grown;
     wanted = smajax_clip(wanted, 0, (smajax_real){upper!r});
     return command < wanted ? command : wanted;
 }}
+
+static smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
+    int known = smajax_is_number(temperature);
+    g->blind = known ? 0 : g->blind + SMAJAX_PERIOD;
+    if (g->blind >= SMAJAX_GUARD_BLIND) return command < 0 ? command : 0;
+    return smajax_guard_cut(g, smajax_known(temperature, &g->temperature), command);
+}}
 """
+_BLIND = 1.0  # s
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
 _PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"
 _BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here = 1 + SMAJAX_KB * value, factor;
@@ -220,7 +245,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     if isinstance(owner, Loop) and owner.allocation.wires > 1:
         pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
     if isinstance(owner, Loop) and owner.guard is not None:
-        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard))
+        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard), blind=_BLIND)
     constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
     if inverse is not None:
         constants.append(f"#define SMAJAX_PLAYS {len(inverse.thresholds)}")

@@ -22,7 +22,7 @@ from smajax.control.objective import LIMITS, Wanted
 _FIRST, _WIDEST, _NARROWEST = 0.25, 0.6, 1e-3  # of a trust region: changes of the gains' logarithms
 _SMALL = 1e-3  # of the settling time: a gain that ends the search
 _ROWS = 3000  # of a linear program
-_SHARE = 0.998  # of the band and of overshoot that a program asks for: it is linear, and kept to tolerances
+_SHARE = 0.98  # of the band and of overshoot that a program asks for: gains on their very edge would be lost by the next rounding
 
 
 class Shape(NamedTuple):

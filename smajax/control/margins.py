@@ -9,6 +9,7 @@ period is over.
 
 import itertools
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,6 +24,9 @@ from smajax.control.rollout import Loop, Scenario, march
 _FREQUENCIES = 400
 _RESTLESS = 0.02
 _HOLD = 10  # samples
+_SWING = 0.05  # of what the reference spans: less is as good as rest
+_SWINGS, _PER_TURN = 4, 4  # swings that are none of settling: so many, and so many more for each turn of the reference
+_SUSTAINED = 0.7  # of its first swings: what is left of it at the end of what goes on
 _FAR = 1e6  # where a response shows its first sample only
 _BELOW = 5.0  # below the crossover
 
@@ -114,10 +118,11 @@ def _margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
 
 
 def restless(command: np.ndarray, reference: np.ndarray, value: np.ndarray, reach: float) -> str:
-    """Why a rollout without noise counts as unstable, or nothing: it is no number, runs away, or its command does not come to rest.
+    """Why a rollout without noise counts as unstable, or nothing: it is no number, runs away, or does not come to rest.
 
-    Arrays of shape ``(n, wires)``, ``(n,)`` and ``(n,)``; ``reach`` is the range of the command (infinite: the largest that it takes). At
-    rest it should be in the later half of each hold; where the reference always moves, the command should not jump to and fro.
+    Arrays of shape ``(n, wires)``, ``(n,)`` and ``(n,)``; ``reach`` is the range of the command (infinite: the largest that it takes). In
+    the later half of each hold of the reference the command should be at rest; where the reference always moves, it should not jump to
+    and fro. And however slowly: the value should not go on swinging about the reference.
     """
     if not (np.all(np.isfinite(value)) and np.all(np.isfinite(command))):
         return "the loop's numbers overflow"
@@ -128,18 +133,59 @@ def restless(command: np.ndarray, reference: np.ndarray, value: np.ndarray, reac
     size = reach if math.isfinite(reach) else float(np.max(np.abs(command)))
     change = np.diff(command, axis=0, prepend=command[:1])
     rests = _later_halves(reference)
-    if not np.any(rests):
+    holds = bool(np.any(rests))
+    if not holds:
         turns = change * np.roll(change, 1, axis=0) < 0.0
         change, rests = np.where(turns, change, 0.0), np.ones(len(value), bool)
     moves = float(np.sqrt(np.mean(change[rests] ** 2))) / max(size, 1e-300)
-    return f"the command goes on moving by {100 * moves:.0f} % of its range from sample to sample" if moves > _RESTLESS else ""
+    if moves > _RESTLESS:
+        return f"the command goes on moving by {100 * moves:.0f} % of its range from sample to sample"
+    swing = max((_goes_on(reference[part], value[part], _SWING * span) for part in _settled(reference, holds)), default=0.0)
+    return f"the loop goes on swinging about its reference by {100 * swing / span:.0f} % of what the reference spans" if swing > 0.0 else ""
+
+
+def _settled(reference: np.ndarray, holds: bool) -> Iterator[slice]:
+    """All but the first quarter of each hold, or, of a reference that always moves, of the whole."""
+    for first, end in _holds(reference) if holds else [(0, len(reference))]:
+        yield slice(first + (end - first) // 4, end)
+
+
+def _goes_on(reference: np.ndarray, value: np.ndarray, least: float) -> float:
+    """How far a value swings about its reference to and fro, if it does so at least twice, more often than the reference turns, and does
+    not come to rest; else 0. Swings of less than ``least`` do not count."""
+    found = swings(value - reference, least)
+    own = len(swings(reference, least))
+    if len(found) < _SWINGS + _PER_TURN * own:
+        return 0.0
+    first, last = float(np.mean(found[:2])), float(np.mean(found[-2:]))
+    return last if last > _SUSTAINED * first else 0.0
+
+
+def swings(values: np.ndarray, least: float) -> list[float]:
+    """How far a series goes from each turning point to the next one; what turns back by less than ``least`` goes on."""
+    sizes: list[float] = []
+    low = high = start = float(values[0])
+    way = 0
+    for v in values.tolist():
+        low, high = min(low, v), max(high, v)
+        if way >= 0 and high - v > least:
+            sizes += [high - start] if way else []
+            way, start, low = -1, high, v
+        elif way <= 0 and v - low > least:
+            sizes += [start - low] if way else []
+            way, start, high = 1, low, v
+    return sizes
 
 
 def _later_halves(reference: np.ndarray) -> np.ndarray:
     """Which samples lie in the later half of a hold."""
     rests = np.zeros(len(reference), bool)
-    edges = np.r_[0, np.flatnonzero(np.diff(reference)) + 1, len(reference)]
-    for first, end in itertools.pairwise(edges):
-        if end - first >= _HOLD:
-            rests[(first + end + 1) // 2 : end] = True
+    for first, end in _holds(reference):
+        rests[(first + end + 1) // 2 : end] = True
     return rests
+
+
+def _holds(reference: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First sample of each hold, and the one after its last."""
+    edges = np.r_[0, np.flatnonzero(np.diff(reference)) + 1, len(reference)]
+    yield from ((int(a), int(b)) for a, b in itertools.pairwise(edges) if b - a >= _HOLD)
