@@ -35,6 +35,7 @@ from smajax.units import CHANNELS, numbered
 
 _BATCH = 64
 _AGAIN = 3  # times that gains are tuned on for draws that fail
+_WIDER = 4  # starts, where fewer keep no limit
 _IDLE = 0.9  # of the error of a rig that is left alone: gains that leave more have given the reference up
 
 
@@ -106,16 +107,15 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         draws = noises(given.loop, given.scenario, given.robust.draws if given.robust else NOISES, seed)
         sharp = bool(given.limits or given.settle or given.robust)  # what is limited, or spread already, is judged as it is
         tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws, 0.0 if sharp else SPREAD)
-        found = tune(
-            tuning, given.weights, given.limits, settle=given.settle, starts=given.starts, seed=seed, band=given.band,
-            progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
-        )  # fmt: skip
+        found = _tuned(given, tuning, seed, progress)
     progress.phase("checking")
     with clock.time("check"):
         checks = {when: _check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
     if checks and checks["tuned"].failing:
         with clock.time("tune"):
             found, checks["tuned"] = _harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
+    if checks and len(checks["start"].failing) < len(checks["tuned"].failing):  # what was tuned for some draws does worse on the others
+        found, checks["tuned"] = found._replace(gains=own), checks["start"]
     last = behave(given, found.gains)
     units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
     progress.phase("exporting")
@@ -146,6 +146,24 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
 
     write_folder(out, run, fill)
     return Outcome(out, document, code, reason)
+
+
+def _tuned(given: ControllerFile, tuning: Tuning, seed: int, progress: Progress) -> Tuned:
+    """The gains found from as many starts as wanted, or, where those keep no limit, from more: the nearest may lie far from the start."""
+
+    def search(starts: int) -> Tuned:
+        return tune(
+            tuning, given.weights, given.limits, settle=given.settle, starts=starts, seed=seed, band=given.band,
+            progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
+        )  # fmt: skip
+
+    found = search(given.starts)
+    if found.feasible or given.starts >= _WIDER:
+        return found
+    progress.phase("no gains keep all limits yet: looking from more starts")
+    again = search(_WIDER)
+    best = min(found, again, key=lambda one: (not one.feasible, max(one.violated.values(), default=0.0)))
+    return best._replace(rollouts=found.rollouts + again.rollouts)
 
 
 def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:
@@ -224,7 +242,8 @@ def _beyond(given: ControllerFile, far: Reach) -> str:
     if far.least - room <= wanted.min() and wanted.max() <= far.largest + room:
         return ""
     ends = [shown(float(v), channel, channel) for v in (wanted.min(), wanted.max(), far.least, far.largest)]
-    told = f"the reference goes from {ends[0]} to {ends[1]}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
+    asked = f"asks for {ends[0]}" if ends[0] == ends[1] else f"goes from {ends[0]} to {ends[1]}"
+    told = f"the reference {asked}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
     limited = given.loop.guard is not None or any(k in given.limits for k in ("temperature", "stress", "current"))
     told += " within the limits" if limited else ""
     return told + ("; tuned for the reference cut to that" if cut(given.scenario, far) is not given.scenario else "")
@@ -242,7 +261,7 @@ def _harder(
         rows = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *range(count)]))[:count]
         few = {n: v[np.resize(rows, count)] for n, v in drawn.items()}
         on = Tuning.of(given.driven, tuning.steered(found.gains), given.scenario, given.bounds, few, tuning.draws)
-        again = tune(on, given.weights, given.limits, settle=given.settle, seed=seed, band=given.band)
+        again = tune(on, given.weights, given.limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
         found = found._replace(rollouts=found.rollouts + again.rollouts)
         now = _check(given, again.gains, drawn)
         if len(now.failing) >= len(checked.failing):
