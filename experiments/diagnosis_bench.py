@@ -274,7 +274,10 @@ def rows(facts: list[Facts]) -> list[Row]:
     for key in SINGLES:
         counts = Counter(c["effects"][0] if c["effects"] else "none" for c in singles if c["keys"][0] == key)
         if counts:
-            table.append(Row(f"hidden {key}, named first", "-", ", ".join(f"{k} {n}" for k, n in counts.most_common()), None, dict(counts)))
+            told = ", ".join(f"{k} {n}" for k, n in counts.most_common())
+            held = [c["interval_holds"] for c in singles if c["keys"][0] == key and c["interval_holds"] is not None]
+            told += f"; its interval holds the truth {sum(held)} of {len(held)} times" if held else ""
+            table.append(Row(f"hidden {key}, named first", "-", told, None, dict(counts)))
     for name in dict.fromkeys(c["case"] for c in outside):
         told = Counter(
             f"{c['verdict']}, {c['unresolved_stage'] or '-'} ({', '.join(c['effects']) or 'no effect'})"

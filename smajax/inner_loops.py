@@ -16,7 +16,7 @@ _OF_NOISE = 9.0  # standard deviations of the averaged temperatures
 _WANTED = 0.01  # of the branch's temperatures: noise is averaged down to what hides no larger loop than this
 _ROWS = 24  # averages that a branch has at least
 _NINE_TENTHS, _HALF, _SECOND = 1.645, 0.6745, 6.0**0.5  # so many normal deviates are less; what second differences multiply noise by
-_SHARED = 0.5
+_SHARED = 0.5  # of the rows: fewer different temperatures are those of a coarse thermometer
 _ABRUPT = 0.8  # of a loop's depth
 _BLOCK = 5  # rows that run backwards, at least
 
@@ -45,7 +45,7 @@ def inner_loops(temperature: np.ndarray, branch: np.ndarray) -> list[tuple[int, 
 
 
 def _noise(raw: np.ndarray) -> float:
-    """Standard deviation from row to row (K) of temperatures that rise but for noise and loops; none where no row goes back twice."""
+    """Standard deviation from row to row (K) of temperatures that rise but for noise and loops; none where at most one row goes back."""
     if np.sum(np.diff(raw) < 0.0) < 2:
         return 0.0
     return float(np.quantile(np.abs(np.diff(raw, 2)), 0.9)) / (_NINE_TENTHS * _SECOND)
