@@ -15,6 +15,8 @@ from smajax.toml_file import show
 from smajax.units import channel_of
 from smajax.units import parse as parse_quantity
 
+_STARTS, _FEW = 4, 10  # points that a fit begins at by default; of more parameters than a few, one for each
+
 
 @dataclass(frozen=True)
 class FitSettings:
@@ -31,7 +33,7 @@ class FitSettings:
     bounds: Mapping[str, tuple[float, float]]
     observe: tuple[str, ...]
     noise: Mapping[str, float]
-    starts: int = 4
+    starts: int = _STARTS
     seed: int = 0
 
     @property
@@ -87,7 +89,8 @@ def fit_settings(fit: FitSection, observe: tuple[str, ...], plant: Plant, inert:
     names = {*free, *fit.per_recording, *(f"initial.{state}" for state in initial)}
     bounds = {name: span for name, span in set_bounds.items() if name in names} | bounds
     noise = _noise(fit.noise, observe, plant)
-    return FitSettings(fit.model, tuple(free), tuple(fit.per_recording), tuple(initial), bounds, observe, noise, fit.starts, fit.seed)
+    starts = fit.starts or (_STARTS if len(names) <= _FEW else len(names))
+    return FitSettings(fit.model, tuple(free), tuple(fit.per_recording), tuple(initial), bounds, observe, noise, starts, fit.seed)
 
 
 def refuse_twice(names: Sequence[str], place: str) -> None:

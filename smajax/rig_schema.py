@@ -198,7 +198,7 @@ class FitSection(BaseModel):
     bounds: dict[str, Any] = Field({}, examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'])
     observe: list[str] | None = Field(None, examples=['["displacement"]'])
     noise: dict[str, Any] = Field({}, examples=['{displacement = "0.02 mm"}'])
-    starts: int = Field(4, ge=1, le=10_000, examples=["4"])
+    starts: int | None = Field(None, ge=1, le=10_000, examples=["4"])
     seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
 
 

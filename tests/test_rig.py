@@ -484,3 +484,13 @@ def test_rigs_beside_recordings(shared: pathlib.Path):
         recording = rig.read(folder / "train.csv")
         assert set(rig.plant.signals) | set(rig.fit.observe) <= set(recording.channels)
         assert len(recording) > 1000
+
+
+def test_a_fit_of_many_parameters_begins_at_more_points():
+    names = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish", "max_strain", "modulus_austenite")
+    more = ("n1", "n2", "n3", "n4", "clausius_clapeyron_austenite", "clausius_clapeyron_martensite")
+    lines = '[rig]\nkind = "path"\n[material]\nset = "rotary-table1"\nn1 = "0.5"\nn2 = "0.5"\nn3 = "0.5"\nn4 = "0.5"\n[fit]\nmodel = "lagoudas"\n'
+    for free, given, expected in ((names, "", 4), (names + more, "", 12), (names + more, "starts = 3", 3)):
+        listed = ", ".join(f'"material.{n}"' for n in free)
+        rig = parse_rig(f'{lines}observe = ["strain"]\nfree = [{listed}]\n{given}\n')
+        assert rig.fit.starts == expected
