@@ -8,13 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smajax.control.driven import DrivenPlant
+from smajax.blackbox.transfer_function import TransferFunction
+from smajax.control.driven import DrivenPlant, DrivenTransferFunction
 from smajax.control.guard import TemperatureGuard
-from smajax.control.observers import AngleFilter, ThermalObserver
+from smajax.control.observers import AngleFilter, Inertial, ThermalObserver
 from smajax.control.rollout import Scenario, rollout
+from smajax.control.sensing import Sensing
 from smajax.rig import read_rig
 from tests.conftest import ROOT
-from tests.test_control import pid, wire_loop
+from tests.test_control import loop_of, pid, wire_loop
 
 
 def thermal(exponent=1.0, gain=0.0) -> ThermalObserver:
@@ -79,3 +81,31 @@ def test_a_guard_that_has_no_thermometer_uses_an_estimate():
     }
     assert hot["estimate"].max() < 88.0 and np.max(np.abs(hot["estimate"] - hot["thermometer"])) < 4.0
     assert np.max(np.abs(hot["estimate"] - hot["thermometer"])) > 0.01
+
+
+def test_a_loop_steers_by_gyroscope_and_tilt():
+    """A joint that a tilt alone would shake: the filter keeps its angle and its command calm, in spite of the gyroscope's bias."""
+    period, count = 0.05, 1200
+    joint = TransferFunction(*map(jnp.asarray, (1.0, 0.0, 2.0, 1.0, 0.9, 0.1, 0.0)), structure="one-pole")
+    driven = DrivenTransferFunction.of(joint, "angle", period)
+    law = AngleFilter(*map(jnp.asarray, np.radians([0.5, 0.01, 2.0])), period=period)
+    sensors = Inertial(law, *map(jnp.asarray, np.radians([0.5, 2.0, 1.0])))
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal(count))
+    wave = 0.5 + 0.2 * np.sin(0.3 * period * np.arange(count))
+    scenario = dataclasses.replace(Scenario.quiet(wave, before=0.5), draws=draws)
+
+    def run(kp, sensing):
+        steered = pid(kp, 2.0, 0.0, tf=0.0, low=-5.0, high=5.0, dt=period)
+        return rollout(driven, loop_of(steered, sensing=sensing), scenario)
+
+    tilted = Sensing(jnp.asarray(np.radians(2.0)), jnp.zeros(()))
+    ends = {name: eqx.filter_jit(run)(jnp.asarray(4.0), one) for name, one in (("filter", sensors), ("tilt", tilted))}
+    moves = {name: float(np.std(np.diff(np.asarray(done.command)[:, 0]))) for name, done in ends.items()}
+    errors = {n: np.degrees(np.sqrt(np.mean((np.asarray(d.channels["angle"])[300:] - wave[300:]) ** 2))) for n, d in ends.items()}
+    assert moves["filter"] < 0.2 * moves["tilt"] and errors["filter"] < 2.0
+
+    def error(kp):
+        return jnp.mean((run(kp, sensors).channels["angle"] - scenario.reference) ** 2)
+
+    slope, value, at = jax.jit(jax.grad(error)), jax.jit(error), jnp.asarray(4.0)
+    assert float(slope(at)) == pytest.approx((float(value(at + 1e-4)) - float(value(at - 1e-4))) / 2e-4, rel=1e-4)

@@ -113,3 +113,33 @@ class AngleFilter(eqx.Module):
         gain = covariance[:, 0] / (covariance[0, 0] + self.tilt_noise**2)
         mean = mean + gain * (tilt - mean[0])
         return AngleState(mean, covariance - jnp.outer(gain, covariance[0]))
+
+
+class Inertial(eqx.Module):
+    """An ``AngleFilter`` in the place of an encoder: a loop's ``sensing`` by a gyroscope and a tilt on the moving link.
+
+    The true sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), and the gyroscope a ``bias`` (rad/s).
+    A sample's draw is the tilt's noise, and the gyroscope's one sample later.
+    """
+
+    filter: AngleFilter
+    rate_noise: jax.Array
+    tilt_noise: jax.Array
+    bias: jax.Array
+    delay: int = eqx.field(static=True, default=0)
+
+    @property
+    def noise(self) -> jax.Array:
+        """What a draw of one makes of the tilt, rad."""
+        return self.tilt_noise
+
+    def reset(self, value: jax.Array) -> tuple[AngleState, jax.Array, jax.Array]:
+        """The filter at an angle at which the link is at rest, that angle, and no draw yet."""
+        return self.filter.reset(value), jnp.asarray(value, jnp.float64), jnp.zeros(())
+
+    def step(self, state: tuple[AngleState, jax.Array, jax.Array], value: jax.Array, draw: jax.Array) -> tuple[Any, jax.Array]:
+        """The state after a sample at a true angle, and the angle as the filter has it."""
+        known, before, last = state
+        rate = (value - before) / self.filter.period + self.bias + self.rate_noise * last
+        known = self.filter.step(known, rate, value + self.tilt_noise * draw)
+        return (known, value, jnp.asarray(draw, jnp.float64)), known.mean[0]

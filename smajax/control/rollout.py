@@ -19,7 +19,7 @@ from smajax.control.allocation import Allocation
 from smajax.control.controller import AbstractController
 from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
-from smajax.control.observers import AbstractThermometer, each
+from smajax.control.observers import AbstractThermometer, Inertial, each
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
 
@@ -34,7 +34,7 @@ class Loop(eqx.Module):
 
     controller: AbstractController
     allocation: Allocation
-    sensing: Sensing
+    sensing: Sensing | Inertial
     guard: TemperatureGuard | None = None
     observer: AbstractThermometer | None = None
     channel: str = eqx.field(static=True, kw_only=True)
