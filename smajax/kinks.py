@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from smajax import precision  # noqa: F401
+
 
 @jax.custom_jvp
 def larger(a: ArrayLike, b: ArrayLike) -> jax.Array:

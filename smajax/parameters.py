@@ -15,9 +15,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax import precision  # noqa: F401
 from smajax.errors import InputError, nearest
-
-jax.config.update("jax_enable_x64", True)
 
 TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),

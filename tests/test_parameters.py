@@ -3,6 +3,8 @@
 import math
 import os
 import pathlib
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -216,3 +218,9 @@ def test_malformed_parameter_file_gives_its_sentence(case: str, tmp_path: pathli
     with pytest.raises(InputError) as error:
         read_parameters(path)
     assert str(error.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize("module", ["smajax.control.observers", "smajax.hysteresis.bouc_wen", "smajax.blackbox.narx"])
+def test_whoever_imports_a_part_alone_computes_in_double_precision(module):
+    words = f"import {module}, jax; assert jax.numpy.ones(3).dtype == 'float64'"
+    subprocess.run([sys.executable, "-W", "error", "-c", words], check=True)

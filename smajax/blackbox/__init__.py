@@ -1,1 +1,3 @@
 """Black boxes: input-output laws that know nothing of the wire."""
+
+from smajax import precision  # noqa: F401

@@ -1,1 +1,3 @@
 """Hysteresis operators: input-output laws without physics."""
+
+from smajax import precision  # noqa: F401
