@@ -27,7 +27,8 @@ from smajax.control.sensing import Sensing
 from smajax.control.tune import tune
 from smajax.control.tuning import Tuning, roll
 from smajax.fit.families import prandtl_ishlinskii
-from smajax.fit.operators import Series, fit_operator
+from smajax.fit.operator_problem import Series
+from smajax.fit.operators import fit_operator
 from smajax.hysteresis.prandtl_ishlinskii import InversePrandtlIshlinskii
 from tests.reference.rig_file import read_rig, simulate
 

@@ -24,7 +24,8 @@ from _figures import Chart, Curve, draw
 
 from smajax.fit import baselines
 from smajax.fit.families import bouc_wen, prandtl_ishlinskii
-from smajax.fit.operators import Series, build_operator, fit_operator
+from smajax.fit.operator_problem import Series, build_operator
+from smajax.fit.operators import fit_operator
 from tests.reference.rig_file import read_rig, simulate
 
 NOISE = 0.02  # mm

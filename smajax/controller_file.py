@@ -46,7 +46,7 @@ from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
 from smajax.control.slow_loop import Feedforward
 from smajax.errors import InputError
-from smajax.fit.operators import Series
+from smajax.fit.operator_problem import Series
 from smajax.rig import Rig
 from smajax.rig_schema import as_text, one_of, quantity
 from smajax.scenario_file import read_scenario

@@ -15,7 +15,8 @@ from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
 from smajax.errors import InputError
 from smajax.fit.families import bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
-from smajax.fit.operators import Series, build_operator, fit_operator, parted
+from smajax.fit.operator_problem import Series, build_operator
+from smajax.fit.operators import fit_operator, parted
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs.compare import fit_percent

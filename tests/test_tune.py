@@ -21,7 +21,7 @@ from smajax.control.tune import Tuned, objective_of, tune, wanted_of
 from smajax.control.tuning import Tuning, look, noises
 from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
-from smajax.fit.operators import Series
+from smajax.fit.operator_problem import Series
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs import tune as jobs_tune
 from smajax.jobs.tune import Checked

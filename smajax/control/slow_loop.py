@@ -21,7 +21,8 @@ from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop
 from smajax.errors import InputError
 from smajax.fit.families import prandtl_ishlinskii
-from smajax.fit.operators import Series, fit_operator
+from smajax.fit.operator_problem import Series
+from smajax.fit.operators import fit_operator
 from smajax.hysteresis.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
 from smajax.simulate import time_constant
 from smajax.units import CHANNELS, numbered

@@ -1,4 +1,4 @@
-"""The input-output laws that can be fitted, with bounds that follow from the recordings: see ``smajax.fit.operators``.
+"""The input-output laws that can be fitted, with bounds that follow from the recordings: see ``smajax.fit.operator_problem``.
 
 The bounds of the hysteresis operators are those under which the flexible-actuator paper's models can be searched at all: sizes relative to
 the ranges of input and output.
@@ -18,7 +18,7 @@ from smajax.blackbox.narx import Narx
 from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, Structure, TransferFunction
 from smajax.errors import InputError
-from smajax.fit.operators import Family, Series
+from smajax.fit.operator_problem import Family, Series
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 

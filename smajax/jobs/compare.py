@@ -20,7 +20,8 @@ from smajax.console import Progress
 from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.families import FAMILIES
 from smajax.fit.fit import fit
-from smajax.fit.operators import Family, Series, check_rows, evenly, fit_operator
+from smajax.fit.operator_problem import Family, Series, check_rows, evenly
+from smajax.fit.operators import fit_operator
 from smajax.jobs.fit import read_recordings, refuse_copies
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.parameters import declarations
