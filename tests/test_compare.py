@@ -199,10 +199,10 @@ def rotary(folder, overlap: float) -> None:
 
 def test_two_wires_that_pull_by_turns_are_one_input(tmp_path):
     rotary(tmp_path, 0.0)
-    done = run(tmp_path, "bouc-wen,transfer-function-one-pole", tmp_path / "out")
+    done = run(tmp_path, "bouc-wen,transfer-function-one-pole,heating-cooling", tmp_path / "out")
     assert done.exit_code == 0, done.output
     found = json.loads((tmp_path / "out" / "compare.json").read_text())
-    assert len(found["models"]) == 2
+    assert len(found["models"]) == 3 and "heating-cooling takes one wire" in found["models"].pop()["why"]
     for m in found["models"]:
         assert not m["why"] and "its input is current_1 less current_2" in m["note"] and m["fit_percent_train"] > 10.0, m
 
