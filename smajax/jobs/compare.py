@@ -204,7 +204,9 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     if not any(np.any(recordings[0].channels[c]) for c in driving):
         raise InputError(f"{driving[0]} is 0 in all rows of {recordings[0].name}, which does not tell its effect: give one that is driven")
     if name == "heating-cooling" and len(driving) > 1:
-        raise InputError(f"{name} takes one wire, which heats or cools, and here {' and '.join(driving)} take turns: compare the other laws")
+        raise InputError(
+            f"{name} takes one wire, which heats or cools, and here {' and '.join(driving)} take turns: compare the other laws"
+        )
     family = FAMILIES[name]([_series(r, driving, channel) for r in recordings[:1]])
     laid, note = _laid(family, recordings, driving if rig.interpolation == "hold" else ())
     notes = [note, f"its input is {' less '.join(driving)}" if len(driving) > 1 else ""]
