@@ -141,9 +141,10 @@ def test_a_controller_in_numpy_does_the_same(name):
     text = module(model)
     given = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     r, y = (np.cumsum(RNG.standard_normal(80)) * 0.2 for _ in range(2))
-    y[40] = y[39]
+    y[40], r[60] = y[39], r[59]
     state, found = list(text["start"](given, [r[0], y[0]])), []
-    for row in zip(r, np.where(np.arange(80) == 40, np.nan, y), strict=True):  # what falls out counts as where it was
+    gone = [np.where(np.arange(80) == k, np.nan, v) for k, v in ((60, r), (40, y))]  # what falls out counts as where it was
+    for row in zip(*gone, strict=True):
         *state, _ = text["advance"](given, state, row, np.float64(0.05))
         found += text["outputs"](given, state, row)
     np.testing.assert_allclose(found, series(controller, r, y), rtol=1e-12, atol=1e-12)

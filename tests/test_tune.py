@@ -254,6 +254,10 @@ def read_model(path):
             "the reference goes from 2 mm to 14 mm, and with its largest command the rig reaches",
         ),
         (('kp = "30 A/m"', 'kp = "3000 A/m"'), "the start gains are unstable"),
+        (
+            ("[tune]", '[limits]\ntemperature = "78 degC"\n[tune]'),
+            "the reference goes from 2 mm to 4 mm, and with its largest command the rig reaches",
+        ),
         (("[tune]", '[limits]\nstress = "1 MPa"\n[tune]'), "the limit on stress is not met: it is 1 MPa"),
         (("[tune]", '[limits]\novershoot = "0 %"\nsettling = "50 ms"\n[tune]'), "the limit on settling is not met: it is 0.05 s"),
         (

@@ -119,7 +119,7 @@ class Inertial(eqx.Module):
     """An ``AngleFilter`` in the place of an encoder: a loop's ``sensing`` by a gyroscope and a tilt on the moving link.
 
     The true sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), and the gyroscope a ``bias`` (rad/s).
-    A sample's draw is the tilt's noise, and the gyroscope's one sample later.
+    A sample's draw is the tilt's noise, and the gyroscope's one sample later. ``margins`` take what it tells for the angle itself.
     """
 
     filter: AngleFilter

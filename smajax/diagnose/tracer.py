@@ -209,7 +209,8 @@ class Tracer:
         promising = sorted((e for e in beside if e.gain > 0.0 and e.shape), key=lambda e: -e.gain)[:_PROMISING]
         close += [search(e, min(abs(e.strength) or 0.1, 0.1), e.parent.base, False, held=True) for e in promising]
         # Near the noise what promises most may be trusted, and goes on though others fall sooner: its valley may be a long one.
-        trusted = [s for e, s in zip(beside, close, strict=False) if e is self._trusted(beside)]
+        most = self._trusted(beside)
+        trusted = [s for e, s in zip(beside, close, strict=False) if e is most]
         # Heats: the better half goes on, apart for the two kinds of start, since those from afar begin with larger errors.
         fields = [close, distant]
         everyone = [s for f in fields for s in f]

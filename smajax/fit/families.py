@@ -57,9 +57,9 @@ def bouc_wen(series: Sequence[Series], *, rest: bool = False) -> Family:
     """The five parameters; with ``rest``, a constant beside them, for sensors that do not read 0 where the input begins."""
     _, span, bottom, swing = _ranges(series)
     way = _way(series)
-    lower = {"kx": -10 * swing / span, "kw": -10 * swing, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0, "rest": 0.0}
-    upper = {"kx": 10 * swing / span, "kw": 10 * swing, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0, "rest": 0.0}
-    start = {"kx": way * 0.5 * swing / span, "kw": way * 0.5 * swing, "rho": 2.0 / span, "sigma": 1.0, "n": 1.5, "rest": 0.0}
+    lower = {"kx": -10 * swing / span, "kw": -10 * swing, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0}
+    upper = {"kx": 10 * swing / span, "kw": 10 * swing, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0}
+    start = {"kx": way * 0.5 * swing / span, "kw": way * 0.5 * swing, "rho": 2.0 / span, "sigma": 1.0, "n": 1.5}
     if rest:
         ends = {"rest": bottom - 5 * swing}, {"rest": bottom + 5 * swing}, {"rest": bottom if way > 0.0 else bottom + swing}
         lower, upper, start = (side | end for side, end in zip((lower, upper, start), ends, strict=True))

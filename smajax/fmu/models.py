@@ -91,8 +91,8 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
 def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str, str], name: str) -> Model:
     """The model of a controller with its allocation and its guard; ``units`` are those of command and channel.
 
-    What the loop's sensor does to the measurement is the world's and is left out. A guard listens to ``temperature`` too. A measurement
-    that is no number is taken for the last one that was.
+    What the loop's sensor does to the measurement is the world's and is left out. A guard listens to ``temperature`` too. What is measured
+    or wanted and is no number is taken for the last one that was.
     """
     loop = dataclasses.replace(loop, sensing=perfect())
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
@@ -114,12 +114,12 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
         return {loop.channel: inputs[1]} | dict(zip(heard, inputs[2:], strict=True))
 
     def start(parameters: Any, inputs: Any) -> Any:
-        return (changed(parameters).reset(inputs[0], seen(inputs)), jnp.zeros(loop.allocation.wires)), inputs[1:]
+        return (changed(parameters).reset(inputs[0], seen(inputs)), jnp.zeros(loop.allocation.wires)), inputs
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
         (inner, _), known = state
-        known = [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs[1:], known, strict=True)]
-        later = changed(parameters).step(inner, inputs[0], seen([inputs[0], *known]), jnp.zeros(()))
+        known = [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
+        later = changed(parameters).step(inner, known[0], seen(known), jnp.zeros(()))
         return (later, known), jnp.asarray(False)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:

@@ -35,7 +35,7 @@ from smajax.units import CHANNELS, numbered
 
 _BATCH = 64
 _AGAIN = 3  # times that gains are tuned on for draws that fail
-_WIDER = 4  # starts, where fewer keep no limit
+_WIDER = 4  # starts, where fewer do not keep all limits
 _IDLE = 0.9  # of the error of a rig that is left alone: gains that leave more have given the reference up
 
 
@@ -149,7 +149,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
 
 
 def _tuned(given: ControllerFile, tuning: Tuning, seed: int, progress: Progress) -> Tuned:
-    """The gains found from as many starts as wanted, or, where those keep no limit, from more: the nearest may lie far from the start."""
+    """The gains found from as many starts as wanted, or, where those do not keep all limits, from more: what does may lie far away."""
 
     def search(starts: int) -> Tuned:
         return tune(

@@ -92,7 +92,7 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
         "<p>With 95 % intervals where there are any; inputs and outputs of input-output laws in SI units and degC, times in s.</p>"
     )
     for m in doc["models"]:
-        if m["fitted"]:
+        if m.get("fitted"):
             sections += [f"<h3>{html.escape(m['name'])}</h3>", html.table(_FITTED, fitted_rows(m["fitted"]), numbers=(1, 2, 3))]
     sections += ["<h2>Where this comes from</h2>", html.recordings(doc["recordings"]), html.provenance(run), html.rig_text(rig)]
     return html.page(f"Comparison on {doc['rig']}", f"What several models make of {doc['channel']}.", sections, pictures)
