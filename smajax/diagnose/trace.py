@@ -247,7 +247,8 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
     for trial in sorted([best, *trials, *tracer.kin(best)], key=lambda t: t.total):
         by.setdefault(frozenset(trial.keys), trial)
     trials = list(by.values())
-    if trials[0].total < best.total - _FALL * max(1.0, best.train) / samples:
+    # From where it was settled before it would only get to the same end.
+    if set(trials[0].keys) != set(best.keys) and trials[0].total < best.total - _FALL * max(1.0, best.train) / samples:
         best = tracer.settled(trials[0])
     beside = set(best.keys) - {best.key}
     alike = [t for t in trials if t.key not in beside and set(t.keys) - {t.key} == beside and (t.total - best.total) * samples < _ALIKE]
@@ -278,7 +279,7 @@ def _arrived(tracer: Tracer, trials: list[Trial], current: Trial) -> list[Trial]
     done = [t for t in trials if t.train < current.train]
     least = min((t.total for t in done), default=math.inf)
     late = sorted((t for t in trials if t.train >= current.train and t.total < least), key=lambda t: t.total)[:_LATE]
-    return [*done, *map(tracer.settled, late)]
+    return [*done, *in_pairs(tracer.settled, late)]
 
 
 def objection(current: Trial, best: Trial, samples: int) -> str:

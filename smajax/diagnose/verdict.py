@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.diagnose import experiment, instants, localise, score
-from smajax.diagnose.bench import Bench
+from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.experiment import Next
 from smajax.diagnose.hypothesis import Hypothesis, Refit
@@ -75,8 +75,9 @@ def diagnose(
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
     say("predicting the holdout")
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
-    first = predicting(bench, joined(bench, story.first.refit), story.first.refit, unfitted)
-    last = predicting(bench, joined(bench, story.last.refit), story.last.refit) if story.accepted else first
+    told = in_pairs(lambda refit: joined(bench, refit), [story.first.refit, *[story.last.refit] * bool(story.accepted)])
+    first = predicting(bench, told[0], story.first.refit, unfitted)
+    last = predicting(bench, told[1], story.last.refit) if story.accepted else first
     together = tuple(bench.fitness(bench.predict(last.hypothesis, last.base, k), k) for k in range(3))
     both = (0,) if bench.own else (0, 1)
     slow = not story.accepted and story.quiet  # then whatever is left is noise
