@@ -69,12 +69,12 @@ class Inputs(eqx.Module):
     sampled: jax.Array
 
     def padded(self, grid: int, samples: int) -> "Inputs":
-        """The same inputs on a longer grid: the plant runs on under its last input, and the last sample is repeated."""
+        """The same inputs on a longer grid: steps of no duration follow, which lead nowhere, and the last sample is repeated."""
         time, before, after, rows, sampled = map(np.asarray, (self.time, self.before, self.after, self.rows, self.sampled))
         more, later = grid - len(time), samples - len(rows)
-        last, step = after[-1:], time[-1] - time[-2]
+        last = after[-1:]
         return _inputs(
-            np.append(time, time[-1] + step * np.arange(1, more + 1)),
+            np.append(time, np.full(more, time[-1])),
             np.concatenate([before, np.repeat(last, more, axis=0)]),
             np.concatenate([after, np.repeat(last, more, axis=0)]),
             np.append(rows, np.full(later, rows[-1])),

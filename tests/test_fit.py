@@ -13,6 +13,7 @@ import pytest
 
 from smajax import parameters
 from smajax.errors import InputError, NumericsError
+from smajax.fit import fit as fit_module
 from smajax.fit import least_squares, uncertainty
 from smajax.fit.fit import draw_starts, fit, profile
 from smajax.fit.problem import Problem, build, difference_noise
@@ -142,6 +143,30 @@ def test_a_parameter_at_its_bound_is_held_there_and_said_so():
     assert found["heat.capacity"].estimate == pytest.approx(2.0e6, rel=1e-9)
     assert found["heat.capacity"].lower95 is None
     assert not found["material.max_strain"].at_bound
+
+
+def test_an_end_that_its_own_steps_cannot_simulate_gives_way_to_the_next_best(monkeypatch):
+    """Sound on the steps of the fit, and not on those that the plant found asks for: here that is said of the first that is asked."""
+    asked, failing = [], 1
+    right = fit_module.respond
+
+    def respond(plants_, *given):
+        responses, change = right(plants_, *given)
+        asked.append(float(plants_[0].heat.h0))
+        code = Code.overheated if len(asked) <= failing else Code.done
+        return [dataclasses.replace(r, code=code) for r in responses], change
+
+    monkeypatch.setattr(fit_module, "respond", respond)
+    settings = Settings(free=("heat.h0", "material.max_strain"), starts=3)
+    plant = parameters.replace(plants.dead_weight(), {k: v for k, v in TRUTH.items() if k not in settings.free})
+    found = fit(plant, [recorded(TRUTH)], settings, step=0.08)
+    assert len(asked) == 2 and float(found.plant.heat.h0) == asked[1]
+    assert all(r.code is Code.done for r in found.responses)
+    asked.clear()
+    failing = 3
+    none = fit(plant, [recorded(TRUTH)], settings, step=0.08)
+    assert len(asked) == 3 and float(none.plant.heat.h0) == asked[0]  # the best is what can be told of it
+    assert none.responses[0].code is Code.overheated
 
 
 def test_recordings_share_some_parameters_and_own_others():

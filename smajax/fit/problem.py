@@ -2,7 +2,7 @@
 
 The vector holds the shared parameters first and then, recording by recording, those that each recording has for itself. Its entries are the
 parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different length are laid out on grids of one
-length: the shorter ones run on under their last input, unobserved, and all are simulated as one batch. A row at which a channel is NaN
+length: the shorter ones stand still at their end, unobserved, and all are simulated as one batch. A row at which a channel is NaN
 was not measured there and weighs nothing: so channels of different rates, and parts that are held back, stand in one recording.
 """
 

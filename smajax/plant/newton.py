@@ -10,11 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-_ITERATIONS = 40
+_ITERATIONS = 72
 # A last Newton step follows the loop, so the loop may stop where that step's error, quadratic in these, is below rounding of any recording.
 _TEMPERATURE_TOLERANCE = 1e-3
 _STRESS_TOLERANCE = 1e3
 _SHORT = 0.05  # of Newton's step: as short a one shows the other side of a kink
+_TURN = 12  # iterations
 _FRICTION = 0.01  # times the tolerances, where there is dry friction
 
 Residual = Callable[[jax.Array], jax.Array]
@@ -33,6 +34,8 @@ def solve(residual: Residual, guess: jax.Array, wires: int) -> Found:
     A step is taken if it lessens what is left of the balances or, since near a kink no step along Newton's direction may do so, if what it
     leaves asks for a shorter step by the Jacobian at its start (natural monotonicity: Deuflhard 2004, section 3.3). From a kink itself,
     such as rest, where the Jacobian may be that of the wrong side, even a short step does neither, and is taken to see the other side.
+    Steps that ask for ever shorter ones may still go round in a circle, over the two kinks of a narrow transformation: every other turn of
+    ``_TURN`` iterations only the balances count.
     """
     scale = _scale(guess, wires)
 
@@ -45,7 +48,8 @@ def solve(residual: Residual, guess: jax.Array, wires: int) -> Found:
         trial = z + fraction * change
         value, later, new = _newton(residual, trial)
         left, shorter = _norm(value, scale), _norm(linear(slope, value), scale) <= (1.0 - 0.25 * fraction) * _norm(change, scale)
-        better = shorter | (left <= jnp.maximum(1.0, error)) | (fraction < _SHORT)  # within the tolerances, rounding may raise it
+        falls = left <= jnp.maximum(1.0, error)  # within the tolerances, rounding may raise it
+        better = (shorter & _loose(count)) | falls | (fraction < _SHORT)
         taken = (trial, left, new, later, jnp.asarray(1.0))
         kept = (z, error, change, slope, 0.5 * fraction)
         return (*jax.tree.map(lambda a, b: jnp.where(better, a, b), taken, kept), count + 1)
@@ -90,7 +94,7 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
         # Only while the last one stands still do the others have to leave less from step to step, or to ask for shorter ones: so much
         # less that they do not go to and fro over a kink.
         asked = _norm(linear(first, jnp.where(last, 0.0, value)), scale) <= (1.0 - 0.25 * fraction) * _norm(change, scale)
-        better = settled | asked | (others <= (1.0 - 0.1 * fraction) * error) | (fraction < _SHORT)
+        better = settled | (asked & _loose(count)) | (others <= (1.0 - 0.1 * fraction) * error) | (fraction < _SHORT)
         left = jnp.where(settled, jnp.inf, others)
         return (
             jnp.where(better, trial, z),
@@ -107,6 +111,11 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
     start = (guess, jnp.asarray(jnp.inf), jnp.zeros(size), jnp.eye(size), jnp.asarray(False), 0, jnp.asarray(1.0), ends)
     z, _, change, _, _, count, *_ = jax.lax.while_loop(unsolved, iterate, start)
     return z + change, (count >= most) | ~jnp.all(jnp.isfinite(change))
+
+
+def _loose(count: jax.Array) -> jax.Array:
+    """Whether a step may be judged by what it asks for next: in every other turn."""
+    return count // _TURN % 2 == 0
 
 
 def _newton(residual: Residual, z: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
