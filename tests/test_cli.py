@@ -29,7 +29,6 @@ from tests.test_report import SCHEMA, violations
 LIMBS = ("elbow", "wrist", "glove-finger")
 COILS = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
 STEERED = ("dead-weight", "bias-spring", "antagonistic-rotary", *COILS, *LIMBS)
-SWEPT = ("dead-weight", "bias-spring", "antagonistic-rotary", "elbow")
 KINDS = (*STEERED, "testing-machine", "path")
 FREE = ["heat.h0", "material.max_strain"]
 
@@ -356,11 +355,10 @@ def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     assert result.exit_code == 0, result.output
     there = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
     steered = kind in STEERED
-    more = ({"controller.toml"} if steered else set()) | ({"sweep.toml"} if kind in SWEPT else set())
+    more = {"controller.toml", "sweep.toml"} if steered else set()
     assert set(there) == {"rig.toml", "example.toml", "example.csv"} | more
-    if kind in SWEPT:
-        assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
     if steered:
+        assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
         read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
         assert "smajax tune" in result.output
     assert there["rig.toml"].count(b"#") > 5
