@@ -227,7 +227,7 @@ def sweep(
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="tcp://...", help="A Dask scheduler that shares the work; 'local' starts one here.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the chunks of a run that ended early.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the chunks of a run that ended early; keep what has ended.")] = False,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
@@ -398,6 +398,8 @@ def _finish(outcome: "Outcome", result: str, text: str, *, quiet: bool, as_json:
         typer.echo(text)
     if outcome.reason:
         typer.echo(f"smajax: {outcome.reason}; what there is was saved in {outcome.folder}", err=True)
+    if outcome.note and not quiet:
+        typer.echo(f"smajax: {outcome.note}", err=True)
     if open_report:
         from smajax.console import open_in_browser
 

@@ -36,7 +36,7 @@ class Declaration:
     """What is known of a parameter before any data: internal unit, meaning, and the bounds within which the equations hold.
 
     ``default`` is ``None`` where the rig file has to say the value, NaN where the plant derives it from others. A ``whole`` parameter
-    counts something: the equations take any number, and a sweep draws whole ones.
+    counts something: the equations take any number, files give whole ones and a sweep draws such; one that is fitted may be any.
     """
 
     unit: str

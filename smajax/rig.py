@@ -5,7 +5,6 @@ file, else from the parameter set that it names, else from the declaration's def
 """
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,15 +35,13 @@ from smajax.rig_schema import (
     check_coil,
     check_order,
     check_sections,
+    check_whole,
     choose_stages,
     parts_of,
     require,
     section_model,
 )
-from smajax.toml_file import check_schema, parse, read_text, render, show, validate, write_text
-
-_HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
-_SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
+from smajax.toml_file import check_schema, lines, parse, read_text, render, show, validate, write_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +120,7 @@ def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, 
     """The rig in a TOML text; ``name`` is the file's in sentences, ``folder`` where parameter sets given by a path are looked for."""
     data = parse(text, name)
     try:
-        rig = _rig(data, Path(name).name, _lines(text), folder or Path())
+        rig = _rig(data, Path(name).name, lines(text), folder or Path())
         if rig.misplaced and not drop_misplaced:
             key, why = next(iter(rig.misplaced.items()))
             raise InputError(f"effects.{key} has no place on this rig: {why}")
@@ -140,7 +137,7 @@ class _Set(NamedTuple):
     apart: tuple[str, ...] = ()
 
 
-def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path) -> Rig:
+def _rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path) -> Rig:
     _refuse_machine(data.get("rig"))
     check_sections(data)
     check_schema(data)
@@ -165,9 +162,10 @@ def _rig(data: dict[str, Any], name: str, lines: Mapping[str, int], folder: Path
     require([n for n in leaves if table[n].default is None], values, stages)
     freed = [*fit.free, *fit.per_recording]
     plant = _plant(stages, values, freed)
-    place = {n: f"{name} line {lines[n]}" if n in lines else name for n in _written_names(data)}
+    place = {n: f"{name} line {rows[n]}" if n in rows else name for n in _written_names(data)}
     sources = _sources(leaves, from_set, given, taken.name, place)
     check_order(lambda n: _value(plant, n), lambda n: table[n].unit, sources)
+    check_whole({n: table[n] for n in leaves if n not in freed}, lambda n: _value(plant, n), sources)
     check_coil(plant.wire)
 
     check_observed(observe, plant, head.kind)
@@ -357,17 +355,6 @@ def _notes(taken: _Set, usable: set[str], settings: FitSettings) -> list[str]:
     notes = [f"parameter set {taken.name}: not used here are {', '.join(unused)}"] if unused else []
     idle = [n for n in settings.bounds if n not in settings.names]
     return notes + ([f"fit.bounds without effect, since these are not free: {', '.join(idle)}"] if idle else [])
-
-
-def _lines(text: str) -> dict[str, int]:
-    """The row in which each ``section.key`` stands, for those written one a row."""
-    section, rows = "", {}
-    for row, line in enumerate(text.splitlines(), 1):
-        if heading := _HEADING.match(line):
-            section = heading[1] + "."
-        elif setting := _SETTING.match(line):
-            rows.setdefault(section + setting[1], row)
-    return rows
 
 
 def _written(plant: Plant, section: str, keys: list[str]) -> dict[str, Any]:

@@ -283,11 +283,20 @@ def check_order(value_of: Callable[[str], float | None], unit_of: Callable[[str]
         raise InputError(f"initial.detwinned and initial.twinned add up to {detwinned + twinned:.6g}: keep their sum at 1 or below")
 
 
+def check_whole(table: Mapping[str, Declaration], value_of: Callable[[str], float | None], origin: Mapping[str, str]) -> None:
+    """Refuses a part of something that is counted."""
+    for name, declaration in table.items():
+        value = value_of(name) if declaration.whole else None
+        if value is not None and value != round(value):
+            place = f"{name} = {value:.6g} ({origin[name]})"
+            raise InputError(f"{place} is not a whole number, and it is the {declaration.meaning}: give a whole one")
+
+
 def check_coil(wire: AbstractWire) -> None:
-    """Refuses a coil that cannot be: its turns, its stretch, and a bundle's wiring; counts may be what a search says."""
+    """Refuses a coil that cannot be: its turns, its stretch, and a bundle's wiring."""
     if not isinstance(wire, Coil):
         return
-    if wire.free_length is not None and wire.solid_length > wire.free_length:
+    if wire.free_length is not None and not wire.fits:
         length, diameter = as_text(float(wire.free_length), "m"), as_text(float(wire.diameter), "m")
         turns = f"{wire.turns:.6g} turns of a wire of {diameter} take {1e3 * wire.solid_length:.6g} mm side by side"
         cure = "correct wire.turns, wire.diameter or wire.free_length (a radius taken for a diameter makes twice as much)"

@@ -43,6 +43,7 @@ from smajax.sweep.study import AbstractStudy
 from smajax.sweep.table import read_header
 from smajax.sweep_subject import Subject, again, read_subject
 from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
+from smajax.versions import versions
 
 WAYS = ("max", "min")
 SCALES = ("even", "log")
@@ -135,7 +136,7 @@ class SweepFile:
     def header(self) -> dict[str, Any]:
         """All that the sweep depends on, as a JSON document: see ``from_header``."""
         own = {"rig": self.subject.to_toml(), "rig_name": self.subject.name, "recording": self.subject.recorded()}
-        return {"schema": 1, "smajax": __version__, "name": self.name, "sweep": self.text, **own}
+        return {"schema": 1, "smajax": __version__, "versions": versions(), "name": self.name, "sweep": self.text, **own}
 
 
 def _least_designs(axes: int) -> int:

@@ -22,6 +22,8 @@ Section = TypeVar("Section", bound=BaseModel)
 STRICT = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=True)
 _LARGEST = 2**20
 _FEW = 8
+_HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
+_SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 _QUOTES = 'quantities and names stand in quotation marks, as in diameter = "0.15 mm"'
 # What tomllib finds, in the words of somebody who writes a rig file.
@@ -90,6 +92,17 @@ def parse(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: row {row}, column {column}: {meaning}") from None
     except (ValueError, RecursionError):
         raise InputError(f"{name}: a number or a nesting of brackets in this file goes beyond all bounds: write it anew") from None
+
+
+def lines(text: str) -> dict[str, int]:
+    """The row in which each ``section.key`` stands, for those written one a row."""
+    section, rows = "", {}
+    for row, line in enumerate(text.splitlines(), 1):
+        if heading := _HEADING.match(line):
+            section = heading[1] + "."
+        elif setting := _SETTING.match(line):
+            rows.setdefault(section + setting[1], row)
+    return rows
 
 
 def validate(model: type[Section], data: Any, section: str) -> Section:

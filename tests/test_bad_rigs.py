@@ -132,6 +132,17 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
         "wire.prestretch = 400 mm is too much: it strains this coil's wire like a tension of 16.3 %, and at most 12 % is possible: give less, "
         "or correct the coil's sizes",
     ),
+    "half a spring": (
+        "hip",
+        {"springs = 6": "springs = 5.5"},
+        "wire.springs = 5.5 (rig.toml line 42) is not a whole number, and it is the springs side by side that pull together: give a whole one",
+    ),
+    "half a wire": (
+        "elbow",
+        {'count = "3"': "count = 2.5"},
+        "transmission.count = 2.5 (rig.toml line 52) is not a whole number, and it is the number of wires that pull in parallel, each driven "
+        "as the recording says: give a whole one",
+    ),
     "more ways for the current than springs": (
         COIL,
         {"turns = 25": "turns = 25\npaths = 2"},

@@ -178,7 +178,8 @@ def test_bands_that_run_backwards_are_refused():
         shipped("machines", "knee", "rig.toml").read_text("utf-8").replace('austenite_finish = "62 degC"', 'austenite_finish = "30 degC"')
     )
     with pytest.raises(
-        InputError, match=r"^my.toml: material.austenite_start is not below material.austenite_finish: correct one of the two$"
+        InputError,
+        match=r"^my.toml: material.austenite_finish = 30 degC \(my.toml line 23\) is not above material.austenite_start = 34 degC \(.*\): correct",
     ):
         machines.parse_machine(text, "my.toml")
 

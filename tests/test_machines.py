@@ -152,7 +152,9 @@ CASES = {
     "unit": ({'"0.3 mm"': '"0.3 kg"'}, "wire.diameter: '0.3 kg': the unit 'kg' does not fit: a unit that converts to m is expected"),
     "bound": ({'"0.3 mm"': '"-0.3 mm"'}, "wire.diameter: '-0.3 mm' is not possible for the wire diameter: give a value from 0.001 mm to 20 mm"),
     "too thick": ({'"0.3 mm"': '"0.7 mm"'}, "wire.diameter leaves no silicone above or below the wire: keep it below 0.6 mm less twice the offset"),
-    "half a wire": ({"count = 2": 'count = 2.5\nspacing = "1 mm"'}, "body.count = 2.5 is not whole: with a body.spacing give a whole number of wires"),
+    "half a wire": ({"count = 2": "count = 2.5"}, "body.count = 2.5 (machine.toml line 10) is not a whole number, and it is the number of wires side by side: give a whole one"),
+    "past the bench": ({'position = "109.2 mm"': 'position = "310 mm"'}, "bench.position is beyond bench.length, where there is no cantilever to push: correct one of the two"),
+    "stiffer by yielding": ({'"0.88 GPa"': '"68 GPa"'}, "bending.tangent_modulus is above bending.modulus, so that yielding stiffens the wire: correct one of the two"),
     "too close": ({"count = 2": 'count = 2\nspacing = "0.3 mm"'}, "body.spacing is not above wire.diameter, so that the wires overlap: give a larger one"),
     "too far": ({"count = 2": 'count = 3\nspacing = "11 mm"'}, "body.spacing sets the outer wires outside body.width: give a smaller one, or a wider strip"),
     "too many": ({"count = 2": "count = 80"}, "body.count wires do not fit side by side into body.width: take fewer or thinner wires, or a wider strip"),
@@ -166,6 +168,37 @@ def test_a_malformed_machine_gets_its_sentence(case: str):
     with pytest.raises(InputError) as error:
         machines.parse_machine(text_of("flexural", changes))
     assert str(error.value).startswith(f"machine.toml: {sentence}") and "\n" not in str(error.value)
+
+
+KNEE_CASES = {
+    "turns that do not fit": ({'"1 mm"': '"2 mm"', '"6 mm"': '"12 mm"'}, "wire.free_length = 80 mm is too short: 56 turns of a wire of 2 mm take 112 mm side by side: correct wire.turns, wire.diameter or wire.free_length"),
+    "too many turns": ({"turns = 56": "turns = 200"}, "wire.free_length = 80 mm is too short: 200 turns of a wire of 1 mm take 200 mm side by side"),
+    "coil narrower than its wire": ({'"6 mm"': '"0.9 mm"'}, "wire.coil_diameter = 0.9 mm (machine.toml line 11) is not above wire.diameter = 1 mm (machine.toml line 10): correct one of the two"),
+    "stretched too far": ({'prestretch = "50 mm"': 'prestretch = "5 m"'}, "wire.prestretch = 5000 mm is too much: it strains this coil's wire like a tension of"),
+    "band backwards": ({'austenite_finish = "62 degC"': 'austenite_finish = "30 degC"'}, "material.austenite_finish = 30 degC (machine.toml line 23) is not above material.austenite_start = 34 degC (machine.toml line 22): correct one of the two"),
+    "half a spring": ({"turns = 56": "turns = 56\nsprings = 1.5"}, "wire.springs = 1.5 (machine.toml line 13) is not a whole number, and it is the springs side by side"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", KNEE_CASES)
+def test_a_knee_of_springs_that_cannot_be_gets_a_rigs_sentence(case: str):
+    changes, sentence = KNEE_CASES[case]
+    with pytest.raises(InputError) as error:
+        machines.parse_machine(text_of("knee", changes))
+    assert str(error.value).startswith(f"machine.toml: {sentence}") and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "lost"),
+    [
+        ("knee", {"wire.diameter": 1.5e-3}, {"stroke", "austenite_stiffness"}),
+        ("flexural", {"bench.position": 0.31}, {"stroke", "work_per_cycle", "efficiency"}),
+        ("flexural", {"bending.tangent_modulus": 68e9}, {"moment", "blocking_force", "plastic_work"}),
+    ],
+)
+def test_what_cannot_be_has_no_figures(kind: str, values: dict[str, float], lost: set[str]):
+    told = figures(parameters.replace(shipped_machine(kind), values))
+    assert all(np.isnan(told[name]) for name in lost)
 
 
 def test_new_values_have_to_make_a_machine():

@@ -77,7 +77,7 @@ class TestTemplates:
                 continue
             # Awkward decimals near the nominal value, upwards alike so that bands keep their order; a finish moves further than its start.
             moved = nominal * (1 + 1e-3 / 3) + (1e-9 / (i + 7) if nominal == 0 else 0.0)
-            drawn[name] = min(moved, declaration.upper)
+            drawn[name] = nominal + 1.0 if declaration.whole else min(moved, declaration.upper)
         again = parse_rig(rig.to_toml(drawn))
         for name, wanted in drawn.items():
             assert value(again.plant, name) == wanted, name
@@ -494,3 +494,12 @@ def test_a_fit_of_many_parameters_begins_at_more_points():
         listed = ", ".join(f'"material.{n}"' for n in free)
         rig = parse_rig(f'{lines}observe = ["strain"]\nfree = [{listed}]\n{given}\n')
         assert rig.fit.starts == expected
+
+
+def test_a_count_that_is_fitted_may_be_any():
+    """What a search says of it is written into a rig file, and read back."""
+    text = template("hip").replace("springs = 6", "springs = 5.5")
+    free = "free = ["
+    assert free in text
+    rig = parse_rig(text.replace(free, 'free = ["wire.springs", ', 1))
+    assert value(parse_rig(rig.to_toml()).plant, "wire.springs") == 5.5

@@ -5,13 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 from smajax import machines, parameters
 from smajax.datasets import shipped
 from smajax.machines import pseudo_rigid as prb
 from smajax.machines.elastica import bend
+from smajax.simulate import Code
+from smajax.sweep.study import MachineStudy, evaluate_batch
 
 _bend = jax.jit(bend)
 
@@ -33,7 +35,43 @@ def test_elastica_is_that_of_shooting(pull: float, turn: float):
     length, rigidity = 0.12, 0.03
     bent = _bend(pull * rigidity / length**2, turn * rigidity / length, length, rigidity)
     x, y, theta, curvature = shot(pull, turn)
-    np.testing.assert_allclose(np.array(bent), [x * length, y * length, theta, curvature / length], rtol=1e-9, atol=1e-11)
+    true = [x * length, y * length, theta, curvature / length, length - x * length]
+    np.testing.assert_allclose(np.array(bent), true, rtol=1e-9, atol=1e-11)
+
+
+def followed(pull: float, turn: float, steps: int) -> np.ndarray:
+    """The tip's coordinates and slope of a beam of unit length and rigidity, by SciPy, each load from what the one before it gave."""
+    along = np.linspace(0.0, 1.0, 400)
+    state = np.array([0.0 * along, 0.0 * along, along, 0.0 * along])
+    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+
+        def rates(s: np.ndarray, u: np.ndarray, share: float = share) -> np.ndarray:
+            return np.array([u[1], share * pull * np.cos(u[0]), np.cos(u[0]), np.sin(u[0])])
+
+        def ends(a: np.ndarray, b: np.ndarray, share: float = share) -> np.ndarray:
+            return np.array([a[0], b[1] - share * turn, a[2], a[3]])
+
+        found = solve_bvp(rates, ends, along, state, tol=1e-8, max_nodes=20_000)
+        assert found.status == 0
+        along, state = found.x, found.y
+    return state[[2, 3, 0], -1]
+
+
+@pytest.mark.parametrize("force", [-1000.0, -500.0, -200.0, -100.0, -20.0, 10.0, 100.0, 500.0])
+def test_elastica_is_that_which_comes_of_loads_that_grow(force: float):
+    pull, turn = force * 0.12**2 / 0.0308, 0.7687
+    bent = _bend(pull, turn, 1.0, 1.0)
+    np.testing.assert_allclose(np.array(bent)[:3], followed(pull, turn, 50), atol=1e-5)
+
+
+def test_a_bend_that_is_not_found_is_none():
+    """Within a hundredth of its length no points resolve it; a sweep takes such designs for failed ones."""
+    assert np.all(np.isnan(np.array(_bend(-1e5, 0.7, 1.0, 1.0))))
+    machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))
+    study = MachineStudy(("cable.force",), machine, ("tip_slope", "rod_share"))
+    found, codes = evaluate_batch(study, jnp.array([[-300.0], [0.0], [-1e4]]), 1)
+    assert np.array_equal(np.asarray(codes) == Code.done, [True, True, False])
+    assert np.asarray(found["tip_slope"])[0] == pytest.approx(1.6357, abs=1e-4) and np.isnan(found["tip_slope"][2])
 
 
 def test_elastica_has_its_derivatives_and_its_limit():
@@ -124,6 +162,16 @@ def test_soft_bending_figures():
     for curvature, force, share in ((1e-3, 0.0, 3 / 2), (0.0, -1e-3, 25 / 12)):
         drawn = parameters.replace(machine, {"wires.memory_curvature": curvature, "cable.force": force})
         assert float(_figures(drawn)["rod_stiffness"]) == pytest.approx(share * per_length, rel=1e-4)
+    for curvature in (0.0, 1e-12, -1e-7):  # the rod of the smallest moment
+        rest = _figures(parameters.replace(machine, {"wires.memory_curvature": curvature}))
+        assert float(rest["rod_share"]) == pytest.approx(3 / 4, rel=1e-9)
+        assert float(rest["rod_stiffness"]) == pytest.approx(3 / 2 * per_length, rel=1e-9)
+        assert float(rest["rod_angle"]) == pytest.approx(4 / 3 * float(rest["tip_deflection"]) / 0.12, rel=1e-9)
+    at_rest, near = (
+        jax.jit(jax.jacfwd(lambda k: parameters.replace(machine, {"wires.memory_curvature": k}).metrics()))(k) for k in (0.0, 1e-4)
+    )
+    for name in ("rod_angle", "rod_share", "rod_stiffness", "tip_slope"):
+        assert float(at_rest[name]) == pytest.approx(float(near[name]), rel=1e-6, abs=1e-5)
     pulled = _figures(parameters.replace(machine, {"cable.force": 0.1 * told["blocking_force"]}))
     assert float(pulled["tip_deflection"]) == pytest.approx(0.9 * told["tip_deflection"], rel=0.05)
     small = parameters.replace(machine, {"wires.memory_curvature": 1e-3})

@@ -1,13 +1,16 @@
 """Sweeps: designs, metrics against the exact reference, derivatives, the command, and what is left when a run dies."""
 
+import contextlib
 import json
 import os
 import pathlib
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 
@@ -29,7 +32,7 @@ from smajax.console import Progress
 from smajax.errors import InputError
 from smajax.jobs.sweep import SweepJob, run_sweep
 from smajax.machines.knee import Knee
-from smajax.report.sweep import best_rows
+from smajax.report.sweep import best_rows, sentences
 from smajax.rig import read_rig
 from smajax.sweep import chunks, refine, space
 from smajax.sweep.bandwidth import Reached, find
@@ -194,6 +197,39 @@ def test_a_wire_that_still_warms_up_has_not_settled(folder):
     moving = np.sum(columns["settling"] > 0.01)
     assert outcome.document["settling"]["unsettled"] == moving > 0
     assert f"{moving} designs have not settled" in outcome.document["summary"] and outcome.document["feasible"] == 20
+
+
+def test_refined_designs_in_words():
+    """What refining gained is said beside the best of the drawn designs, and whether it has settled."""
+
+    def refined(stroke, better):
+        return {"better": better, "simulations": 30, "metrics": {"stroke": stroke}, "parameters": {}}
+
+    def told(refined, settling=None):
+        best = {"design": 3, "parameters": {}, "metrics": {"stroke": 2e-3}}
+        document = {"designs": 9, "rig": "rig.toml", "codes": {"done": 9}, "constraints": {}, "objectives": {"stroke": "max"}}
+        document |= {"front": [best], "on_front": 1, "metrics": {"stroke": {"unit": "m"}}, "problems": []}
+        return sentences(document | {"refined": refined, "settling": settling or {}})
+
+    gained = told([refined(1.9e-3, True), refined(3e-3, True)])
+    assert gained.endswith("2 mm, with design 3. Refined along its gradients it is 3 mm, in 60 simulations.")
+    assert told([refined(1.9e-3, True)]).endswith("it is 1.9 mm, in 30 simulations, which is not better.")
+    none = told([refined(2e-3, False)])
+    assert none.endswith("with design 3. Refining along its gradients found none better than those it began from, in 30 simulations.")
+    assert told([]).endswith("with design 3.")
+    moving = {"limit": 0.01, "unsettled": 0, "unsettled_on_front": 0, "unsettled_refined": 1}
+    assert " 1 refined one has not settled: the last cycle ends more than 1 %" in told([refined(3e-3, True)], moving)
+    both = told([], moving | {"unsettled": 5, "unsettled_on_front": 1, "unsettled_refined": 2})
+    assert " 5 designs have not settled (1 of the best among them), and 2 refined ones have not settled: the last" in both
+
+
+def test_a_refined_wire_that_still_warms_up_is_counted(folder):
+    text = SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "6 Hz"').replace("designs = 130", "designs = 20")
+    (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")
+    document = run(folder).document
+    (one,) = document["refined"]
+    assert one["better"] and one["metrics"]["settling"] > 0.01
+    assert document["settling"]["unsettled_refined"] == 1 and "1 refined one has not settled" in document["summary"]
 
 
 def test_waves_have_their_edges_on_the_grid():
@@ -454,6 +490,9 @@ def test_the_command_and_its_table(folder):
     assert "No Sobol indices, which need at least 640 designs" in page and "What it costs" in page and "Designs across all axes" in page
     (out / "report.html").unlink()
     assert CliRunner().invoke(app, ["report", str(out)]).exit_code == 0 and (out / "report.html").read_text("utf-8") == page
+    header = json.loads(pyarrow.parquet.read_schema(out / "sweep.parquet").metadata[b"smajax.sweep"])
+    versions = json.loads((out / "run.json").read_text("utf-8"))["versions"]
+    assert {"jax", "numpy", "scipy"} <= header["versions"].keys() and header["versions"].items() <= versions.items()
     # The table alone makes the same table again.
     repeated = run_sweep(SweepJob(out / "sweep.parquet", folder / "again"), Progress(quiet=True), ["smajax"])
     assert repeated.code == 0 and (folder / "again" / "sweep.parquet").read_bytes() == (out / "sweep.parquet").read_bytes()
@@ -484,6 +523,26 @@ def test_what_died_is_gone_on_with(folder, monkeypatch):
     (folder / "sweep.toml").write_text(SWEEP, "utf-8")
     assert run(folder, resume=True).code == 0
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
+
+
+def test_what_has_ended_is_not_resumed(folder, monkeypatch):
+    (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 20"), "utf-8")
+    first = run(folder, resume=True)
+    assert first.note == "there was nothing to resume, so all designs were simulated from the start"
+    written = (folder / "out" / "run.json").read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr("smajax.jobs.sweep.run_chunks", None)
+        again = run(folder, resume=True)
+    assert "since this sweep had ended: its result was left as it is" in again.note
+    assert again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8")) and again.code == first.code
+    assert (folder / "out" / "run.json").read_bytes() == written
+    shown = CliRunner().invoke(app, ["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--resume"])
+    assert shown.exit_code == 0 and "smajax: there was nothing to resume, since" in shown.stderr
+    # Where a file is missing, or the sweep is another one, it is simulated again.
+    (folder / "out" / "report.html").unlink()
+    assert "from the start" in run(folder, resume=True).note and (folder / "out" / "report.html").is_file()
+    (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 21"), "utf-8")
+    assert "from the start" in run(folder, resume=True).note and run(folder).note == ""
 
 
 def _command(folder, *more):
@@ -633,6 +692,27 @@ def test_wires_at_a_spacing_are_swept_in_their_number(tmp_path):
     assert machine.layout({}) == 2
 
 
+def test_batches_of_bends_side_by_side(tmp_path):
+    """Batches are simulated by several threads at once, and one design after another gives the same."""
+    machine = ROOT / "data" / "machines" / "soft-bending" / "rig.toml"
+    text = f'[sweep]\nrig = "{machine}"\ndesigns = 64\nmetrics = ["tip_deflection"]\n[parameters]\ncable.force = ["-10 kN", "-100 N"]\n'
+    (tmp_path / "sweep.toml").write_text(text, "utf-8")
+    process = _command(tmp_path)
+    try:
+        _, errors = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    columns = read_table(tmp_path / "out" / "sweep.parquet")
+    bent = columns["code"] == "done"
+    assert (
+        np.array_equal(bent, ~np.isnan(columns["tip_deflection"])) and np.all(bent[columns["cable.force"] > -3000.0]) and not np.all(bent)
+    )
+    # The stronger the cable, the more of the bar stands upright.
+    rising = columns["tip_deflection"][bent][np.argsort(-columns["cable.force"][bent])]
+    assert np.all(np.diff(rising) > 0.0) and rising[-1] < 0.12
+
+
 def test_shipped_sweeps_and_a_machine(tmp_path):
     for path in sorted((ROOT / "data" / "sweeps").glob("*.toml")):
         sweep = read_sweep(path)
@@ -742,6 +822,66 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
         with pytest.raises(InputError, match=rf"--scheduler {address}: no Dask scheduler answers there \(.*{why}"):
             run(folder, scheduler=address)
     assert run(folder, resume=True).code == 0
+
+
+@contextlib.contextmanager
+def _greeting(words: bytes | None):
+    """The address of a server that says some words to whoever calls, or, with ``None``, nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        callers = []
+
+        def serve():
+            with contextlib.suppress(OSError):
+                while True:
+                    caller, _ = server.accept()
+                    callers.append(caller)
+                    if words is not None:
+                        caller.sendall(words)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        server.shutdown(socket.SHUT_RDWR)
+    thread.join()
+    for caller in callers:
+        caller.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (None, "it says nothing for 1 s"),
+        (b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n", "what answers speaks another language"),
+        (b"SSH-2.0-OpenSSH_9.6\r\n", "what answers speaks another language"),
+        (bytes(64), "what answers speaks another language"),
+    ],
+)
+def test_what_answers_and_is_no_scheduler(folder, monkeypatch, words, why):
+    from smajax.sweep import cluster
+
+    monkeypatch.setattr(cluster, "_PATIENCE", 1)
+    began = time.monotonic()
+    with _greeting(words) as address, pytest.raises(InputError) as caught:
+        run(folder, scheduler=address)
+    assert f"--scheduler {address}: no Dask scheduler answers there ({why}): check its address" in str(caught.value)
+    assert time.monotonic() - began < 20.0
+
+
+def test_a_scheduler_is_known_by_its_answer():
+    import distributed
+
+    from smajax.sweep import cluster
+
+    for address in ("http://127.0.0.1:9", "inproc://x", "ucx://x:1"):
+        with pytest.raises(ValueError, match="begins with tcp:// or tls://, not with"):
+            cluster._reach(address)
+    quiet = {"dashboard_address": None, "silence_logs": "ERROR"}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", **quiet) as there:
+        cluster._shake_hands(there.scheduler_address)
+        with cluster.connected(there.scheduler_address) as client:
+            assert client.submit(int, "7").result() == 7
+        with pytest.raises(ValueError, match="it is the address of a worker"):
+            cluster._shake_hands(there.workers[0].address)
 
 
 def test_workers_that_are_missing_or_others():

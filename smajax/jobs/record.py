@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -14,17 +13,20 @@ import jax
 
 from smajax import __version__
 from smajax.errors import InputError
-
-_PACKAGES = ("jax", "diffrax", "optimistix", "equinox", "numpy", "scipy", "pint")
+from smajax.versions import versions
 
 
 class Outcome(NamedTuple):
-    """What a job left: its folder, the result document (that of run.json for a simulation), the exit code and, if not 0, the reason."""
+    """What a job left: its folder, the result document (that of run.json for a simulation), the exit code and, if not 0, the reason.
+
+    A ``note`` says what else happened.
+    """
 
     folder: Path
     document: dict[str, Any]
     code: int
     reason: str = ""
+    note: str = ""
 
 
 @dataclass
@@ -58,7 +60,7 @@ def run_record(command: str, rig: _Named, argv: Sequence[str], clock: Clock, see
         "started": clock.started,
         "exit_code": code,
         "seed": seed,
-        "versions": {"smajax": __version__, "python": platform.python_version(), **_versions()},
+        "versions": {"smajax": __version__, "python": platform.python_version(), **versions()},
         "machine": f"{platform.system()} {platform.machine()}, jax on {jax.default_backend()}",
         "timings": {part: round(seconds, 3) for part, seconds in clock.timings.items()},
     }
@@ -70,11 +72,3 @@ def rig_text(path: Path) -> str:
         return path.read_bytes().decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the file cannot be read ({getattr(error, 'strerror', None) or 'not UTF-8'}): check it") from None
-
-
-def _versions() -> dict[str, str]:
-    found = {}
-    for name in _PACKAGES:
-        with contextlib.suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found

@@ -1,7 +1,8 @@
 """The job of ``smajax sweep``: many designs of a rig simulated in chunks, the best of them, what matters, and the best refined.
 
 While it runs, its chunks lie in ``DIR.partial`` beside the result folder: a run that ends early, for whatever reason, leaves them there,
-and ``--resume`` goes on from them. What a partial folder belongs to is written in its ``sweep.json``.
+and ``--resume`` goes on from them; a sweep that has ended it leaves as it is. What a partial folder belongs to is written in its
+``sweep.json``.
 """
 
 import shutil
@@ -18,12 +19,12 @@ from smajax.jobs.record import Clock, Outcome, run_record
 from smajax.recording import Floats
 from smajax.report.document import number, to_json
 from smajax.report.sweep import SCHEMA, figure, sentences, sweep_page
-from smajax.results import check_out, write_folder
+from smajax.results import check_out, read_json, write_folder
 from smajax.sweep import cluster
 from smajax.sweep.chunks import Chunk, check_room, gather, here, run_chunks, slope_name, split
 from smajax.sweep.front import cheapest, feasible, pareto, thinned
 from smajax.sweep.metrics import SETTLED
-from smajax.sweep.partial import digest, partial_folder
+from smajax.sweep.partial import begun, digest, partial_folder
 from smajax.sweep.refine import Refined, refine, starts
 from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import pick_and_freeze
@@ -56,6 +57,11 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
     with clock.time("read"):
         given = read_sweep(job.sweep)
         header = given.header()
+    note = ""
+    if job.resume and not begun(out):
+        if (finished := _finished(out, header)) is not None:
+            return finished
+        note = "there was nothing to resume, so all designs were simulated from the start"
     study = given.study()
     progress.phase("drawing designs")
     with clock.time("draw"):
@@ -103,7 +109,19 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
         progress.phase("writing the report")
         write_folder(out, run, fill)
         shutil.rmtree(partial, ignore_errors=True)
-        return Outcome(out, document, code, reason)
+        return Outcome(out, document, code, reason, note)
+
+
+def _finished(out: Path, header: Mapping[str, Any]) -> Outcome | None:
+    """What an earlier run of the sweep with this ``header`` left at ``out``; ``None`` if it is not there, or not whole."""
+    try:
+        run, document = read_json(out, "run.json"), read_json(out, "sweep.json")
+    except InputError:
+        return None
+    if run.get("header") != digest(header) or not all((out / str(name)).is_file() for name in run.get("files", [])):
+        return None
+    note = "there was nothing to resume, since this sweep had ended: its result was left as it is"
+    return Outcome(out, document, int(run["exit_code"]), "; ".join(document["problems"]), note)
 
 
 def _simulate(
@@ -151,7 +169,7 @@ def _document(
         "constraints": {n: {"at_least": number(low), "at_most": number(high)} for n, (low, high) in given.constraints.items()},
         "front": [_row(given, study, main, k) for k in front[thinned(costs[front], _FRONT_SHOWN)]],
         "on_front": len(front),
-        "settling": _settling(main, front),
+        "settling": _settling(main, front, refined),
         "sensitivity": sensitivity,
         "sensitivity_notes": notes,
         "refined": [_refined_entry(given, one) for one in refined],
@@ -192,12 +210,14 @@ def _allowed(low: float, high: float) -> str:
     return f"allowed: {' and '.join(ends)}"
 
 
-def _settling(main: Mapping[str, np.ndarray], front: np.ndarray) -> dict[str, Any]:
-    """How many designs, and how many of the best, end their last cycle elsewhere than they began it; of a machine, nothing."""
+def _settling(main: Mapping[str, np.ndarray], front: np.ndarray, refined: Sequence[Refined]) -> dict[str, Any]:
+    """How many designs, of the best and of the refined, end their last cycle elsewhere than they began it; of a machine, nothing."""
     if "settling" not in main:
         return {}
     moving = (main["code"] == "done") & ~(main["settling"] <= SETTLED)
-    return {"limit": SETTLED, "unsettled": int(moving.sum()), "unsettled_on_front": int(moving[front].sum())}
+    after = sum(one.better and not one.metrics["settling"] <= SETTLED for one in refined)
+    drawn = {"unsettled": int(moving.sum()), "unsettled_on_front": int(moving[front].sum())}
+    return {"limit": SETTLED, **drawn, "unsettled_refined": int(after)}
 
 
 def _sensitivity(given: SweepFile, study: AbstractStudy, apart: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], list[str]]:

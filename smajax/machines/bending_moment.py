@@ -63,15 +63,20 @@ class BilinearLaw(eqx.Module):
         stretch = finish / material.modulus_martensite + material.max_strain - start / material.modulus_austenite
         return cls(material.modulus_austenite, (finish - start) / stretch, start)
 
+    @property
+    def softens(self) -> jax.Array:
+        """Whether the curve is no steeper beyond yield than before."""
+        return self.tangent_modulus <= self.modulus
+
     def yield_diameter(self, curvature: jax.Array) -> jax.Array:
         """The largest diameter that stays elastic at a curvature, m: 2 sigma_Y / (E k)."""
         return 2.0 * self.yield_stress / (self.modulus * jnp.abs(curvature))
 
     def elastic_share(self, diameter: jax.Array, curvature: jax.Array) -> jax.Array:
-        """u, the share of the radius that stays elastic: 1 up to yield."""
+        """u, the share of the radius that stays elastic: 1 up to yield; NaN of a curve that does not soften."""
         limit, outer = self.yield_stress / self.modulus, 0.5 * diameter * jnp.abs(curvature)
         yields = outer > limit
-        return jnp.where(yields, limit / jnp.where(yields, outer, 1.0), 1.0)
+        return jnp.where(self.softens, jnp.where(yields, limit / jnp.where(yields, outer, 1.0), 1.0), jnp.nan)
 
     def elastic_moment(self, diameter: jax.Array, curvature: jax.Array) -> jax.Array:
         """The share of the moment that the elastic core carries, N m (eq. 2)."""

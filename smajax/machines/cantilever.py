@@ -29,9 +29,14 @@ class Cantilever(eqx.Module):
         return self.modulus * jnp.pi / 64.0 * self.diameter**4
 
     @property
+    def reaches(self) -> jax.Array:
+        """Whether there is a cantilever where the actuator pushes."""
+        return self.position <= self.length
+
+    @property
     def stiffness(self) -> jax.Array:
-        """Force per deflection where the actuator pushes, N/m."""
-        return 3.0 * self.rigidity / self.position**3
+        """Force per deflection where the actuator pushes, N/m; NaN where there is no cantilever."""
+        return jnp.where(self.reaches, 3.0 * self.rigidity / self.position**3, jnp.nan)
 
     def tip_deflection(self, force: jax.Array) -> jax.Array:
         """Deflection of the tip under a force at ``position``, m (eq. 6)."""

@@ -116,10 +116,12 @@ class FlexuralActuator(AbstractMachine):
             )
         if float(wire.diameter * self.body.count) >= float(self.body.width):
             raise InputError("body.count wires do not fit side by side into body.width: take fewer or thinner wires, or a wider strip")
+        if not self.bench.reaches:
+            raise InputError("bench.position is beyond bench.length, where there is no cantilever to push: correct one of the two")
+        if not self.bending.softens:
+            raise InputError("bending.tangent_modulus is above bending.modulus, so that yielding stiffens the wire: correct one of the two")
         if self.body.spacing is None:
             return
-        if float(self.body.count) != self.wires:
-            raise InputError(f"body.count = {float(self.body.count):g} is not whole: with a body.spacing give a whole number of wires")
         if float(self.body.spacing) <= float(wire.diameter):
             raise InputError("body.spacing is not above wire.diameter, so that the wires overlap: give a larger one")
         if float((self.body.count - 1.0) * self.body.spacing + wire.diameter) >= float(self.body.width):

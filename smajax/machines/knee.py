@@ -33,7 +33,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from smajax.errors import InputError
 from smajax.kinks import larger, largest, swing, within
 from smajax.machines.machine import AbstractMachine
 from smajax.parameters import parameter
@@ -144,13 +143,6 @@ class Knee(AbstractMachine):
     clutch: Clutch
     command: KneeCommand
 
-    def check(self) -> None:
-        """See ``AbstractMachine``."""
-        if not float(self.material.martensite_finish) < float(self.material.martensite_start):
-            raise InputError("material.martensite_finish is not below material.martensite_start: correct one of the two")
-        if not float(self.material.austenite_start) < float(self.material.austenite_finish):
-            raise InputError("material.austenite_start is not below material.austenite_finish: correct one of the two")
-
     def stiffness(self, martensite: jax.Array) -> jax.Array:
         """Stiffness of one spring in N/m at a martensite fraction (eq. 7)."""
         modulus = self._law.modulus(Fractions(martensite, jnp.zeros_like(martensite)))
@@ -247,7 +239,7 @@ class Knee(AbstractMachine):
         passed = jnp.abs(self.clutch.transmitted(self.slip(end), self.command.clutch))
         whole = self.clutch.torque * self.clutch.share(self.command.clutch)
         hot = self.stiffness(none) * self.wire.prestretch
-        return {
+        found = {
             "austenite_stiffness": self.stiffness(none),
             "martensite_stiffness": self.stiffness(one),
             "spring_resistance": self.material.resistivity_martensite * self.wire.length / self.wire.area,
@@ -265,6 +257,7 @@ class Knee(AbstractMachine):
             "slip": self.slip(end),
             "clutch_sticks": jnp.where((whole > 0) & (passed < whole * jnp.tanh(1.0)), 1.0, 0.0),
         }
+        return {n: jnp.where(self.wire.fits, value, jnp.nan) for n, value in found.items()}
 
     def heating_time(self, voltage: jax.Array) -> jax.Array:
         """Time in s in which a spring without load warms up to its austenite finish; infinite where it never does.

@@ -10,6 +10,7 @@ diameter = "0.3 mm"
 """
 
 import dataclasses
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,8 +27,9 @@ from smajax.machines.knee import Knee
 from smajax.machines.machine import AbstractMachine
 from smajax.machines.soft_bending import SoftBending
 from smajax.parameters import as_float, declarations
-from smajax.rig_schema import as_text, one_of, section_model
-from smajax.toml_file import STRICT, advice, check_schema, parse, read_text, render, validate, write_text
+from smajax.plant.wire import Coil
+from smajax.rig_schema import as_text, check_coil, check_order, check_whole, one_of, section_model
+from smajax.toml_file import STRICT, advice, check_schema, lines, parse, read_text, render, validate, write_text
 from smajax.units import example_of
 
 MACHINES: Mapping[str, type[AbstractMachine]] = {"flexural": FlexuralActuator, "soft-bending": SoftBending, "knee": Knee}
@@ -63,7 +65,7 @@ def parse_machine(text: str, name: str = "machine.toml") -> AbstractMachine:
     """The machine in a TOML text; ``name`` is the file's in sentences."""
     data = parse(text, name)
     try:
-        return _machine(data)
+        return _machine(data, Path(name).name, lines(text))
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 
@@ -90,7 +92,7 @@ def write(path: str | Path, machine: AbstractMachine, values: Mapping[str, Any] 
     write_text(Path(path), to_toml(machine, values))
 
 
-def _machine(data: Mapping[str, Any]) -> AbstractMachine:
+def _machine(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> AbstractMachine:
     check_schema(data)
     if "rig" not in data:
         raise InputError('the section [rig] is missing: add [rig] with a line kind = "flexural"')
@@ -103,8 +105,24 @@ def _machine(data: Mapping[str, Any]) -> AbstractMachine:
             raise InputError(f"{what}{advice(section, ['rig', *parts], 'the sections are')}")
     built: dict[str, Any] = {section: _part(kind, section, part, data.get(section, {})) for section, part in parts.items()}
     machine = made(**built)
-    machine.check()
+    _check(machine, {n: f"{name} line {rows[n]}" if n in rows else name for n in parameters.declared(machine)})
     return machine
+
+
+def _check(machine: AbstractMachine, place: Mapping[str, str]) -> None:
+    """Refuses what no machine, rig or coil can be, then what this machine cannot be; ``place`` says where each parameter stands."""
+    table = parameters.declared(machine)
+
+    def value(name: str) -> float | None:
+        found = float(parameters.get(machine, name)) if name in table else math.nan
+        return None if math.isnan(found) else found
+
+    check_whole(table, value, place)
+    check_order(value, lambda n: table[n].unit, place)
+    for part in parameters.sections(machine).values():
+        if isinstance(part, Coil):
+            check_coil(part)
+    machine.check()
 
 
 def _part(kind: str, section: str, part: type[eqx.Module], content: Any) -> eqx.Module:

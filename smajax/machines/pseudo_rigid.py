@@ -65,7 +65,12 @@ def rod(x: jax.Array, y: jax.Array, length: Value) -> tuple[jax.Array, jax.Array
 
     Of an undeformed cantilever, at ``y`` = 0, lambda is none (NaN).
     """
-    angle = 2.0 * jnp.arctan((length - x) / y)
+    return rod_of_shortening(length - x, y, length)
+
+
+def rod_of_shortening(shortening: jax.Array, y: jax.Array, length: Value) -> tuple[jax.Array, jax.Array]:
+    """As ``rod``, by how far the tip moved back, which of small bends is known more precisely."""
+    angle = 2.0 * jnp.arctan(shortening / y)
     return angle, y / (length * jnp.sin(angle))
 
 
@@ -81,5 +86,7 @@ class Howell(NamedTuple):
         return length * (1.0 - self.share * (1.0 - jnp.cos(angle))), length * self.share * jnp.sin(angle)
 
 
+# Of a moment that is nearly nought: lambda, and the spring's stiffness in E I / L.
+SMALL_MOMENT = (0.75, 1.5)
 END_FORCE = Howell(0.85, 0.85 * 2.65, 1.24)
 END_MOMENT = Howell(0.7346, 0.7346 * 2.0643, 1.5164)

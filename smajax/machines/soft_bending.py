@@ -89,22 +89,26 @@ class SoftBending(AbstractMachine):
 
         ``rod_angle`` (2 alpha) and ``rod_share`` (lambda) are the pseudo-rigid body's, ``rod_stiffness`` that of its hinge's spring: what
         wires and cable turn it with over its angle (eq. 25 holds for M = F L / 3 alone). ``blocking_force`` is the cable's that holds the
-        tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight.
+        tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight. Of a bar that nothing
+        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wires(self.wires.modulus_austenite) * self.wires.memory_curvature
         bent = bend(self.cable.force, moment, length, hot)
-        angle, share = pseudo_rigid.rod(bent.x, bent.y, length)
+        straight = (moment == 0.0) & (self.cable.force == 0.0)
+        angle, share = pseudo_rigid.rod_of_shortening(bent.shortening, jnp.where(straight, length, bent.y), length)
+        held = (moment - self.cable.force * share * length * jnp.cos(angle)) / jnp.where(straight, 1.0, angle)
+        least_share, least_stiffness = pseudo_rigid.SMALL_MOMENT
         return {
             "moment": moment,
             "rigidity": hot,
             "cold_rigidity": self.rigidity(self.wires.modulus_martensite),
             "tip_slope": bent.slope,
             "tip_deflection": bent.y,
-            "tip_shortening": length - bent.x,
-            "rod_angle": angle,
-            "rod_share": share,
-            "rod_stiffness": (moment - self.cable.force * share * length * jnp.cos(angle)) / angle,
+            "tip_shortening": bent.shortening,
+            "rod_angle": jnp.where(straight, bent.y / (least_share * length), angle),
+            "rod_share": jnp.where(straight, least_share, share),
+            "rod_stiffness": jnp.where(straight, least_stiffness * hot / length, held),
             "blocking_force": 1.5 * moment / length,
             "cold_strain": 0.5 * self.wires.diameter * jnp.abs(self.wires.memory_curvature),
         }

@@ -126,6 +126,12 @@ class Coil(AbstractWire):
         """Length of the spring with its turns side by side, in m."""
         return self.turns * self.diameter
 
+    @property
+    def fits(self) -> jax.Array:
+        """Whether there is room for the wire: inside the coil, and for the turns in the free length, if that is known."""
+        room = self.diameter < self.coil_diameter
+        return room if self.free_length is None else room & (self.solid_length <= self.free_length)
+
 
 class Environment(eqx.Module):
     """The air around the wire, and gravity."""

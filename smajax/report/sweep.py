@@ -52,23 +52,34 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += f". The {'largest' if way == 'max' else 'smallest'} {name} of these is {shown(best['metrics'][name], unit)}"
         told += f", with design {best['design']}"
         told += f"; {doc['on_front']:,} designs are beaten by no other" if len(doc["objectives"]) > 1 else ""
-        better = [one for one in doc["refined"] if one["better"]]
-        if better:
-            top = _top(better, name, way)
-            count = sum(one["simulations"] for one in doc["refined"])
-            told += f". Refined along its gradients it is {shown(top['metrics'][name], unit)}, in {count:,} simulations"
+        told += _gained(doc, name, way, best)
     told += "." + _unsettled(doc.get("settling", {}))
     return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
 
 
+def _gained(doc: Mapping[str, Any], name: str, way: str, best: Mapping[str, Any]) -> str:
+    """What to say of the refined designs, beside the best of the drawn ones in the first objective."""
+    if not doc["refined"]:
+        return ""
+    spent = f"in {sum(one['simulations'] for one in doc['refined']):,} simulations"
+    better = [one for one in doc["refined"] if one["better"]]
+    if not better:
+        return f". Refining along its gradients found none better than those it began from, {spent}"
+    top = _top(better, name, way)
+    told = f". Refined along its gradients it is {shown(top['metrics'][name], doc['metrics'][name]['unit'])}, {spent}"
+    return told + ("" if _top([best, top], name, way) is top else ", which is not better")
+
+
 def _unsettled(found: Mapping[str, Any]) -> str:
     """What to say of designs whose last cycle does not end where it began."""
-    if not found.get("unsettled"):
+    drawn, refined = found.get("unsettled", 0), found.get("unsettled_refined", 0)
+    if not drawn and not refined:
         return ""
     among = f" ({found['unsettled_on_front']:,} of the best among them)" if found["unsettled_on_front"] else ""
-    many = "designs have" if found["unsettled"] > 1 else "design has"
+    told = [f"{drawn:,} {'designs have' if drawn > 1 else 'design has'} not settled{among}"] if drawn else []
+    told += [f"{refined:,} refined {'ones have' if refined > 1 else 'one has'} not settled"] if refined else []
     what = f"the last cycle ends more than {100 * found['limit']:g} % of its range from where it began (column settling)"
-    return f" {found['unsettled']:,} {many} not settled{among}: {what}, so give the input more cycles."
+    return f" {', and '.join(told)}: {what}, so give the input more cycles."
 
 
 def _top(rows: Sequence[Mapping[str, Any]], name: str, way: str) -> Mapping[str, Any]:

@@ -1,9 +1,11 @@
 """Chunks handed to a Dask cluster: an existing one by its address, or one of this machine's cores. Needs the extra ``cluster``."""
 
+import asyncio
 import contextlib
 import json
 import logging
 import socket
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -52,8 +54,9 @@ def connected(address: str) -> Iterator[Any]:
             return
         try:
             _reach(address)
+            _shake_hands(address)
             client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
+        except (OSError, ValueError, MemoryError) as error:
             words = (str(error).splitlines() or [type(error).__name__])[0][:160]
             cure = "check its address, or leave --scheduler out to use this machine"
             raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({words}): {cure}") from None
@@ -67,9 +70,50 @@ def _reach(address: str) -> None:
     from distributed.comm import get_address_host_port
 
     scheme, _, place = address.rpartition("://")
-    if scheme in ("", "tcp", "tls"):
-        host, port = get_address_host_port(f"tcp://{place}", strict=True)
-        socket.create_connection((host, port), timeout=_PATIENCE).close()
+    if scheme not in ("", "tcp", "tls"):
+        raise ValueError(f"an address begins with tcp:// or tls://, not with {scheme}://")
+    host, port = get_address_host_port(f"tcp://{place}", strict=True)
+    socket.create_connection((host, port), timeout=_PATIENCE).close()
+
+
+def _shake_hands(address: str) -> None:
+    """Asks who is there. OSError or ValueError if that is no scheduler, whatever it sends, or if it says nothing for the time of patience.
+
+    Dask's own client would go on asking. The question is put in a thread of its own, which is left behind if it does not come back.
+    """
+    told: list[Any] = []
+
+    def ask() -> None:
+        try:
+            told.append(asyncio.run(asyncio.wait_for(_identity(address), _PATIENCE)))
+        except Exception as error:  # a foreign greeting is read as lengths and types, which can go wrong in any way
+            told.append(error)
+
+    thread = threading.Thread(target=ask, daemon=True, name="smajax-handshake")
+    thread.start()
+    thread.join(_PATIENCE + 1)
+    answer = told[0] if told else TimeoutError()
+    if isinstance(answer, TimeoutError):
+        raise TimeoutError(f"it says nothing for {_PATIENCE} s")
+    if isinstance(answer, OSError):
+        raise answer
+    if isinstance(answer, Exception):
+        raise ValueError("what answers speaks another language")
+    if answer != "Scheduler":
+        raise ValueError(f"it is the address of a {str(answer).lower()}")
+
+
+async def _identity(address: str) -> str:
+    """What answers at an address, in Dask's words: ``Scheduler``, ``Worker``."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    comm = await connect(address, timeout=_PATIENCE, **Security().get_connection_args("client"))
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str((await comm.read())["type"])
+    finally:
+        comm.abort()
 
 
 def _check_workers(client: Any, address: str) -> None:

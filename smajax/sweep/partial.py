@@ -24,13 +24,22 @@ def digest(header: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode()).hexdigest()
 
 
+def _beside(out: Path) -> Path:
+    return out.with_name(out.name + ".partial")
+
+
+def begun(out: Path) -> bool:
+    """Whether a run into ``out`` has begun and not ended."""
+    return _beside(out).exists()
+
+
 @contextlib.contextmanager
 def partial_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> Iterator[Path]:
     """The folder of chunks beside ``out``, made if it is not there, and this run's own within.
 
     InputError if there is one that may not be gone on with, or if another run is at work on it.
     """
-    folder = out.with_name(out.name + ".partial")
+    folder = _beside(out)
     if folder.exists() and not (folder.is_dir() and ((folder / _OWN).is_file() or all(map(_unfinished, folder.iterdir())))):
         raise InputError(f"{folder}: smajax keeps its chunks there and did not make it: remove it, or name another --out")
     try:
@@ -68,7 +77,7 @@ def _check(folder: Path, header: Mapping[str, Any], *, resume: bool) -> None:
         raise InputError(f"{folder}: {count} chunks of an earlier run are there: add --resume to go on, or remove the folder")
     if held != _of(header) and count:
         raise InputError(
-            f"{folder}: its {count} chunks are of another sweep (file, rig, input or version changed): remove it, or undo that"
+            f"{folder}: its {count} chunks are of another sweep (file, rig, input or a version changed): remove it, or undo that"
         )
 
 
