@@ -115,7 +115,7 @@ def solve_with_friction(residual: Residual, guess: jax.Array, wires: int) -> Fou
 
 def _loose(count: jax.Array) -> jax.Array:
     """Whether a step may be judged by what it asks for next: in every other turn."""
-    return count // _TURN % 2 == 0
+    return jax.lax.rem(count, 2 * _TURN) < _TURN
 
 
 def _newton(residual: Residual, z: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
