@@ -145,6 +145,19 @@ def test_a_parameter_at_its_bound_is_held_there_and_said_so():
     assert not found["material.max_strain"].at_bound
 
 
+@pytest.mark.parametrize(("away", "held"), [(1e-7, True), (1e-4, False)])
+def test_what_comes_near_a_bound_that_the_data_press_against_is_there(result, away, held):
+    """Steps towards a bound may grow ever shorter before they reach it."""
+    problem = result.problem
+    first = dataclasses.replace(problem.unknowns[0], lower=problem.unknowns[0].scale, upper=3.0 * problem.unknowns[0].scale)
+    problem = dataclasses.replace(problem, unknowns=(first, *problem.unknowns[1:]))
+    vector = np.append(1.0 + 2.0 * away, result.vector[1:])
+    jacobian = np.asarray(jax.jacfwd(problem.residual)(jnp.asarray(result.vector)))
+    pressed = 1e-3 * jacobian[:, 0]  # less of the parameter leaves less
+    estimates, *_ = fit_module._uncertainty(problem, vector, pressed, jacobian)
+    assert estimates[0].at_bound == held and (estimates[0].lower95 is None) == held
+
+
 def test_an_end_that_its_own_steps_cannot_simulate_gives_way_to_the_next_best(monkeypatch):
     """Sound on the steps of the fit, and not on those that the plant found asks for: here that is said of the first that is asked."""
     asked, failing = [], 1

@@ -236,6 +236,19 @@ def test_one_failing_member_leaves_the_others_alone():
     assert np.all(np.isfinite(np.asarray(channels["displacement"])[[0, 2]]))
 
 
+def test_a_recording_that_is_filled_up_stands_still_at_its_end():
+    """A wire that melts if its last current goes on does not for that a longer recording is simulated beside it."""
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 60, 0.002)
+    hot = {**recording.channels, "current": np.full(60, 5.0)}
+    for rows, code in ((60, simulate.Code.overheated), (8, simulate.Code.done)):
+        short = plants.recording({name: values[:rows] for name, values in hot.items()}, recording.time[:rows])
+        alone = simulate.lay_out(plant, short, step=0.002)
+        found = simulate.simulate_inputs(plant, alone.padded(128, 64))
+        assert simulate.Code(int(found.code)) is code
+        seen = np.asarray(found.channels["temperature"])
+        assert np.all(seen[rows:] == seen[rows - 1]) and found.time[-1] == short.time[-1]
+
+
 def test_swapping_the_wires_turns_the_angle_round():
     plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 301, 0.04)
     swapped = plants.recording(

@@ -860,11 +860,9 @@ def test_what_answers_and_is_no_scheduler(folder, monkeypatch, words, why):
     from smajax.sweep import cluster
 
     monkeypatch.setattr(cluster, "_PATIENCE", 1)
-    began = time.monotonic()
     with _greeting(words) as address, pytest.raises(InputError) as caught:
         run(folder, scheduler=address)
     assert f"--scheduler {address}: no Dask scheduler answers there ({why}): check its address" in str(caught.value)
-    assert time.monotonic() - began < 20.0
 
 
 def test_a_scheduler_is_known_by_its_answer():

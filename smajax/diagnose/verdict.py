@@ -75,9 +75,9 @@ def diagnose(
         raise NumericsError(told, {name: float(v) for name, v in values.items()})
     say("predicting the holdout")
     unfitted = Refit(Hypothesis(), bench.nominal, *bench.evaluate(Hypothesis(), bench.nominal, 0), story.first.refit.stop)
-    told = in_pairs(lambda refit: joined(bench, refit), [story.first.refit, *[story.last.refit] * bool(story.accepted)])
-    first = predicting(bench, told[0], story.first.refit, unfitted)
-    last = predicting(bench, told[1], story.last.refit) if story.accepted else first
+    ends = in_pairs(lambda refit: joined(bench, refit), [story.first.refit, *[story.last.refit] * bool(story.accepted)])
+    first = predicting(bench, ends[0], story.first.refit, unfitted)
+    last = predicting(bench, ends[1], story.last.refit) if story.accepted else first
     together = tuple(bench.fitness(bench.predict(last.hypothesis, last.base, k), k) for k in range(3))
     both = (0,) if bench.own else (0, 1)
     slow = not story.accepted and story.quiet  # then whatever is left is noise

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -141,33 +141,17 @@ def fit(
         _, codes = eqx.filter_jit(lambda p, v: p.predict(v))(problem, jnp.asarray(starts[0]))
         code = simulate.Code(int(jnp.max(codes)))
         raise NumericsError(f"{code.name} at the start values: {code.cure}; parameters: {simulate.describe(plant)}")
-
-    def ending(start: int) -> tuple:
-        """Where a start ended: vector and Jacobian, the recordings' plants, a new one's, and how all respond."""
-        vector, jacobian = problem.put_in_order(solved.points[start], solved.jacobians[start])
-        shared, own = problem.values(jnp.asarray(vector))
-        fitted = parameters.replace(problem.plant, shared)
-        plants = tuple(parameters.replace(fitted, {n: v[k] for n, v in own.items()}) for k in range(len(recordings)))
-        general = parameters.replace(fitted, {n: jnp.mean(v) for n, v in own.items() if not n.startswith("initial.")})
-        for name in own:  # a new recording starts as the rig says
-            if name.startswith("initial."):
-                general = eqx.tree_at(
-                    lambda p, n=name: getattr(p.initial, n[8:]), general, getattr(plant.initial, name[8:]), is_leaf=lambda x: x is None
-                )
-        members, roles = [*plants, *(general for _ in holdout)], ["train"] * len(recordings) + ["holdout"] * len(holdout)
-        return vector, jacobian, plants, general, *respond(members, [*recordings, *holdout], roles, settings.observe, interpolation, step)
-
     # Next to a thermal runaway an end may be sound on the problem's steps, and not on those that the plant which was found asks for: then
     # the best of the others counts.
-    ends = [int(i) for i in np.argsort(solved.costs) if np.isfinite(solved.costs[i])]
-    found = {}
-    for best in ends:
-        found[best] = ending(best)
-        if all(r.code is simulate.Code.done for r in found[best][4] if r.role == "train"):
+    order = [int(i) for i in np.argsort(solved.costs) if np.isfinite(solved.costs[i])]
+    ends: dict[int, _End] = {}
+    for best in order:
+        ends[best] = _ended(problem, plant, recordings, settings, holdout, interpolation, step, solved.points[best], solved.jacobians[best])
+        if all(r.code is simulate.Code.done for r in ends[best].responses if r.role == "train"):
             break
     else:
-        best = ends[0]
-    vector, jacobian, plants, general, responses, discretisation = found[best]
+        best = order[0]
+    vector, jacobian, plants, general, responses, discretisation = ends[best]
     at_best = int(np.sum(solved.costs <= solved.costs[best] * 1.001))
     estimates, covariance, groups = _uncertainty(problem, vector, solved.residuals[best], jacobian)
     floor = {c: max(difference_noise(r.residual(c)) for r in responses[: len(recordings)]) for c in settings.observe}
@@ -195,6 +179,43 @@ def fit(
         step=step,
         discretisation=discretisation,
     )
+
+
+class _End(NamedTuple):
+    """Where a start ended: vector and Jacobian, the recordings' plants, a new one's, how all respond, and the discretisation error."""
+
+    vector: np.ndarray
+    jacobian: np.ndarray
+    plants: tuple[Plant, ...]
+    general: Plant
+    responses: list[Response]
+    discretisation: dict[str, float]
+
+
+def _ended(
+    problem: Problem,
+    plant: Plant,
+    recordings: Sequence[Recording],
+    settings: Settings,
+    holdout: Sequence[Recording],
+    interpolation: str,
+    step: float | None,
+    point: np.ndarray,
+    slopes: np.ndarray,
+) -> _End:
+    vector, jacobian = problem.put_in_order(point, slopes)
+    shared, own = problem.values(jnp.asarray(vector))
+    fitted = parameters.replace(problem.plant, shared)
+    plants = tuple(parameters.replace(fitted, {n: v[k] for n, v in own.items()}) for k in range(len(recordings)))
+    general = parameters.replace(fitted, {n: jnp.mean(v) for n, v in own.items() if not n.startswith("initial.")})
+    for name in own:  # a new recording starts as the rig says
+        if name.startswith("initial."):
+            general = eqx.tree_at(
+                lambda p, n=name: getattr(p.initial, n[8:]), general, getattr(plant.initial, name[8:]), is_leaf=lambda x: x is None
+            )
+    members = [*plants, *(general for _ in holdout)]
+    roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
+    return _End(vector, jacobian, plants, general, *respond(members, [*recordings, *holdout], roles, settings.observe, interpolation, step))
 
 
 def respond(
