@@ -81,8 +81,8 @@ class Inputs(eqx.Module):
             np.concatenate([sampled, np.repeat(sampled[-1:], later, axis=0)]),
         )
 
-    def merged(self, stride: int, *, held: bool) -> "Inputs":
-        """The same inputs at every ``stride``-th sample, on steps each of which stands for up to as many.
+    def merged(self, stride: int, *, held: bool, pieces: int = 1) -> "Inputs":
+        """The same inputs at every ``stride``-th sample, on steps each of which stands for up to ``pieces`` times as many.
 
         Inputs that are ``held`` keep their mean square, others go straight. Where one of them jumps, heating turns to cooling, and no step
         leads over that.
@@ -91,7 +91,7 @@ class Inputs(eqx.Module):
         kept = rows[::stride]
         jumps = 1 + np.flatnonzero(np.any(np.abs(before[1:] - after[:-1]) > _JUMP * np.ptp(before, axis=0), axis=1))
         cuts = np.union1d(kept, jumps[jumps < kept[-1]])
-        ends = np.concatenate([np.append(np.arange(a, b, stride), b)[1:] for a, b in itertools.pairwise(cuts)])
+        ends = np.concatenate([np.append(np.arange(a, b, pieces * stride), b)[1:] for a, b in itertools.pairwise(cuts)])
         starts = np.append(kept[0], ends[:-1])
         first, last = before[starts], after[ends - 1]
         if held:

@@ -22,7 +22,7 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Form, Hypothesis, Refit, Running
 from smajax.diagnose.part import Part
 from smajax.diagnose.program import SLOTS, Model, begin_search, compiling, simulated
-from smajax.diagnose.steps import longer
+from smajax.diagnose.steps import longer, pieces
 from smajax.errors import InputError
 from smajax.fit.least_squares import Solved, Stop
 from smajax.fit.problem import Problem, Settings, build
@@ -76,6 +76,7 @@ class Bench:
         self.values = np.array([float(parameters.get(augmented, name)) for name in self.names])
         self.channels = tuple(settings.observe)
         self._layout: dict[str, Any] = {"interpolation": interpolation, "step": step}
+        self._pieces = 1  # steps of the layout that one of the problems' stands for
         self._rows = [part.rows() for part in self.parts]
         # Built together, so that all have the length of the longest and run on one program.
         everything = [r for part in self.parts for r in part.recordings]
@@ -198,9 +199,19 @@ class Bench:
         A part without a clock, or whose steps would be too long for it, stays what it is.
         """
         if stride > 1 and stride not in self._sparse:
-            found = longer(self.problems[0], self.parts[0].recordings, stride, **self._layout) if "clock" in self.traits else None
-            self._sparse[stride] = found or self.problems[0]
+            self._sparse[stride] = self._longer(0, stride, self._pieces) or self.problems[0]
         return self._sparse[stride] if stride > 1 else self.problems[0]
+
+    def _longer(self, k: int, stride: int, pieces: int) -> Problem | None:
+        known = "clock" in self.traits
+        return longer(self.problems[k], self.parts[k].recordings, stride, pieces=pieces, **self._layout) if known else None
+
+    def lengthen(self, affordable: Callable[[Problem], bool]) -> None:
+        """Goes on with one step from sample to sample, where there usually are more, if that is ``affordable`` on the training part."""
+        count = pieces(self.problems[0], self.parts[0].recordings)
+        if count > 1 and (first := self._longer(0, 1, count)) and affordable(first):
+            others = [self._longer(k, 1, count) or p for k, p in enumerate(self.problems[1:], 1)]
+            self._pieces, self.problems, self._sparse = count, [first, *others], {}
 
     def cost(self, hypothesis: Hypothesis, base: np.ndarray, stride: int) -> float:
         """Sum of the squared residuals over the noise on the training part, as far as ``strided`` sees it; infinite where it fails."""
@@ -393,6 +404,7 @@ class Bench:
         """A problem under other inputs, laid out like the bench's own; ``None`` if it would need a longer grid."""
         mine = self.problems[0]
         inputs = simulate.lay_out(mine.plant, recording, **self._layout)
+        inputs = inputs.merged(1, held=self._layout["interpolation"] == "hold", pieces=self._pieces) if self._pieces > 1 else inputs
         count, grid = mine.data.inputs.time.shape
         samples = mine.data.inputs.rows.shape[1]
         if len(inputs.time) > grid or len(inputs.rows) > samples:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 import scipy.optimize
@@ -44,6 +45,8 @@ def _fitted(bench: Bench, refit: Refit) -> Refit:
         parts = in_pairs(lambda k: bench.evaluate(at(point), point[: bench.size], k, moved), (0, 1))
         residual = np.concatenate([bench.flat(r, k) for k, (r, _) in enumerate(parts)])
         jacobian = np.concatenate([np.column_stack([bench.flat(c, k) for c in j.T]) for k, (_, j) in enumerate(parts)])
+        if not math.isfinite(float(np.sum(jacobian**2))):  # SciPy refuses a step to where the residual is no number, but not to there
+            residual = np.full(len(residual), np.nan)
         return residual, jacobian, parts[0]
 
     start = np.append(refit.base, [refit.values[name] / scale for name, scale in zip(moved, scales, strict=True)]).clip(lower, upper)

@@ -7,13 +7,17 @@ import numpy as np
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.hypothesis import Refit
 from smajax.diagnose.steps import shorter
+from smajax.fit.problem import Problem
 
 
 def coarseness(bench: Bench, refit: Refit, stride: int) -> float:
     """Mean square of what the longer steps of ``strided`` do to a refit's residual; infinite if it has no such steps."""
     problem = bench.strided(stride)
-    if problem is bench.problems[0]:
-        return math.inf
+    return math.inf if problem is bench.problems[0] else difference(bench, refit, problem, stride)
+
+
+def difference(bench: Bench, refit: Refit, problem: Problem, stride: int = 1) -> float:
+    """Mean square of what the steps of ``problem``, the training part at every ``stride``-th sample, do to a refit's residual."""
     coarse = bench.predict_at(problem, refit.hypothesis, refit.base)
     shape = problem.data.weight.shape
     fine, kept = refit.residual.reshape(shape)[:, :, ::stride], np.asarray(problem.data.weight) > 0.0

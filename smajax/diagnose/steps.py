@@ -14,13 +14,24 @@ from smajax.recording import Recording
 _LONGEST = 4.0  # times the step that resolves the plant
 
 
-def longer(problem: Problem, recordings: Sequence[Recording], stride: int, *, interpolation: str, step: float | None) -> Problem | None:
-    """The problem at every ``stride``-th sample, on steps as many times as long; ``None`` if these were too long for its plant."""
+def pieces(problem: Problem, recordings: Sequence[Recording]) -> int:
+    """How many steps a problem usually takes from one sample to the next."""
+    rows = np.asarray(problem.data.inputs.rows)
+    return int(np.median(np.concatenate([np.diff(rows[k])[: len(r) - 1] for k, r in enumerate(recordings)])))
+
+
+def longer(
+    problem: Problem, recordings: Sequence[Recording], stride: int, *, interpolation: str, step: float | None, pieces: int = 1
+) -> Problem | None:
+    """The problem at every ``stride``-th sample, on steps ``pieces`` times as many times as long as those of ``lay_out``.
+
+    ``None`` if these were too long for its plant.
+    """
     laid = [simulate.lay_out(problem.plant, r, interpolation=interpolation, step=step) for r in recordings]
     usual = max(float(np.median(np.diff(one.time))) for one in laid)
-    if stride * usual > _LONGEST * simulate.default_step(problem.plant):
+    if pieces * stride * usual > _LONGEST * simulate.default_step(problem.plant):
         return None
-    merged = [one.merged(stride, held=interpolation == "hold") for one in laid]
+    merged = [one.merged(stride, held=interpolation == "hold", pieces=pieces) for one in laid]
     merged += merged[-1:] * (len(problem.data.measured) - len(merged))
     grid, samples = problem.data.inputs.time.shape[1], problem.data.inputs.rows.shape[1]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(one.padded(grid, samples) for one in merged))

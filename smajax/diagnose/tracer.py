@@ -11,7 +11,7 @@ from smajax.diagnose import instants, localise, score
 from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.hypothesis import Hypothesis, Refit, Running
-from smajax.diagnose.step_errors import coarseness
+from smajax.diagnose.step_errors import coarseness, difference
 from smajax.fit import uncertainty
 from smajax.fit.least_squares import Stop
 from smajax.parameters import declarations
@@ -103,7 +103,15 @@ class Tracer:
     def base(self, point: np.ndarray, stop: Stop) -> Refit:
         """The plant without effects at a fitted point."""
         self.bench.compiled()
-        found = Refit(Hypothesis(), point, *self.bench.evaluate(Hypothesis(), point, 0), stop)
+
+        def fit() -> Refit:
+            return Refit(Hypothesis(), point, *self.bench.evaluate(Hypothesis(), point, 0), stop)
+
+        found = fit()
+        before = self.bench.problems[0]
+        # Several steps a sample resolve what a thin wire does better than most recordings tell.
+        self.bench.lengthen(lambda longer: difference(self.bench, found, longer) < _COARSE)
+        found = found if self.bench.problems[0] is before else fit()
         self._coarse = {stride: coarseness(self.bench, found, stride) for stride in _STRIDES}
         return found
 

@@ -6,6 +6,8 @@ array of its own in the plant's state (``start``, ``remember``). The derivative 
 finite and not to be 0: a dead zone or a saturation has to be written with the sign of the motion, not with a threshold.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -87,6 +89,43 @@ class AbstractEffect(eqx.Module):
     def remember(self, memory: Any, before: Instant, after: Instant, step: jax.Array, where: Where) -> Any:
         """What is remembered after a step from one instant to another."""
         return memory
+
+
+def asleep_at_zero(hook: Callable) -> Callable:
+    """A hook that is not computed while the strength is 0 and nobody asks for the derivative by it: the base class's is, in its place.
+
+    A search that only wants to know where a step ends need not pay for the powers and logarithms of what is not there.
+    """
+    name = hook.__name__
+
+    def absent(effect: AbstractEffect, args: tuple) -> Any:
+        return getattr(super(type(effect), effect), name)(*args)
+
+    @eqx.filter_custom_jvp
+    def asked(effect: AbstractEffect, args: tuple) -> Any:
+        return jax.lax.cond(effect.strength == 0.0, lambda: absent(effect, args), lambda: hook(effect, *args))
+
+    @asked.def_jvp
+    def _(primals: tuple, tangents: tuple) -> tuple:
+        def moved(function: Callable) -> Callable:
+            value, known = jax.eval_shape(lambda: asked(*primals)), functools.partial(eqx.filter_jvp, function, primals, tangents)
+
+            def whole() -> tuple:
+                result, tangent = known()
+                return result, jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, value, tangent, is_leaf=lambda x: x is None)
+
+            return whole
+
+        there = moved(lambda effect, args: hook(effect, *args))
+        if tangents[0].strength is not None:
+            return there()
+        return jax.lax.cond(primals[0].strength == 0.0, moved(absent), there)
+
+    @functools.wraps(hook)
+    def method(self: AbstractEffect, *args: Any) -> Any:
+        return asked(self, args)
+
+    return method
 
 
 class DriveEffect(AbstractEffect):

@@ -132,18 +132,33 @@ class Plant(eqx.Module):
         rate = self._rate(self._instant(state), state.memory, before)
         guess = jnp.concatenate([self._predict(state, rate, after, step), state.unknown])
         given = jax.lax.stop_gradient((self, state, rate, before, after, step))
-        rubs = self._drags or self.mechanism.sticks
         if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
             end, failed = guess, jnp.asarray(False)
         else:
-            # Temperatures alone, without latent heat, are so nearly linear over a step that one iteration, and the one below, do.
-            straight = not self.mechanism.unknowns and not self.terms
-            search = newton.once if straight else newton.solve_with_friction if rubs else newton.solve
-            # Where there is dry friction the last step must not lead over its kinks.
-            residual = lambda z: Plant._residual(*given, z, coarse=not rubs)[0]  # noqa: E731
-            end, failed = search(residual, jax.lax.stop_gradient(guess), self.mechanism.wires)
+            end, failed = self._search(lambda z, coarse: Plant._residual(*given, z, coarse=coarse)[0], jax.lax.stop_gradient(guess))
         (value, landed), push = jax.linearize(lambda z: Plant._residual(*given, z), end)
         return _stepped(landed, value, push), failed
+
+    def _search(self, residual: Callable[[jax.Array, bool], jax.Array], guess: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Where the balances ``residual(z, coarse)`` hold, searched from ``guess``; and whether that failed."""
+        wires = self.mechanism.wires
+        # Where there is dry friction the last step must not lead over its kinks, so that the search takes the exact balances.
+        rubbing = lambda: newton.solve_with_friction(lambda z: residual(z, False), guess, wires)  # noqa: E731
+        if self.mechanism.sticks:
+            return rubbing()
+        if not self._drags:
+            # Temperatures alone, without latent heat, are so nearly linear over a step that one iteration, and the last one, do.
+            search = newton.solve if self.mechanism.unknowns or self.terms else newton.once
+            return search(lambda z: residual(z, True), guess, wires)
+        # A drag is an unknown of its own. One that is absent is 0, and the others are sooner found without it.
+        absent = jnp.zeros(1)
+
+        def free() -> tuple[jax.Array, jax.Array]:
+            end, failed = newton.solve(lambda z: residual(jnp.concatenate([z, absent]), True)[:-1], guess[:-1], wires)
+            return jnp.concatenate([end, absent]), failed
+
+        drags = jnp.stack([e.strength for e in self._of(MechanismEffect) if e.drags])
+        return jax.lax.cond(jnp.any(drags != 0.0), rubbing, free)
 
     def arrive(self, state: State, before: jax.Array, after: jax.Array, step: jax.Array, end: jax.Array) -> tuple[jax.Array, State]:
         """What is left of a step's balances if it ends at ``end`` (temperatures, then unknowns), and the state there: differentiable."""

@@ -1,6 +1,7 @@
 """Strain that stays with every cycle."""
 
 import jax
+import jax.numpy as jnp
 
 from smajax.parameters import parameter
 from smajax.plant.effect import Instant, MaterialEffect, Where
@@ -18,4 +19,4 @@ class Ratcheting(MaterialEffect):
 
     def strain(self, now: Instant, memory: tuple, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
-        return self.strength * ((1.0 + 0.5 * now.travel) ** self.exponent - 1.0) / self.exponent
+        return self.strength * jnp.expm1(self.exponent * jnp.log1p(0.5 * now.travel)) / self.exponent

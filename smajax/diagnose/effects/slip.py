@@ -1,6 +1,7 @@
 """Plastic strain that the highest stress so far leaves behind."""
 
 import jax
+import jax.numpy as jnp
 
 from smajax.kinks import larger
 from smajax.parameters import parameter
@@ -30,5 +31,4 @@ class Slip(MaterialEffect):
 
     def strain(self, now: Instant, memory: jax.Array, where: Where) -> jax.Array:
         """See ``MaterialEffect``."""
-        felt = larger(memory, 1e-9)
-        return self.strength * felt**self.exponent
+        return self.strength * jnp.exp(self.exponent * jnp.log(larger(memory, 1e-9)))
