@@ -50,7 +50,7 @@ def close_loop(
     layout: dict[str, Any] = {"interpolation": rig.interpolation, "step": step}
     bench = Bench(rig.plant, parts, rig.fit, **layout)
     # A measured recording lies far above its noise whatever is added: what predicts the selection part better is taken.
-    _, story = trace(bench, seed=seed, starts=starts, worth=0.0, say=say)
+    _, story = trace(bench, seed=seed, starts=starts, worth=0.0, promised=0.0, say=say)
     say("fitting to the training and the selection part together")
     final = Bench(rig.plant, [whole, parts[2]], rig.fit, **layout)
     final.set_noise(bench.noise)

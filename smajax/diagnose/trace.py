@@ -34,7 +34,7 @@ CUT = 0.05
 MATERIAL, LITTLE, LEFT = 1.0, 10.0, 0.15
 EXPLAINED = 0.5
 _NEARLY = 9.0  # mean square over the noise, below which effects nearly explain it
-WORTH = 0.75
+WORTH, PROMISED = 0.75, 1.0 / 3.0
 ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
 _LATE = 2  # trials that did not come to their end and are taken there
@@ -121,12 +121,14 @@ def trace(
     seed: int = 0,
     starts: int = 2,
     worth: float = WORTH,
+    promised: float = PROMISED,
     given: Mapping[str, float] = MappingProxyType({}),
     say: Callable[[str], None] = lambda text: None,
 ) -> tuple[Tracer, Story]:
     """Traces the residual of the bench's training part, helped by the selection part; the first fit has at least so many ``starts``.
 
-    A third effect is looked for if two explain the share ``worth`` of what exceeds the noise: less speaks for a cause that is not listed.
+    A third effect is looked for if two explain the share ``worth`` of what exceeds the noise, and one more promises the share ``promised``
+    of what they leave, to first order: less speaks for a cause that is not listed.
     ``given`` are the standard deviations of channels' noise that are known, SI; the others are estimated.
 
     Raises NumericsError if the simulation fails at the rig's own values.
@@ -155,7 +157,7 @@ def trace(
     for turn in range(ROUNDS):
         if turn > 1 and story.explained < worth:
             break
-        beam = _round(tracer, story, beam, turn, say)
+        beam = _round(tracer, story, beam, turn, promised if turn > 1 else 0.0, say)
         if not beam:
             break
     _backward(tracer, story)
@@ -221,7 +223,7 @@ def _noise(bench: Bench, plain: Problem, left: np.ndarray) -> dict[str, tuple[fl
     return found
 
 
-def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:
+def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, promised: float, say: Callable[[str], None]) -> list[Trial]:
     """One round: adds an effect to each trial of the beam; gives the next beam, empty if no effect was accepted."""
     bench, current = tracer.bench, story.last
     samples = bench.samples
@@ -237,7 +239,7 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Call
             return []
         trials = _singles(tracer, story, scores, say)
     else:
-        trials = _more(tracer, story, beam, turn, say)
+        trials = _more(tracer, beam, turn, promised, say)
     trials = _arrived(tracer, trials, current)
     best = min(trials, key=lambda t: t.total, default=None)
     if best is None:
@@ -326,12 +328,15 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
     return [*trials, *tracer.race((), usual)]
 
 
-def _more(tracer: Tracer, story: Story, beam: list[Trial], turn: int, say: Callable[[str], None]) -> list[Trial]:
-    """Refits of the beam's fits with one effect more."""
+def _more(tracer: Tracer, beam: list[Trial], turn: int, promised: float, say: Callable[[str], None]) -> list[Trial]:
+    """Refits of the beam's fits with one effect more; none if on the first of them none is ``promised`` to explain enough."""
     extensions: list[Extension] = []
     seen: set[frozenset] = set()
     for trial in beam:
         scores = tracer.scores(trial.refit)
+        excess = (trial.train - 1.0) * tracer.bench.samples
+        if trial is beam[0] and max((one.gain for one in scores.found.values()), default=0.0) < promised * excess:
+            return []
         for key, one in sorted(scores.found.items(), key=lambda item: -item[1].gain)[:_SECOND]:
             keys = frozenset((*trial.keys, key))
             if one.gain > 0.0 and keys not in seen:

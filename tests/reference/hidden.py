@@ -166,7 +166,12 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
     slow = left = 1.0
     start = _strain(m, hidden, d, w, t, s, ambient, 0.0) + hidden.set_strain
     ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
-    fine[0], x[0], warm[0], volts[0] = time[0], 0.0, t, min(current[0] * ohms, hidden.ceiling)
+    fine[0], x[0], warm[0], volts[0] = (
+        time[0],
+        0.0,
+        t,
+        min(current[0] * (1.0 - hidden.saturation * current[0] ** 2 / (most * most)) * ohms, hidden.ceiling),
+    )
     n, before = 0, t
     for k in range(time.size - 1):
         step = (time[k + 1] - time[k]) / substeps
@@ -217,7 +222,8 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
             strain += hidden.ratchet * travel + hidden.creep * (slow - d - w) + hidden.set_strain * left
             ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
             fine[n], x[n], warm[n] = time[k] + (j + 1) * step, wire.length * (start - strain), t
-            volts[n] = min((current[k] + (j + 1) / substeps * (current[k + 1] - current[k])) * ohms, hidden.ceiling)
+            there = current[k] + (j + 1) / substeps * (current[k + 1] - current[k])
+            volts[n] = min(there * (1.0 - hidden.saturation * there * there / (most * most)) * ohms, hidden.ceiling)
     return fine, x, warm, volts
 
 
