@@ -91,7 +91,10 @@ class Inputs(eqx.Module):
         kept = rows[::stride]
         jumps = 1 + np.flatnonzero(np.any(np.abs(before[1:] - after[:-1]) > _JUMP * np.ptp(before, axis=0), axis=1))
         cuts = np.union1d(kept, jumps[jumps < kept[-1]])
-        ends = np.concatenate([np.append(np.arange(a, b, pieces * stride), b)[1:] for a, b in itertools.pairwise(cuts)])
+        # Where an input swings there are more steps than usual, which place its turn.
+        usual = pieces * stride
+        ends = [np.append(np.arange(a, b, usual if b - a <= usual else stride), b)[1:] for a, b in itertools.pairwise(cuts)]
+        ends = np.concatenate(ends)
         starts = np.append(kept[0], ends[:-1])
         first, last = before[starts], after[ends - 1]
         if held:

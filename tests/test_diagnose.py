@@ -300,6 +300,31 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(tracer, fitted, mo
     assert bench.strided(4) is bench.problems[0] and coarseness(bench, fitted, 4) == math.inf
 
 
+def test_several_steps_a_sample_become_one_where_that_is_affordable(tracer, monkeypatch):
+    monkeypatch.setattr("smajax.diagnose.bench.compiling", lambda *_: [])
+    usual = tracer.bench
+    parts, plant = [part.recordings[0] for part in usual.parts], usual.plain.plant
+    rig = read_rig(shipped("recordings", "dead-weight-unexplained") / "rig.toml")
+    bench = Bench(plant, parts, rig.fit, interpolation=rig.interpolation, step=0.01)
+    fine, asked = bench.problems, []
+    bench.lengthen(lambda problem: asked.append(problem) or False)
+    assert bench.problems is fine and len(asked) == 1
+    bench.lengthen(lambda problem: True)
+    for short, longer, single in zip(fine, bench.problems, usual.problems, strict=True):
+        steps = [int(problem.data.until) for problem in (longer, single, short)]
+        assert len(usual.parts[0].recordings[0]) <= steps[0] <= steps[1] < 0.6 * steps[2]
+        assert all(np.array_equal(getattr(short.data, f), getattr(longer.data, f)) for f in ("measured", "weight"))
+        rows = np.asarray(longer.data.inputs.rows[0])
+        assert np.array_equal(
+            np.asarray(longer.data.inputs.time[0])[rows], np.asarray(single.data.inputs.time[0])[single.data.inputs.rows[0]]
+        )
+    # The searches' fewer samples lie on steps that are longer still; one step a sample stays as it is.
+    assert int(bench.strided(2).data.until) < 0.6 * int(bench.problems[0].data.until)
+    before = bench.problems
+    bench.lengthen(lambda problem: pytest.fail("there is nothing to lengthen"))
+    assert bench.problems is before
+
+
 def test_what_nearly_explains_the_residual_is_swapped_for_what_it_is_confused_with(tracer, fitted, monkeypatch):
     """An effect that was found alone may have been the wrong one of two that are alike; at the noise, or far from it, nothing is tried."""
 

@@ -16,12 +16,14 @@ from smajax.diagnose.bench import Bench
 from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.effects import catalogue
 from smajax.diagnose.effects.airflow_change import AirflowChange
+from smajax.diagnose.effects.minor_loop_shape import MinorLoopShape
 from smajax.diagnose.hypothesis import Hypothesis
 from smajax.diagnose.preflight import preflight
 from smajax.errors import InputError
 from smajax.fit.problem import Problem
-from smajax.parameters import declarations
-from smajax.plant.effect import AbstractEffect, engaged
+from smajax.parameters import declarations, parameter
+from smajax.plant.effect import AbstractEffect, DriveEffect, asleep_at_zero, engaged
+from smajax.plant.material.base import Fractions
 from smajax.plant.sensor import lagged
 from smajax.rig import parse_rig, read_rig
 from tests import plants
@@ -366,6 +368,50 @@ def test_friction_at_its_end_moves_with_nothing_however_rest_is_rounded():
             z, (by_memory, by_motion) = jax.value_and_grad(engaged, (0, 1))(jnp.asarray(end), jnp.asarray(rounding), jnp.asarray(2e-6))
             assert (z, by_memory, by_motion) == (end, 0.0, 0.0)
         assert abs(engaged(jnp.asarray(end), jnp.asarray(-end * 1e-6), jnp.asarray(2e-6)) - 0.5 * end) < 1e-12
+
+
+class _Curved(DriveEffect):
+    """Something that may be ``spoilt``, no number, at strength 0 where it is computed."""
+
+    strength: jax.Array = parameter("1", "share", -1.0, 1.0, 0.0)
+    spoilt: bool = eqx.field(static=True, default=True)
+    key = "curved"
+
+    @asleep_at_zero
+    def signal(self, signal, resistance):
+        """See ``DriveEffect``."""
+        nothing = jnp.where(self.strength == 0.0, jnp.nan if self.spoilt else 1.0, 1.0)
+        return nothing * self.strength * signal**3 * resistance
+
+
+def test_a_hook_asleep_at_zero_is_computed_only_for_who_asks_by_its_strength():
+    """At 0 the base class's stands for it, in forward and in reverse mode; derivatives by the strength are its own, there as elsewhere."""
+    signal, ratio = jnp.array([0.4, -0.7]), jnp.array([0.8, 0.9])
+
+    def asked(strength, signal, spoilt=True):
+        return _Curved(strength=strength, spoilt=spoilt).signal(signal, ratio)
+
+    nothing, some = jnp.asarray(0.0), jnp.asarray(0.3)
+    assert np.array_equal(asked(nothing, signal), np.zeros(2))
+    for mode in (jax.jacfwd, jax.jacrev):
+        assert np.array_equal(mode(lambda x: asked(nothing, x))(signal), np.zeros((2, 2)))
+        assert mode(lambda x: asked(some, x))(signal) == pytest.approx(np.diag(0.9 * np.asarray(signal**2 * ratio)), rel=1e-14)
+        for strength in (nothing, some):
+            assert mode(lambda s: asked(s, signal, False))(strength) == pytest.approx(np.asarray(signal**3 * ratio), rel=1e-14)
+    strengths = jnp.array([0.0, 0.3])
+    assert jax.vmap(lambda s: asked(s, signal))(strengths) == pytest.approx(np.outer(strengths, signal**3 * ratio), rel=1e-14)
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.4, -0.4])
+def test_a_fraction_a_hair_below_none_is_left_as_it_is(strength):
+    """A step may end there; scaled by what is hardly there it had grown, and its tangents from step to step without end."""
+    effect, before = MinorLoopShape(strength=jnp.asarray(strength)), Fractions(jnp.array([-2e-9]), jnp.array([0.0]))
+
+    def after(detwinned):
+        return effect.transform(before, Fractions(detwinned, jnp.array([0.0]))).detwinned
+
+    assert after(jnp.array([-3e-9])) == pytest.approx([-3e-9], rel=1e-12)
+    assert jax.jacfwd(after)(jnp.array([-3e-9])) == pytest.approx(np.ones((1, 1)), rel=1e-9)
 
 
 def test_what_an_effect_strains_at_the_start_moves_no_zero():

@@ -82,6 +82,13 @@ def test_merged_steps_heat_as_much(interpolation):
     assert np.max(np.abs(coarse - fine[::3])) < 0.01 * np.ptp(fine)
 
 
+def test_pieces_of_a_sample_merge_into_one_step():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.02)
+    halves, whole = (simulate.lay_out(plant, recording, interpolation="hold", step=step) for step in (0.01, 0.02))
+    merged = halves.merged(1, held=True, pieces=2)
+    assert all(np.allclose(a, b, rtol=1e-14, atol=0.0) for a, b in zip(jax.tree.leaves(merged), jax.tree.leaves(whole), strict=True))
+
+
 def test_a_simulation_may_end_where_nothing_is_asked_for_any_more():
     plant, recording = plants.light_rotary(), plants.inputs("light_rotary", 100, 0.08)
     inputs = simulate.lay_out(plant, recording, step=0.08)

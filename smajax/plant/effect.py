@@ -94,7 +94,8 @@ class AbstractEffect(eqx.Module):
 def asleep_at_zero(hook: Callable) -> Callable:
     """A hook that is not computed while the strength is 0 and nobody asks for the derivative by it: the base class's is, in its place.
 
-    A search that only wants to know where a step ends need not pay for the powers and logarithms of what is not there.
+    A search that only wants to know where a step ends need not pay for the powers and logarithms of what is not there. The hook has to be
+    that of the concrete class itself.
     """
     name = hook.__name__
 
