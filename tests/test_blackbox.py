@@ -71,6 +71,18 @@ def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, c
     assert found.family.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[structure] + (not constant)
 
 
+@pytest.mark.parametrize(("simple", "richer"), [("one-pole", "two-poles"), ("underdamped", "underdamped-and-pole")])
+def test_one_more_pole_fits_no_worse(simple, richer):
+    """What has one pole fewer is answered by a pole that lags by less than a row; the list of parameters is that of each structure."""
+    _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS[simple]), INPUT, TIME, interp=False)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(400)
+    series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(4), prompt[:-4]) + noise)]
+    few, more = (fit_operator(transfer_function(series, name), series, starts=6, max_steps=60) for name in (simple, richer))
+    assert more.rmse <= 1.0001 * few.rmse < 1.1e-3
+    assert few.values.keys() < more.values.keys() and set(more.values) - set(few.values) == {"second"}
+    assert ("damping" in few.values) == (simple == "underdamped")
+
+
 def test_a_parameter_that_ends_at_its_bound_is_named():
     """A delay of 30 s in a recording of 40 s, where half of it is the most that is looked for; and one that is within."""
     _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)

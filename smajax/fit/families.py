@@ -154,19 +154,16 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     names = ("gain", "rest", "first", "second", "damping", "delay", "settled")
     on = 1.0 if not constant and any(abs(s.input[0]) > 1e-9 * span for s in series) else 0.0
-    lower = (-20 * swing / span, bottom - 5 * swing, 2 * step, 2 * step, 0.05, 0.0, 0.0)
+    prompt = 1e-3 * step  # from one row to the next such a lag is none, so that a structure holds those with fewer poles
+    lower = (-20 * swing / span, bottom - 5 * swing, prompt, prompt, 0.05, 0.0, 0.0)
     upper = (20 * swing / span, bottom + 5 * swing, duration, duration, 1.5, duration / 2, on)
     start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step, 0.0)
-    used = {"one-pole": {"first"}, "two-poles": {"first", "second"}, "underdamped": {"first", "damping"}}.get(structure, set(names))
-    held = {k: s for k, s in zip(names, start, strict=True) if k not in used | {"gain", "rest", "delay", "settled"}}
-    ends = (dict(zip(names, side, strict=True)) | held for side in (lower, upper, start))
-    first = dict(zip(names, start, strict=True)) | held
+    ends = [{k: v for k, v in zip(names, side, strict=True) if k not in _UNUSED[structure]} for side in (lower, upper, start)]
     others = [
-        first
-        | {"gain": sign * first["gain"], "rest": rest, "delay": delay, "first": slow}
-        | ({} if "second" in held else {"second": slow / 2})
+        ends[2] | {"gain": sign * ends[2]["gain"], "rest": rest, "delay": delay, "first": slow} | second
         for delay in np.linspace(0.0, 0.45, 10) * duration
         for slow in (duration / 50, duration / 12)
+        for second in ([{"second": slow / 2}, {"second": step}] if "second" in ends[2] else [{}])
         for sign, rest in ((1.0, bottom), (-1.0, bottom + swing))
     ]
     return Family(
@@ -174,8 +171,13 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     )
 
 
+_UNUSED: Mapping[Structure, tuple[str, ...]] = {
+    "one-pole": ("second", "damping"), "two-poles": ("damping",), "underdamped": ("second",), "underdamped-and-pole": (),
+}  # fmt: skip
+
+
 def _function(parameters: dict, structure: Structure) -> TransferFunction:
-    return TransferFunction(**parameters, structure=structure)
+    return TransferFunction(**parameters, **dict.fromkeys(_UNUSED[structure], jnp.asarray(1.0)), structure=structure)
 
 
 _functions = {s: functools.partial(_function, structure=s) for s in STRUCTURES}  # one object each: it is what a program is known by
