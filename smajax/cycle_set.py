@@ -19,6 +19,7 @@ _BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
 _USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEVELS = 3  # stresses that tell how strain grows
+_ALIKE = 0.02  # of the largest strain: by less it does not grow
 # Detwinning stresses: what the misfit of start and finish (K), of the strain (its share) and, faintly, of the stresses (Pa) counts by; a
 # usual distance between them (Pa); where the search begins, in shares of the lowest stress and in Pa; and what is plausible, Pa.
 _START, _FINISH, _SHARE, _FAINT, _BAND = 1.0, 10.0, 0.03, 3e8, 7e7
@@ -65,7 +66,9 @@ def parameter_set(levels: Sequence[Level], model: str) -> dict[str, Entry]:
         entries |= _detwinning(stress, values["martensite_start"], values["martensite_finish"], strain, slope)
     if model == "lagoudas":
         entries |= {f"material.{n}": Entry(0.5, "1", 0.01, 1.0, source="usual") for n in ("n1", "n2", "n3", "n4")}
-        if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART:
+        unsure = max(0.5 * (m["transformation_strain"].upper95 - m["transformation_strain"].lower95) for m in means)
+        grows = np.ptp(strain) > max(_ALIKE * float(np.max(strain)), unsure)
+        if len(set(stress)) >= _LEVELS and np.ptp(stress) > _APART and grows:
             entries |= _growing_strain(stress, strain)
     return {n: e for n, e in entries.items() if math.isfinite(e.value)}
 

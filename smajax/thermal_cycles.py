@@ -30,8 +30,10 @@ VALUES = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
 _TURN = 0.35  # share of the temperature's range by which it has to turn back to begin another branch
 _FEWEST = 12  # rows on a branch
 _DRAWS = 60
-_FREE = 6  # numbers in the lines
-_POOL = 8  # rows on a line that tell its noise
+_INSIDE = 0.95 * (_DRAWS + 1) / _DRAWS  # the quantile of so many draws below which one more lies in 95 % of all cases
+_FREE = 6  # numbers in the three lines
+_FEWEST_LEFT = 4.0  # rows that err by themselves, beyond those numbers
+_POOL = 4  # rows on a line that tell its noise
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
 _LEAST = 1e-6  # strain
 _EXPANSION = 5e-5  # 1/K: what no lattice expands by, a line beside the transformation as steep as this belongs to it
@@ -160,7 +162,7 @@ def _properties(
 ) -> dict[str, Value]:
     """Values of a cycle, each with the distance within which 95 % of its redrawings lie from what they are drawn of."""
     branches = [_branch(temperature[rows], strain[rows], kind, smooth, rng) for rows, kind in ((cooling, "cooling"), (heating, "heating"))]
-    best, half = _joined(*(value for value, _ in branches)), np.quantile(np.abs(_joined(*(away for _, away in branches))), 0.95, axis=0)
+    best, half = _joined(*(value for value, _ in branches)), np.quantile(np.abs(_joined(*(away for _, away in branches))), _INSIDE, axis=0)
     width = float(best[0, VALUES.index("width")])
     if width < -max(float(half[VALUES.index("width")]), _BACKWARDS * float(np.ptp(temperature))):
         told = f"it cools through the transformation {-width:.3g} K above where it heats through it, which no shape-memory alloy does"
@@ -200,20 +202,20 @@ def _redrawn(line: np.ndarray, distance: np.ndarray, rng: np.random.Generator) -
     Each is over the scatter about its own one of the three ``line``s: noise in the temperatures shows where the strain is steep and nowhere
     else.
     """
-    count, together = len(line), _together(distance)
-    scatter = np.full(count, math.sqrt(float(np.mean(distance**2))))
-    for one in np.unique(line):
-        if np.sum(line == one) >= _POOL:
-            scatter[line == one] = math.sqrt(float(np.mean(distance[line == one] ** 2)))
+    count, together = len(line), 2.0 * _together(distance) - 1.0
+    scatter, again = np.zeros(count), np.zeros((_DRAWS, count))
+    lines = [line == one for one in np.unique(line)]
+    for rows, taken in ((np.full(count, True), _FREE), *((rows, _FREE / 3) for rows in lines if np.sum(rows) >= _POOL)):
+        scatter[rows] = math.sqrt(float(np.mean(distance[rows] ** 2)))
+        # So many rows err by themselves, of which the lines have taken a number each with them; of how many are left, chi-squares tell.
+        alone = max(float(np.sum(rows)) / together, taken + _FEWEST_LEFT)
+        again[:, rows] = scatter[rows] * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
     own, variance = autoregression(distance / np.maximum(scatter, 1e-300))
     if np.sum(own) <= 0.0:  # what goes to and fro like this is what the lines leave of noise without memory
         own, variance = np.zeros(0), 1.0
     burnt = count + 20 * (len(own) + 1)
     pushed = math.sqrt(variance) * rng.standard_normal((_DRAWS, burnt))
-    drawn = np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - count :]
-    # What the lines have taken with them: a number each, of so many rows that err by themselves.
-    alone = max(count / (2.0 * together - 1.0), _FREE + 2.0)
-    return math.sqrt(alone / (alone - _FREE)) * scatter * drawn
+    return again * np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - count :]
 
 
 def _together(distance: np.ndarray) -> float:

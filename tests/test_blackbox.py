@@ -174,13 +174,14 @@ def wire() -> list[Series]:
     return [Series(r.name, r.time[::10], r.channels["voltage"][::10], r.channels["displacement"][::10]) for r in read]
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_network_does_not_run_away_on_another_input(wire, seed):
+def test_a_network_does_not_run_away_on_another_input_and_ends_alike_from_other_points(wire):
     """With free weights it errs by 1.3 of the output's range there from one seed of two, and at hardly held ones from both."""
-    found = fit_operator(narx(wire[:1]), wire[:1], starts=1, seed=seed)
-    away = found.respond(wire[1]) - wire[1].output
-    assert np.sqrt(np.mean(away**2)) < 0.12 * np.ptp(wire[1].output)
-    assert found.ridge > 0.0
+    errors = []
+    for seed in range(2):
+        found = fit_operator(narx(wire[:1]), wire[:1], starts=4, seed=seed)
+        errors.append(np.sqrt(np.mean((found.respond(wire[1]) - wire[1].output) ** 2)))
+        assert found.ridge > 0.0
+    assert errors[1] == pytest.approx(errors[0], rel=0.08) and max(errors) < 0.12 * np.ptp(wire[1].output)
 
 
 def test_a_planted_recovery_is_found():

@@ -144,6 +144,24 @@ def test_a_sensor_that_reads_from_elsewhere_costs_a_law_nothing(short, tmp_path)
     assert other["kw"]["value"] == pytest.approx(-one["kw"]["value"], rel=2e-2)
 
 
+def test_a_law_without_the_constant_of_the_others_says_so(short, tmp_path):
+    """A displacement that reads 0.4 mm too much: a law whose offset is held has it in its error, one whose offset is free has not."""
+    for part in ("train", "holdout"):
+        r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
+        shifted = r.channels["displacement"] + 4e-4
+        Recording.from_arrays(part, r.time, {**r.channels, "displacement": shifted}, {"displacement": "mm"}).write(tmp_path / f"{part}.csv")
+    text = (short / "rig.toml").read_text()
+    for name, changed in (("held", text), ("free", text.replace("free = [", 'free = ["sensor.displacement_offset", '))):
+        (tmp_path / "rig.toml").write_text(changed)
+        done = run(tmp_path, "brinson", tmp_path / name)
+        assert done.exit_code == 0, done.output
+        (found,) = json.loads((tmp_path / name / "compare.json").read_text())["models"]
+        assert (
+            ("free sensor.displacement_offset" in found["note"]) is ("free sensor.displacement_offset" in done.output) is (name == "held")
+        )
+    assert found["fitted"]["sensor.displacement_offset"]["value"] == pytest.approx(4e-4, abs=2e-5)
+
+
 def test_what_holds_a_network_is_said(short, tmp_path):
     done = run(short, "narx", tmp_path / "out")
     assert done.exit_code == 0, done.output

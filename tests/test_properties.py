@@ -19,7 +19,7 @@ from smajax.parameter_file import read_parameters
 from smajax.recording import read
 from smajax.rig import parse_rig, read_rig
 from smajax.rig_schema import MATERIALS
-from smajax.row_order import refuse_disorder
+from smajax.row_order import refuse_disorder, refuse_strays
 from smajax.thermal_cycles import NAMES, VALUES, Cycle, Value, analyse, mean_of, turns
 from tests.reference import brinson as brinson_reference
 from tests.reference import lagoudas as lagoudas_reference
@@ -143,6 +143,15 @@ def test_a_few_shuffled_rows_are_refused(share):
 def test_noise_is_not_taken_for_disorder(noise, warm_noise):
     for seed in range(10):
         refuse_disorder("ordered", *made(noise=noise, warm_noise=warm_noise, seed=seed))
+
+
+def test_noise_alone_has_no_slip_of_a_reading():
+    """Strains that only scatter: of some, single ones lie far off the median of their neighbours. A slip among them is found."""
+    for seed in range(40):
+        noise = np.random.default_rng(seed).standard_normal(40)
+        refuse_strays("noise", "a strain of", 0.01 + 1e-4 * noise)
+        with pytest.raises(InputError, match="row 21 of the data: a strain of 0.02 stands alone"):
+            refuse_strays("slip", "a strain of", np.where(np.arange(40) == 20, 0.02, 0.01 + 1e-4 * noise))
 
 
 def test_a_noisy_thermocouple_is_smoothed():
@@ -502,6 +511,15 @@ def test_several_stresses_tell_how_strain_grows(tmp_path):
         true = lagoudas_reference.current_strain(law, stress) + stress * (1 / 30e9 - 1 / 60e9)
         assert float(material.grown_strain(jnp.asarray(stress))) == pytest.approx(true, rel=0.06)
     assert float(material.calibration_stress) == pytest.approx(140e6)
+
+
+def test_strains_that_do_not_grow_leave_their_growth_to_the_law(tmp_path):
+    t, e = made(1)
+    paths = [write(tmp_path / f"{k}.csv", t + 8.0 * k, e, 50.0 + 60.0 * k) for k in range(4)]
+    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
+    found = read_parameters(tmp_path / "set.toml")
+    assert not {"material.min_strain_share", "material.strain_saturation"} & set(found)
+    assert found["material.max_strain"].value == pytest.approx(0.03, rel=0.02)
 
 
 def brinson_cycles(folder: Path, stresses: list[float], noise: float = 1e-5) -> list[Path]:

@@ -27,6 +27,8 @@ from smajax.kinks import within
 
 _WIDE = 30.0
 _RIDGES = (0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
+_DRAWN = 0.05  # of the room between the bounds: how far from the first guess a network begins
+_HIDDEN = 0.632
 _EARLIER = 0.75  # the share of the rows that are fitted while a ridge is chosen
 _ROUNDS = 5  # of starts, each but the first beside the best end so far
 _SIDES = 3
@@ -225,21 +227,30 @@ def _by_reverse(
 ) -> tuple[np.ndarray | None, int, float]:
     """Fits under each ridge to the first rows, then under the one that predicts the last ones best to all of them, from several starts.
 
-    A ridge is as good as the worse of two fits under it: one that leaves networks which run away may still be lucky once.
+    A ridge is as good as the worst of the fits under it: one that leaves networks which run away may still be lucky once. What counts is
+    the error of the last rows and, since a fit to all rows will have seen these, that of the others too, in the shares in which Efron
+    (1983, the .632 estimator) weighs what a fit did not see and what it did.
     """
+    (lower, upper), rng = problem.box, np.random.default_rng(seed)
+    points = np.clip(problem.nominal + (upper > lower) * _DRAWN * rng.standard_normal((starts, len(lower))), lower, upper)
     earlier, later = parted(problem)
     errors, simulations = [], 0
     for ridge in _RIDGES:
-        found = [_trained(_ridged(earlier, weights, ridge), np.random.default_rng([seed, number]), max_steps) for number in range(2)]
-        simulations += sum(one.simulations for one in found)
-        away = [float(costs(later, jnp.asarray(one.vector)[None])[0]) for one in found]
-        errors.append(max(away) if np.all(np.isfinite(away)) else math.inf)
+        found = _trained(_ridged(earlier, weights, ridge), points, max_steps)
+        simulations += found.simulations
+        hidden, seen = (_mean(part, found.vectors) for part in (later, earlier))
+        errors.append(float(np.max(_HIDDEN * hidden + (1.0 - _HIDDEN) * seen)))
     ridge = _RIDGES[int(np.argmin(errors))] if min(errors) < math.inf else _RIDGES[-1]
-    held = _ridged(problem, weights, ridge)
-    found = [_trained(held, np.random.default_rng([seed, number]), max_steps) for number in range(starts)]
-    simulations += sum(one.simulations for one in found)
-    best = min(found, key=lambda one: one.cost)
-    return best.vector if best.cost < math.inf else None, simulations * problem.data.measured.shape[0], ridge
+    found = _trained(_ridged(problem, weights, ridge), points, max_steps)
+    simulations += found.simulations
+    best = int(np.argmin(found.costs))
+    return found.vectors[best] if found.costs[best] < math.inf else None, simulations * problem.data.measured.shape[0], ridge
+
+
+def _mean(problem: OperatorProblem, vectors: np.ndarray) -> np.ndarray:
+    """Root of the mean square of the residual at each point, shape ``(s,)``; infinite where it is no number."""
+    found = np.sqrt(np.asarray(costs(problem, jnp.asarray(vectors))) / max(int(jnp.sum(problem.data.weight > 0)), 1))
+    return np.where(np.isfinite(found), found, math.inf)
 
 
 def parted(problem: OperatorProblem) -> tuple[OperatorProblem, OperatorProblem]:
@@ -258,37 +269,41 @@ def _ridged(problem: OperatorProblem, weights: jax.Array, ridge: float) -> Ridge
 
 
 class _Trained(NamedTuple):
-    """Where one search ended, its cost, infinite where that is no number, and the simulations of each recording that it took."""
+    """Where searches ended, ``(s, p)``, their costs, ``(s,)``, infinite where that is no number, and the simulations of each recording."""
 
-    vector: np.ndarray
-    cost: float
+    vectors: np.ndarray
+    costs: np.ndarray
     simulations: int
 
 
-def _trained(ridged: Ridged, rng: np.random.Generator, max_steps: int) -> _Trained:
-    """Open loop by Levenberg-Marquardt from drawn weights, then longer and longer stretches, then closed loop by BFGS in reverse mode."""
+def _trained(ridged: Ridged, points: np.ndarray, max_steps: int) -> _Trained:
+    """From each point open loop by Levenberg-Marquardt, then longer and longer stretches, then closed loop by BFGS in reverse mode."""
     problem, (lower, upper) = ridged.problem, ridged.box
     rows, simulations = problem.data.time.shape[1], 0
-    point = np.clip(problem.nominal + (upper > lower) * 0.05 * rng.standard_normal(len(lower)), lower, upper)
     for every in (1, 5, 25, 125, rows):
         stage = dataclasses.replace(ridged, problem=dataclasses.replace(problem, ahead=True, every=jnp.asarray(every)))
         steps = max_steps if every == rows else max_steps // 4
-        solved = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size).advance(steps).result()
+        solved = least_squares.Search(residual, stage, points, lower, upper, size=stage.size).advance(steps).result()
         simulations += solved.simulations
-        point = solved.points[0]
-    vector, cost, taken = _closed(jnp.asarray(point), ridged, (jnp.asarray(lower), jnp.asarray(upper)))
-    ends = (float(cost), np.asarray(vector)), (float(costs(ridged, jnp.asarray(point)[None])[0]), point)
-    least, best = min(ends, key=lambda end: end[0] if math.isfinite(end[0]) else math.inf)
+        points = solved.points
+    vectors, after, taken = _closed(jnp.asarray(points), ridged, (jnp.asarray(lower), jnp.asarray(upper)))
+    ends = np.stack([points, np.asarray(vectors)])
+    found = np.stack([np.asarray(costs(ridged, jnp.asarray(points))), np.asarray(after)])
+    found = np.where(np.isfinite(found), found, math.inf)
+    lowest, each = np.argmin(found, axis=0), np.arange(len(points))
     # A gradient in reverse mode counts three.
-    return _Trained(best, least if math.isfinite(least) else math.inf, simulations + 3 * int(taken))
+    return _Trained(ends[lowest, each], found[lowest, each], simulations + 3 * int(np.sum(taken)))
 
 
 @eqx.filter_jit
-def _closed(point: jax.Array, ridged: Ridged, box: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Where BFGS ends, the cost there, and its steps. It knows no box: points outside stand for the nearest ones inside."""
+def _closed(points: jax.Array, ridged: Ridged, box: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where BFGS ends from each point, the costs there, and its steps. It knows no box: what is outside stands for the nearest inside."""
 
     def cost(vector: jax.Array, ridged: Ridged) -> jax.Array:
         return jnp.mean(ridged.residual(within(vector, *box)) ** 2)
 
-    solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=ridged, max_steps=300, throw=False)
-    return within(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]
+    def closed(point: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        solution = optx.minimise(cost, optx.BFGS(rtol=1e-6, atol=1e-9), point, args=ridged, max_steps=300, throw=False)
+        return within(solution.value, *box), cost(solution.value, ridged) * ridged.size, solution.stats["num_steps"]
+
+    return jax.vmap(closed)(points)

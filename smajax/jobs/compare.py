@@ -43,10 +43,11 @@ _OWN = {
     "lagoudas": ({"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}, {}),
     "brinson": ({}, {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}),
 }
-_STARTS, _STARTS_OF_NETWORKS = 16, 2
+_STARTS, _STARTS_OF_NETWORKS = 16, 4
 _ABOUT_A_LEVEL, _BESIDE = 0.05, 0.01  # of an input's level, and of the range of another of its kind: what moves by less is held still
 _TOGETHER = 0.02  # share of the rows at which wires that pull by turns may both be on
 _HUGE = 1e100  # its square would be no number
+_CONSTANT = 0.5  # of the error: a mean as large as this is worth a word
 
 
 class CompareJob(NamedTuple):
@@ -179,7 +180,18 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
         e.name: {"value": number(e.estimate), "lower95": number(e.lower95), "upper95": number(e.upper95), "free": True, "unit": e.unit}
         for e in result.estimates
     }
-    return Compared(name, "law", len(result.problem.unknowns), predictions, at_bound=held, undetermined=open_, fitted=fitted)
+    note = _constant(changed, recordings[0], channel, predictions[0])
+    return Compared(name, "law", len(result.problem.unknowns), predictions, note=note, at_bound=held, undetermined=open_, fitted=fitted)
+
+
+def _constant(rig: Rig, recording: Recording, channel: str, values: np.ndarray) -> str:
+    """What is said of a law whose error is largely a constant, which input-output laws have free and a rig may hold."""
+    name, error = f"sensor.{channel}_offset", (recording.channels[channel] - values)[np.isfinite(recording.channels[channel])]
+    if name in (*rig.fit.free, *rig.fit.per_recording) or abs(np.mean(error)) < _CONSTANT * np.sqrt(np.mean(error**2)):
+        return ""
+    unit, scale = difference_unit(recording, channel)
+    told = f"its error of {recording.name} has a mean of {scale * float(np.mean(error)):.3g} {unit}"
+    return f"{told}, which the constants of input-output laws take: free {name} to compare like with like"
 
 
 def with_law(rig: Rig, name: str) -> Rig:
