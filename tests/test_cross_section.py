@@ -11,7 +11,7 @@ from smajax.machines.cross_section import Cooling, Course, CrossSection, Layer, 
 from smajax.machines.section_grid import EvenWires, SpacedWires, circle, graded
 from tests.reference import cross_section as reference
 
-CELLS = 12
+CELLS = 10
 TAPE, SILICONE = (2430.0, 1000.0, 2.2), (1070.0, 1050.0, 0.2)
 
 
@@ -67,7 +67,7 @@ def test_a_slab_cools_as_its_series_says():
     alpha, biot = k / density / heat, h * thickness / 2 / k
     roots = [scipy.optimize.brentq(lambda z: z * np.sin(z) - biot * np.cos(z), n * np.pi + 1e-9, n * np.pi + np.pi / 2) for n in range(40)]
     errors = []
-    for cells in (6, CELLS):
+    for cells in (6, 12):
         slab = section(materials=[(density, heat, k)] * 3, cells=cells, convection=h, wire_start=70.0, elastomer_start=70.0)
         course, *_ = cool(slab, 4.0)
         heights = np.array(slab.grid()[1])
@@ -93,7 +93,7 @@ def test_a_hot_cylinder_spreads_as_gauss_says():
     material, radius = (1500.0, 1200.0, 0.5), 150e-6
     alpha = material[2] / material[0] / material[1]
     errors = []
-    for cells in (6, CELLS):
+    for cells in (6, 12):
         course, *_ = cool(section(materials=[material] * 3, cells=cells, convection=0.0), 0.25)
         time = np.array(course.time)[12:]
         errors.append(np.max(np.abs(np.array(course.hottest)[12:] - 50.0 - 30.0 * (1 - np.exp(-(radius**2) / 4 / alpha / time)))))
@@ -122,6 +122,8 @@ def test_heat_is_neither_made_nor_lost():
     [
         ({}, CELLS),
         ({"diameter": 5e-4}, CELLS),
+        ({"diameter": 6e-5}, CELLS),
+        ({"diameter": 1e-4, "materials": (TAPE, (1070.0, 1050.0, 2.0), (6450.0, 837.4, 18.0))}, CELLS),
         ({"offset": 1e-4}, CELLS),
         ({"count": 3, "pitch": 0.8e-3, "width": 6e-3}, 6),
         ({"count": 4, "pitch": 0.7e-3, "width": 4e-3}, 6),

@@ -180,7 +180,8 @@ class CrossSection(eqx.Module):
     """Two sheets of tape, silicone between them, and a row of wires in the silicone.
 
     The wires have to fit: within the silicone, and side by side. Where they do not, every temperature is NaN.
-    ``cells`` (even) lie across a wire, and the rest of the grid goes with them.
+    ``cells`` (even) lie across a wire, and the rest of the grid goes with them: as many from the wire's square to either tape, twice as many
+    beside it, half as many across a tape. Ten are within a hundredth of the limit of fine grids for wires from a tenth of the silicone on.
     """
 
     tape: Layer
@@ -189,7 +190,7 @@ class CrossSection(eqx.Module):
     placement: AbstractPlacement
     cooling: Cooling
     width: jax.Array = parameter("m", "width of the section", 1e-4, 1.0)
-    cells: int = eqx.field(static=True, default=12)
+    cells: int = eqx.field(static=True, default=10)
 
     def __check_init__(self) -> None:
         if self.cells < 4 or self.cells % 2:
@@ -199,15 +200,20 @@ class CrossSection(eqx.Module):
         """The columns, and the heights of the rows from below (m, shape ``(r,)``): tape, silicone, the wire's square, silicone, tape."""
         half, across = self.cells // 2, self.wire.diameter / self.cells
         aside = 0.5 * (self.silicone.thickness - self.wire.diameter)
-        lower, upper = (graded(across, aside + side * self.wire.offset, half) for side in (1.0, -1.0))
+        lower, upper = (graded(across, aside + side * self.wire.offset, self.cells) for side in (1.0, -1.0))
         tape = jnp.broadcast_to(self.tape.thickness / half, (half,))
         heights = jnp.concatenate([tape, lower[::-1], jnp.broadcast_to(across, (self.cells,)), upper, tape])
         return self.placement.columns(self.width, self.wire.diameter, self.cells), heights
 
+    @property
+    def _square(self) -> int:
+        """The row in which the wires' squares begin."""
+        return self.cells // 2 + self.cells
+
     def network(self) -> tuple[_Network, tuple[tuple[int, bool], ...]]:
         """The network of cells, and the wires' columns."""
         columns, heights = self.grid()
-        shares = place(self.cells, columns.wires, self.cells, (len(columns.widths), len(heights)))
+        shares = place(self.cells, columns.wires, self._square, (len(columns.widths), len(heights)))
         half, count = self.cells // 2, len(heights)
         is_tape = jnp.asarray((np.arange(count) < half) | (np.arange(count) >= count - half))
         around = jnp.where(is_tape, self.tape.conductivity, self.silicone.conductivity)
@@ -241,7 +247,7 @@ class CrossSection(eqx.Module):
         over = (cooling.wire_start - cooling.elastomer_start) * network.wire / network.capacity
         excess = cooling.elastomer_start - cooling.ambient + over
         centres = np.zeros((len(wires), *excess.shape))
-        rows = slice(self.cells + half - 1, self.cells + half + 1)
+        rows = slice(self._square + half - 1, self._square + half + 1)
         for weights, (start, outer_half) in zip(centres, wires, strict=True):
             weights[start if outer_half else slice(start + half - 1, start + half + 1), rows] = 0.5 if outer_half else 0.25
 

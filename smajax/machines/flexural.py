@@ -92,7 +92,7 @@ class FlexuralActuator(AbstractMachine):
     heating: FlexuralHeating
     test: FlexuralTest
     bench: Cantilever
-    cells: int = eqx.field(static=True, default=12)
+    cells: int = eqx.field(static=True, default=10)
     wires: int = eqx.field(static=True, default=0)
 
     def __post_init__(self) -> None:

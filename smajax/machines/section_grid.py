@@ -36,7 +36,7 @@ class AbstractPlacement(eqx.Module):
     """Where the wires are across the section's width."""
 
     def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
-        """The columns with ``cells`` (even) across each wire, and as many in each gap beside it."""
+        """The columns with ``cells`` (even) across each wire, and twice as many in each gap beside it."""
         raise NotImplementedError
 
 
@@ -51,7 +51,7 @@ class EvenWires(AbstractPlacement):
     def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
         """See ``AbstractPlacement``."""
         size = diameter / cells
-        gap = graded(size, 0.5 * (width / self.count - diameter), cells)
+        gap = graded(size, 0.5 * (width / self.count - diameter), 2 * cells)
         return Columns(jnp.concatenate([jnp.broadcast_to(size, (cells // 2,)), gap]), ((0, True),), False)
 
 
@@ -65,11 +65,11 @@ class SpacedWires(AbstractPlacement):
         """See ``AbstractPlacement``."""
         size = diameter / cells
         across = jnp.broadcast_to(size, (cells,))
-        between = graded(size, 0.5 * (self.pitch - diameter), cells)
-        margin = graded(size, 0.5 * (width - (self.wires - 1) * self.pitch - diameter), cells)
+        between = graded(size, 0.5 * (self.pitch - diameter), 2 * cells)
+        margin = graded(size, 0.5 * (width - (self.wires - 1) * self.pitch - diameter), 2 * cells)
         half = self.wires % 2 == 1
         parts = [across[: cells // 2]] if half else [between[::-1], across]
-        wires = [(0, True)] if half else [(cells, False)]
+        wires = [(0, True)] if half else [(2 * cells, False)]
         for _ in range((self.wires - 1) // 2):
             parts += [between, between[::-1], across]
             wires.append((sum(map(len, parts)) - cells, False))
