@@ -143,6 +143,15 @@ def test_howells_constants():
 _figures = eqx.filter_jit(lambda machine: machine.metrics())
 
 
+def test_wires_that_do_not_fit_into_the_bar_are_no_design():
+    """Thicker than the bar, and wider side by side than it: such a file is refused, and such a design of a sweep fails."""
+    machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))
+    study = MachineStudy(("wires.diameter", "wires.count"), machine, ("tip_slope", "cold_strain"))
+    found, codes = evaluate_batch(study, jnp.array([[1.2e-3, 4.0], [6e-3, 1.0], [1.2e-3, 13.0]]), 1)
+    assert np.array_equal(np.asarray(codes) == Code.done, [True, False, False])
+    assert np.array_equal(np.isnan(found["cold_strain"]), [False, True, True])
+
+
 def test_soft_bending_figures():
     """The free tip turns by the published 44.04 degrees, which the memory shape was chosen for; a cable turns it back."""
     machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))

@@ -90,7 +90,8 @@ class SoftBending(AbstractMachine):
         ``rod_angle`` (2 alpha) and ``rod_share`` (lambda) are the pseudo-rigid body's, ``rod_stiffness`` that of its hinge's spring: what
         wires and cable turn it with over its angle (eq. 25 holds for M = F L / 3 alone). ``blocking_force`` is the cable's that holds the
         tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight. Of a bar that nothing
-        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN.
+        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN, and so are all of wires that do
+        not fit into the bar.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wires(self.wires.modulus_austenite) * self.wires.memory_curvature
@@ -99,7 +100,7 @@ class SoftBending(AbstractMachine):
         angle, share = pseudo_rigid.rod_of_shortening(bent.shortening, jnp.where(straight, length, bent.y), length)
         held = (moment - self.cable.force * share * length * jnp.cos(angle)) / jnp.where(straight, 1.0, angle)
         least_share, least_stiffness = pseudo_rigid.SMALL_MOMENT
-        return {
+        figures = {
             "moment": moment,
             "rigidity": hot,
             "cold_rigidity": self.rigidity(self.wires.modulus_martensite),
@@ -112,3 +113,5 @@ class SoftBending(AbstractMachine):
             "blocking_force": 1.5 * moment / length,
             "cold_strain": 0.5 * self.wires.diameter * jnp.abs(self.wires.memory_curvature),
         }
+        fits = (self.wires.diameter < self.bar.thickness) & (self.wires.count * self.wires.diameter < self.bar.width)
+        return {name: jnp.where(fits, value, jnp.nan) for name, value in figures.items()}
