@@ -162,6 +162,14 @@ def test_two_wires_and_a_guard_have_their_variables():
         inputs = [np.float64(v) for v in (0.0, 0.0, warm, 20.0)]
         *state, _ = text["advance"](given, list(text["start"](given, inputs)), [np.float64(9.0), *inputs[1:]], np.float64(0.02))
         np.testing.assert_allclose(text["outputs"](given, state, inputs), expected)
+    # The first wire's thermometer falls out: after a second that wire is no more heated, and the other one is.
+    inputs, commands = [np.float64(v) for v in (9.0, 0.0, 20.0, 20.0)], []
+    state = list(text["start"](given, inputs))
+    for k in range(90):
+        warm = np.float64(np.nan if 10 <= k < 80 else 20.0)
+        *state, _ = text["advance"](given, state, [*inputs[:2], warm, inputs[3]], np.float64(0.02))
+        commands.append(text["outputs"](given, state, inputs))
+    np.testing.assert_allclose(commands, [[0.0 if 59 <= k < 80 else 0.5, 0.1] for k in range(90)])
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from smajax.control.bpid import BPID, LEAST
 from smajax.control.controller import AbstractController
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
-from smajax.control.guard import TemperatureGuard
+from smajax.control.guard import BLIND, TemperatureGuard
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop
@@ -142,7 +142,6 @@ static smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, 
     return smajax_guard_cut(g, smajax_known(temperature, &g->temperature), command);
 }}
 """
-_BLIND = 1.0  # s
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
 _PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"
 _BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here = 1 + SMAJAX_KB * value, factor;
@@ -186,8 +185,13 @@ static smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {{
         level += smajax_densities[i] * s->plays[i];
     }}
     level = smajax_clip((level - SMAJAX_MIDDLE) / SMAJAX_HEIGHT, -1 + SMAJAX_EDGE, 1 - SMAJAX_EDGE);
-    return smajax_clip((atanh(level) - SMAJAX_SHIFT) / SMAJAX_STEEPNESS, SMAJAX_LOWER, SMAJAX_UPPER);
+    return smajax_clip((SMAJAX_ATANH(level) - SMAJAX_SHIFT) / SMAJAX_STEEPNESS, SMAJAX_LOWER, SMAJAX_UPPER);
 }}
+"""
+_MATH = """#include <math.h>
+#ifndef SMAJAX_ATANH /* with SMAJAX_REAL as float, define it as atanhf */
+#define SMAJAX_ATANH atanh
+#endif
 """
 _PLAYS_BEGIN = """
     {
@@ -236,7 +240,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         told = inverse_document(inverse)
         listed = {k: ", ".join(f"(smajax_real){v!r}" for v in told[k]) for k in ("thresholds", "densities")}
         extra |= told["envelope"] | {"direct": told["direct"], "edge": EDGE}
-        parts |= {"functions": _INVERSE.format(**listed), "include": "#include <math.h>\n"}
+        parts |= {"functions": _INVERSE.format(**listed), "include": _MATH}
         parts["more"] += "\n    smajax_real plays[SMAJAX_PLAYS];"
         parts["reset"] += _PLAYS_BEGIN
     pid = controller.inner
@@ -245,7 +249,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     if isinstance(owner, Loop) and owner.allocation.wires > 1:
         pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
     if isinstance(owner, Loop) and owner.guard is not None:
-        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard), blind=_BLIND)
+        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard), blind=BLIND)
     constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
     if inverse is not None:
         constants.append(f"#define SMAJAX_PLAYS {len(inverse.thresholds)}")

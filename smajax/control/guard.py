@@ -6,6 +6,8 @@ import jax
 from smajax.control.pid import PID, PIDState
 from smajax.kinks import larger, smaller
 
+BLIND = 1.0  # s without a temperature after which exported guards do not heat
+
 
 class TemperatureGuard(eqx.Module):
     """``pid`` steers the wire's temperature to its limit, in degC: far below, it allows the full command, above, none."""

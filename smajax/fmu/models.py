@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from smajax import parameters
 from smajax.control.gains import gain, gains, with_gains
+from smajax.control.guard import BLIND
 from smajax.control.rollout import Loop
 from smajax.control.sensing import perfect
 from smajax.fmu.numpy_source import HEADER, numpy_source
@@ -92,12 +93,15 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     """The model of a controller with its allocation and its guard; ``units`` are those of command and channel.
 
     What the loop's sensor does to the measurement is the world's and is left out. A guard listens to ``temperature`` too. What is measured
-    or wanted and is no number is taken for the last one that was.
+    or wanted and is no number is taken for the last one that was; a guard without an observer does not heat a wire whose temperature has
+    been no number for ``BLIND`` seconds.
     """
     loop = dataclasses.replace(loop, sensing=perfect())
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]
     channel, declared = _channel(loop.channel), gains(loop)
+    told = ["reference", loop.channel, *heard]
+    eyes = [told.index(n) for n in numbered("temperature", loop.allocation.wires)] if loop.guard and loop.observer is None else []
     variables = [
         Variable("reference", "input", "discrete", units[1], f"what is wanted of: {channel.description}", 0.0),
         Variable("measurement", "input", "discrete", units[1], f"what is measured of: {channel.description}", 0.0),
@@ -114,13 +118,17 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
         return {loop.channel: inputs[1]} | dict(zip(heard, inputs[2:], strict=True))
 
     def start(parameters: Any, inputs: Any) -> Any:
-        return (changed(parameters).reset(inputs[0], seen(inputs)), jnp.zeros(loop.allocation.wires)), inputs
+        blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, BLIND) for i in eyes]
+        return (changed(parameters).reset(inputs[0], seen(inputs)), jnp.zeros(loop.allocation.wires)), inputs, blind
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
-        (inner, _), known = state
+        (inner, _), known, blind = state
         known = [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
-        later = changed(parameters).step(inner, known[0], seen(known), jnp.zeros(()))
-        return (later, known), jnp.asarray(False)
+        blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, for_so_long + step) for i, for_so_long in zip(eyes, blind, strict=True)]
+        inner, commands = changed(parameters).step(inner, known[0], seen(known), jnp.zeros(()))
+        if eyes:
+            commands = jnp.where(jnp.stack(blind) >= BLIND, jnp.minimum(commands, 0.0), commands)
+        return ((inner, commands), known, blind), jnp.asarray(False)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
         return [state[0][1][i] for i in range(loop.allocation.wires)]

@@ -180,8 +180,8 @@ class CrossSection(eqx.Module):
     """Two sheets of tape, silicone between them, and a row of wires in the silicone.
 
     The wires have to fit: within the silicone, and side by side. Where they do not, every temperature is NaN.
-    ``cells`` (even) lie across a wire, and the rest of the grid goes with them: as many from the wire's square to either tape, twice as many
-    beside it, half as many across a tape. Ten are within a hundredth of the limit of fine grids for wires from a tenth of the silicone on.
+    ``cells`` (even) lie across a wire, and the rest of the grid goes with them: as many from the wire's square to either tape, twice as
+    many beside it, half as many across a tape. Ten are within a hundredth of finite elements for wires from a tenth of the silicone on.
     """
 
     tape: Layer

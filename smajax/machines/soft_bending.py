@@ -90,8 +90,8 @@ class SoftBending(AbstractMachine):
         ``rod_angle`` (2 alpha) and ``rod_share`` (lambda) are the pseudo-rigid body's, ``rod_stiffness`` that of its hinge's spring: what
         wires and cable turn it with over its angle (eq. 25 holds for M = F L / 3 alone). ``blocking_force`` is the cable's that holds the
         tip where it was, at small slopes; ``cold_strain`` is that at the surface of a wire that lies straight. Of a bar that nothing
-        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN, and so are all of wires that do
-        not fit into the bar.
+        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN, and so are all of wires that
+        do not fit into the bar.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wires(self.wires.modulus_austenite) * self.wires.memory_curvature
