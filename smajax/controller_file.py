@@ -180,6 +180,10 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     command, unit = CHANNELS[plant.drive.control].unit, CHANNELS[channel].unit
     difference = "K" if unit == "degC" else unit
     lower, upper = (quantity_at(v, command, "controller.output") for v in head.output)
+    if plant.drive.control == "duty" and max(-lower, upper) > 1.0:
+        raise InputError(
+            f"controller.output: a duty is a share of the supply, and {show(head.output[1])} is beyond 1: write 0 to 1, or '0 %' to '100 %'"
+        )
     if not lower < upper:
         raise InputError("controller.output: the first limit has to be below the second")
     if driven.wires == 1 and lower < 0.0:

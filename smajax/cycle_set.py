@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ _BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
 _USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEVELS = 3  # stresses that tell how strain grows
+_STRAINS = (1e-4, 0.12)  # that a law may have
 _ALIKE = 0.02  # of the largest strain: by less it does not grow
 # Detwinning stresses: what the misfit of start and finish (K), of the strain (its share) and, faintly, of the stresses (Pa) counts by; a
 # usual distance between them (Pa); where the search begins, in shares of the lowest stress and in Pa; and what is plausible, Pa.
@@ -39,7 +40,7 @@ def parameter_set(levels: Sequence[Level], model: str) -> dict[str, Entry]:
     """Start values for a law: temperatures at zero stress, slopes of the lines, and the largest transformation strain.
 
     Compression counts like tension: both raise the temperatures. The lines' slopes follow from the recordings' stresses where these differ
-    by 10 MPa or more; else they are 7 MPa/K, and said to be. Raises ``InputError`` where the stress is not known.
+    by 10 MPa or more; else they are 7 MPa/K, and said to be. Raises ``InputError`` where the stress is not known, or no strain transforms.
     """
     unknown = [one.name for one in levels if one.stress is None]
     if unknown:
@@ -50,6 +51,9 @@ def parameter_set(levels: Sequence[Level], model: str) -> dict[str, Entry]:
     means = [one.mean for one in levels]
     values = {n: np.array([m[n].value for m in means]) for n in (*NAMES, "transformation_strain")}
     strain = np.abs(values["transformation_strain"])
+    if not np.max(strain) >= _STRAINS[0]:
+        told = f"the largest transformation strain is {100 * float(np.max(strain)):.2g} %, less than any law has"
+        raise InputError(f"{levels[int(np.argmax(strain))].name}: {told}: write a set of cycles under more stress")
     entries: dict[str, Entry] = {}
     for phase, letter in (("martensite", "C_M"), ("austenite", "C_A")):
         slope, told = _slope(stress, 0.5 * (values[f"{phase}_start"] + values[f"{phase}_finish"]), letter)
@@ -74,8 +78,13 @@ def parameter_set(levels: Sequence[Level], model: str) -> dict[str, Entry]:
 
 
 def _strain(largest: float, told: str) -> Entry:
-    largest = float(np.clip(largest, 1e-3, 0.1))
-    return Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source=told)
+    return Entry(largest, "1", max(0.3 * largest, _STRAINS[0]), min(2.5 * largest, _STRAINS[1]), source=told)
+
+
+def _nearest(away: Callable, begin: Sequence[Sequence[float]], bounds: tuple, sizes: Sequence[float]) -> np.ndarray:
+    """Where ``away`` is least, searched between the bounds from each beginning, or from the nearest point between them."""
+    found = (least_squares(away, np.clip(at, *bounds), bounds=bounds, x_scale=sizes) for at in begin)
+    return min(found, key=lambda one: one.cost).x
 
 
 def _slope(stress: np.ndarray, middle: np.ndarray, letter: str) -> tuple[float, str]:
@@ -106,12 +115,10 @@ def _detwinning(stress: np.ndarray, start: np.ndarray, finish: np.ndarray, strai
         return np.concatenate([*told, [first / _FAINT, (between - _BAND) / _FAINT]])
 
     low, top, middle = float(np.min(stress)), float(np.max(strain)), float(np.mean(start - stress / slope))
-    bounds = ([middle - 5.0, _FIRST[0], _BETWEEN[0], 1e-3], [middle + 80.0, _FIRST[1], _BETWEEN[1], 0.12])
-    begin = [[middle + share * low / slope, share * low, between, min(1.1 * top, 0.11)] for share, between in itertools.product(*_BEGIN)]
-    best = min(
-        (least_squares(away, at, bounds=bounds, x_scale=[_FINISH, 1e7, 1e7, 0.1 * top]) for at in begin), key=lambda found: found.cost
-    )
-    warm, first, between, largest = map(float, best.x)
+    bounds = ([middle - 5.0, _FIRST[0], _BETWEEN[0], _STRAINS[0]], [middle + 80.0, _FIRST[1], _BETWEEN[1], _STRAINS[1]])
+    begin = [[middle + share * low / slope, share * low, between, 1.1 * top] for share, between in itertools.product(*_BEGIN)]
+    best = _nearest(away, begin, bounds, [_FINISH, 1e7, 1e7, 0.1 * top])
+    warm, first, between, largest = map(float, best)
     first = round(first, -3)  # to a kilopascal: a search ends beside 0
     told = f"tangents and strains of {len(stress)} stress{'es' if len(stress) > 1 else ''}, as Brinson's law would give them"
     last = first + between
@@ -134,12 +141,13 @@ def _growing_strain(stress: np.ndarray, strain: np.ndarray) -> dict[str, Entry]:
         largest, share, rate = unknown
         return (largest * (1.0 - (1.0 - share) * np.exp(-rate * stress / top)) - strain) / np.max(strain)
 
-    bounds = ([1e-3, 0.0, 0.1], [0.12, 1.0, 50.0])
-    begin = [[min(1.2 * float(np.max(strain)), 0.11), 0.3, rate] for rate in (0.5, 2.0, 8.0)]
-    best = min((least_squares(away, at, bounds=bounds, x_scale=at) for at in begin), key=lambda found: found.cost)
-    largest, share, saturation = float(best.x[0]), float(best.x[1]), float(best.x[2]) / top
+    bounds = ([_STRAINS[0], 0.0, 0.1], [_STRAINS[1], 1.0, 50.0])
+    begin = [[1.2 * float(np.max(strain)), 0.3, rate] for rate in (0.5, 2.0, 8.0)]
+    best = _nearest(away, begin, bounds, begin[0])
+    # To a millionth: a search ends beside 0.
+    largest, share, saturation = float(best[0]), round(float(best[1]), 6), float(best[2]) / top
     return {
-        "material.max_strain": Entry(largest, "1", 0.3 * largest, min(2.5 * largest, 0.12), source=told),
+        "material.max_strain": _strain(largest, told),
         "material.min_strain_share": Entry(share, "1", 0.0, 1.0, source=told),
         "material.strain_saturation": Entry(saturation, "1/Pa", 0.1 * saturation, 10.0 * saturation, source=told),
         "material.critical_stress": Entry(0.0, "Pa", 0.0, max(2.0 * float(np.min(stress)), 1e6), source="usual"),

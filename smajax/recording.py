@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from smajax.errors import InputError, nearest
 from smajax.plausible import check_scale
 from smajax.tables import open_table
+from smajax.tables.base import REPAIR
 from smajax.units import CHANNELS, channel_of, conversion, from_si, to_si
 
 Floats = NDArray[np.float64]
 
 _HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 # What people write at the head of a column when they mean one of our channels; used for advice only.
+_SLIPS = 2  # rows whose time runs back: more are rows out of order
 _MEANT = {"t": "time", "i": "current", "u": "voltage", "v": "voltage", "p": "power", "pwm": "duty", "temp": "temperature", "f": "force"}
 _ROWS_LISTED = 5
 _ROWS_WRITTEN_AT_ONCE = 65536
@@ -355,7 +357,8 @@ def _check(
             if wrong.size:
                 i = int(wrong[0]) + 1
                 what = f"stands still at {one[i]:.15g}" if one[i] == one[i - 1] else f"runs back from {one[i - 1]:.15g} to {one[i]:.15g}"
-                raise InputError(f"{place(column, i)}: time {what} {column.unit}: correct it, or leave such rows out with --drop-bad-rows")
+                cure = "sort the rows by time, or leave such rows out with --drop-bad-rows" if wrong.size > _SLIPS else REPAIR
+                raise InputError(f"{place(column, i)}: time {what} {column.unit}: {cure}")
         if not column.any_scale:
             cure = f'[channels] {column.name} to unit = "{{unit}}"' if column.mapped else f"the header to '{column.name} [{{unit}}]'"
             check_scale(one, column.name, column.unit, peaks[channel_of(column.name)], lambda i, column=column: place(column, i), cure)

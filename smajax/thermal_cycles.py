@@ -202,20 +202,25 @@ def _redrawn(line: np.ndarray, distance: np.ndarray, rng: np.random.Generator) -
     Each is over the scatter about its own one of the three ``line``s: noise in the temperatures shows where the strain is steep and nowhere
     else.
     """
-    count, together = len(line), 2.0 * _together(distance) - 1.0
-    scatter, again = np.zeros(count), np.zeros((_DRAWS, count))
+    drawn = np.zeros((_DRAWS, len(line)))
     lines = [line == one for one in np.unique(line)]
-    for rows, taken in ((np.full(count, True), _FREE), *((rows, _FREE / 3) for rows in lines if np.sum(rows) >= _POOL)):
-        scatter[rows] = math.sqrt(float(np.mean(distance[rows] ** 2)))
+    for rows, taken in ((np.full(len(line), True), _FREE), *((rows, _FREE / 3) for rows in lines if np.sum(rows) >= _POOL)):
+        one = distance[rows]
+        scatter, together = math.sqrt(float(np.mean(one**2))), 2.0 * _together(one) - 1.0
         # So many rows err by themselves, of which the lines have taken a number each with them; of how many are left, chi-squares tell.
-        alone = max(float(np.sum(rows)) / together, taken + _FEWEST_LEFT)
-        again[:, rows] = scatter[rows] * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
-    own, variance = autoregression(distance / np.maximum(scatter, 1e-300))
+        alone = max(len(one) / together, taken + _FEWEST_LEFT)
+        drawn[:, rows] = _alike(one / max(scatter, 1e-300), rng) * scatter * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
+    return drawn
+
+
+def _alike(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Series (draws, n) of the same autoregression as one (n,)."""
+    own, variance = autoregression(series)
     if np.sum(own) <= 0.0:  # what goes to and fro like this is what the lines leave of noise without memory
         own, variance = np.zeros(0), 1.0
-    burnt = count + 20 * (len(own) + 1)
+    burnt = len(series) + 20 * (len(own) + 1)
     pushed = math.sqrt(variance) * rng.standard_normal((_DRAWS, burnt))
-    return again * np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - count :]
+    return np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - len(series) :]
 
 
 def _together(distance: np.ndarray) -> float:

@@ -184,6 +184,18 @@ def test_a_network_does_not_run_away_on_another_input_and_ends_alike_from_other_
     assert errors[1] == pytest.approx(errors[0], rel=0.08) and max(errors) < 0.12 * np.ptp(wire[1].output)
 
 
+@pytest.mark.parametrize("slow", [6.0, 1.0])
+def test_a_richer_transfer_function_fits_no_worse_than_those_that_it_holds(slow):
+    """One pole: two poles, a damped pair and a pair with a pole hold it, at or near their bounds."""
+    rng = np.random.default_rng(14)
+    time = 0.2 * np.arange(400)
+    u = np.repeat(rng.uniform(0.0, 0.5, 10), 40)
+    y = np.asarray(respond(TransferFunction(*map(jnp.asarray, (9.0, 0.0, slow, 1.0, 1.0, 0.0)), structure="one-pole"), jnp.asarray(time), jnp.asarray(u)))  # fmt: skip
+    series = [Series("a", time, u, y + 0.02 * rng.standard_normal(400))]
+    errors = [fit_operator(transfer_function(series, s), series, starts=4).rmse for s in STRUCTURES]
+    assert max(errors) < 1.02 * errors[0] and errors[0] == pytest.approx(0.02, rel=0.1)
+
+
 def test_a_planted_recovery_is_found():
     """A lag while it is driven, and from where that leaves it a recovery by two exponentials."""
     rng = np.random.default_rng(3)

@@ -103,6 +103,15 @@ def test_a_loop_steers_by_gyroscope_and_tilt():
     moves = {name: float(np.std(np.diff(np.asarray(done.command)[:, 0]))) for name, done in ends.items()}
     errors = {n: np.degrees(np.sqrt(np.mean((np.asarray(d.channels["angle"])[300:] - wave[300:]) ** 2))) for n, d in ends.items()}
     assert moves["filter"] < 0.2 * moves["tilt"] and errors["filter"] < 2.0
+    angles, late = np.linspace(0.5, 1.0, 30), dataclasses.replace(sensors, delay=3)
+    told = []
+    for one in (sensors, late):
+        state, each = one.reset(jnp.asarray(angles[0])), []
+        for angle in angles:
+            state, heard = one.step(state, jnp.asarray(angle), jnp.zeros(()))
+            each.append(float(heard))
+        told.append(each)
+    np.testing.assert_allclose(told[1], [angles[0]] * 3 + told[0][:-3], rtol=1e-12)
 
     def error(kp):
         return jnp.mean((run(kp, sensors).channels["angle"] - scenario.reference) ** 2)

@@ -513,6 +513,20 @@ def test_several_stresses_tell_how_strain_grows(tmp_path):
     assert float(material.calibration_stress) == pytest.approx(140e6)
 
 
+@pytest.mark.parametrize(("stresses", "strain", "model"), [([400.0], 0.03, "brinson"), ([400.0, 500.0], 0.03, "brinson"), ([30.0], 8e-4, "brinson"), ([10.0, 30.0, 60.0], 4e-4, "lagoudas")])  # fmt: skip
+def test_high_stresses_and_small_strains_have_a_set_too(tmp_path, stresses, strain, model):
+    t, e = made(1, noise=1e-6)
+    for k, stress in enumerate(stresses):
+        write(tmp_path / f"{k}.csv", t + stress / 8.0, (0.8 + 0.1 * k) * strain / 0.03 * e, stress)
+    paths = [tmp_path / f"{k}.csv" for k in range(len(stresses))]
+    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model=model))
+    found = read_parameters(tmp_path / "set.toml")["material.max_strain"]
+    assert max(0.7 * strain, 1e-4) < found.value < 2.5 * strain
+    write(tmp_path / "little.csv", t, 5e-5 / 0.03 * e, 10.0)
+    with pytest.raises(InputError, match="little.csv: the largest transformation strain is 0.005 %, less than any law has"):
+        run_properties(PropertiesJob([tmp_path / "little.csv"], write_set=tmp_path / "set.toml", model=model))
+
+
 def test_strains_that_do_not_grow_leave_their_growth_to_the_law(tmp_path):
     t, e = made(1)
     paths = [write(tmp_path / f"{k}.csv", t + 8.0 * k, e, 50.0 + 60.0 * k) for k in range(4)]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import zipfile
 
 import equinox as eqx
@@ -25,6 +26,7 @@ from smajax.fit.operator_problem import Series
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs import tune as jobs_tune
 from smajax.jobs.tune import Checked
+from smajax.report.tuning import sentences as tuning_text
 from smajax.report.tuning import text
 from smajax.rig import read_rig
 from smajax.simulate import respond
@@ -373,6 +375,33 @@ def test_a_measured_loop_gives_back_its_operator():
     assert np.sqrt(np.mean((again - current)[100:] ** 2)) < 5e-3
     with pytest.raises(InputError, match="does not rise with the command"):
         identify(DrivenPlant.of(rig.plant, 0.05), loop, Feedforward(2, measured=Series("slow", time, current, -lifted)))
+
+
+def test_margins_of_which_one_is_none_are_told():
+    margins = {"tuned": {"gain": 0.5, "phase": None}}
+    metrics = {when: {"rmse": 1e-3} for when in ("start", "tuned")}
+    doc = {"margins": margins, "robust": {}, "problems": [], "start_kept": True, "rollouts": 10, "channel": "displacement"}
+    doc |= {"metrics": metrics, "objective": {"settle": False}}
+    told = tuning_text(doc)
+    assert "has a gain margin of 0.5: it is at the brink" in told and "start gains, which are kept" in told
+    assert "has a phase margin of -3 degrees: it" in tuning_text(doc | {"margins": {"tuned": {"gain": None, "phase": -3.0}}})
+
+
+def test_a_duty_beyond_the_whole_is_refused(tmp_path):
+    text = RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n'
+    (tmp_path / "rig.toml").write_text(text)
+    content = re.sub(r'"([0-9.]+) A/m', r'"\1 1/m', FILE).replace('["0 A", "0.5 A"]', '["0", "100"]')
+    done = run(tmp_path, content, rig=tmp_path / "rig.toml")
+    assert done.exit_code == 2 and "a duty is a share of the supply, and '100' is beyond 1" in " ".join(done.output.split())
+
+
+def test_a_limit_that_no_gains_keep_does_not_cost_the_others(tmp_path):
+    """No wire settles within 50 ms; the start gains keep the overshoot, and so do the ones that are given back."""
+    limits = '[limits]\nsettling = "0.05 s"\novershoot = "20 %"\n'
+    done = run(tmp_path, FILE + limits)
+    assert done.exit_code == 3, done.output
+    problems = json.loads((tmp_path / "out" / "tune.json").read_text())["problems"]
+    assert len(problems) == 1 and problems[0].startswith("the limit on settling is not met"), problems
 
 
 HEAD = 'kind = "pid"\nperiod = "50 ms"\noutput = ["0 A", "0.5 A"]\n'

@@ -217,7 +217,9 @@ def _base(name: str, known: Mapping[str, Any]) -> str:
 
 
 def _deviation(away: jax.Array) -> jax.Array:
-    return jnp.sqrt(jnp.sum(away**2, axis=0) / (away.shape[0] - 1))
+    """Standard deviations; of what the members agree on 0, whose derivative is 0 too."""
+    squares = jnp.sum(away**2, axis=0) / (away.shape[0] - 1)
+    return jnp.where(squares > 0.0, jnp.sqrt(jnp.where(squares > 0.0, squares, 1.0)), 0.0)
 
 
 def _spread(values: jax.Array, axis: int) -> jax.Array:

@@ -119,7 +119,8 @@ class Inertial(eqx.Module):
     """An ``AngleFilter`` in the place of an encoder: a loop's ``sensing`` by a gyroscope and a tilt on the moving link.
 
     The true sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), and the gyroscope a ``bias`` (rad/s).
-    A sample's draw is the tilt's noise, and the gyroscope's one sample later. ``margins`` take what it tells for the angle itself.
+    A sample's draw is the tilt's noise, and the gyroscope's one sample later. What the filter tells arrives ``delay`` samples later.
+    ``margins`` take it for the angle itself.
     """
 
     filter: AngleFilter
@@ -133,13 +134,14 @@ class Inertial(eqx.Module):
         """What a draw of one makes of the tilt, rad."""
         return self.tilt_noise
 
-    def reset(self, value: jax.Array) -> tuple[AngleState, jax.Array, jax.Array]:
-        """The filter at an angle at which the link is at rest, that angle, and no draw yet."""
-        return self.filter.reset(value), jnp.asarray(value, jnp.float64), jnp.zeros(())
+    def reset(self, value: jax.Array) -> tuple[AngleState, jax.Array, jax.Array, jax.Array]:
+        """The filter at an angle at which the link is at rest, that angle, no draw yet, and the angles on their way, oldest first."""
+        return self.filter.reset(value), jnp.asarray(value, jnp.float64), jnp.zeros(()), jnp.full(self.delay, value, jnp.float64)
 
-    def step(self, state: tuple[AngleState, jax.Array, jax.Array], value: jax.Array, draw: jax.Array) -> tuple[Any, jax.Array]:
+    def step(self, state: tuple[AngleState, jax.Array, jax.Array, jax.Array], value: jax.Array, draw: jax.Array) -> tuple[Any, jax.Array]:
         """The state after a sample at a true angle, and the angle as the filter has it."""
-        known, before, last = state
+        known, before, last, waiting = state
         rate = (value - before) / self.filter.period + self.bias + self.rate_noise * last
         known = self.filter.step(known, rate, value + self.tilt_noise * draw)
-        return (known, value, jnp.asarray(draw, jnp.float64)), known.mean[0]
+        told = jnp.append(waiting, known.mean[0])
+        return (known, value, jnp.asarray(draw, jnp.float64), told[1:]), told[0]

@@ -140,8 +140,7 @@ class _Tuner:
         """Looks at points by all members, which keeps them, or by those in ``tuning``."""
         terms, violated = self.look(points, tuning)
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
-        worst = [float(np.max(v)) for v in violated]
-        found = [_Candidate(0.0 if w <= _LOOSE else w, float(c), p) for w, c, p in zip(worst, costs, points, strict=True)]
+        found = [_Candidate(_worst(v), float(c), p) for v, c, p in zip(violated, costs, points, strict=True)]
         if tuning is None or tuning.count == self.tuning.count:
             for one in found:
                 self.keep(one)
@@ -206,6 +205,11 @@ class _Tuner:
                 cost, start * scale, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)), options=options
             )
         return best
+
+
+def _worst(violated: np.ndarray) -> float:
+    """How far limits are broken together, so that one which no gains keep does not hide the others; 0 if all are kept."""
+    return 0.0 if np.max(violated) <= _LOOSE else float(np.sum(np.maximum(violated, 0.0)))
 
 
 def wanted_of(weights: Mapping[str, float], limits: Mapping[str, float], band: float = metrics.BAND) -> Wanted:

@@ -6,6 +6,7 @@ the ranges of input and output.
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -142,7 +143,7 @@ def prandtl_ishlinskii(
 
 
 def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:
-    """One of the four structures, with a delay of at most half the recording.
+    """One of the four structures, with a delay of at most half the recording; each holds those before it, and begins at their fits, too.
 
     ``settled`` is free only where a recording begins with the input on and changes it later: without the first it makes no difference,
     without the second it cannot be told from gain and rest.
@@ -156,7 +157,7 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     on = 1.0 if not constant and any(abs(s.input[0]) > 1e-9 * span for s in series) else 0.0
     prompt = 1e-3 * step  # from one row to the next such a lag is none, so that a structure holds those with fewer poles
     lower = (-20 * swing / span, bottom - 5 * swing, prompt, prompt, 0.05, 0.0, 0.0)
-    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, 1.5, duration / 2, on)
+    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, _DAMPED, duration / 2, on)
     start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step, 0.0)
     ends = [{k: v for k, v in zip(names, side, strict=True) if k not in _UNUSED[structure]} for side in (lower, upper, start)]
     others = [
@@ -166,11 +167,26 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
         for second in ([{"second": slow / 2}, {"second": step}] if "second" in ends[2] else [{}])
         for sign, rest in ((1.0, bottom), (-1.0, bottom + swing))
     ]
-    return Family(
-        f"transfer-function-{structure}", _functions[structure], *map(_arrays, ends), even=True, others=tuple(map(_arrays, others))
-    )
+    name, before = f"transfer-function-{structure}", STRUCTURES.index(structure) - 1
+
+    def as_one_of_these(simpler: dict) -> dict:
+        return ends[2] | _richer(simpler, structure, prompt)
+
+    held = ((transfer_function(series, STRUCTURES[before]), as_one_of_these),) if before >= 0 else ()
+    return Family(name, _functions[structure], *map(_arrays, ends), even=True, others=tuple(map(_arrays, others)), holds=held)
 
 
+def _richer(simpler: dict, structure: Structure, prompt: float) -> dict:
+    """The parameters of a ``structure`` that does what the one before it does: two poles as a damped pair, and a prompt pole more."""
+    if structure != "underdamped":
+        return simpler | {"second": prompt}
+    slow, fast = (float(f(simpler["first"], simpler["second"])) for f in (jnp.maximum, jnp.minimum))
+    damping = min((slow + fast) / (2.0 * math.sqrt(slow * fast)), _DAMPED)
+    first = slow / (damping + math.sqrt(damping**2 - 1.0))  # of poles too far apart for a pair, the slow one
+    return {k: v for k, v in simpler.items() if k != "second"} | {"first": first, "damping": damping}
+
+
+_DAMPED = 20.0  # a pair so much damped is one pole: the other is a thousand times as fast
 _UNUSED: Mapping[Structure, tuple[str, ...]] = {
     "one-pole": ("second", "damping"), "two-poles": ("damping",), "underdamped": ("second",), "underdamped-and-pole": (),
 }  # fmt: skip

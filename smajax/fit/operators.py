@@ -26,7 +26,7 @@ from smajax.hysteresis.operator import AbstractOperator
 from smajax.kinks import within
 
 _WIDE = 30.0
-_RIDGES = (0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
+_RIDGES = (0.01, 0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
 _DRAWN = 0.05  # of the room between the bounds: how far from the first guess a network begins
 _HIDDEN = 0.632
 _EARLIER = 0.75  # the share of the rows that are fitted while a ridge is chosen
@@ -152,7 +152,10 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
     if family.weights is None:
-        vector, simulations, slopes = _by_forward(problem, family, starts, seed, max_steps)
+        simpler = [(fit_operator(one, series, starts=starts, seed=seed, max_steps=max_steps), write) for one, write in family.holds]
+        known = [problem.point(write(one.parameters)) for one, write in simpler]
+        vector, simulations, slopes = _by_forward(problem, family, known, starts, seed, max_steps)
+        simulations += sum(one.simulations for one, _ in simpler)
     else:
         vector, simulations, ridge = _by_reverse(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
     if vector is None:
@@ -184,16 +187,22 @@ def _half_widths(problem: OperatorProblem, vector: np.ndarray, slopes: tuple[np.
 
 
 def _by_forward(
-    problem: OperatorProblem, family: Family, starts: int, seed: int, max_steps: int
+    problem: OperatorProblem, family: Family, known: Sequence[np.ndarray], starts: int, seed: int, max_steps: int
 ) -> tuple[np.ndarray | None, int, tuple[np.ndarray, np.ndarray] | None]:
-    """Levenberg-Marquardt from the best of many points drawn between the bounds, and from the first guess.
+    """Levenberg-Marquardt from the best of many points drawn between the bounds, from the first guess, and from ``known`` points.
 
     The best end, the simulations that it took, and residual and Jacobian there.
     """
     lower, upper = problem.box
     drawn = np.vstack([_draw(problem, 8 * starts, seed), *(np.clip(problem.point(other), lower, upper)[None] for other in family.others)])
     found = np.asarray(costs(problem, jnp.asarray(drawn)))
-    points = np.vstack([problem.nominal, drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]]])
+    points = np.vstack(
+        [
+            problem.nominal,
+            *(np.clip(point, lower, upper)[None] for point in known),
+            drawn[np.argsort(np.where(np.isfinite(found), found, np.inf))[: starts - 1]],
+        ]
+    )
     rng, simulations, best, least, slopes = np.random.default_rng(seed), len(drawn), None, math.inf, None
     for _ in range(_ROUNDS):
         before = least

@@ -47,7 +47,7 @@ _STARTS, _STARTS_OF_NETWORKS = 16, 4
 _ABOUT_A_LEVEL, _BESIDE = 0.05, 0.01  # of an input's level, and of the range of another of its kind: what moves by less is held still
 _TOGETHER = 0.02  # share of the rows at which wires that pull by turns may both be on
 _HUGE = 1e100  # its square would be no number
-_CONSTANT = 0.5  # of the error: a mean as large as this is worth a word
+_FURTHER = 0.05  # of the input's range: what a holdout goes beyond it
 
 
 class CompareJob(NamedTuple):
@@ -66,8 +66,8 @@ class CompareJob(NamedTuple):
 class Compared:
     """One model's answer: number of free parameters, predictions of both recordings (SI), s of wall; or why there is none.
 
-    ``note`` says what was done to the recordings for it, ``at_bound`` which parameters ended at a bound, and where, ``undetermined`` which
-    ones the training recording does not tell.
+    ``asks_too_much`` tells whether that is for what it was given. ``note`` says what was done to the recordings for it, ``at_bound`` which
+    parameters ended at a bound, and where, ``undetermined`` which ones the training recording does not tell.
     """
 
     name: str
@@ -77,6 +77,7 @@ class Compared:
     wall: float = 0.0
     why: str = ""
     note: str = ""
+    asks_too_much: bool = False
     at_bound: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
     fitted: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
@@ -98,7 +99,8 @@ def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Out
             progress.phase(f"fitting {name}")
             found.append(_compared(rig, name, recordings, channel, seed))
     if all(one.why for one in found):
-        raise NumericsError("no model could be fitted: " + "; ".join(f"{one.name}: {one.why}" for one in found))
+        failed = InputError if all(one.asks_too_much for one in found) else NumericsError
+        raise failed("no model could be fitted: " + _reasons(found))
     document = _document(rig, found, recordings, channel, seed)
     run = run_record("compare", rig, argv, clock, seed, 0) | {"inputs": list(rig.plant.signals)}
     series = [
@@ -119,6 +121,14 @@ def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Out
 
     write_folder(out, run, fill)
     return Outcome(out, document, 0)
+
+
+def _reasons(found: Sequence[Compared]) -> str:
+    """Why there is no model; one reason of several is said once."""
+    reasons: dict[str, list[str]] = {}
+    for one in found:
+        reasons.setdefault(one.why.removeprefix(f"{one.name} "), []).append(one.name)
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in reasons.items())
 
 
 def _names(models: Sequence[str]) -> list[str]:
@@ -145,7 +155,8 @@ def _compared(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
         for recording, values in zip(recordings, found.predictions, strict=True):
             _numbers(recording, channel, values)
     except (InputError, NumericsError) as error:
-        return Compared(name, "law" if name in MATERIALS else "input-output", why=str(error))
+        kind = "law" if name in MATERIALS else "input-output"
+        return Compared(name, kind, why=str(error), asks_too_much=isinstance(error, InputError))
     return dataclasses.replace(found, wall=time.perf_counter() - began)
 
 
@@ -180,18 +191,7 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
         e.name: {"value": number(e.estimate), "lower95": number(e.lower95), "upper95": number(e.upper95), "free": True, "unit": e.unit}
         for e in result.estimates
     }
-    note = _constant(changed, recordings[0], channel, predictions[0])
-    return Compared(name, "law", len(result.problem.unknowns), predictions, note=note, at_bound=held, undetermined=open_, fitted=fitted)
-
-
-def _constant(rig: Rig, recording: Recording, channel: str, values: np.ndarray) -> str:
-    """What is said of a law whose error is largely a constant, which input-output laws have free and a rig may hold."""
-    name, error = f"sensor.{channel}_offset", (recording.channels[channel] - values)[np.isfinite(recording.channels[channel])]
-    if name in (*rig.fit.free, *rig.fit.per_recording) or abs(np.mean(error)) < _CONSTANT * np.sqrt(np.mean(error**2)):
-        return ""
-    unit, scale = difference_unit(recording, channel)
-    told = f"its error of {recording.name} has a mean of {scale * float(np.mean(error)):.3g} {unit}"
-    return f"{told}, which the constants of input-output laws take: free {name} to compare like with like"
+    return Compared(name, "law", len(result.problem.unknowns), predictions, at_bound=held, undetermined=open_, fitted=fitted)
 
 
 def with_law(rig: Rig, name: str) -> Rig:
@@ -226,6 +226,7 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     starts = _STARTS if family.weights is None else _STARTS_OF_NETWORKS
     result = fit_operator(family, series[:1], starts=starts, seed=seed)
     found = [result.respond(s) for s in series]
+    notes.append(_beyond(series))
     if result.ridge:
         notes.append(f"a ridge of {result.ridge:g}, chosen by the last quarter of {recordings[0].name}, holds its weights")
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
@@ -234,6 +235,19 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
         name, "input-output", family.size, tuple(at_rows), note=told, at_bound=result.at_bound, undetermined=result.undetermined,
         fitted=result.values,
     )  # fmt: skip
+
+
+def _beyond(series: Sequence[Series]) -> str:
+    """What is said where the holdout's input goes further than the one that a law was fitted to."""
+    low, high = float(np.min(series[0].input)), float(np.max(series[0].input))
+    room = _FURTHER * (high - low)
+    ends = [float(np.min(series[1].input)), float(np.max(series[1].input))]
+    if low - room <= ends[0] and ends[1] <= high + room:
+        return ""
+    told = (
+        f"the input of {series[1].name} goes from {ends[0]:.3g} to {ends[1]:.3g}, beyond the {low:.3g} to {high:.3g} that it was fitted to"
+    )
+    return f"{told} (SI units), where it has nothing to go by"
 
 
 def _series(recording: Recording, driving: Sequence[str], channel: str) -> Series:

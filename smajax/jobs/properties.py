@@ -32,6 +32,7 @@ _CURES = (
     (r"set delimiter and decimal under \[channels\]", "give --delimiter and --decimal"),
     (r"begin with a row like '[^']+'", f"name the columns by {_NAMED}"),
     (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or take its row out"),
+    (r"sort the rows by time, or leave such rows out with --drop-bad-rows", "sort the rows by time"),
     (r", or take it out of \[fit\] observe", ""),
 )
 _CURES_OF_TEXT = (

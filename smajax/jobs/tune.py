@@ -122,7 +122,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     with clock.time("export"):
         fmus, left_out = _fmus(given, rig, last, units)
     told = {when: one.document for when, one in checks.items()}
-    document = _document(given, rig, found, (first, last), told, beyond, seed) | {"left_out": left_out}
+    document = _document(given, rig, found, (first, last), told, beyond, far, seed) | {"left_out": left_out}
     if fed is not None:
         document["feedforward"] = _fed(given, fed)
         document["summary"] = sentences(document)
@@ -162,7 +162,7 @@ def _tuned(given: ControllerFile, tuning: Tuning, seed: int, progress: Progress)
         return found
     progress.phase("no gains keep all limits yet: looking from more starts")
     again = search(_WIDER)
-    best = min(found, again, key=lambda one: (not one.feasible, max(one.violated.values(), default=0.0)))
+    best = min(found, again, key=lambda one: (not one.feasible, sum(max(v, 0.0) for v in one.violated.values())))
     return best._replace(rollouts=found.rollouts + again.rollouts)
 
 
@@ -317,6 +317,7 @@ def _document(
     both: tuple[Behaviour, Behaviour],
     checks: Mapping[str, Any],
     beyond: str,
+    far: Reach,
     seed: int,
 ) -> dict[str, Any]:
     first, last = both
@@ -339,11 +340,12 @@ def _document(
     for name in broken:
         key = name if name in last.numbers else f"peak_{name}"
         ends = [shown(v, key, given.loop.channel) for v in (last.numbers[key], given.limits[name])]
-        problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found give {ends[0]}")
+        told = f"give {ends[0]}" if math.isfinite(last.numbers[key]) else f"never do ({name})"
+        problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found {told}")
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
-    idle = _idle(given)
-    if idle > 0.0 and last.numbers["rmse"] > _IDLE * idle and not beyond:
+    idle, least = _idle(given), _least(given, far)
+    if idle > 0.0 and last.numbers["rmse"] > least + _IDLE * (idle - least):
         ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle)]
         told = f"the best gains found give the reference up: they leave an error of {ends[0]}, a rig that is left alone one of {ends[1]}"
         problems.append(f"{told}; try more starts, other start gains or wider limits")
@@ -368,6 +370,7 @@ def _document(
         },
         "stable": {"start": not first.unstable, "tuned": not last.unstable},
         "robust": dict(checks),
+        "start_kept": bool(checks) and all(one["start"] == one["tuned"] for one in table.values()),
         "objective": {"settle": given.settle, "weights": dict(given.weights)},
         "rollouts": found.rollouts,
         "seed": seed,
@@ -382,6 +385,12 @@ def _idle(given: ControllerFile) -> float:
     wanted = np.append(np.asarray(given.scenario.reference), rest)
     error = float(np.sqrt(np.mean((wanted - rest) ** 2)))
     return error if error > 0.1 * float(np.ptp(wanted)) else 0.0
+
+
+def _least(given: ControllerFile, far: Reach) -> float:
+    """The tracking error (RMS) of a rig that is always as near to the reference as it reaches."""
+    wanted = np.asarray(given.scenario.reference)
+    return float(np.sqrt(np.mean((wanted - np.clip(wanted, far.least, far.largest)) ** 2)))
 
 
 def _fed(given: ControllerFile, fed: Identified) -> dict[str, Any]:

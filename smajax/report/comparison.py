@@ -46,6 +46,10 @@ def rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 def notes(doc: Mapping[str, Any]) -> list[str]:
     """What has to be known of single models: what was done to the recordings for them, which parameters ended at a bound or are open."""
     told = [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
+    offset, fitted = f"sensor.{doc['channel']}_offset", [m for m in doc["models"] if not m["why"]]
+    held = [m["name"] for m in fitted if m["kind"] == "law" and offset not in m["fitted"]]
+    if held and any(m["kind"] != "law" for m in fitted):
+        told.append(f"Input-output laws have a constant, and {', '.join(held)} none: free {offset} if the sensor may not begin at 0")
     told += [f"{m['name']}: at its bound: {', '.join(m['at_bound'])}" for m in doc["models"] if m.get("at_bound")]
     open_ = [(m["name"], ", ".join(m["undetermined"])) for m in doc["models"] if m.get("undetermined")]
     return told + [f"{name}: not determined by the training recording: {names}" for name, names in open_]

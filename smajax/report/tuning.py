@@ -51,10 +51,13 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += " But " + "; ".join(doc["problems"]) + "."
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
     if (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0):
-        have = [f"a gain margin of {gain:.2g}"] * (gain is not None) + [f"a phase margin of {phase:.2g} degrees"] * (phase is not None)
+        have = [] if gain is None else [f"a gain margin of {gain:.2g}"]
+        have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
         told += (
             f" Linearised along its rollout, the loop has {' and '.join(have)}: it is at the brink of swinging, so give effort more weight."
         )
+    if doc.get("start_kept"):
+        told += " Of the gains found none does better on the draws than the start gains, which are kept: try more starts, or more draws."
     if doc["robust"]:
         one = doc["robust"]["tuned"]
         told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit."
