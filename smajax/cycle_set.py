@@ -10,6 +10,8 @@ from scipy.optimize import least_squares
 
 from smajax.errors import InputError
 from smajax.parameter_file import Entry
+from smajax.parameters import declarations
+from smajax.rig_schema import MATERIALS
 from smajax.thermal_cycles import NAMES, Value
 
 _USUAL = 7e6  # Pa/K, where one stress does not tell
@@ -19,7 +21,8 @@ _BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
 _USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEVELS = 3  # stresses that tell how strain grows
-_STRAINS = (1e-4, 0.12)  # that a law may have
+_LARGEST = declarations(MATERIALS["brinson"])["max_strain"]  # as all laws have it
+_STRAINS = (_LARGEST.lower, _LARGEST.upper)
 _ALIKE = 0.02  # of the largest strain: by less it does not grow
 # Detwinning stresses: what the misfit of start and finish (K), of the strain (its share) and, faintly, of the stresses (Pa) counts by; a
 # usual distance between them (Pa); where the search begins, in shares of the lowest stress and in Pa; and what is plausible, Pa.

@@ -31,7 +31,7 @@ def inner_loops(temperature: np.ndarray, branch: np.ndarray) -> list[tuple[int, 
     rows = _averaged(noise, raw)
     way = uniform_filter1d(raw, rows, mode="nearest")
     back = np.maximum.accumulate(way) - way
-    least = max(_LEAST, _QUANTA * _quantum(raw), _OF_NOISE * max(noise / np.sqrt(rows), _scatter(way, rows) if noise > 0.0 else 0.0))
+    least = max(_LEAST, _QUANTA * _quantum(raw), _OF_NOISE * max(noise / np.sqrt(rows), scatter(way, rows) if noise > 0.0 else 0.0))
     edges = np.flatnonzero(np.diff(np.r_[False, back > 0.0, False]))
     spans = [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     found = [(a, b) for a, b in spans if np.max(back[a : b + 1]) > least]
@@ -57,8 +57,8 @@ def _averaged(noise: float, raw: np.ndarray) -> int:
     return 2 * int(min(wanted, len(raw) / _ROWS) / 2.0) + 1
 
 
-def _scatter(way: np.ndarray, rows: int) -> float:
-    """Standard deviation (K) of temperatures averaged over ``rows``: more than the noise's share of it where noise goes together."""
+def scatter(way: np.ndarray, rows: int) -> float:
+    """Standard deviation of values (n,) averaged over ``rows``: more than the noise's share of it where noise goes together."""
     bent = way[: -2 * rows] - 2.0 * way[rows:-rows] + way[2 * rows :]
     return float(np.median(np.abs(bent))) / (_HALF * _SECOND)
 

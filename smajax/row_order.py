@@ -8,12 +8,12 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from smajax.errors import InputError
+from smajax.inner_loops import scatter
 
 _JUMP = 0.35  # of the temperatures' range, from one row to the next
 _OFF_T, _OFF_E = 0.01, 0.02  # of their ranges, from the median of the rows about
 _ALONE, _STRAYS = 0.5, 3  # of the others' range, from the median of the rows about; more rows than these are no slips
 _OF_NOISE = 8.0  # standard deviations
-_HALF, _SECOND = 0.6745, 6.0**0.5  # half of normal deviates are less; what second differences multiply noise by
 _ABOUT = 5
 _FEWEST = 20  # rows: of fewer, none can correlate by 4 standard deviations
 _TOGETHER = 0.3  # least correlation that counts
@@ -43,7 +43,7 @@ def refuse_strays(name: str, what: str, values: np.ndarray) -> None:
     """Raises ``InputError``, with a row (counted from 1), where single values (n,) stand far off all others, as slips of a reading do."""
     about = median_filter(values, _ABOUT, mode="nearest")
     off = np.abs(values - about)
-    noise = float(np.median(np.abs(np.diff(values, 2)))) / (_HALF * _SECOND) if len(values) > 2 else 0.0
+    noise = scatter(values, 1) if len(values) > 2 else 0.0
     alone = np.flatnonzero(off > max(_ALONE * np.ptp(about), _OF_NOISE * noise))
     if 0 < len(alone) <= _STRAYS and np.ptp(about) > 0.0:
         k = int(alone[np.argmax(off[alone])])

@@ -199,8 +199,8 @@ def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int,
 def _redrawn(line: np.ndarray, distance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Distances (draws, n) from the lines drawn anew, neighbours erring together as they do: by an autoregression.
 
-    Each is over the scatter about its own one of the three ``line``s: noise in the temperatures shows where the strain is steep and nowhere
-    else.
+    Each of the three ``line``s with rows enough has its own, and its own scatter: noise in the temperatures shows where the strain is steep
+    and nowhere else.
     """
     drawn = np.zeros((_DRAWS, len(line)))
     lines = [line == one for one in np.unique(line)]
