@@ -26,7 +26,7 @@ from smajax.hysteresis.operator import AbstractOperator
 from smajax.kinks import within
 
 _WIDE = 30.0
-_RIDGES = (0.01, 0.03, 0.1, 0.3)  # from what hardly holds a network's weights to what leaves it little more than a linear law
+_RIDGES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)  # from what leaves a network little more than a linear law to what hardly holds its weights
 _DRAWN = 0.05  # of the room between the bounds: how far from the first guess a network begins
 _HIDDEN = 0.632
 _EARLIER = 0.75  # the share of the rows that are fitted while a ridge is chosen
@@ -236,20 +236,22 @@ def _by_reverse(
 ) -> tuple[np.ndarray | None, int, float]:
     """Fits under each ridge to the first rows, then under the one that predicts the last ones best to all of them, from several starts.
 
-    A ridge is as good as the worst of the fits under it: one that leaves networks which run away may still be lucky once. What counts is
-    the error of the last rows and, since a fit to all rows will have seen these, that of the others too, in the shares in which Efron
-    (1983, the .632 estimator) weighs what a fit did not see and what it did.
+    Ridges get weaker until two in turn are no better than those before. One is as good as the worst of the fits under it: one that leaves
+    networks which run away may still be lucky once. What counts is the error of the last rows and, since a fit to all rows will have seen
+    these, that of the others too, in the shares in which Efron (1983, the .632 estimator) weighs what a fit did not see and what it did.
     """
     (lower, upper), rng = problem.box, np.random.default_rng(seed)
     points = np.clip(problem.nominal + (upper > lower) * _DRAWN * rng.standard_normal((starts, len(lower))), lower, upper)
     earlier, later = parted(problem)
     errors, simulations = [], 0
     for ridge in _RIDGES:
+        if len(errors) > 2 and min(errors[-2:]) >= min(errors[:-2]):
+            break
         found = _trained(_ridged(earlier, weights, ridge), points, max_steps)
         simulations += found.simulations
         hidden, seen = (_mean(part, found.vectors) for part in (later, earlier))
         errors.append(float(np.max(_HIDDEN * hidden + (1.0 - _HIDDEN) * seen)))
-    ridge = _RIDGES[int(np.argmin(errors))] if min(errors) < math.inf else _RIDGES[-1]
+    ridge = _RIDGES[int(np.argmin(errors))] if min(errors) < math.inf else _RIDGES[0]
     found = _trained(_ridged(problem, weights, ridge), points, max_steps)
     simulations += found.simulations
     best = int(np.argmin(found.costs))
