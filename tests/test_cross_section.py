@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from smajax.machines.block_tridiagonal import FivePoint
 from smajax.machines.cross_section import Cooling, Course, CrossSection, Layer, SectionWire
 from smajax.machines.section_grid import EvenWires, SpacedWires, circle, graded
 from tests.reference import cross_section as reference
@@ -220,3 +221,16 @@ def test_ends_of_the_course():
         assert np.all(np.isnan(cool(misfit)[1:]))
     with pytest.raises(ValueError, match="7 cells across a wire are not an even number"):
         section(cells=7)
+
+
+@pytest.mark.parametrize("count", [3, 20])
+def test_many_right_hand_sides_are_solved_as_each_alone(count: int):
+    """A few go one by one, many as a product of matrices: both are the dense solution."""
+    rng = np.random.default_rng(count)
+    matrix = FivePoint(*map(jnp.asarray, (5.0 + rng.random((4, 6)), rng.random((4, 5)), rng.random((3, 6)))))
+    right = rng.standard_normal((count, 4, 6))
+    dense = np.stack([np.asarray(matrix.apply(jnp.asarray(e.reshape(4, 6)))).ravel() for e in np.eye(24)], axis=1)
+    found = jax.vmap(lambda b: matrix.solve(matrix.factor(), b))(jnp.asarray(right))
+    np.testing.assert_allclose(
+        np.asarray(found).reshape(count, 24), np.linalg.solve(dense, right.reshape(count, 24).T).T, rtol=1e-12, atol=1e-14
+    )
