@@ -38,6 +38,8 @@ def test_an_estimated_temperature_is_the_heat_balance():
     for _ in range(100):
         helped, alone = thermal(gain=0.5).step(helped, jnp.asarray(6.0), right), step(alone)
     assert abs(helped - right) < abs(alone - right)
+    unread = thermal(gain=0.5).step(helped, jnp.asarray(6.0), jnp.asarray(np.nan))
+    assert float(unread) == float(step(helped))
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.0])
@@ -64,6 +66,20 @@ def test_an_angle_from_a_biased_gyroscope_and_a_noisy_tilt():
     assert np.mean(distance) == pytest.approx(2.0, rel=0.25)  # two states: it knows how well it knows
 
 
+def test_a_tilt_that_is_missing_leaves_the_rate():
+    """Without tilts the angle is the integral, and what is thought of it widens; one missing tilt is forgotten by the next."""
+    law = AngleFilter(*map(jnp.asarray, np.radians([0.5, 0.01, 2.0])), period=0.05)
+    state, rate = law.reset(0.2), jnp.asarray(0.3)
+    for k in range(1, 21):
+        later = law.step(state, rate)
+        assert float(later.mean[0]) == pytest.approx(0.2 + 0.05 * 0.3 * k) and float(later.mean[1]) == 0.0
+        assert float(later.covariance[0, 0]) > float(state.covariance[0, 0])
+        state = later
+    seen = law.step(law.step(state, rate, jnp.asarray(np.nan)), rate, jnp.asarray(0.53))
+    assert abs(float(seen.mean[0]) - 0.53) < 0.01 and np.all(np.linalg.eigvalsh(np.asarray(seen.covariance)) > 0.0)
+    assert np.isfinite(jax.grad(lambda r: law.step(state, r).mean[0])(rate))
+
+
 def test_a_guard_that_has_no_thermometer_uses_an_estimate():
     """The estimator's two numbers are a fit of n = 1 to the wire's own warming and cooling."""
     rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
@@ -81,6 +97,24 @@ def test_a_guard_that_has_no_thermometer_uses_an_estimate():
     }
     assert hot["estimate"].max() < 88.0 and np.max(np.abs(hot["estimate"] - hot["thermometer"])) < 4.0
     assert np.max(np.abs(hot["estimate"] - hot["thermometer"])) > 0.01
+
+
+def test_a_thermocouple_corrects_an_estimate_in_a_loop():
+    """Thought to lose a third more heat than it does, a wire is held above its guard's limit; a thermocouple, though slow, tells."""
+    rig = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
+    driven = DrivenPlant.of(rig.plant, 0.02)
+    wire, heat = rig.plant.wire, rig.plant.heat
+    loss = 4.0 * float(heat.convection(jnp.asarray(70.0))) / float(wire.diameter) / 2.046e6
+    numbers = 1.0 / (2.046e6 * float(wire.area * wire.length)), -1.33 * loss, 1.0, 20.0
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.02), jnp.asarray(84.0))
+    law, run = wire_loop(kp=200.0, guard=guard), eqx.filter_jit(rollout)
+    settled = {}
+    for gain, lag in ((0.0, 0.0), (0.0, 0.3), (10.0, 0.3)):
+        observer = ThermalObserver(*map(jnp.asarray, (*numbers, gain)), period=0.02, lag=lag)
+        done = run(driven, dataclasses.replace(law, observer=observer), Scenario.quiet(np.full(1500, 8e-3)))
+        settled[gain, lag] = float(jnp.mean(done.channels["temperature"][1000:])) - 84.0
+    assert settled[0.0, 0.3] == settled[0.0, 0.0]  # what is not trusted changes nothing
+    assert 0.0 < settled[10.0, 0.3] < 0.5 * settled[0.0, 0.0]
 
 
 def test_a_loop_steers_by_gyroscope_and_tilt():

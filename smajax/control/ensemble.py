@@ -20,8 +20,8 @@ import jax.numpy as jnp
 
 from smajax import parameters
 from smajax.control.driven import DrivenPlant
-from smajax.control.observers import AbstractThermometer, each
-from smajax.kinks import larger, within
+from smajax.control.observers import AbstractThermometer, each, probed
+from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
 from smajax.plant.step import push
@@ -112,7 +112,7 @@ class EnsembleFilter(AbstractThermometer):
     def watch(self, state: tuple[Ensemble, jax.Array], seen: dict[str, jax.Array]) -> tuple[tuple[Ensemble, jax.Array], jax.Array]:
         """See ``AbstractThermometer``."""
         ensemble, probes = state
-        probes = probes + self._follows() * (each(seen, "temperature") - probes)
+        probes = probed(probes, each(seen, "temperature"), self.lag, self.driven.period)
         names = [n for name in sorted(self.noise) for n in self._names(name)]
         draws = jax.random.normal(self._key(ensemble, 1), (len(names),))
         noise = [self.noise[_base(n, self.noise)] for n in names]
@@ -124,10 +124,6 @@ class EnsembleFilter(AbstractThermometer):
     def under(self, state: tuple[Ensemble, jax.Array], command: jax.Array) -> tuple[Ensemble, jax.Array]:
         """See ``AbstractThermometer``."""
         return state[0]._replace(command=command), state[1]
-
-    def _follows(self) -> jax.Array:
-        """Share of the way to its wire that a thermocouple goes in a period."""
-        return 1.0 - jnp.exp(-self.driven.period / larger(self.lag, 1e-9))
 
     def _key(self, ensemble: Ensemble, use: int) -> jax.Array:
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), use)
@@ -164,7 +160,7 @@ class EnsembleFilter(AbstractThermometer):
         unknown = jax.vmap(wander)(ensemble.unknown, jax.random.normal(self._key(ensemble, 0), ensemble.unknown.shape))
 
         states = _moved(self.driven, tuple(self._unknown), ensemble.states, unknown, ensemble.command)
-        probes = ensemble.probes + self._follows() * (states[0].temperature - ensemble.probes)
+        probes = probed(ensemble.probes, states[0].temperature, self.lag, self.driven.period)
         return Ensemble(states, probes, unknown, ensemble.command, ensemble.count + 1)
 
     def _shown(self, state: Any, probe: jax.Array, values: jax.Array, command: jax.Array) -> dict[str, jax.Array]:

@@ -6,12 +6,15 @@
 Both are sampled; ``reset`` and ``step`` are pure functions. A filter of the whole plant is in ``ensemble``.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.kinks import larger
+from smajax.parameters import parameter
 from smajax.units import numbered
 
 
@@ -36,10 +39,16 @@ def each(seen: dict[str, jax.Array], name: str) -> jax.Array:
     return jnp.stack([seen[n] for n in numbered(name, 1 if name in seen else 2)])
 
 
+def probed(shown: jax.Array, temperature: jax.Array, lag: jax.Array, period: float) -> jax.Array:
+    """What a thermocouple with a time constant ``lag`` shows a period after ``shown``, its wire being at ``temperature`` by then."""
+    return shown - jnp.expm1(-period / larger(lag, 1e-9)) * (temperature - shown)
+
+
 class ThermalObserver(AbstractThermometer):
     """The temperature of a wire from its electrical power: ``a1`` in K/J, ``a2`` in K^(1 - n)/s and below 0, ``exponent`` n.
 
-    ``gain`` in 1/s trusts a thermocouple, where there is one.
+    ``gain`` in 1/s trusts a thermocouple, where there is one; a reading that is NaN is none. In a rollout the thermocouple follows its
+    wire with the time constant ``lag`` in s.
     """
 
     a1: jax.Array
@@ -48,6 +57,7 @@ class ThermalObserver(AbstractThermometer):
     ambient: jax.Array
     gain: jax.Array
     period: float = eqx.field(static=True)
+    lag: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, default=0.0)
 
     def reset(self, temperature: jax.Array) -> jax.Array:
         """The estimate at the start, degC."""
@@ -61,19 +71,21 @@ class ThermalObserver(AbstractThermometer):
         lost = jnp.sign(excess) * jnp.where(away > 0.0, some**self.exponent, 0.0)
         change = self.a1 * power + self.a2 * lost
         if measured is not None:
-            change = change + self.gain * (measured - estimate)
+            change = change + self.gain * jnp.where(jnp.isnan(measured), 0.0, measured - estimate)
         return estimate + self.period * change
 
-    def begin(self, seen: dict[str, jax.Array]) -> jax.Array:
-        """See ``AbstractThermometer``."""
-        return each(seen, "temperature")
+    def begin(self, seen: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractThermometer``: the estimates, and what the thermocouples show."""
+        temperature = each(seen, "temperature")
+        return temperature, temperature
 
-    def watch(self, state: jax.Array, seen: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        """See ``AbstractThermometer``: what the last period's power has made of the last estimate."""
-        state = self.step(state, each(seen, "power"))
-        return state, state
+    def watch(self, state: tuple[jax.Array, jax.Array], seen: dict[str, jax.Array]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        """See ``AbstractThermometer``: what the last period's power, and the reading at its start, have made of the last estimate."""
+        estimate, shown = state
+        estimate = self.step(estimate, each(seen, "power"), shown)
+        return (estimate, probed(shown, each(seen, "temperature"), self.lag, self.period)), estimate
 
-    def under(self, state: jax.Array, command: jax.Array) -> jax.Array:
+    def under(self, state: tuple[jax.Array, jax.Array], command: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See ``AbstractThermometer``: the power tells it."""
         return state
 
@@ -89,7 +101,7 @@ class AngleFilter(eqx.Module):
     """Kalman's filter for an angle from a rate gyroscope with a drifting bias, and a tilt from an accelerometer.
 
     ``rate_noise`` is the gyroscope's (rad/s), ``bias_walk`` how its bias wanders (rad/s per root second), ``tilt_noise`` the tilt's (rad).
-    With the rate alone the angle cannot be observed: it drifts with the bias.
+    With the rate alone the angle cannot be observed: it drifts with the bias. A tilt that is NaN was not measured.
     """
 
     rate_noise: jax.Array
@@ -103,15 +115,16 @@ class AngleFilter(eqx.Module):
             jnp.stack([jnp.asarray(angle, jnp.float64), jnp.zeros(())]), jnp.diag(jnp.asarray([angle_spread, bias_spread]) ** 2)
         )
 
-    def step(self, state: AngleState, rate: jax.Array, tilt: jax.Array) -> AngleState:
-        """The state after a sample of both sensors."""
+    def step(self, state: AngleState, rate: jax.Array, tilt: jax.Array | float = math.nan) -> AngleState:
+        """The state after a sample of both sensors, or of the gyroscope alone."""
         dt = self.period
         moves = jnp.asarray([[1.0, -dt], [0.0, 1.0]])
         mean = moves @ state.mean + jnp.stack([dt * rate, jnp.zeros(())])
         wander = jnp.diag(jnp.stack([(dt * self.rate_noise) ** 2, dt * self.bias_walk**2]))
         covariance = moves @ state.covariance @ moves.T + wander
-        gain = covariance[:, 0] / (covariance[0, 0] + self.tilt_noise**2)
-        mean = mean + gain * (tilt - mean[0])
+        blind = jnp.isnan(tilt)
+        gain = jnp.where(blind, 0.0, covariance[:, 0] / (covariance[0, 0] + self.tilt_noise**2))
+        mean = mean + gain * jnp.where(blind, 0.0, tilt - mean[0])
         return AngleState(mean, covariance - jnp.outer(gain, covariance[0]))
 
 
