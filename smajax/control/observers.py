@@ -1,6 +1,7 @@
 """Observers: what a rig does not measure, or measures badly, from what it does.
 
     thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
+               T_measured' = (T - T_measured) / lag                                   (a thermocouple in a rollout)
     angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
 
 Both are sampled; ``reset`` and ``step`` are pure functions. A filter of the whole plant is in ``ensemble``.

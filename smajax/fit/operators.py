@@ -144,8 +144,9 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     Raises ``NumericsError`` if nothing fits, and ``InputError`` where no more rows are measured than the family has parameters.
 
     A network has more weights than a recording can tell: its cost, the mean square over the output's variance, has ``ridge``^2 times the
-    sum of squares of how far its weights went from the first guess. The ridge is the one of a few that predicts the last quarter of each
-    series best when fitted to the rows before it; with that one it is then fitted to all rows.
+    sum of squares of how far its weights went from the first guess. The ridge is the one of a few, tried from the strongest on, that
+    serves best when fitted to the first three quarters of each series, by its error on the rest above all; with that one it is then fitted
+    to all rows.
     """
     began = time.perf_counter()
     problem, ridge, slopes = build_operator(family, series), 0.0, None
