@@ -15,7 +15,7 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
-from smajax.control.reach import reach
+from smajax.control.reach import Reach, cut, reach
 from smajax.control.rollout import Scenario
 from smajax.control.slow_loop import Feedforward, identify
 from smajax.control.tune import Tuned, objective_of, tune, wanted_of
@@ -255,6 +255,7 @@ def read_model(path):
             ('levels = ["4 mm", "2 mm"]', 'levels = ["14 mm", "2 mm"]'),
             "the reference goes from 2 mm to 14 mm, and with its largest command the rig reaches",
         ),
+        (('levels = ["4 mm", "2 mm"]', 'levels = ["50 mm", "20 mm"]'), "tuned for the reference cut to that"),
         (('kp = "30 A/m"', 'kp = "3000 A/m"'), "the start gains are unstable"),
         (
             ("[tune]", '[limits]\ntemperature = "78 degC"\n[tune]'),
@@ -295,6 +296,18 @@ def test_what_a_rig_reaches_within_the_limits(tmp_path, change, most):
     given = read_controller(tmp_path / "c.toml", read_rig(RIG))
     found = reach(given.driven, given.loop, given.scenario, given.limits)
     assert found.least <= 0.0 and (found.largest > most if most else found.largest < 0.5e-3)
+
+
+def test_a_reference_far_beyond_the_stroke_is_cut_where_the_rig_can_move():
+    far, wanted = Reach(0.0, 4e-3), np.repeat([50e-3, 20e-3], 10)
+    ends = {}
+    for factor in (1.0, 0.1, -1.0, 0.02):
+        scenario = Scenario.quiet(factor * wanted)
+        left = cut(scenario, far)
+        ends[factor] = left is not scenario, float(left.reference.min()), float(left.reference.max())
+    assert ends[1.0] == (True, 4e-3, 4e-3) and ends[0.1] == (True, 2e-3, 4e-3)
+    assert ends[-1.0][0] is False  # nothing of it is left
+    assert ends[0.02][1:] == (0.4e-3, 1e-3)  # within it, nothing is
 
 
 def test_draws_that_fail_are_tuned_for(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from smajax.control.sensing import quantised
 from smajax.kinks import larger
 from smajax.parameters import parameter
 from smajax.units import numbered
@@ -132,15 +133,17 @@ class AngleFilter(eqx.Module):
 class Inertial(eqx.Module):
     """An ``AngleFilter`` in the place of an encoder: a loop's ``sensing`` by a gyroscope and a tilt on the moving link.
 
-    The true sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), and the gyroscope a ``bias`` (rad/s).
-    A sample's draw is the tilt's noise, and the gyroscope's one sample later. What the filter tells arrives ``delay`` samples later.
-    ``margins`` take it for the angle itself.
+    The true sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), steps of ``rate_quantum`` and
+    ``tilt_quantum`` (0: none), and the gyroscope a ``bias`` (rad/s). A sample's draw is the tilt's noise, and the gyroscope's one sample
+    later. What the filter tells arrives ``delay`` samples later. But for that its response to the angle is 1, as ``margins`` have it.
     """
 
     filter: AngleFilter
     rate_noise: jax.Array
     tilt_noise: jax.Array
     bias: jax.Array
+    rate_quantum: jax.Array = eqx.field(default=0.0, converter=jnp.asarray)
+    tilt_quantum: jax.Array = eqx.field(default=0.0, converter=jnp.asarray)
     delay: int = eqx.field(static=True, default=0)
 
     @property
@@ -155,7 +158,7 @@ class Inertial(eqx.Module):
     def step(self, state: tuple[AngleState, jax.Array, jax.Array, jax.Array], value: jax.Array, draw: jax.Array) -> tuple[Any, jax.Array]:
         """The state after a sample at a true angle, and the angle as the filter has it."""
         known, before, last, waiting = state
-        rate = (value - before) / self.filter.period + self.bias + self.rate_noise * last
-        known = self.filter.step(known, rate, value + self.tilt_noise * draw)
+        rate = quantised((value - before) / self.filter.period + self.bias + self.rate_noise * last, self.rate_quantum)
+        known = self.filter.step(known, rate, quantised(value + self.tilt_noise * draw, self.tilt_quantum))
         told = jnp.append(waiting, known.mean[0])
         return (known, value, jnp.asarray(draw, jnp.float64), told[1:]), told[0]

@@ -64,11 +64,12 @@ def reach(driven: AbstractDriven, loop: Loop, scenario: Scenario, limits: Mappin
 
 
 def cut(scenario: Scenario, far: Reach) -> Scenario:
-    """The scenario with its reference within the reach, if that leaves half of it."""
+    """The scenario with its reference within the reach, if that leaves half of it, or half of what the rig can do."""
     within = jnp.clip(scenario.reference, far.least, far.largest)
     whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
     left = float(jnp.ptp(jnp.append(within, scenario.before)))
-    return eqx.tree_at(lambda s: s.reference, scenario, within) if left > 0.5 * whole else scenario
+    enough = 0.5 * min(whole, far.largest - far.least)
+    return eqx.tree_at(lambda s: s.reference, scenario, within) if left > enough else scenario
 
 
 def falls(driven: AbstractDriven, loop: Loop) -> bool:

@@ -5,11 +5,18 @@ import jax
 import jax.numpy as jnp
 
 
-class Sensing(eqx.Module):
-    """Noise of standard deviation ``noise``, steps of ``quantum`` (0: none), both in the channel's unit, and ``delay`` samples.
+def quantised(value: jax.Array, quantum: jax.Array) -> jax.Array:
+    """A value in whole steps of ``quantum`` (0: as it is).
 
-    A derivative passes the quantisation as if there were none: its own is 0 nearly everywhere, and says nothing about a loop.
+    A derivative passes as if there were no steps: its own is 0 nearly everywhere, and says nothing about a loop.
     """
+    safe = jnp.where(quantum > 0.0, quantum, 1.0)
+    rounded = jnp.where(quantum > 0.0, safe * jnp.round(value / safe), value)
+    return value + jax.lax.stop_gradient(rounded - value)
+
+
+class Sensing(eqx.Module):
+    """Noise of standard deviation ``noise``, steps of ``quantum`` (0: none), both in the channel's unit, and ``delay`` samples."""
 
     noise: jax.Array
     quantum: jax.Array
@@ -21,10 +28,7 @@ class Sensing(eqx.Module):
 
     def step(self, state: jax.Array, value: jax.Array, draw: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The values on their way after a sample, and what arrives; ``draw`` is a standard normal number."""
-        heard = value + self.noise * draw
-        safe = jnp.where(self.quantum > 0.0, self.quantum, 1.0)
-        rounded = jnp.where(self.quantum > 0.0, safe * jnp.round(heard / safe), heard)
-        heard = heard + jax.lax.stop_gradient(rounded - heard)
+        heard = quantised(value + self.noise * draw, self.quantum)
         if not self.delay:
             return state, heard
         return jnp.append(state[1:], heard), state[0]
