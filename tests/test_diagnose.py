@@ -25,8 +25,9 @@ from smajax.diagnose.effects import catalogue
 from smajax.diagnose.hypothesis import Hypothesis, Refit
 from smajax.diagnose.instants import left_open
 from smajax.diagnose.joint import joined
+from smajax.diagnose.preflight import Promise
 from smajax.diagnose.step_errors import coarseness
-from smajax.diagnose.trace import Story, _arrived, _backward, _swap, objection, trace
+from smajax.diagnose.trace import Story, _arrived, _backward, _singles, _swap, objection, trace
 from smajax.diagnose.tracer import Extension, Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
@@ -547,6 +548,27 @@ def test_a_refit_that_is_worse_than_without_its_effect_is_taken_to_its_end_first
     tracer = SimpleNamespace(settled=lambda one: trial(one.keys, 9.0, 20.0))
     found = _arrived(tracer, [held, other, hopeless], trial((), 10.0, 10.0))  # pyright: ignore[reportArgumentType]
     assert [(t.keys, t.train) for t in found] == [(("backlash",), 8.0), (("creep",), 9.0)]
+
+
+@pytest.mark.parametrize(
+    ("train", "select", "again"),
+    [(4.0, 20.0, False), (20.0, 32.0, True), (4.0, 170.0, True), (1.0, 1.0, False)],
+)
+def test_effects_are_tried_afresh_unless_one_explains_half_of_what_was_fitted_and_of_all(train, select, again):
+    """A surrogate may mend a prediction that a biased first fit spoilt while the cause, from that fit, promises nothing."""
+    raced: list[list[float]] = []
+
+    def race(near, afar=()):
+        raced.append([one.strength for one in (*near, *afar)])
+        return [trial(("wire-crosstalk",), train, select)]
+
+    first = trial((), 24.0, 175.0)
+    story = Story({}, {}, first, first, 1.05, {"wire-crosstalk": Promise(1.0, 0.1, ())})
+    bench = SimpleNamespace(grid=lambda key: [()], plausible=lambda key: (0.0, 9.0))
+    one = SimpleNamespace(smallest=0.1, strength=0.3, gain=5.0)
+    scores = SimpleNamespace(found={"wire-crosstalk": one}, shapes={"wire-crosstalk": ()})
+    found = _singles(SimpleNamespace(bench=bench, race=race), story, scores, lambda text: None)  # pyright: ignore[reportArgumentType]
+    assert raced == ([[0.3, 0.1], [1.0]] if again else [[0.3, 0.1]]) and len(found) == len(raced)
 
 
 def test_an_effect_that_is_not_missed_is_dropped_and_no_fit_made_twice():

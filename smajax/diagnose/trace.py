@@ -109,6 +109,10 @@ class Story:
         left, before = np.sum([np.maximum(np.array(p) - 1.0, 0.0) for p in parts if math.isfinite(p[1])], axis=0)
         return float(1.0 - left / max(before, 1e-9))
 
+    def fitted_by(self, trial: Trial) -> float:
+        """The same of the training recording alone: a surrogate may mend a prediction that a biased fit spoilt, and fit no better."""
+        return float(1.0 - max(trial.train - 1.0, 0.0) / max(self.first.train - 1.0, 1e-9))
+
 
 def critical(samples: int) -> float:
     """Fitness above which more than noise is left."""
@@ -314,7 +318,7 @@ def _singles(tracer: Tracer, story: Story, scores: Scores, say: Callable[[str], 
         [Extension(refit, k, story.promise[k].strength, story.promise[k].shape) for k in promising[:_AFAR]],
     )
     best = min(trials, key=lambda t: t.total, default=None)
-    if best is not None and (best.at_noise or (story.rests and story.explained_by(best) > EXPLAINED)):
+    if best is not None and (best.at_noise or (story.rests and min(story.explained_by(best), story.fitted_by(best)) > EXPLAINED)):
         return trials
     # A large effect promises nothing to first order, neither at the fit nor at the rig's own values: each in its usual strength.
     say("round 1: refitting them from the rig's own values")
