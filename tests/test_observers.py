@@ -147,15 +147,18 @@ def test_a_loop_steers_by_gyroscope_and_tilt():
         told.append(each)
     np.testing.assert_allclose(told[1], [angles[0]] * 3 + told[0][:-3], rtol=1e-12)
 
+    unbiased = dataclasses.replace(sensors, bias=jnp.zeros(()))
+    state = unbiased.reset(jnp.asarray(angles[0]))
+    for angle in [*angles, 0.2]:  # its response is 1, to a jump as well
+        state, heard = unbiased.step(state, jnp.asarray(angle), jnp.zeros(()))
+        assert float(heard) == pytest.approx(angle, abs=1e-12)
+
     coarse = dataclasses.replace(sensors, rate_quantum=np.radians(2.0), tilt_quantum=np.radians(5.0))
-    _, heard = sensors.step(sensors.reset(jnp.asarray(0.5)), jnp.asarray(0.52), jnp.asarray(0.3))
-    _, rounded = coarse.step(coarse.reset(jnp.asarray(0.5)), jnp.asarray(0.52), jnp.asarray(0.3))
-    step, tilt = (
-        np.radians(2.0) * round(0.02 / period / np.radians(2.0) + 0.5),
-        np.radians(5.0) * round((0.52 + 0.3 * np.radians(2.0)) / np.radians(5.0)),
-    )
+    heard, rounded = (float(one.step(one.reset(jnp.asarray(0.5)), jnp.asarray(0.52), jnp.asarray(0.3))[1]) for one in (sensors, coarse))
+    step = np.radians(2.0) * round((0.02 / period + np.radians(1.0)) / np.radians(2.0))
+    tilt = np.radians(5.0) * round((0.52 + 0.3 * np.radians(2.0)) / np.radians(5.0))
     by_hand = law.step(law.reset(jnp.asarray(0.5)), jnp.asarray(step), jnp.asarray(tilt)).mean[0]
-    assert float(rounded) == pytest.approx(float(by_hand), abs=1e-12) and abs(float(rounded - heard)) > 1e-4
+    assert rounded == pytest.approx(float(by_hand), abs=1e-12) and abs(rounded - heard) > 1e-4
 
     def error(kp):
         return jnp.mean((run(kp, sensors).channels["angle"] - scenario.reference) ** 2)
