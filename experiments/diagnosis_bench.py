@@ -37,9 +37,8 @@ from smajax.plant.plant import Plant
 from smajax.recording import Recording
 from smajax.rig import Rig, read_rig
 from tests.reference.hidden import Hidden, displacement
-from tests.reference.make_data import clock, turns
+from tests.reference.make_data import clock, shipped, turns
 from tests.reference.rig_file import RigFile
-from tests.reference.rig_file import read_rig as reference_rig
 
 # Key: the reference's field, a usual size, what the strength in the catalogue is for a size of one, and fields that go with it.
 SINGLES: dict[str, tuple[str, float, float | None, dict[str, float]]] = {
@@ -81,7 +80,12 @@ def draw(rng: np.random.Generator, keys: tuple[str, ...], known: dict[str, Any] 
 
 def nearby(rng: np.random.Generator, kind: str) -> RigFile:
     """A shipped rig as the reference has it, its free parameters drawn near their nominal values."""
-    return reference_rig(ROOT / "data" / "recordings" / kind / "rig.toml").changed(
+    return near(rng, shipped(kind))
+
+
+def near(rng: np.random.Generator, rig: RigFile) -> RigFile:
+    """A rig whose free parameters are drawn near their nominal values."""
+    return rig.changed(
         h0=rng.uniform(0.92, 1.08), h2=rng.uniform(0.8, 1.2), capacity=rng.uniform(0.95, 1.05), max_strain=rng.uniform(0.97, 1.03),
         austenite_shift=rng.uniform(-2.5, 2.5), martensite_shift=rng.uniform(-2.5, 2.5),
     )  # fmt: skip
@@ -89,9 +93,9 @@ def nearby(rng: np.random.Generator, kind: str) -> RigFile:
 
 def inputs(rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Name, times and current of the three recordings of a case."""
-    seconds, bands = clock(80.0), np.array([[46.0, 62.0], [84.0, 100.0]])
+    seconds, rig, bands = clock(80.0), shipped("dead-weight"), np.array([[46.0, 62.0], [84.0, 100.0]])
     for part in ("train", "select", "holdout"):
-        yield part, seconds, turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), bands).round(4)
+        yield part, seconds, turns(rng, seconds, rig, (0.0, 0.14), (0.28, 0.35), bands).round(4)
 
 
 def record(rig: Rig, hidden: dict[str, float], rng: np.random.Generator, *, same_input: bool = False) -> list[Recording]:

@@ -45,9 +45,13 @@ UNLISTED = {"kinetics by half off": {"pace": 0.5}, "bent sensor": {"cubic": 0.1}
 def read_angle(truth: RigFile, hidden: Hidden, part: str, rng: np.random.Generator) -> Recording:
     """A recording of a pair of wires under an input that is drawn."""
     columns = rotary(rng)
-    seconds, first, second = columns["time [s]"], columns["current_1 [A]"], columns["current_2 [A]"]
-    turned = angle(truth, hidden, seconds, np.column_stack([first, second]), 30) + SPREAD * rng.standard_normal(len(seconds))
-    channels = {"current_1": first, "current_2": second, "angle": ROUNDED * np.round(turned / ROUNDED)}
+    return seen_angle(truth, hidden, part, columns["time [s]"], np.column_stack([columns["current_1 [A]"], columns["current_2 [A]"]]), rng)
+
+
+def seen_angle(truth: RigFile, hidden: Hidden, part: str, seconds: np.ndarray, currents: np.ndarray, rng: np.random.Generator) -> Recording:
+    """What is recorded of a pair of wires under two currents (n, 2)."""
+    turned = angle(truth, hidden, seconds, currents, 30) + SPREAD * rng.standard_normal(len(seconds))
+    channels = {"current_1": currents[:, 0], "current_2": currents[:, 1], "angle": ROUNDED * np.round(turned / ROUNDED)}
     return Recording.from_arrays(part, seconds, channels, {"angle": "deg"})
 
 

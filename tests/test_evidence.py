@@ -61,7 +61,7 @@ def test_a_slow_thermocouple_is_named_though_its_temperature_is_not_observed(fol
     rig, rng = reference_rig(folder / "rig.toml"), np.random.default_rng(3)
     seconds = clock(40.0)
     for name in ("train", "select", "holdout"):
-        current = turns(rng, seconds, "dead-weight", (0.0, 0.14), (0.28, 0.35), np.array([[46.0, 62.0], [84.0, 100.0]])).round(4)
+        current = turns(rng, seconds, rig, (0.0, 0.14), (0.28, 0.35), np.array([[46.0, 62.0], [84.0, 100.0]])).round(4)
         exact = channels(rig, Hidden(probe_lag=0.3), seconds, current)
         seen = {
             "displacement": exact["displacement"] + 2e-5 * rng.standard_normal(len(seconds)),

@@ -92,13 +92,26 @@ def clock(seconds: float, rate: float = 50.0) -> Floats:
     return np.arange(round(seconds * rate) + 1) / rate
 
 
-def turns(rng: np.random.Generator, time: Floats, name: str, down: tuple[float, float], up: tuple[float, float], bands: Floats) -> Floats:
+def shipped(name: str) -> RigFile:
+    """The rig of a shipped folder."""
+    return read_rig(FOLDER / name / "rig.toml")
+
+
+def turns(
+    rng: np.random.Generator,
+    time: Floats,
+    rig: RigFile,
+    down: tuple[float, float],
+    up: tuple[float, float],
+    bands: Floats,
+    hottest: float = 125.0,
+) -> Floats:
     """A signal that goes up and down between levels in ``down`` and ``up``, by steps and ramps, and turns within the wire's bands.
 
     As someone at the bench would, it turns when the wire, by the nominal heat balance at half martensite, has reached a temperature drawn
-    from ``bands``: (lowest, highest) of the turns after cooling, and of those after heating. Every sixth leg goes all the way.
+    from ``bands``: (lowest, highest) of the turns after cooling, and of those after heating. Every sixth leg goes all the way, to
+    ``hottest`` or nearly to ambient.
     """
-    rig = read_rig(FOLDER / name / "rig.toml")
     bench = Rig(rig.material, rig.heat, rig.wire, CONTROLS[rig.control], 1.0, 0.0, 0.0)
     signal, temperature, leg, step = np.zeros(len(time)), rig.wire.ambient, 0, time[1]
     begin = level = start = ramp = turn = 0.0
@@ -109,7 +122,7 @@ def turns(rng: np.random.Generator, time: Floats, name: str, down: tuple[float, 
             rising = leg % 2 == 1
             whole = leg % 6 in (1, 4)
             level = (up[1] if rising else 0.0) if whole else rng.uniform(*(up if rising else down))
-            turn = (125.0 if rising else rig.wire.ambient + 5.0) if whole else rng.uniform(*bands[int(rising)])
+            turn = (hottest if rising else rig.wire.ambient + 5.0) if whole else rng.uniform(*bands[int(rising)])
             ramp = rng.uniform(0.3, 2.0) if rng.random() < 0.5 else step / 2
         signal[k] = start + (level - start) * min((now - begin) / ramp, 1.0)
         state = State(temperature, 0.0, 0.5, 0.0)
@@ -120,19 +133,19 @@ def turns(rng: np.random.Generator, time: Floats, name: str, down: tuple[float, 
 def dead_weight(rng: np.random.Generator) -> Columns:
     """120 s of current: many partial loops between whole ones."""
     time, bands = clock(120.0), np.array([[48.0, 62.0], [85.0, 99.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, "dead-weight", (0.0, 0.14), (0.29, 0.34), bands).round(4)}
+    return {"time [s]": time, "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4)}
 
 
 def unexplained(rng: np.random.Generator) -> Columns:
     """As ``dead_weight``, for 60 s."""
     time, bands = clock(60.0), np.array([[48.0, 62.0], [85.0, 99.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, "dead-weight", (0.0, 0.14), (0.29, 0.34), bands).round(4)}
+    return {"time [s]": time, "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4)}
 
 
 def bias_spring(rng: np.random.Generator) -> Columns:
     """100 s of voltage: many partial loops between whole ones."""
     time, bands = clock(100.0), np.array([[45.0, 80.0], [82.0, 112.0]])
-    return {"time [s]": time, "voltage [V]": turns(rng, time, "bias-spring", (0.0, 1.5), (3.75, 4.2), bands).round(3)}
+    return {"time [s]": time, "voltage [V]": turns(rng, time, shipped("bias-spring"), (0.0, 1.5), (3.75, 4.2), bands).round(3)}
 
 
 def rotary(rng: np.random.Generator) -> Columns:
@@ -186,13 +199,13 @@ def isobaric(rng: np.random.Generator) -> Columns:
 def coil_dead_weight(rng: np.random.Generator) -> Columns:
     """200 s of current through a lifting coil: many partial loops between whole ones."""
     time, bands = clock(200.0, 10.0), np.array([[57.0, 71.0], [87.0, 105.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, "coil-dead-weight", (0.0, 0.6), (1.55, 1.9), bands).round(3)}
+    return {"time [s]": time, "current [A]": turns(rng, time, shipped("coil-dead-weight"), (0.0, 0.6), (1.55, 1.9), bands).round(3)}
 
 
 def coil_bias_spring(rng: np.random.Generator) -> Columns:
     """200 s of voltage at a coil that stretches a spring."""
     time, bands = clock(200.0, 10.0), np.array([[47.0, 78.0], [82.0, 110.0]])
-    return {"time [s]": time, "voltage [V]": turns(rng, time, "coil-bias-spring", (0.0, 0.6), (1.65, 2.1), bands).round(3)}
+    return {"time [s]": time, "voltage [V]": turns(rng, time, shipped("coil-bias-spring"), (0.0, 0.6), (1.65, 2.1), bands).round(3)}
 
 
 def taking_turns(rng: np.random.Generator, time: Floats, spans: tuple[float, float], levels: tuple[float, float]) -> Floats:
