@@ -12,7 +12,8 @@ These data decide no stress, so preload, stiffness, the Clausius-Clapeyron coeff
 always under tension: the twinned branch is held out of the way, and slack is no candidate. Nor is ratcheting, which one pulse cannot tell
 from a set that is there from before (initial-set), although the two forecast different second pulses. The wire starts detwinned: a free
 start fraction would be that set a second time. Of supply, resistance and heat capacity, which scale the same heat, the supply is fitted.
-Each log has its own parameters, all have the same effects.
+Each log has its own parameters, all have the same effects. One pulse leaves many a direction open, and what is absurd along it forecasts
+absurdly: what is known of such wires beforehand stands as a prior in every fit (``SPREAD``).
 
 One pulse is fitted, and all that tells of most effects happens in its first 40 s. A selection part that is the last third in time would
 see a wire at rest. So it is every third of the blocks of 2 s. An effect is accepted if it lowers the error there, pooled over the logs and
@@ -98,6 +99,13 @@ CANDIDATES = (
 )  # fmt: skip
 CUT = 0.05
 SLOTS = 14
+# Prior standard deviations around the rig's values (SI, K): data sheets of such wires, a driver and films of air known to within a factor.
+SPREAD = {
+    "drive.supply": 0.5, "heat.h0": 30.0, "environment.ambient": 2.0, "material.austenite_shift": 10.0, "material.austenite_finish": 15.0,
+    "material.martensite_start": 15.0, "material.detwinning_finish_stress": 4e7, "material.max_strain": 5e-3,
+    "sensor.displacement_offset": 1e-4,
+}  # fmt: skip
+SPREAD_STRENGTH, SPREAD_SHAPE = 1.5, 1.0  # of an effect, in typical strengths around none and in its usual shape's sizes around that
 BASE_STARTS = 8  # with three, the base may stay where its wire never transforms, and any effect seems to mend it
 DENSE, TAIL = 40.0, 1.1
 BLOCK = 2.0
@@ -127,20 +135,31 @@ def parts(log: Log) -> dict[str, Recording]:
 
 
 class Model(Module):
-    """A problem whose plant has all candidates: ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, say what the slots move."""
+    """A problem whose plant has all candidates: ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, say what the slots move.
+
+    ``usual`` and ``spread`` are mean and standard deviation of the prior of the vector and the slots; infinite where there is none.
+    """
 
     problem: Problem
     fixed: jax.Array
     moved: jax.Array
+    usual: jax.Array
+    spread: jax.Array
     names: tuple[str, ...] = field(static=True)
+
+    @property
+    def size(self) -> int:
+        """Number of residuals."""
+        return self.problem.size + len(self.usual)
 
     def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See ``Problem.predict``."""
         return self._at(vector).predict(vector[: len(self.problem.unknowns)])
 
     def residual(self, vector: jax.Array) -> jax.Array:
-        """See ``Problem.residual``."""
-        return self._at(vector).residual(vector[: len(self.problem.unknowns)])
+        """``Problem.residual``'s, then what the prior says, over its spread."""
+        measured = self._at(vector).residual(vector[: len(self.problem.unknowns)])
+        return jnp.concatenate([measured, (vector - self.usual) / self.spread])
 
     def _at(self, vector: jax.Array) -> Problem:
         values = self.fixed + self.moved @ vector[len(self.problem.unknowns) :]
@@ -196,10 +215,14 @@ class Bench:
     def model(self, log: int, role: str, effects: Mapping[str, float]) -> tuple[Model, np.ndarray]:
         """The model in which the slots move these effects' parameters, and the slots' values."""
         fixed, moved, slots = self.nominal.copy(), np.zeros((len(self.names), SLOTS)), np.zeros(SLOTS)
+        usual, spread = np.zeros(SLOTS), np.full(SLOTS, np.inf)
         for j, (name, value) in enumerate(effects.items()):
-            i = self.names.index(name)
+            i, strength = self.names.index(name), name.endswith(".strength")
             fixed[i], moved[i, j], slots[j] = 0.0, self.scale(name), value / self.scale(name)
-        return Model(self.problems[log][role], jnp.asarray(fixed), jnp.asarray(moved), self.names), slots
+            usual[j], spread[j] = (0.0, SPREAD_STRENGTH) if strength else (self.nominal[i] / self.scale(name), SPREAD_SHAPE)
+        usual = np.append(self.first.nominal, usual)
+        spread = np.append([SPREAD[u.name] / u.scale for u in self.first.unknowns], spread)
+        return Model(self.problems[log][role], *map(jnp.asarray, (fixed, moved, usual, spread)), self.names), slots
 
     def fit(self, log: int, role: str, effects: Mapping[str, float], base: np.ndarray, steps: int) -> Fitted:
         """Fits one log's part from a start point."""
@@ -210,7 +233,7 @@ class Bench:
             ends[:, j] = self.declared[name].lower / self.scale(name), self.declared[name].upper / self.scale(name)
         start = np.concatenate([base, slots])[None]
         lower, upper = np.concatenate([lower, ends[0]]), np.concatenate([upper, ends[1]])
-        search = least_squares.Search(_residual, model, start, lower, upper, size=model.problem.size, rtol=1e-5)
+        search = least_squares.Search(_residual, model, start, lower, upper, size=model.size, rtol=1e-5)
         solved = search.advance(steps).result()
         point = solved.points[0]
         found = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}

@@ -27,7 +27,7 @@ from smajax.diagnose.instants import left_open
 from smajax.diagnose.joint import joined
 from smajax.diagnose.preflight import Promise
 from smajax.diagnose.step_errors import coarseness
-from smajax.diagnose.trace import Story, _arrived, _backward, _singles, _swap, objection, trace
+from smajax.diagnose.trace import Story, _arrived, _backward, _reconciled, _singles, _swap, objection, trace
 from smajax.diagnose.tracer import Extension, Tracer, Trial
 from smajax.diagnose.verdict import _helps, diagnose, judge, predicting, take_back
 from smajax.errors import NumericsError
@@ -548,6 +548,18 @@ def test_a_refit_that_is_worse_than_without_its_effect_is_taken_to_its_end_first
     tracer = SimpleNamespace(settled=lambda one: trial(one.keys, 9.0, 20.0))
     found = _arrived(tracer, [held, other, hopeless], trial((), 10.0, 10.0))  # pyright: ignore[reportArgumentType]
     assert [(t.keys, t.train) for t in found] == [(("backlash",), 8.0), (("creep",), 9.0)]
+
+
+@pytest.mark.parametrize(("joint", "kept"), [((1.0, 1.0), True), ((1.0, 40.0), False), ((30.0, 1.0), False)])
+def test_what_the_training_recording_leaves_open_is_asked_of_the_selection_recording(joint, kept):
+    """An instant at which nothing moves may spoil the cause's prediction; a surrogate, fitted to both, does for one of them at most."""
+    cause, surrogate, asked = trial(("creep",), 0.9, 4000.0), trial(("encoder-gain",), 20.0, 130.0), []
+    tracer = SimpleNamespace(together=lambda one: asked.append(one.keys) or trial(one.keys, *joint))
+    found = _reconciled(tracer, [surrogate, cause], 1.25)  # pyright: ignore[reportArgumentType]
+    assert asked == [("creep",)] and found[0] is surrogate
+    assert (found[1].train, found[1].select) == (joint if kept else (0.9, 4000.0))
+    named = trial(("creep",), 1.0, 1.0)
+    assert _reconciled(tracer, [cause, named], 1.25) == [cause, named] and len(asked) == 1  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,13 @@ def joined(bench: Bench, refit: Refit) -> Refit:
     """
     if bench.own:
         return refit
-    found = _fitted(bench, refit)
-    better = instants.better(bench, found, (0, 1))
-    return found if better is None else _fitted(bench, dataclasses.replace(found, hypothesis=better))
+    # Instants first: where one recording leaves one open, a search of all parameters would make the others do for it.
+    found = refit
+    for turn in range(2):
+        better = instants.better(bench, found, (0, 1))
+        if turn == 0 or better is not None:
+            found = _fitted(bench, found if better is None else dataclasses.replace(found, hypothesis=better))
+    return found
 
 
 def _fitted(bench: Bench, refit: Refit) -> Refit:

@@ -39,6 +39,7 @@ ROUNDS = 3
 _AFAR = 4  # effects refitted from the rig's nominal values, too: those that promise most there
 _LATE = 2  # trials that did not come to their end and are taken there
 _BEAM, _SECOND = 3, 4  # fits that get another effect, and how many are tried on each
+_OPEN = 2  # trials that explain the training recording, and are fitted to the selection recording, too
 _STATIONARY = 2e-2
 _TRIES, _RESTLESS = 10, 4  # start points of the first fit, and after how many it no longer waits for one to end at rest
 _ALIKE = 2.0  # difference of the sum of squares over the noise that says nothing
@@ -256,6 +257,8 @@ def _round(tracer: Tracer, story: Story, beam: list[Trial], turn: int, promised:
     # From where it was settled before it would only get to the same end.
     if set(trials[0].keys) != set(best.keys) and trials[0].total < best.total - _FALL * max(1.0, best.train) / samples:
         best = tracer.settled(trials[0])
+    trials = _reconciled(tracer, trials, story.least)
+    best = min([best, *trials], key=lambda t: t.total)
     beside = set(best.keys) - {best.key}
     alike = [t for t in trials if t.key not in beside and set(t.keys) - {t.key} == beside and (t.total - best.total) * samples < _ALIKE]
     best = min([best, *alike], key=tracer.unusual)  # of what does equally well, the most usual comes first
@@ -286,6 +289,18 @@ def _arrived(tracer: Tracer, trials: list[Trial], current: Trial) -> list[Trial]
     least = min((t.total for t in done), default=math.inf)
     late = sorted((t for t in trials if t.train >= current.train and t.total < least), key=lambda t: t.total)[:_LATE]
     return [*done, *in_pairs(tracer.settled, late)]
+
+
+def _reconciled(tracer: Tracer, trials: list[Trial], least: float) -> list[Trial]:
+    """The trials, the best of those that explain the training recording to the noise fitted to both recordings where that explains both.
+
+    Else a cause with an instant at which nothing moves is refused for a prediction that the training recording leaves open.
+    """
+    if any(t.at_noise for t in trials):
+        return trials
+    open_ones = sorted((t for t in trials if t.train < least), key=lambda t: t.train)[:_OPEN]
+    both = {id(old): new for old, new in zip(open_ones, in_pairs(tracer.together, open_ones), strict=True) if new.at_noise}
+    return [both.get(id(t), t) for t in trials]
 
 
 def objection(current: Trial, best: Trial, samples: int) -> str:

@@ -11,6 +11,7 @@ from smajax.diagnose import instants, localise, score
 from smajax.diagnose.bench import Bench, in_pairs
 from smajax.diagnose.columns import effect_columns
 from smajax.diagnose.hypothesis import Hypothesis, Refit, Running
+from smajax.diagnose.joint import joined
 from smajax.diagnose.step_errors import coarseness, difference
 from smajax.fit import uncertainty
 from smajax.fit.least_squares import Stop
@@ -354,7 +355,11 @@ class Tracer:
         if better is None:
             return trial
         found = self.judged(self.fit(better, trial.refit.base, 1, rtol=1e-7))
-        return found if found.train < trial.train else trial
+        return found if found.train < trial.train and (found.at_noise or not trial.at_noise) else trial
+
+    def together(self, trial: Trial) -> Trial:
+        """A trial fitted to the training and the selection recording together."""
+        return self.judged(joined(self.bench, trial.refit))
 
     def judged(self, refit: Refit) -> Trial:
         """A refit with its fitness on both recordings."""
