@@ -348,7 +348,8 @@ def _limits(data: Any) -> dict[str, float]:
     found = {k: quantity_at(v, units[k], f"limits.{k}") for k, v in given.model_dump().items() if v is not None}
     for key, value in found.items():
         if key != "temperature" and not (value > 0.0 or (key == "overshoot" and value == 0.0)):
-            raise InputError(f"limits.{key} = {show(getattr(given, key))} is not possible: give one above 0")
+            least = "0 or more" if key == "overshoot" else "one above 0"
+            raise InputError(f"limits.{key} = {show(getattr(given, key))} is not possible: give {least}")
     return found
 
 

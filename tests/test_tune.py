@@ -70,6 +70,11 @@ def test_the_hip_settles_sooner_than_by_a_population():
     assert [s for _, s in found.history] == sorted((s for _, s in found.history), reverse=True)
 
 
+def test_what_cannot_settle_in_time_settles_as_soon_as_it_can():
+    found = tune(hip_tuning(), {"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02})
+    assert not found.feasible and found.settling < 21.5 and found.violated["overshoot"] <= 1e-3
+
+
 def test_a_limit_costs_and_is_kept():
     tuning = hip_tuning()
     free, kept = (tune(tuning, {"itae": 1.0}, limits) for limits in ({}, {"overshoot": 0.01}))
@@ -77,6 +82,32 @@ def test_a_limit_costs_and_is_kept():
     assert kept.feasible and kept.violated["overshoot"] <= 1e-3
     violated = look(tuning, jnp.asarray(free.point)[None], _wanted(0.01))[1]
     assert float(violated.max()) > 0.5  # it would not have been kept by itself
+
+
+@pytest.mark.parametrize(
+    ("high", "gains", "limits"),
+    [("3 mm", (20.0, 8.0), {"current": 0.3}), ("6 mm", (300.0, 100.0), {"temperature": 85.0})],  # the second start breaks its limit
+)
+def test_within_a_limit_nothing_on_a_grid_is_better(tmp_path, high, gains, limits):
+    """The terms are small only beyond the limit, and a loop that does nothing keeps it."""
+    text = (
+        FILE.replace(STAIRS, STEP.replace("3 mm", high))
+        .replace('"30 A/m"', f'"{gains[0]} A/m"')
+        .replace('"10 A/m/s"', f'"{gains[1]} A/m/s"')
+    )
+    (tmp_path / "c.toml").write_text(text)
+    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds)
+    found = tune(tuning, {"tracking": 1.0}, limits)
+    wanted = wanted_of({"tracking": 1.0}, limits)
+    grid = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 17)] * 2), axis=-1).reshape(-1, 2)
+    terms, violated = (
+        np.concatenate(each) for each in zip(*(look(tuning, jnp.asarray(p), wanted) for p in np.split(grid, 17)), strict=True)
+    )
+    own, _ = look(tuning, jnp.asarray(tuning.start)[None], wanted)
+    best = terms[np.max(violated, axis=1) <= 0.0, 0].min()
+    assert found.feasible and found.terms["tracking"] * float(own[0, 0]) < 1.005 * best
+    assert tune(tuning, {"tracking": 1.0}, {}).terms["tracking"] < 0.98 * found.terms["tracking"]  # the limit costs something
 
 
 def _wanted(overshoot):

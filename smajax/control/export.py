@@ -48,27 +48,27 @@ typedef struct {{
     int begun;{more}
 }} smajax_state;
 
-static smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {seen} }}
+static inline smajax_real smajax_seen(smajax_real reference, smajax_real value) {{ {seen} }}
 
-static smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upper) {{
+static inline smajax_real smajax_clip(smajax_real x, smajax_real lower, smajax_real upper) {{
     return x < lower ? lower : x > upper ? upper : x;
 }}
 
-static int smajax_is_number(smajax_real x) {{
+static inline int smajax_is_number(smajax_real x) {{
     return x - x <= 0;
 }}
 
-static smajax_real smajax_known(smajax_real measured, smajax_real *last) {{
+static inline smajax_real smajax_known(smajax_real measured, smajax_real *last) {{
     if (smajax_is_number(measured)) *last = measured;
     return *last;
 }}
 {functions}
-static smajax_real smajax_slope(const smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline smajax_real smajax_slope(const smajax_state *s, smajax_real reference, smajax_real value) {{
     return (SMAJAX_FILTER_TIME * s->slope + smajax_seen(reference, value) - s->last) / (SMAJAX_FILTER_TIME + SMAJAX_PERIOD);
 }}
 
-static smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_real value, smajax_real kp, smajax_real ki, smajax_real kd,
-                              smajax_real lower, smajax_real upper) {{
+static inline smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_real value, smajax_real kp, smajax_real ki,
+                                     smajax_real kd, smajax_real lower, smajax_real upper) {{
     smajax_real slope = smajax_slope(s, reference, value), error = reference - value;
     smajax_real grown = s->integral + ki * error * SMAJAX_PERIOD;
     smajax_real wanted = kp * error + grown + kd * slope;
@@ -79,7 +79,7 @@ static smajax_real smajax_pid(smajax_state *s, smajax_real reference, smajax_rea
     return smajax_clip(wanted, lower, upper);
 }}
 
-static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
     s->begun = smajax_is_number(reference) && smajax_is_number(value);
     s->reference = s->begun ? reference : 0;
     s->value = s->begun ? value : 0;
@@ -88,11 +88,11 @@ static void smajax_reset(smajax_state *s, smajax_real reference, smajax_real val
     s->slope = 0;{reset}
 }}
 
-static smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value) {{
 {step}
 }}
 
-static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
     if (!s->begun) smajax_reset(s, reference, value);
     if (!s->begun) return smajax_clip(0, SMAJAX_LOWER, SMAJAX_UPPER);
     return smajax_go(s, smajax_known(reference, &s->reference), smajax_known(value, &s->value));
@@ -102,7 +102,7 @@ static smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_re
 """
 _PAIR = """
 /* The commands of two wires that pull against each other: a command above 0 heats the first, one below 0 the second. */
-static void smajax_allocate(smajax_real command, smajax_real each[2]) {{
+static inline void smajax_allocate(smajax_real command, smajax_real each[2]) {{
     each[0] = smajax_clip(SMAJAX_CO_CONTRACTION + (command > 0 ? command : 0), 0, (smajax_real){first!r});
     each[1] = smajax_clip(SMAJAX_CO_CONTRACTION + (command < 0 ? -command : 0), 0, (smajax_real){second!r});
 }}
@@ -119,14 +119,14 @@ typedef struct {{
 /* Without a temperature for so many seconds a wire is not heated. */
 #define SMAJAX_GUARD_BLIND ((smajax_real){blind!r})
 
-static void smajax_guard_reset(smajax_guard_state *g, smajax_real temperature) {{
+static inline void smajax_guard_reset(smajax_guard_state *g, smajax_real temperature) {{
     int known = smajax_is_number(temperature);
     g->integral = 0;
     g->temperature = known ? temperature : 0;
     g->blind = known ? 0 : SMAJAX_GUARD_BLIND;
 }}
 
-static smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
+static inline smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
     smajax_real error = (smajax_real){limit!r} - temperature;
     smajax_real grown = g->integral + (smajax_real){ki!r} * error * SMAJAX_PERIOD, wanted = (smajax_real){kp!r} * error + grown;
     int pushes = (wanted > (smajax_real){upper!r} && grown > g->integral) || (wanted < 0 && grown < g->integral);
@@ -135,7 +135,7 @@ static smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real temperatu
     return command < wanted ? command : wanted;
 }}
 
-static smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
+static inline smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
     int known = smajax_is_number(temperature);
     g->blind = known ? 0 : g->blind + SMAJAX_PERIOD;
     if (g->blind >= SMAJAX_GUARD_BLIND) return command < 0 ? command : 0;
@@ -173,11 +173,11 @@ _INVERSE = """
 static const smajax_real smajax_thresholds[SMAJAX_PLAYS] = {{{thresholds}}};
 static const smajax_real smajax_densities[SMAJAX_PLAYS] = {{{densities}}};
 
-static smajax_real smajax_play(smajax_real wanted, smajax_real threshold, smajax_real play) {{
+static inline smajax_real smajax_play(smajax_real wanted, smajax_real threshold, smajax_real play) {{
     return smajax_clip(play, wanted - threshold, wanted + threshold);
 }}
 
-static smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {{
+static inline smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {{
     smajax_real level = SMAJAX_DIRECT * reference;
     int i;
     for (i = 0; i < SMAJAX_PLAYS; i++) {{
@@ -220,12 +220,12 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     if isinstance(controller, PID):
         kind, step = "PID", _PLAIN
     elif isinstance(controller, BPID):
-        kind, step, extra = "BPID", _BILINEAR, {"least": LEAST}
+        kind, step, extra = "BPID", _BILINEAR, _fixed(controller)
     elif isinstance(controller, FeedforwardPID):
         kind, step = "PID with feedforward", _FED
     elif isinstance(controller, PPID):
         ahead = "0" if inverse is None else "smajax_ahead(s, reference)"
-        kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), {"leave": controller.leave}
+        kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), _fixed(controller)
         size = "(reference - value < 0 ? value - reference : reference - value)"
         parts |= {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
     elif isinstance(controller, AdaptivePID):
@@ -271,9 +271,22 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     )
 
 
+def _fixed(controller: AbstractController) -> dict[str, Any]:
+    """What a kind of controller has beside its gains, as its C header has it."""
+    if isinstance(controller, BPID):
+        return {"least": LEAST}
+    if isinstance(controller, PPID):
+        return {"leave": controller.leave}
+    if isinstance(controller, AdaptivePID):
+        return {"law": controller.law, "growth": controller.growth}
+    return {}
+
+
 def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict[str, Any]:
     """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward.
 
+    ``law`` and ``growth`` are those of an adaptive PID; ``leave`` is how many bands away a PPID that rests leaves its rest; ``least`` is
+    the least 1 + kb y of a BPID.
     Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does.
     """
     controller = owner.controller if isinstance(owner, Loop) else owner
@@ -285,6 +298,7 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
         "output": [float(pid.lower), float(pid.upper)],
         "derivative_on": pid.derivative_on,
         "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
+        **_fixed(controller),
     }
     if inverse is not None:
         document["feedforward"] = inverse_document(inverse)

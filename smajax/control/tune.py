@@ -13,6 +13,7 @@ Settling, whose derivative jumps, has a search of its own: ``fastest``.
 """
 
 import contextlib
+import functools
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -22,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+import scipy.stats
 
 from smajax.control import metrics, objective, trust_region
 from smajax.control.fastest import Shape, fastest, shape_at
@@ -46,11 +48,13 @@ _EVALUATIONS = 32
 _RTOL = 1e-4
 _SCREENED = 16
 _BATCH = 8  # points looked at together
+_SPREAD = 64  # points looked at by one member, where limits keep the search from where the terms are small
 _REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and that of all members from where one has led
 _ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
 _COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
 # Of quadratics, of the box: how far looks lie apart at first and in the end, and how many there are at most.
 _BY_ONE, _BY_ALL = (0.15, 0.01, 80), (0.04, 0.004, 40)
+_LIMITED, _BROKEN = (0.15, 0.004, 80), 10.0  # the same within limits, and a violation at most, lest a cliff bend the quadratic
 _ABOVE = 100.0  # times the first cost: one that is higher counts as this, lest a cliff bend the quadratic
 
 
@@ -98,16 +102,23 @@ class Tuned(NamedTuple):
     history: tuple[tuple[int, float], ...]
 
 
+def least_broken(one: Tuned) -> tuple[bool, float, float]:
+    """What results are compared by: limits broken, settling, of which the violation tells little, by its time and after the others."""
+    others = sum(v for name, v in one.violated.items() if name != "settling" and v > _LOOSE)
+    return not one.feasible, others, one.settling if "settling" in one.violated else 0.0
+
+
 class _Wild(Exception):
     """The slope tells nothing here."""
 
 
 class _Candidate(NamedTuple):
-    """A point with its largest violation (0: none) and its weighted terms."""
+    """A point with its largest violation (0: none), its weighted terms, and what it violates of each limit where that was looked at."""
 
     worst: float
     cost: float
     point: np.ndarray
+    violated: np.ndarray = np.zeros(len(LIMITS))
 
 
 class _Tuner:
@@ -140,7 +151,7 @@ class _Tuner:
         """Looks at points by all members, which keeps them, or by those in ``tuning``."""
         terms, violated = self.look(points, tuning)
         costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
-        found = [_Candidate(_worst(v), float(c), p) for v, c, p in zip(violated, costs, points, strict=True)]
+        found = [_Candidate(_worst(v), float(c), p, v) for v, c, p in zip(violated, costs, points, strict=True)]
         if tuning is None or tuning.count == self.tuning.count:
             for one in found:
                 self.keep(one)
@@ -253,6 +264,8 @@ def tune(
     tuner = _Tuner(tuning, wanted, progress, settle)
     points = _starts(tuner, starts, seed)
     found = _faster(tuner, _near(tuner, points)) if settle else _within(tuner, points)
+    if not settle and limits.get("settling", math.inf) < math.inf:
+        found = _soon_enough(tuner, found, points)
     terms, violated = tuner.look(found[None])
     kept = float(np.max(violated[0])) <= _LOOSE
     value = {name: float(v) for name, v in tuning.gains(found).items()}
@@ -295,9 +308,10 @@ def _usable(tuner: _Tuner, found: _Candidate) -> _Candidate:
 
 
 def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
-    """The terms made small within the limits by an augmented Lagrangian, from where they are small without, to one member at least.
+    """The terms made small within the limits, from where they are small without, to one member at least.
 
-    If that is far beyond a limit, from the point that violates the limits least.
+    If that breaks a limit, by an augmented Lagrangian, or from the best point known if it breaks it by far; then by quadratics of the terms
+    and of the limits: a limit of a loop that turns unstable, or rests, near it has no slope that leads anywhere.
     """
     if tuner.plain:
         return _without(tuner, points)
@@ -309,13 +323,13 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     best, multipliers, before, mu = min(tried, key=_order), tuner.none, math.inf, 1.0
     if tried[0].worst > _GROSS:
         point = best.point
-    for _ in range(_RAISES):
+    for turn in range(_RAISES):
         now = tuner.candidates(point[None])[0]
         if _order(now) < _order(best):
             best = now
             if now.worst == 0.0:
                 tuner.history.append((tuner.rollouts, now.cost))
-        if now.worst == 0.0 and not bool(jnp.any(multipliers > 0.0)):
+        if now.worst == 0.0 and (turn or tried[0].worst == 0.0) and not bool(jnp.any(multipliers > 0.0)):
             break
         if now.worst > 0.5 * before:
             mu *= 4.0
@@ -323,6 +337,14 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
         multipliers = jnp.maximum(multipliers + mu * _violations(tuner.tuning, jnp.asarray(point), tuner.wanted), 0.0)
         tuner.rollouts += tuner.tuning.count
         point = tuner.descend(point, tuner.wanted, multipliers, mu, _FIRST, _SMALL_STEP, _REACH).point
+    if tried[0].worst > 0.0:
+        # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
+        alone = tuner.tuning.alone()
+        spread = scipy.stats.qmc.Sobol(len(point), seed=0).random(_SPREAD)
+        seen = [one for k in range(0, _SPREAD, _BATCH) for one in tuner.candidates(spread[k : k + _BATCH], alone)]
+        begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], min(seen, key=_order).point)}.values()
+        led = min((_by_quadratics(tuner, p, alone, *_LIMITED) for p in begun), key=_order)
+        best = min(best, _by_quadratics(tuner, led.point, tuner.tuning, *_BY_ALL), key=_order)
     return best.point
 
 
@@ -352,22 +374,34 @@ def _known(tuner: _Tuner) -> _Candidate:
 
 
 def _by_quadratics(tuner: _Tuner, start: np.ndarray, tuning: Tuning, radius: float, least: float, looks: int) -> _Candidate:
-    """The best that SciPy's COBYQA finds from a point with looks by the members in ``tuning``."""
+    """The best that SciPy's COBYQA finds from a point, within the limits if there are any, with looks by the members in ``tuning``."""
     free = np.asarray(tuning.upper > tuning.lower)
     best = tuner.candidates(start[None], tuning)[0]
     most = _ABOVE * min(best.cost, _UNUSABLE)
+    limited = np.isfinite(np.asarray(tuner.wanted.limits))
 
-    def cost(moved: np.ndarray) -> float:
+    @functools.cache  # COBYQA asks for terms and limits one after the other
+    def at(packed: bytes) -> _Candidate:
         nonlocal best
         point = start.copy()
-        point[free] = np.clip(moved, 0.0, 1.0)
+        point[free] = np.clip(np.frombuffer(packed), 0.0, 1.0)
         now = tuner.candidates(point[None], tuning)[0]
-        best = min(best, now, key=_order)
+        if _order(now) < _order(best):
+            best = now
+            if now.worst == 0.0 and not tuner.plain:
+                tuner.history.append((tuner.rollouts, now.cost))
         tuner.progress(tuner.rollouts, best.cost)
-        return math.log(max(min(now.cost, most), 1e-300))
+        return now
 
-    options = {"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": looks}
-    scipy.optimize.minimize(cost, start[free], method="COBYQA", bounds=[(0.0, 1.0)] * int(np.sum(free)), options=options)
+    within = scipy.optimize.NonlinearConstraint(lambda moved: np.minimum(at(moved.tobytes()).violated[limited], _BROKEN), -np.inf, 0.0)
+    scipy.optimize.minimize(
+        lambda moved: math.log(max(min(at(moved.tobytes()).cost, most), 1e-300)),
+        start[free],
+        method="COBYQA",
+        bounds=[(0.0, 1.0)] * int(np.sum(free)),
+        constraints=[within] if np.any(limited) else (),
+        options={"initial_tr_radius": radius, "final_tr_radius": least, "maxfev": looks},
+    )
     return best
 
 
@@ -392,6 +426,31 @@ def _faster(tuner: _Tuner, start: np.ndarray) -> np.ndarray:
 
     span = np.log(np.asarray(tuning.upper / tuning.lower))
     return fastest(shape, start, span, found, tuner.wanted, tuning.task.period, note, evaluations=_EVALUATIONS)
+
+
+def _soon_enough(tuner: _Tuner, found: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The point found if it settles in time; else one that does, with its terms made small from there, or the one that settles first.
+
+    How late a loop is says little of how to make it sooner: that is searched for by itself, within the other limits.
+    """
+    place, spent = LIMITS.index("settling"), tuner.rollouts
+    before = tuner.candidates(found[None])[0]
+    if before.worst == 0.0:
+        return found
+    others = eqx.tree_at(
+        lambda w: (w.weights, w.limits), tuner.wanted, (wanted_of(SETTLING, {}).weights, tuner.wanted.limits.at[place].set(jnp.inf))
+    )
+    free = _Tuner(tuner.tuning, others, lambda count, cost: tuner.progress(spent + count, cost), settle=True)
+    sooner = _faster(free, _near(free, points))
+    tuner.rollouts += free.rollouts
+    after = tuner.candidates(sooner[None])[0]
+    if after.worst == 0.0:
+        return min(after, _by_quadratics(tuner, sooner, tuner.tuning, *_BY_ALL), key=_order).point
+
+    def broken(one: _Candidate) -> tuple[float, float]:
+        return _worst(np.delete(one.violated, place)), _settling(tuner.tuning, one.point, tuner.wanted.band)
+
+    return min(before, after, key=broken).point
 
 
 class _Shaped(eqx.Module):

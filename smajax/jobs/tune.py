@@ -19,7 +19,7 @@ from smajax.control.margins import Margins, margins, restless
 from smajax.control.reach import Reach, cut, falls, reach
 from smajax.control.rollout import Loop, Rollout
 from smajax.control.slow_loop import Identified, identify, with_inverse
-from smajax.control.tune import Tuned, tune
+from smajax.control.tune import Tuned, least_broken, tune
 from smajax.control.tuning import NOISES, SPREAD, Tuning, noises, roll
 from smajax.controller_file import ControllerFile, read_controller
 from smajax.errors import InputError
@@ -162,8 +162,7 @@ def _tuned(given: ControllerFile, tuning: Tuning, seed: int, progress: Progress)
         return found
     progress.phase("no gains keep all limits yet: looking from more starts")
     again = search(_WIDER)
-    best = min(found, again, key=lambda one: (not one.feasible, sum(max(v, 0.0) for v in one.violated.values())))
-    return best._replace(rollouts=found.rollouts + again.rollouts)
+    return min(found, again, key=least_broken)._replace(rollouts=found.rollouts + again.rollouts)
 
 
 def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:

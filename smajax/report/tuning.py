@@ -10,6 +10,7 @@ from smajax.report.summary import table
 from smajax.units import CHANNELS, from_si
 
 SCHEMA = "smajax.tune/1"
+_GAIN, _PHASE = 1.5, 20.0  # margins (degrees) below which a warning is due
 _METRICS = {
     "rmse": "RMSE", "max_error": "largest error", "itae": "ITAE", "rise": "rise 10 to 90 %", "settling": "settling",
     "overshoot": "overshoot", "energy": "energy", "mean_command": "mean command",
@@ -50,12 +51,12 @@ def sentences(doc: Mapping[str, Any]) -> str:
     if doc["problems"]:
         told += " But " + "; ".join(doc["problems"]) + "."
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
-    if (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0):
+    beyond = (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0)
+    if beyond or (gain is not None and gain < _GAIN) or (phase is not None and phase < _PHASE):
         have = [] if gain is None else [f"a gain margin of {gain:.2g}"]
         have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
-        told += (
-            f" Linearised along its rollout, the loop has {' and '.join(have)}: it is at the brink of swinging, so give effort more weight."
-        )
+        brink = "it is at the brink of swinging" if beyond else "a rig that is a little different may swing"
+        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: {brink}, so give effort more weight."
     if doc.get("start_kept"):
         told += " Of the gains found none does better on the draws than the start gains, which are kept: try more starts, or more draws."
     if doc["robust"]:
