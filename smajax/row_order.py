@@ -26,6 +26,7 @@ def refuse_disorder(name: str, temperature: np.ndarray, strain: np.ndarray) -> N
     steps = np.abs(np.diff(temperature))
     worst = int(np.argmax(steps))
     if steps[worst] > _JUMP * np.ptp(temperature):
+        refuse_strays(name, "a temperature (degC) of", temperature)
         told = f"{name}: row {worst + 2} of the data: the temperature jumps by {steps[worst]:.3g} K from the row before"
         raise InputError(f"{told}: rows are missing, or {_CURE}")
     off_t, off_e = (values - median_filter(values, _ABOUT, mode="nearest") for values in (temperature, strain))

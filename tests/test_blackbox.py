@@ -1,6 +1,7 @@
 """Black boxes against other people's linear systems and against themselves, and fits that find what was planted."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from smajax.blackbox.narx import Narx
 from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
 from smajax.errors import InputError
-from smajax.fit.families import bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
+from smajax.fit.families import FAMILIES, bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
 from smajax.fit.operator_problem import Series, build_operator
 from smajax.fit.operators import fit_operator, parted
 from smajax.hysteresis.bouc_wen import BoucWen
@@ -239,6 +240,35 @@ def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
     assert np.all(earlier[1, 20:80] > 0.0) and not np.any(earlier[1, 80:]) and np.all(later[1, 80:100] > 0.0)
 
 
+@pytest.mark.parametrize("slope", [8.0, 30.0])
+def test_a_steep_operator_is_found_wherever_its_input_is_counted_from(slope):
+    """A loop beside 0 and one far from it are the same to the search."""
+    u = 0.5 + 0.5 * np.sin(TIME * 2.0 * math.pi / 9.0) * np.linspace(1.0, 0.4, len(TIME))
+    top, other = (Envelope(*map(jnp.asarray, (1.0, slope, -slope * centre, 1.0))) for centre in (0.75, 0.65))
+    law = PrandtlIshlinskii(jnp.asarray(0.6), jnp.linspace(0.1, 0.8, 10), jnp.full(10, 0.04), top, other)
+    y = np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u))) + 5e-3 * np.random.default_rng(1).standard_normal(len(TIME))
+    for origin in (0.0, 0.7, -40.0):
+        series = [Series("a", TIME, u - origin, y)]
+        assert fit_operator(prandtl_ishlinskii(series), series, starts=8).rmse < 5.5e-3, origin
+
+
+@pytest.mark.parametrize("name", ["transfer-function-one-pole", "transfer-function-two-poles", "bouc-wen"])
+def test_an_input_about_a_bias_is_no_harder_than_one_about_zero(name):
+    """What the output would be without any input lies far outside the range of the output then."""
+    u = np.repeat(np.random.default_rng(2).uniform(0.0, 1.0, len(TIME) // 10 + 1), 10)[: len(TIME)]
+    y, step = np.zeros(len(TIME)), float(TIME[1] - TIME[0])
+    for k in range(1, len(TIME)):
+        y[k] = y[k - 1] + (1.0 - math.exp(-step / 1.5)) * (2.0 * u[k - 1] - y[k - 1])
+    y += 5.0 + 0.01 * np.random.default_rng(3).standard_normal(len(TIME))
+    if name == "bouc-wen":
+        y = original(SEVEN, u - u[0]) + 5.0
+    errors = []
+    for bias in (0.0, 20.0, -7.0):
+        series = [Series("a", TIME, u + bias, y)]
+        errors.append(fit_operator(FAMILIES[name](series), series, starts=8).rmse)
+    assert max(errors) < 1.05 * min(errors) + 1e-6 and min(errors) < 0.011, errors
+
+
 def test_bouc_wens_own_parameters_are_found():
     u = np.interp(TIME, TIME[::20], np.random.default_rng(3).uniform(-1.0, 1.0, 20))
     y = original(SEVEN, u)
@@ -261,7 +291,10 @@ def test_the_operators_own_parameters_are_found(envelopes):
     family = prandtl_ishlinskii(series, 3, envelopes)
     assert family.size == {1: 8, 2: 12}[envelopes]
     scale = float(family.start["loading"]["height"]) / held
-    sized = [top | {"height": scale * top["height"], "middle": scale * top["middle"]} for top in tops]
+    sized = [
+        {"height": scale * held, "slope": top["slope"], "centre": -top["shift"] / top["slope"], "middle": scale * top["middle"]}
+        for top in tops
+    ]
     truth = {"direct": 0.5 / scale, "densities": np.array([0.3, 0.2, 0.15]) / scale, "reach": 0.6 * scale}
     truth |= dict(zip(("loading", "unloading"), sized, strict=False))
     near = jax.tree.map(lambda v: jnp.asarray(1.1 * v), truth)

@@ -191,6 +191,7 @@ def _turned(first: int, last: int, count: int) -> np.ndarray:
             lambda t, e: (t, np.where(np.arange(len(e)) == 400, 0.5, e)),
             "row 401 of the data: a strain of 0.5 stands alone among rows of about 0.0",
         ),
+        (lambda t, e: (np.where(np.arange(len(t)) == 50, t + 90.0, t), e), "row 51 of the data: a temperature (degC) of"),
     ],
 )
 def test_what_cannot_be_read_is_said(change, sentence):

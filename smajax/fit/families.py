@@ -54,16 +54,22 @@ def _bouc_wen(parameters: dict) -> BoucWen:
     return BoucWen(**parameters)
 
 
+def _at_no_input(low: float, span: float, bottom: float, swing: float, way: float) -> tuple[float, float, float]:
+    """Bounds and first guess of the output at input 0, where the output goes the ``way`` of the input, which need not come near 0."""
+    guess, reach = (bottom if way > 0.0 else bottom + swing) - way * swing * low / span, 5.0 * swing * (1.0 + abs(low) / span)
+    return bottom - reach, bottom + reach, guess
+
+
 def bouc_wen(series: Sequence[Series], *, rest: bool = False) -> Family:
     """The five parameters; with ``rest``, a constant beside them, for sensors that do not read 0 where the input begins."""
-    _, span, bottom, swing = _ranges(series)
+    low, span, bottom, swing = _ranges(series)
     way = _way(series)
     lower = {"kx": -10 * swing / span, "kw": -10 * swing, "rho": 0.1 / span, "sigma": 0.5, "n": 1.0}
     upper = {"kx": 10 * swing / span, "kw": 10 * swing, "rho": 100.0 / span, "sigma": 5.0, "n": 6.0}
     start = {"kx": way * 0.5 * swing / span, "kw": way * 0.5 * swing, "rho": 2.0 / span, "sigma": 1.0, "n": 1.5}
     if rest:
-        ends = {"rest": bottom - 5 * swing}, {"rest": bottom + 5 * swing}, {"rest": bottom if way > 0.0 else bottom + swing}
-        lower, upper, start = (side | end for side, end in zip((lower, upper, start), ends, strict=True))
+        ends = _at_no_input(low, span, bottom, swing, way)
+        lower, upper, start = (side | {"rest": end} for side, end in zip((lower, upper, start), ends, strict=True))
     return Family("bouc-wen", _bouc_wen, _arrays(lower), _arrays(upper), _arrays(start))
 
 
@@ -73,8 +79,13 @@ def _spread(parameters: dict) -> PrandtlIshlinskii:
     thresholds = jnp.cumsum(parameters["gaps"]) if "gaps" in parameters else parameters["reach"] * jnp.arange(1, count + 1) / count
     unloading = parameters.get("unloading")
     return PrandtlIshlinskii(
-        parameters["direct"], thresholds, densities, Envelope(**parameters["loading"]), Envelope(**unloading) if unloading else None
+        parameters["direct"], thresholds, densities, _envelope(parameters["loading"]), _envelope(unloading) if unloading else None
     )
+
+
+def _envelope(parameters: dict) -> Envelope:
+    """By its ``centre``, which is an input, and so is within bounds that do not depend on where inputs are counted from."""
+    return Envelope(parameters["height"], parameters["slope"], -parameters["slope"] * parameters["centre"], parameters["middle"])
 
 
 # Other first guesses: slopes times the input's range, centres and distance of the envelopes over it, and a factor on the plays' reach.
@@ -106,12 +117,11 @@ def prandtl_ishlinskii(
     low, span, bottom, swing = _ranges(series)
     middle, way = low + 0.5 * span, _way(series)
 
-    envelope = {"height": way * 0.5 * swing, "slope": 3.0 / span, "shift": -3.0 / span * middle, "middle": bottom + 0.5 * swing}
-    far = 5.0 + 10.0 / span * abs(middle)
+    envelope = {"height": way * 0.5 * swing, "slope": 3.0 / span, "centre": middle, "middle": bottom + 0.5 * swing}
     ends = {
         "height": (0.1 * swing, swing) if way > 0.0 else (-swing, -0.1 * swing),
         "slope": (0.2 / span, 40.0 / span),
-        "shift": (-far, far),
+        "centre": (low - 1.5 * span, low + 2.5 * span),
         "middle": (bottom - swing, bottom + 2 * swing),
     }
     lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
@@ -135,8 +145,7 @@ def prandtl_ishlinskii(
     for slope, place, gap, far in itertools.product(*_ELSEWHERE) if envelopes == 2 else ():
         other = start | ({"reach": far * start["reach"]} if "reach" in start else {})
         for name, side in (("loading", 0.5), ("unloading", -0.5)):
-            centre = low + (place + side * gap) * span
-            other |= {name: envelope | {"slope": slope / span, "shift": -slope / span * centre}}
+            other |= {name: envelope | {"slope": slope / span, "centre": low + (place + side * gap) * span}}
         others.append(_arrays(other))
     name = f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii"
     return Family(name, _spread, *map(_arrays, (lower, upper, start)), kinked=True, others=tuple(others))
@@ -155,17 +164,21 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     names = ("gain", "rest", "first", "second", "damping", "delay", "settled")
     on = 1.0 if not constant and any(abs(s.input[0]) > 1e-9 * span for s in series) else 0.0
+    nearest = min(float(np.min(np.abs(s.input))) for s in series)
+    on *= 1.0 + (span / nearest if nearest > 0.5 * span else 0.0)  # about a bias, what came before may have been further from 0
     prompt = 1e-3 * step  # from one row to the next such a lag is none, so that a structure holds those with fewer poles
-    lower = (-20 * swing / span, bottom - 5 * swing, prompt, prompt, 0.05, 0.0, 0.0)
-    upper = (20 * swing / span, bottom + 5 * swing, duration, duration, _DAMPED, duration / 2, on)
-    start = (swing / span, bottom, duration / 50, duration / 100, 0.9, step, 0.0)
+    least, most, rising = _at_no_input(0.0 if constant else low, span, bottom, swing, 1.0)
+    ways = (1.0, rising), (-1.0, _at_no_input(0.0 if constant else low, span, bottom, swing, -1.0)[2])
+    lower = (-20 * swing / span, least, prompt, prompt, 0.05, 0.0, 0.0)
+    upper = (20 * swing / span, most, duration, duration, _DAMPED, duration / 2, on)
+    start = (swing / span, rising, duration / 50, duration / 100, 0.9, step, 0.0)
     ends = [{k: v for k, v in zip(names, side, strict=True) if k not in _UNUSED[structure]} for side in (lower, upper, start)]
     others = [
         ends[2] | {"gain": sign * ends[2]["gain"], "rest": rest, "delay": delay, "first": slow} | second
         for delay in np.linspace(0.0, 0.45, 10) * duration
         for slow in (duration / 50, duration / 12)
         for second in ([{"second": slow / 2}, {"second": step}] if "second" in ends[2] else [{}])
-        for sign, rest in ((1.0, bottom), (-1.0, bottom + swing))
+        for sign, rest in ways
     ]
     name, before = f"transfer-function-{structure}", STRUCTURES.index(structure) - 1
 

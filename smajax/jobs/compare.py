@@ -184,7 +184,7 @@ def _law(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, see
             f"{failed[0].recording.name}: {failed[0].code.name} where its fit ended, at {ends}: bound these (fit.bounds), free fewer, or "
             "give a training recording that goes as far"
         )
-    held = tuple(f"{e.name} ({as_text(e.estimate, e.unit)})" for e in result.estimates if e.at_bound)
+    held = tuple(f"{e.name} ({as_text(float(f'{e.estimate:.5g}'), e.unit)})" for e in result.estimates if e.at_bound)
     open_ = tuple(e.name for e in result.estimates if undetermined(estimate_entry(e)))
     predictions = tuple(r.model[channel] for r in result.responses)
     fitted = {
