@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from smajax.errors import InputError
 from smajax.fit.uncertainty import autoregression
-from smajax.inner_loops import inner_loops
+from smajax.inner_loops import inner_loops, scatter
 from smajax.row_order import refuse_disorder, refuse_strays
 from smajax.tangents import Lines, lay
 
@@ -42,6 +42,7 @@ _WITHIN = 2  # rows on the transformation
 _STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
 _BACKWARDS = 0.02  # of the temperatures
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
+_NO_NOISE = 5.0  # times the scatter from row to row: what is further off the lines is no noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,8 +192,11 @@ def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int,
     away = _measured(drawn_t, drawn_e, again) - _measured(warm, on_lines[None], lines)
     unsure = float(np.max(np.quantile(np.abs(away[:, :2]), 0.95, axis=0)))
     if unsure > _HIDDEN * float(np.ptp(warm)):
-        told = f"on {kind} start and finish are uncertain by {unsure:.2g} K: the transformation is hidden in the noise"
-        raise InputError(f"{told}; load more, or measure with less noise")
+        told = f"on {kind} start and finish are uncertain by {unsure:.2g} K:"
+        if float(np.std(strain - on_lines)) > _NO_NOISE * scatter(strain, 1):
+            why = "the strain bends where three straight lines do not, as by a transformation in two steps (an R-phase)"
+            raise InputError(f"{told} {why}; give the part of the branch in which one step happens")
+        raise InputError(f"{told} the transformation is hidden in the noise; load more, or measure with less noise")
     return _measured(warm, strain[None], lines), away
 
 

@@ -175,6 +175,17 @@ def _turned(first: int, last: int, count: int) -> np.ndarray:
     return rows
 
 
+def _in_two_steps(*_):
+    """A wire that cools by an R-phase, far before the rest."""
+    cold = np.linspace(170.0, -20.0, 250)
+
+    def share(finish, start, at):
+        return 0.5 + 0.5 * np.cos(np.pi * np.clip((at - finish) / (start - finish), 0.0, 1.0))
+
+    cooled = 0.02 * share(10.0, 25.0, cold) + 0.008 * share(60.0, 72.0, cold)
+    return np.r_[cold, cold[::-1]], np.r_[cooled, 0.028 * share(92.0, 115.0, cold[::-1])]
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -191,6 +202,7 @@ def _turned(first: int, last: int, count: int) -> np.ndarray:
             lambda t, e: (t, np.where(np.arange(len(e)) == 400, 0.5, e)),
             "row 401 of the data: a strain of 0.5 stands alone among rows of about 0.0",
         ),
+        (_in_two_steps, "bends where three straight lines do not, as by a transformation in two steps"),
         (lambda t, e: (np.where(np.arange(len(t)) == 50, t + 90.0, t), e), "row 51 of the data: a temperature (degC) of"),
     ],
 )
