@@ -121,7 +121,7 @@ def prandtl_ishlinskii(
     ends = {
         "height": (0.1 * swing, swing) if way > 0.0 else (-swing, -0.1 * swing),
         "slope": (0.2 / span, 40.0 / span),
-        "centre": (low - 1.5 * span, low + 2.5 * span),
+        "centre": (low - 0.5 * span, low + 1.5 * span),
         "middle": (bottom - swing, bottom + 2 * swing),
     }
     lower = {"direct": 1e-3, "densities": np.zeros(count), "reach": 0.01 * swing, "loading": {k: v[0] for k, v in ends.items()}}
