@@ -340,7 +340,7 @@ def _within(tuner: _Tuner, points: np.ndarray) -> np.ndarray:
     if tried[0].worst > 0.0:
         # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
         alone = tuner.tuning.alone()
-        spread = scipy.stats.qmc.Sobol(len(point), seed=0).random(_SPREAD)
+        spread = scipy.stats.qmc.Sobol(len(point), scramble=False).random(_SPREAD) + 0.5 / _SPREAD  # amid cells, none on an edge
         seen = [one for k in range(0, _SPREAD, _BATCH) for one in tuner.candidates(spread[k : k + _BATCH], alone)]
         begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], min(seen, key=_order).point)}.values()
         led = min((_by_quadratics(tuner, p, alone, *_LIMITED) for p in begun), key=_order)
@@ -388,7 +388,7 @@ def _by_quadratics(tuner: _Tuner, start: np.ndarray, tuning: Tuning, radius: flo
         now = tuner.candidates(point[None], tuning)[0]
         if _order(now) < _order(best):
             best = now
-            if now.worst == 0.0 and not tuner.plain:
+            if now.worst == 0.0 and not tuner.plain and tuning.count == tuner.tuning.count:
                 tuner.history.append((tuner.rollouts, now.cost))
         tuner.progress(tuner.rollouts, best.cost)
         return now
