@@ -354,13 +354,15 @@ def report(bench: Bench, logs: Sequence[Log], base: list[Fitted], history: list[
         rows.append(Row(f"round {k + 1}: verdict", "-", verdict, None))
     rows.append(compared("held out: repeating pulse 1 (naive)", repeated, None))
     rows.append(compared("held out: base model", bench.errors("held", whole), (BASE_K, BASE_DEG) if known else None))
-    named = ", ".join(one.accepted for one in history if one.accepted) or "none"
-    rows.append(compared(f"held out: with effects ({named})", bench.errors("held", final), (REACH_K, REACH_DEG) if known else None))
+    rows.append(compared("held out: with effects", bench.errors("held", final), (REACH_K, REACH_DEG) if known else None))
     for i, (log, fitted) in enumerate(zip(logs, final, strict=True)):
         rows.append(compared(f"held out: {log.name}", tuple(rms([r]) for r in bench.residuals(i, "held", fitted)), None))  # pyright: ignore[reportArgumentType]
     ours = bench.errors("held", final)
     text = f"{ours[0]:.2f} K, {ours[1]:.2f} deg against {repeated[0]:.2f} K, {repeated[1]:.2f} deg"
-    rows.append(Row("held out: with effects against the naive forecast", "below it", text, ours[0] < repeated[0] and ours[1] < repeated[1]))
+    named = ", ".join(one.accepted for one in history if one.accepted) or "no effect"
+    rows.append(
+        Row(f"held out: with {named}, against the naive forecast", "below it", text, ours[0] < repeated[0] and ours[1] < repeated[1])
+    )
     for i, unknown in enumerate(bench.first.unknowns):
         values = [float(f.base[i] * unknown.scale) for f in final]
         rows.append(Row(unknown.name, "-", f"{', '.join(f'{v:.4g}' for v in values)} {unknown.unit}", None))
