@@ -29,7 +29,7 @@ from diagnosis_two_wires import NOISE as NOISE_OF_ANGLE
 from diagnosis_two_wires import PAIRS as PAIRS_OF_TWO
 from diagnosis_two_wires import UNLISTED as UNLISTED_OF_TWO
 from diagnosis_two_wires import USUAL as OF_TWO
-from diagnosis_two_wires import seen_angle
+from diagnosis_two_wires import count, seen_angle
 
 from smajax.diagnose.bench import Bench
 from smajax.diagnose.verdict import diagnose
@@ -151,11 +151,6 @@ def cases(seeds: range, quick: bool) -> Iterator[Case]:
 
 def rows(facts: list[Facts]) -> list[Row]:
     """The table."""
-
-    def count(what: str, hits: list[bool], target: float) -> Row:
-        met = float(np.mean(hits)) >= target if hits else None
-        return Row(what, f">= {100 * target:.0f} %", f"{sum(hits)} of {len(hits)}", met, {"hits": sum(hits), "cases": len(hits)})
-
     table = []
     for group in KINDS:
         of = [c for c in facts if c["group"] == group]

@@ -100,13 +100,14 @@ def main() -> None:
     finish("diagnosis_two_wires", rows(facts), args, cases=facts, words=words)
 
 
+def count(what: str, hits: list[bool], target: float) -> Row:
+    """The line of how many of some cases are hit, and whether these are enough."""
+    met = float(np.mean(hits)) >= target if hits else None
+    return Row(what, f">= {100 * target:.0f} %", f"{sum(hits)} of {len(hits)}", met, {"hits": sum(hits), "cases": len(hits)})
+
+
 def rows(facts: list[Facts]) -> list[Row]:
     """The table."""
-
-    def count(what: str, hits: list[bool], target: float) -> Row:
-        met = float(np.mean(hits)) >= target if hits else None
-        return Row(what, f">= {100 * target:.0f} %", f"{sum(hits)} of {len(hits)}", met, {"hits": sum(hits), "cases": len(hits)})
-
     singles, nulls, pairs, outside = (
         [c for c in facts if c["group"] == g] for g in ("one effect", "nothing", "two effects", "in no catalogue")
     )

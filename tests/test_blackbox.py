@@ -354,7 +354,7 @@ def test_thresholds_and_densities_are_fitted_or_held():
     }.items():
         family = prandtl_ishlinskii(series, 3, 1, **options)
         sizes[name] = family.size
-        found = fit_operator(family, series, starts=8)
+        found = fit_operator(family, series, starts=4)
         assert found.rmse < (0.02 if name == "densities held" else 2e-3) * np.ptp(y), name
         if "thresholds" in options and name != "free":
             np.testing.assert_allclose(found.law.thresholds, thresholds, atol=1e-12)
