@@ -339,6 +339,8 @@ def test_a_reference_far_beyond_the_stroke_is_cut_where_the_rig_can_move():
     assert ends[1.0] == (True, 4e-3, 4e-3) and ends[0.1] == (True, 2e-3, 4e-3)
     assert ends[-1.0][0] is False  # nothing of it is left
     assert ends[0.02][1:] == (0.4e-3, 1e-3)  # within it, nothing is
+    both = cut(Scenario.quiet(wanted), Reach(-4e-3, 4e-3))  # of two wires that pull by turns, one side is half of the reach
+    assert float(both.reference.min()) == float(both.reference.max()) == 4e-3
 
 
 def test_draws_that_fail_are_tuned_for(tmp_path, monkeypatch):

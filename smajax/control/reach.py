@@ -64,11 +64,11 @@ def reach(driven: AbstractDriven, loop: Loop, scenario: Scenario, limits: Mappin
 
 
 def cut(scenario: Scenario, far: Reach) -> Scenario:
-    """The scenario with its reference within the reach, if that leaves half of it, or half of what the rig can do."""
+    """The scenario with its reference within the reach, if that leaves half of it, or of the longer way that the rig can go."""
     within = jnp.clip(scenario.reference, far.least, far.largest)
     whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
     left = float(jnp.ptp(jnp.append(within, scenario.before)))
-    enough = 0.5 * min(whole, far.largest - far.least)
+    enough = 0.5 * min(whole, max(far.largest - float(scenario.before), float(scenario.before) - far.least))
     return eqx.tree_at(lambda s: s.reference, scenario, within) if left > enough else scenario
 
 
