@@ -66,9 +66,9 @@ def reach(driven: AbstractDriven, loop: Loop, scenario: Scenario, limits: Mappin
 def cut(scenario: Scenario, far: Reach) -> Scenario:
     """The scenario with its reference within the reach, if that leaves half of it, or of the longer way that the rig can go."""
     within = jnp.clip(scenario.reference, far.least, far.largest)
-    whole = float(jnp.ptp(jnp.append(scenario.reference, scenario.before)))
-    left = float(jnp.ptp(jnp.append(within, scenario.before)))
-    enough = 0.5 * min(whole, max(far.largest - float(scenario.before), float(scenario.before) - far.least))
+    before = float(scenario.before)
+    whole, left = (float(jnp.ptp(jnp.append(values, before))) for values in (scenario.reference, within))
+    enough = 0.5 * min(whole, max(far.largest - before, before - far.least))
     return eqx.tree_at(lambda s: s.reference, scenario, within) if left > enough else scenario
 
 

@@ -143,10 +143,11 @@ def prandtl_ishlinskii(
     others = []
     # Two envelopes can stand in for each other's plays: from those of another slope in another place a search ends there. One cannot, but
     # thresholds that are all free can stand in for its slope.
-    slopes, places, gaps_between, reaches = _ELSEWHERE
-    several = (slopes, places, gaps_between if envelopes == 2 else (0.0,), reaches if envelopes == 2 else (1.0,))
-    for slope, place, gap, far in itertools.product(*several) if envelopes == 2 or (gaps is None and thresholds == "free") else ():
-        other = start | ({"reach": far * start["reach"]} if "reach" in start else {})
+    slopes, places, apart, factors = _ELSEWHERE
+    ways = (slopes, places, apart if envelopes == 2 else (0.0,), factors if "reach" in start else (1.0,))
+    elsewhere = envelopes == 2 or (gaps is None and thresholds == "free")
+    for slope, place, gap, factor in itertools.product(*ways) if elsewhere else ():
+        other = start | ({"reach": factor * start["reach"]} if "reach" in start else {})
         for name, side in (("loading", 0.5), ("unloading", -0.5))[:envelopes]:
             other |= {name: envelope | {"slope": slope / span, "centre": low + (place + side * gap) * span}}
         others.append(_arrays(other))
