@@ -30,10 +30,11 @@ from smajax.control import members
 from smajax.control.allocation import Allocation
 from smajax.control.driven import DrivenPlant
 from smajax.control.margins import restless
+from smajax.control.objective import wanted_of
 from smajax.control.pid import PID
 from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
-from smajax.control.tune import Tuned, tune, wanted_of
+from smajax.control.tune import Tuned, tune
 from smajax.control.tuning import SPREAD, Tuning, noises, roll
 from smajax.fit.fit import Fit, fit
 from smajax.recording import Recording

@@ -15,10 +15,11 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
+from smajax.control.objective import wanted_of
 from smajax.control.reach import Reach, cut, reach
 from smajax.control.rollout import Scenario
 from smajax.control.slow_loop import Feedforward, identify
-from smajax.control.tune import Tuned, objective_of, tune, wanted_of
+from smajax.control.tune import Tuned, objective_of, tune
 from smajax.control.tuning import Tuning, look, noises
 from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError

@@ -7,6 +7,7 @@ shake the wire. A limit c <= 0 at every sample is kept by an augmented Lagrangia
 lambda is raised after each search by what is still violated.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,6 +34,13 @@ class Wanted(eqx.Module):
     weights: jax.Array
     limits: jax.Array
     band: float = eqx.field(static=True, default=BAND)
+
+
+def wanted_of(weights: Mapping[str, float], limits: Mapping[str, float], band: float = BAND) -> Wanted:
+    """What is wanted, from weights of ``objective.TERMS`` and limits of ``objective.LIMITS`` by name."""
+    return Wanted(
+        jnp.asarray([float(weights.get(t, 0.0)) for t in TERMS]), jnp.asarray([float(limits.get(k, jnp.inf)) for k in LIMITS]), band
+    )
 
 
 class Task(eqx.Module):
