@@ -15,6 +15,13 @@
     objective = "tracking"            # tracking, itae, settling, or weights of several
     [limits]
     temperature = "110 degC"
+    [guard]                           # optional: what keeps the wire below a temperature whatever the controller wants
+    limit = "115 degC"
+    kp = "0.05 A/K"
+    [observer]                        # optional: the guard knows the temperature from the wire's power
+    trust = "0.2 1/s"                 # and corrects it by a thermocouple
+    [meters]                          # optional: what guard and observer hear
+    temperature = { noise = "0.5 K", lag = "1 s" }
 
 Quantities carry units; the gains' follow from the drive and the channel. Every mistake is one sentence that names file and key.
 """
@@ -39,7 +46,9 @@ from smajax.control.driven import DrivenPlant
 from smajax.control.gains import gain, unit_of, with_gains
 from smajax.control.gains import gains as gains_of
 from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
 from smajax.control.objective import TERMS
+from smajax.control.observers import ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop, Scenario
@@ -57,7 +66,10 @@ KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
 # What counts beside the objective unless weights are given: a real sensor would punish gains that shake the wire.
 _CALM = {"effort": 0.01}
-_SECTIONS = ("schema", "controller", "gains", "feedforward", "reference", "tune", "limits", "sensor", "guard", "robust", "change")
+_SECTIONS = (
+    "schema", "controller", "gains", "feedforward", "reference", "tune", "limits", "sensor", "guard", "observer", "meters", "robust",
+    "change",
+)  # fmt: skip
 
 
 class _Controller(BaseModel):
@@ -109,6 +121,25 @@ class _Guard(BaseModel):
     limit: Any = Field(examples=['"110 degC"'])
     kp: Any = Field(examples=['"0.05 A/K"'])
     ki: Any = Field(None, examples=['"0.01 A/K/s"'])
+
+
+class _Observer(BaseModel):
+    model_config = STRICT
+    a1: Any = Field(None, examples=['"12 K/J"'])
+    a2: Any = Field(None, examples=['"-0.8 1/s"'])
+    exponent: int = Field(1, ge=1, le=6, examples=["2"])
+    trust: Any = Field(None, examples=['"0.2 1/s"'])
+
+
+class _Thermocouple(_Sensor):
+    lag: Any = Field(None, examples=['"1 s"'])
+
+
+class _Meters(BaseModel):
+    model_config = STRICT
+    voltage: Any = Field(None, examples=['{ noise = "10 mV", quantum = "5 mV" }'])
+    current: Any = Field(None, examples=['{ noise = "2 mA", delay = "20 ms" }'])
+    temperature: Any = Field(None, examples=['{ noise = "0.5 K", lag = "1 s" }'])
 
 
 class _Robust(BaseModel):
@@ -194,12 +225,6 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         )
     if head.kind != "adaptive-pid" and "law" in data["controller"]:
         raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
-    sensor = validate(_Sensor, data.get("sensor", {}), "sensor")
-    noise, quantum = (_positive(v, difference, f"sensor.{k}") for k, v in (("noise", sensor.noise), ("quantum", sensor.quantum)))
-    wait = _positive(sensor.delay, "s", "sensor.delay") / period
-    if abs(wait - round(wait)) > 1e-6 * max(wait, 1.0):
-        ends = [as_text(period * n, "s") for n in (math.floor(wait), math.ceil(wait))]
-        raise InputError(f"sensor.delay = {show(sensor.delay)} is not a whole number of controller.period: give {ends[0]} or {ends[1]}")
     guard = None
     if "guard" in data:
         given = validate(_Guard, data["guard"], "guard")
@@ -212,8 +237,10 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     loop = Loop(
         _controller(head, period, (lower, upper)),
         Allocation(*_arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
-        Sensing(jnp.asarray(noise), jnp.asarray(quantum), round(wait)),
+        _sensing(validate(_Sensor, data.get("sensor", {}), "sensor"), difference, period, "sensor"),
         guard,
+        _observer(data["observer"], rig, guard, period) if "observer" in data else None,
+        _meters(data["meters"], guard, period) if "meters" in data else None,
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
@@ -254,6 +281,55 @@ def _controller(head: _Controller, period: float, output: tuple[float, float]) -
     if head.kind == "adaptive-pid":
         return AdaptivePID(pid, law=cast(Any, head.law))
     return pid
+
+
+def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
+    """A sensor's noise, steps and delay; ``unit`` is that of the first two."""
+    noise, quantum = (_positive(v, unit, f"{place}.{k}") for k, v in (("noise", given.noise), ("quantum", given.quantum)))
+    wait = _positive(given.delay, "s", f"{place}.delay") / period
+    if abs(wait - round(wait)) > 1e-6 * max(wait, 1.0):
+        ends = [as_text(period * n, "s") for n in (math.floor(wait), math.ceil(wait))]
+        raise InputError(f"{place}.delay = {show(given.delay)} is not a whole number of controller.period: give {ends[0]} or {ends[1]}")
+    return Sensing(jnp.asarray(noise), jnp.asarray(quantum), round(wait))
+
+
+def _observer(data: Any, rig: Rig, guard: TemperatureGuard | None, period: float) -> ThermalObserver:
+    """What tells the guard the temperature; what is not given is the rig's own heat balance at the guard's limit."""
+    given = validate(_Observer, data, "observer")
+    if guard is None:
+        raise InputError(
+            "[observer] tells a guard the wire's temperature, and there is none: add a section [guard], or take [observer] out"
+        )
+    if (given.a1 is None) != (given.a2 is None):
+        raise InputError(f"observer.{'a1' if given.a1 is None else 'a2'} is missing: give both a1 and a2, or neither for those of the rig")
+    own = ThermalObserver.of(rig.plant, float(guard.limit), period, _positive(given.trust, "1/s", "observer.trust"))
+    if given.a1 is None:
+        if given.exponent != 1:
+            raise InputError(f"observer.exponent = {show(given.exponent)} goes with an a1 and an a2 of its own: give both, or take it out")
+        return own
+    a1 = quantity_at(given.a1, "K/J", "observer.a1", least=1e-9)
+    a2 = quantity_at(given.a2, "1/s" if given.exponent == 1 else f"K^{1 - given.exponent}/s", "observer.a2")
+    if not a2 < 0.0:
+        raise InputError(f"observer.a2 = {show(given.a2)} would warm the wire without power: give one below 0")
+    return replace(own, **dict(zip(("a1", "a2", "exponent"), _arrays(a1, a2, given.exponent), strict=True)))
+
+
+def _meters(data: Any, guard: TemperatureGuard | None, period: float) -> Meters:
+    given = validate(_Meters, data, "meters")
+    if guard is None:
+        raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
+    each, lag = {}, 0.0
+    for kind, unit in (("voltage", "V"), ("current", "A"), ("temperature", "K")):
+        told = getattr(given, kind)
+        if told is None:
+            continue
+        one = validate(_Thermocouple if kind == "temperature" else _Sensor, told, f"meters.{kind}")
+        each[kind] = _sensing(one, unit, period, f"meters.{kind}")
+        if isinstance(one, _Thermocouple):
+            lag = _positive(one.lag, "s", "meters.temperature.lag")
+    if not each:
+        raise InputError('[meters] names none: add a line like temperature = { noise = "0.5 K", lag = "1 s" }, or take the section out')
+    return Meters(each, period, *_arrays(lag))
 
 
 def _with_gains(loop: Loop, kind: str, given: Any, units: tuple[str, str]) -> tuple[Loop, dict[str, str]]:

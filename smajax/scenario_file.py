@@ -24,7 +24,7 @@ from smajax.control.rollout import Scenario
 from smajax.errors import InputError
 from smajax.rig import Rig
 from smajax.rig_schema import one_of, quantity
-from smajax.toml_file import STRICT, quantity_at, show, validate
+from smajax.toml_file import STRICT, advice, quantity_at, show, validate
 
 _KEYS = {
     "step": ("duration", "low", "high", "at"),
@@ -63,7 +63,12 @@ def read_scenario(
     lies), ``seed`` that of the sensor's noise.
     """
     channel, unit, period = seen
-    given = validate(_Reference, data["reference"], "reference")
+    section = data["reference"]
+    kind = section.get("kind") if isinstance(section, dict) else None
+    if isinstance(kind, str) and kind in _KEYS:  # the cure is among this kind's keys
+        for key in section.keys() - _Reference.model_fields.keys():
+            raise InputError(f"reference.{key} is not known{advice(key, _KEYS[kind], f'the keys of a {kind} are')}")
+    given = validate(_Reference, section, "reference")
 
     def level(value: Any, key: str, unit: str = unit, **ends: float) -> float:
         if value is None:
@@ -123,6 +128,8 @@ def _changes(listed: Any, rig: Rig, time: np.ndarray) -> dict[str, Any]:
     read = []
     for change in listed if isinstance(listed, list) else [listed]:
         one = validate(_Change, change, "change")
+        if one.parameter.startswith("initial."):
+            raise InputError(f"change.parameter: {one.parameter} is how a run begins, which nothing changes later: set it in the rig")
         try:
             declared = parameters.declaration(rig.plant, one.parameter)
         except InputError as error:

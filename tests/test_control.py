@@ -18,11 +18,13 @@ from smajax.control.adaptive import AdaptivePID
 from smajax.control.allocation import Allocation, pulsed
 from smajax.control.bpid import BPID
 from smajax.control.driven import DrivenPlant, DrivenTransferFunction
+from smajax.control.ensemble import EnsembleFilter
 from smajax.control.export import as_document, c_header
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains, unit_of, with_gains
 from smajax.control.guard import TemperatureGuard
 from smajax.control.margins import margins, restless, swings
+from smajax.control.observers import ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop, Scenario, rollout
@@ -542,3 +544,43 @@ def test_gains_have_names_and_units():
     with pytest.raises(InputError, match="no gain 'kq' .did you mean 'kp'?"):
         gain(law, "kq")
     assert as_document(law, dict.fromkeys(gains(law), "-"))["kind"] == "bpid"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+@pytest.mark.parametrize(("exponent", "gain"), [(1.0, 0.0), (1.0, 0.3), (2.0, 0.3)])
+def test_the_c_header_of_an_observer(tmp_path, exponent, gain):
+    """It knows the wire's temperature as the observer does here, without readings that are no number."""
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.1), jnp.asarray(84.0))
+    observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.9 / 40.0 ** (exponent - 1.0), exponent, 20.0, gain)), period=0.1)
+    loop = dataclasses.replace(loop_of(pid(low=0.0), guard=guard, upper=0.5), observer=observer)
+    text = c_header(loop, ("A", "m"), "0")
+    assert ("math.h" in text) == (exponent != 1.0) and "smajax_observe(&o, power, thermocouple)" in text
+    (tmp_path / "controller.h").write_text(text)
+    (tmp_path / "c.c").write_text(
+        '#include "controller.h"\nvoid run(int n, const double *p, const double *t, const double *u, double *v) {\n'
+        "    smajax_guard_state g; smajax_observer_state o; smajax_state s; int k; double now;\n"
+        "    smajax_reset(&s, 0, 0); smajax_step(&s, 0, 0); smajax_guard_reset(&g, 20.0); smajax_observer_reset(&o, 20.0);\n"
+        "    for (k = 0; k < n; k++) { now = smajax_observe(&o, p[k], t[k]); v[k] = now; v[n + k] = smajax_guard(&g, now, u[k]); }\n}\n"
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-shared", "-fPIC", "-o", "c.so", "c.c", "-lm"]
+    subprocess.run(["cc", *flags], cwd=tmp_path, check=True)
+    rng, n = np.random.default_rng(5), 300
+    power, reading, u = 6.0 * np.abs(rng.standard_normal(n)), 60.0 + 3.0 * rng.standard_normal(n), np.abs(rng.standard_normal(n))
+    reading[100:150] = np.nan
+    found, pointer = np.empty((2, n)), ctypes.POINTER(ctypes.c_double)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(n, *(a.ctypes.data_as(pointer) for a in (power, reading, u, found)))
+    state, kept, expected = observer.begin({"temperature": jnp.asarray(20.0)}), guard.reset(jnp.asarray(20.0)), []
+    for p, t, command in zip(power, reading, u, strict=True):
+        state, (now,) = observer.watch(state, {"power": jnp.asarray(p), "temperature": jnp.asarray(t)})
+        kept, allowed = guard.step(kept, now, jnp.asarray(command))
+        expected.append((float(now), float(allowed)))
+    np.testing.assert_allclose(found.T, expected, rtol=1e-12, atol=1e-12)
+    assert np.any(found[1] < u)
+    assert as_document(loop, dict.fromkeys(gains(loop), "-"))["observer"]["exponent"] == exponent
+
+
+def test_an_observer_that_cannot_be_written_in_c_says_so(driven):
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
+    one = EnsembleFilter(driven, {"voltage": jnp.asarray(1e-3)}, {"heat.h0": jnp.asarray(10.0)})
+    with pytest.raises(InputError, match="an EnsembleFilter cannot leave for another program yet: a ThermalObserver can"):
+        c_header(dataclasses.replace(wire_loop(guard=guard), observer=one), ("A", "m"), "0")

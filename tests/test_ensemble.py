@@ -11,7 +11,9 @@ import pytest
 from smajax.control.driven import DrivenPlant
 from smajax.control.ensemble import EnsembleFilter
 from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
 from smajax.control.rollout import Scenario, rollout
+from smajax.control.sensing import Sensing
 from smajax.rig import read_rig
 from tests.conftest import ROOT
 from tests.reference.rig_file import read_rig as read_reference
@@ -36,7 +38,7 @@ def followed(one: EnsembleFilter, current, measured):
     """Estimates at the rows after the first, and the ensemble at the end."""
 
     def step(ensemble, row):
-        ensemble = one.step(one.under((ensemble, jnp.zeros(1)), row[0][None])[0], row[1])
+        ensemble = one.step(one.under(ensemble, row[0][None]), row[1])
         return ensemble, one.estimate(ensemble)
 
     return jax.lax.scan(step, one.reset(), (current, measured))
@@ -84,8 +86,9 @@ def test_a_hidden_temperature_is_found_and_the_spread_is_honest():
                 assert rms(found.martensite[:, 0] - martensite) < 0.01
         assert rms(np.asarray(measured["temperature"]) - warm) > 10.0  # what the thermocouple says by itself
         model = errors[seed, ()]  # what the plant says by itself
-        assert model > 8.0 and errors[seed, ("voltage",)] < 0.5 * model
+        assert model > 8.0 and errors[seed, ("voltage",)] < 0.6 * model
         assert errors[seed, ("temperature",)] < 1.0 and errors[seed, ("voltage", "temperature")] < 1.0
+    assert np.mean([errors[seed, ("voltage",)] / errors[seed, ()] for *_, seed in BENCHES]) < 0.4
     for channels in (("voltage",), ("temperature",), ("voltage", "temperature")):
         told = [shares[seed, channels] for *_, seed in BENCHES]
         assert min(told) >= 0.85 and np.mean(told) <= 0.99, (channels, told)
@@ -105,11 +108,14 @@ def test_a_guard_by_an_ensemble_in_a_rollout():
     one = filter_of("voltage", "temperature", members=8)
     driven = one.driven.changed({"heat.h0": 0.8 * one.driven.plant.heat.h0})
     guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
-    scenario = Scenario.quiet(np.full(200, 8e-3))
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal(200))
+    scenario = dataclasses.replace(Scenario.quiet(np.full(200, 8e-3)), draws=draws)
+    noisy = {n: Sensing(jnp.asarray(NOISE[n]), jnp.zeros(())) for n in ("voltage", "temperature")}
+    meters = Meters(noisy, PERIOD, jnp.asarray(LAG))
 
     def warm(kp):
         controller = pid(kp, 10.0, 0.5, tf=0.05, low=0.0, high=0.5, dt=PERIOD)
-        loop = dataclasses.replace(loop_of(controller, "displacement", guard=guard, upper=0.5), observer=one)
+        loop = dataclasses.replace(loop_of(controller, "displacement", guard=guard, upper=0.5), observer=one, meters=meters)
         return rollout(driven, loop, scenario).channels["temperature"]
 
     # By jacfwd, which compiles to other operations than a plain jvp: of what members agree on, deviations have the derivative 0.

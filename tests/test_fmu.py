@@ -16,6 +16,8 @@ from smajax.control.allocation import Allocation
 from smajax.control.driven import DrivenPlant
 from smajax.control.gains import gains, unit_of
 from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
+from smajax.control.observers import ThermalObserver
 from smajax.control.rollout import Loop, Scenario, rollout
 from smajax.control.sensing import perfect
 from smajax.diagnose.effects import catalogue
@@ -170,6 +172,32 @@ def test_two_wires_and_a_guard_have_their_variables():
         *state, _ = text["advance"](given, state, [*inputs[:2], warm, inputs[3]], np.float64(0.02))
         commands.append(text["outputs"](given, state, inputs))
     np.testing.assert_allclose(commands, [[0.0 if 59 <= k < 80 else 0.5, 0.1] for k in range(90)])
+
+
+def test_a_guard_by_an_observer_listens_to_the_power():
+    """Its temperatures are the observer's; a thermocouple that is no number is one that last was."""
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
+    observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.9, 1.0, 20.0, 0.2)), period=PERIOD)
+    meters = Meters({"temperature": perfect()}, PERIOD, jnp.asarray(5.0))  # the world's, which an FMU leaves out
+    loop = Loop(pid(dt=PERIOD), Allocation(jnp.asarray(0.5), jnp.zeros(()), 1), perfect(), guard, observer, meters, channel="angle")
+    model = controller_model(loop, ("A", "rad"), dict.fromkeys(gains(loop), "A/rad"), "observed")
+    assert [v.name for v in model.variables if v.causality == "input"] == ["reference", "measurement", "temperature", "power"]
+    text, given = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    rows = [[np.float64(v) for v in (9.0, 0.0, 60.0 + k % 7, 6.0 + k % 5)] for k in range(200)]
+    state, commands = list(text["start"](given, rows[0])), []
+    for row in rows:
+        *state, _ = text["advance"](given, state, row, np.float64(PERIOD))
+        commands.append(text["outputs"](given, state, row)[0])
+    names = ("angle", "temperature", "power")
+    seen = [dict(zip(names, map(jnp.asarray, row[1:]), strict=True)) for row in rows]
+    alone = dataclasses.replace(loop, meters=None)
+    expected, inner = [], alone.reset(jnp.asarray(9.0), seen[0])
+    step = eqx.filter_jit(alone.step)
+    for one in seen:
+        inner, each = step(inner, jnp.asarray(9.0), one, jnp.zeros(()))
+        expected.append(float(each[0]))
+    np.testing.assert_allclose(commands, expected, rtol=1e-12, atol=1e-12)
+    assert min(commands) < 0.45 < max(commands)
 
 
 @pytest.fixture(scope="module")

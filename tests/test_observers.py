@@ -11,9 +11,10 @@ import pytest
 from smajax.blackbox.transfer_function import TransferFunction
 from smajax.control.driven import DrivenPlant, DrivenTransferFunction
 from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
 from smajax.control.observers import AngleFilter, Inertial, ThermalObserver
 from smajax.control.rollout import Scenario, rollout
-from smajax.control.sensing import Sensing
+from smajax.control.sensing import Sensing, perfect
 from smajax.rig import read_rig
 from tests.conftest import ROOT
 from tests.test_control import loop_of, pid, wire_loop
@@ -110,11 +111,73 @@ def test_a_thermocouple_corrects_an_estimate_in_a_loop():
     law, run = wire_loop(kp=200.0, guard=guard), eqx.filter_jit(rollout)
     settled = {}
     for gain, lag in ((0.0, 0.0), (0.0, 0.3), (10.0, 0.3)):
-        observer = ThermalObserver(*map(jnp.asarray, (*numbers, gain)), period=0.02, lag=lag)
-        done = run(driven, dataclasses.replace(law, observer=observer), Scenario.quiet(np.full(1500, 8e-3)))
+        observer = ThermalObserver(*map(jnp.asarray, (*numbers, gain)), period=0.02)
+        meters = Meters({"temperature": perfect()}, 0.02, jnp.asarray(lag))
+        done = run(driven, dataclasses.replace(law, observer=observer, meters=meters), Scenario.quiet(np.full(1500, 8e-3)))
         settled[gain, lag] = float(jnp.mean(done.channels["temperature"][1000:])) - 84.0
     assert settled[0.0, 0.3] == settled[0.0, 0.0]  # what is not trusted changes nothing
     assert 0.0 < settled[10.0, 0.3] < 0.5 * settled[0.0, 0.0]
+
+
+def test_meters_tell_what_a_rig_would():
+    """A slow thermocouple, a late and coarse voltage; noise that is white, and another one for each meter."""
+    n, period = 4000, 0.05
+    each = {"temperature": Sensing(jnp.asarray(0.5), jnp.zeros(())), "voltage": Sensing(jnp.asarray(0.02), jnp.asarray(0.01), 2)}
+    meters = Meters(each, period, jnp.asarray(0.4))
+    warm = 20.0 + 30.0 * np.clip(np.arange(n) / 200.0 - 1.0, 0.0, 1.0)
+    seen = {"temperature_1": warm, "temperature_2": warm[::-1], "angle": np.arange(n) * 1.0}
+    seen |= {
+        f"{name}_{k}": np.full(n, value) for k in (1, 2) for name, value in (("voltage", 1.0 * k), ("current", 0.25), ("power", 0.25 * k))
+    }
+    seen = {name: jnp.asarray(v) for name, v in seen.items()}
+    draws = np.random.default_rng(3).standard_normal(n)
+
+    def heard(draws):
+        first = meters.reset({name: v[0] for name, v in seen.items()})
+        told = jax.lax.scan(lambda s, row: meters.step(s, *row), first, (seen, jnp.asarray(draws)))[1]
+        return {name: np.asarray(v) for name, v in told.items()}
+
+    calm, noisy = heard(np.zeros(n)), heard(draws)
+    shown = np.empty(n)
+    shown[0] = warm[0]
+    for k in range(1, n):
+        shown[k] = shown[k - 1] + (1.0 - np.exp(-period / 0.4)) * (warm[k] - shown[k - 1])
+    np.testing.assert_allclose(calm["temperature_1"], shown, atol=1e-9)
+    for name in ("angle", "current_1"):
+        np.testing.assert_array_equal(noisy[name], seen[name])
+    np.testing.assert_allclose(noisy["voltage_2"] / 0.01, np.round(noisy["voltage_2"] / 0.01), atol=1e-6)
+    assert np.all(noisy["voltage_2"][:2] == 2.0) and np.std(noisy["voltage_2"][2:]) == pytest.approx(0.02, rel=0.1)
+    np.testing.assert_allclose(noisy["power_2"], noisy["voltage_2"] * 0.25)
+    noise = np.stack([(noisy[m] - calm[m])[10:] for m in ("temperature_1", "temperature_2", "voltage_1", "voltage_2")] + [draws[10:]])
+    np.testing.assert_allclose(np.std(noise, axis=1), [0.5, 0.5, 0.02, 0.02, 1.0], rtol=0.06)
+    assert np.max(np.abs(np.corrcoef(noise) - np.eye(5))) < 0.06  # at a sample none tells of another
+    assert max(abs(np.corrcoef(row[1:], row[:-1])[0, 1]) for row in noise) < 0.06
+
+
+def test_a_guard_hears_what_its_thermocouple_tells():
+    """A slow thermocouple lets the wire overshoot the guard's limit; by the power it does not. The derivative is that of differences."""
+    driven = DrivenPlant.of(read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").plant, 0.02)
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.02), jnp.asarray(84.0))
+    law = wire_loop(kp=200.0, guard=guard)
+    coarse = Sensing(jnp.asarray(0.3), jnp.asarray(0.25), 2)
+    slow = Meters({"temperature": coarse, "voltage": Sensing(jnp.asarray(5e-3), jnp.zeros(()))}, 0.02, jnp.asarray(1.0))
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal(500))
+    scenario = dataclasses.replace(Scenario.quiet(np.full(500, 8e-3)), draws=draws)
+    estimate = ThermalObserver.of(driven.plant, 84.0, 0.02, gain=0.1)
+
+    @eqx.filter_jit
+    def warm(kp, observer, meters):
+        one = dataclasses.replace(law, observer=observer, meters=meters)
+        return rollout(driven, eqx.tree_at(lambda one: one.guard.pid.kp, one, kp), scenario).channels["temperature"]
+
+    at = jnp.asarray(0.05)
+    told, slowly, estimated = (np.asarray(warm(at, *which)) for which in ((None, None), (None, slow), (estimate, slow)))
+    assert told.max() < 86.0 and slowly.max() > 90.0 and estimated.max() < 88.0
+    fine = eqx.tree_at(lambda m: m.each["temperature"].quantum, slow, jnp.zeros(()))
+    slope = eqx.filter_jit(jax.jacfwd(lambda kp: warm(kp, estimate, fine)))(at)
+    central = np.asarray(warm(at + 1e-6, estimate, fine) - warm(at - 1e-6, estimate, fine)) / 2e-6
+    np.testing.assert_allclose(slope, central, atol=1e-4 * np.max(np.abs(central)))
+    assert np.max(np.abs(central)) > 1.0
 
 
 def test_a_loop_steers_by_gyroscope_and_tilt():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import re
 import zipfile
 
@@ -16,6 +17,7 @@ from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
 from smajax.control.objective import wanted_of
+from smajax.control.observers import ThermalObserver
 from smajax.control.reach import Reach, cut, reach
 from smajax.control.rollout import Scenario
 from smajax.control.slow_loop import Feedforward, identify
@@ -25,8 +27,8 @@ from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
 from smajax.fit.operator_problem import Series
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
-from smajax.jobs import tune as jobs_tune
-from smajax.jobs.tune import Checked
+from smajax.jobs import gain_search
+from smajax.jobs.behaviour import Checked
 from smajax.report.tuning import sentences as tuning_text
 from smajax.report.tuning import text
 from smajax.rig import read_rig
@@ -54,6 +56,7 @@ ki = "10 A/m/s"
 starts = 1
 """
 SINE = 'kind = "sine"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nfrequency = "0.5 Hz"\n'
+GUARD = '[guard]\nlimit = "90 degC"\nkp = "0.05 A/K"\n'
 STEP = 'kind = "step"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nat = "2 s"\n'
 
 
@@ -178,8 +181,8 @@ def test_quadratics_lead_on_where_slopes_tell_nothing(monkeypatch):
         terms[:, 0] = [rough(p) for p in np.asarray(points)]
         return terms, np.full((len(points), 5), -1.0)
 
-    monkeypatch.setattr("smajax.control.tune.look", looked)
-    monkeypatch.setattr("smajax.control.tune._slope", lambda point, aim: (rough(point), 1e20 * draws.standard_normal(3)))
+    monkeypatch.setattr("smajax.control.tuner.look", looked)
+    monkeypatch.setattr("smajax.control.tuner._slope", lambda point, aim: (rough(point), 1e20 * draws.standard_normal(3)))
     tuning = hip_tuning(dt=0.2, seconds=4.0)
     found = tune(tuning, {"tracking": 1.0}, {}, starts=2)
     assert rough(found.point) < 1.1 and found.rollouts < 250
@@ -194,7 +197,7 @@ def test_slopes_that_tell_nothing_end_the_search(monkeypatch):
         asked.append(point)
         return jnp.asarray(1.0 - 0.01 * len(asked)), jnp.full(3, 1e9 * (-1.0) ** len(asked))
 
-    monkeypatch.setattr("smajax.control.tune._slope", slope)
+    monkeypatch.setattr("smajax.control.tuner._slope", slope)
     found = tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {"overshoot": 5.0})
     # As many by the search without limits that leads the way.
     assert len(asked) == 3 + 3 and found.rollouts == 3 * (3 + 3) + 7
@@ -308,6 +311,26 @@ def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
     assert sentence in "".join(doc["problems"]) and (tmp_path / "out" / "controller.h").exists()
 
 
+@pytest.mark.parametrize("enough", [0.1, math.inf])
+def test_gains_that_do_not_come_to_rest_are_looked_for_again(tmp_path, monkeypatch, enough):
+    """With ever more weight of the effort, and the file says so; what does not help is left as it was asked."""
+    search = gain_search.tune
+
+    def hunting(tuning, weights, limits, **options):
+        found = search(tuning, weights, limits, **{**options, "starts": 1})
+        return found if weights.get("effort", 0.0) >= enough else found._replace(gains={"kp": 3000.0, "ki": 10.0})
+
+    monkeypatch.setattr(gain_search, "tune", hunting)
+    done = run(tmp_path, FILE.replace("[tune]", "[tune]\nobjective = { tracking = 1 }"))
+    doc, told = json.loads((tmp_path / "out" / "tune.json").read_text()), " ".join(done.output.split())
+    assert doc["stable"] == {"start": True, "tuned": enough < math.inf} and done.exit_code == (0 if enough < math.inf else 3), done.output
+    if enough < math.inf:
+        assert doc["objective"] == {"settle": False, "weights": {"tracking": 1.0, "effort": 0.1}, "asked": {"tracking": 1.0}}
+        assert "effort counts 0.1 here" in told and not doc["problems"]
+    else:
+        assert doc["objective"] == {"settle": False, "weights": {"tracking": 1.0}} and "the best gains found are unstable" in told
+
+
 @pytest.mark.parametrize(
     ("change", "most"),
     [
@@ -358,9 +381,9 @@ def test_draws_that_fail_are_tuned_for(tmp_path, monkeypatch):
         return first._replace(gains={"kp": 30.0 + len(asked), "ki": 10.0}, rollouts=10)
 
     failing = {30.0: (7, 9, 11), 31.0: (5, 6), 32.0: (5, 6)}
-    monkeypatch.setattr(jobs_tune, "tune", tuned)
-    monkeypatch.setattr(jobs_tune, "_check", lambda given, gains, drawn: Checked({}, failing[gains["kp"]]))
-    found, checked = jobs_tune._harder(given, tuning, first, Checked({}, failing[30.0]), drawn, 0, Progress(True))
+    monkeypatch.setattr(gain_search, "tune", tuned)
+    monkeypatch.setattr(gain_search, "check", lambda given, gains, drawn: Checked({}, failing[gains["kp"]]))
+    found, checked = gain_search.harder(given, tuning, first, Checked({}, failing[30.0]), drawn, 0, Progress(True))
     mass = drawn["load.mass"]
     assert asked == [mass[[7, 9, 0, 1]].tolist(), mass[[5, 6, 0, 1]].tolist()]
     assert found.gains["kp"] == 31.0 and checked.failing == (5, 6) and found.rollouts == 120
@@ -391,7 +414,7 @@ def test_each_of_two_wires_has_a_largest_command_of_its_own(tmp_path):
 def test_a_feedforward_is_fitted_and_its_misfit_told(tmp_path, monkeypatch):
     """On a dead weight, whose slow loop is steep for the operator: what is left is told everywhere. The gains stay as they are."""
     kept = Tuned(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, np.inf, 1, ())
-    monkeypatch.setattr("smajax.jobs.tune.tune", lambda *_, **__: kept)
+    monkeypatch.setattr("smajax.jobs.gain_search.tune", lambda *_, **__: kept)
     done = run(tmp_path, FILE.replace("[reference]", "[feedforward]\noperators = 3\n[reference]").replace('"15 s"', '"9 s"'))
     assert done.exit_code == 0, done.output
     folder = tmp_path / "out"
@@ -484,6 +507,17 @@ BAD = {
     ("[tune]", '[sensor]\ndelay = "80 ms"\n[tune]'): "is not a whole number of controller.period: give 50 ms or 100 ms",
     ("[tune]", '[guard]\nlimit = "90 degC"\nkp = "-1 A/K"\n[tune]'): "guard.kp = '-1 A/K' is too small",
     ("[tune]", '[guard]\nlimit = "90 degC"\nkp = "0 A/K"\n[tune]'): "the guard would never let a command through",
+    ("[tune]", "[observer]\n[tune]"): "[observer] tells a guard the wire's temperature, and there is none: add a section [guard]",
+    ("[tune]", "[meters]\n[tune]"): "there is none: add a section [guard]",
+    ("[tune]", GUARD + '[meters]\nvoltage = { noise = "10 ma" }\n[tune]'): "meters.voltage.noise: '10 ma'",
+    ("[tune]", GUARD + '[meters]\ntemperature = { delay = "20 ms" }\n[tune]'): "meters.temperature.delay = '20 ms' is not a whole number",
+    ("[tune]", GUARD + "[meters]\n[tune]"): "[meters] names none",
+    ("[tune]", GUARD + '[observer]\na1 = "12 K/J"\n[tune]'): "observer.a2 is missing: give both a1 and a2",
+    ("[tune]", GUARD + '[observer]\na1 = "12 K/J"\na2 = "0.8 1/s"\n[tune]'): "observer.a2 = '0.8 1/s' would warm the wire without power",
+    ("[tune]", GUARD + "[observer]\nexponent = 2\n[tune]"): "observer.exponent = 2 goes with an a1 and an a2 of its own",
+    ("[tune]", '[[change]]\nparameter = "initial.temperature"\nat = "3 s"\nvalue = "30 degC"\n[tune]'): "is how a run begins",
+    ('hold = "8 s"', 'hold = "8 s"\nlevel = "1 mm"'): "reference.level is not known (did you mean 'levels'?)",
+    (STAIRS, STEP.replace("high", "level")): "reference.level is not known: the keys of a step are duration, low, high, at",
     ("[tune]", '[limits]\ncurrent = "-1 A"\n[tune]'): "limits.current = '-1 A' is not possible",
     ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { ki = ["1 A/m/s", "50 A/m/s"] }'): "tune.bounds.ki: ki is not tuned",
     ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { kp = ["30 A/m", "30 A/m"] }'): "tune.bounds.kp leaves it no room",
@@ -526,6 +560,18 @@ def test_what_a_file_can_ask_for(tmp_path):
     assert float(step.scenario.before) == 1e-3 and int(np.argmax(np.asarray(step.scenario.reference) > 2e-3)) == 40
     loaded = of(FILE + '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n[guard]\nlimit = "100 degC"\nkp = "0.1 A/K"\n')
     assert loaded.scenario.changes["load.mass"][99:101].tolist() == [0.2, 0.3] and float(loaded.loop.guard.limit) == 100.0
+    observed = of(
+        FILE + GUARD + '[observer]\ntrust = "0.2 1/s"\n[meters]\ntemperature = { noise = "0.5 K", delay = "50 ms", lag = "2 s" }\n'
+    )
+    eye, meters, own = observed.loop.observer, observed.loop.meters, rig.plant.heat
+    assert isinstance(eye, ThermalObserver) and meters is not None and float(meters.lag) == 2.0
+    assert float(meters.each["temperature"].noise) == 0.5 and meters.each["temperature"].delay == 1
+    assert float(eye.gain) == 0.2 and float(eye.ambient) == 20.0  # and at rest at its limit, the power is the one that keeps the wire there
+    volume = float(rig.plant.wire.area * rig.plant.wire.length)
+    lost = 4.0 / float(rig.plant.wire.diameter) * float(own.convection(jnp.asarray(90.0))) * 70.0 * volume
+    assert float(eye.step(jnp.asarray(90.0), jnp.asarray(lost))) == pytest.approx(90.0, abs=1e-9)
+    cubic = of(FILE + GUARD + '[observer]\na1 = "12 K/J"\na2 = "-1e-4 K^-2/s"\nexponent = 3\n').loop.observer
+    assert [float(v) for v in (cubic.a1, cubic.a2, cubic.exponent)] == [12.0, -1e-4, 3.0]
     changes = [
         '[[change]]\nparameter = "load.mass"\nat = "9 s"\nvalue = "100 g"\n',
         '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n',

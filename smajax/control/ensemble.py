@@ -20,7 +20,8 @@ import jax.numpy as jnp
 
 from smajax import parameters
 from smajax.control.driven import DrivenPlant
-from smajax.control.observers import AbstractThermometer, each, probed
+from smajax.control.meters import probed
+from smajax.control.observers import AbstractThermometer
 from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
@@ -53,8 +54,7 @@ class EnsembleFilter(AbstractThermometer):
     """The filter of the module's text, sampled at the period of ``driven``, which is the plant as far as it is known.
 
     ``noise`` are standard deviations of the measured channels by name (infinite: not measured), ``temperature`` being that of the
-    thermocouple. ``unknown`` are standard deviations of named parameters about the plant's. In a rollout it is given the measurements with
-    their noise, and a thermocouple with its lag.
+    thermocouple, which follows with ``lag``. ``unknown`` are standard deviations of named parameters about the plant's.
     """
 
     driven: DrivenPlant
@@ -105,28 +105,18 @@ class EnsembleFilter(AbstractThermometer):
         mean, spread = ({n: f(v, axis=0) for n, v in channels.items()} for f in (jnp.mean, _spread))
         return Estimate(mean, spread, jnp.mean(martensite, axis=0), _spread(martensite, axis=0))
 
-    def begin(self, seen: dict[str, jax.Array]) -> tuple[Ensemble, jax.Array]:
-        """See ``AbstractThermometer``; beside the ensemble, what the thermocouples show."""
-        return self.reset(), each(seen, "temperature")
-
-    def watch(self, state: tuple[Ensemble, jax.Array], seen: dict[str, jax.Array]) -> tuple[tuple[Ensemble, jax.Array], jax.Array]:
+    def begin(self, heard: dict[str, jax.Array]) -> Ensemble:
         """See ``AbstractThermometer``."""
-        ensemble, probes = state
-        probes = probed(probes, each(seen, "temperature"), self.lag, self.driven.period)
-        names = [n for name in sorted(self.noise) for n in self._names(name)]
-        draws = jax.random.normal(self._key(ensemble, 1), (len(names),))
-        noise = [self.noise[_base(n, self.noise)] for n in names]
-        shown = seen | dict(zip(self._names("temperature"), probes, strict=True))
-        measured = {n: shown[n] + jnp.where(jnp.isfinite(s), s, 0.0) * d for n, s, d in zip(names, noise, draws, strict=True)}
-        ensemble = self.step(ensemble, measured)
-        return (ensemble, probes), jnp.mean(ensemble.states[0].temperature, axis=0)
+        return self.reset()
 
-    def under(self, state: tuple[Ensemble, jax.Array], command: jax.Array) -> tuple[Ensemble, jax.Array]:
+    def watch(self, state: Ensemble, heard: dict[str, jax.Array]) -> tuple[Ensemble, jax.Array]:
         """See ``AbstractThermometer``."""
-        return state[0]._replace(command=command), state[1]
+        ensemble = self.step(state, heard)
+        return ensemble, jnp.mean(ensemble.states[0].temperature, axis=0)
 
-    def _key(self, ensemble: Ensemble, use: int) -> jax.Array:
-        return jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), use)
+    def under(self, state: Ensemble, command: jax.Array) -> Ensemble:
+        """See ``AbstractThermometer``."""
+        return state._replace(command=command)
 
     @property
     def _unknown(self) -> list[str]:
@@ -153,11 +143,12 @@ class EnsembleFilter(AbstractThermometer):
     def _carry(self, ensemble: Ensemble) -> Ensemble:
         """A period on, before anything is measured."""
         stays, middle = jnp.exp(-self.driven.period / self.memory), self._middle()
+        key = jax.random.fold_in(jax.random.key(self.seed), ensemble.count)
 
         def wander(values: jax.Array, draw: jax.Array) -> jax.Array:
             return self._possible(middle + stays * (values - middle) + jnp.sqrt(1.0 - stays**2) * self._deviations() * draw)
 
-        unknown = jax.vmap(wander)(ensemble.unknown, jax.random.normal(self._key(ensemble, 0), ensemble.unknown.shape))
+        unknown = jax.vmap(wander)(ensemble.unknown, jax.random.normal(key, ensemble.unknown.shape))
 
         states = _moved(self.driven, tuple(self._unknown), ensemble.states, unknown, ensemble.command)
         probes = probed(ensemble.probes, states[0].temperature, self.lag, self.driven.period)

@@ -4,7 +4,8 @@ The header holds one controller: its gains as constants, its state as a structur
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
 feedforward; call ``smajax_step`` once a period. A measurement that is no number is taken for the last one that was. Of a loop with two
 wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a guard ``smajax_guard``, which cuts a wire's
-command to what its temperature allows, to 0 where it has not been known for a second.
+command to what its temperature allows, to 0 where it has not been known for a second. Where an observer tells the guard the temperature,
+there is ``smajax_observe``, which does so from the wire's power.
 """
 
 from typing import Any
@@ -15,6 +16,7 @@ from smajax.control.controller import AbstractController
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
 from smajax.control.guard import BLIND, TemperatureGuard
+from smajax.control.observers import AbstractThermometer, ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop
@@ -110,6 +112,36 @@ static inline void smajax_allocate(smajax_real command, smajax_real each[2]) {{
 _GUARD_USE = """ *     and then, once a period and wire, with a smajax_guard_state g that smajax_guard_reset(&g, temperature) has set:
  *     command = smajax_guard(&g, temperature, command);
 """
+_OBSERVER_USE = """ *     and then, once a period and wire, with a smajax_observer_state o and a smajax_guard_state g
+ *     that smajax_observer_reset(&o, temperature) and smajax_guard_reset(&g, temperature) have set:
+ *     command = smajax_guard(&g, smajax_observe(&o, power, thermocouple), command);
+"""
+_OBSERVER = """
+/* A wire's temperature in degC by its electrical power: a state for each wire. */
+typedef struct {{
+    smajax_real temperature, reading, power;
+}} smajax_observer_state;
+
+/* At rest at a temperature; one that is no number counts as that of the surroundings. */
+static inline void smajax_observer_reset(smajax_observer_state *o, smajax_real temperature) {{
+    o->temperature = smajax_is_number(temperature) ? temperature : (smajax_real){ambient!r};
+    o->reading = temperature;
+    o->power = 0;
+}}
+
+/* The temperature now. power: the mean over the last period, in W; one that is no number counts as the last one that was.
+ * thermocouple: its reading now; one that is no number is none. */
+static inline smajax_real smajax_observe(smajax_observer_state *o, smajax_real power, smajax_real thermocouple) {{
+    smajax_real excess = o->temperature - (smajax_real){ambient!r};
+    smajax_real lost = {lost};
+    smajax_real change = (smajax_real){a1!r} * smajax_known(power, &o->power) + (smajax_real){a2!r} * lost;
+    if (smajax_is_number(o->reading)) change += (smajax_real){gain!r} * (o->reading - o->temperature);
+    o->temperature += SMAJAX_PERIOD * change;
+    o->reading = thermocouple;
+    return o->temperature;
+}}
+"""
+_POWER = "excess < 0 ? -(smajax_real)SMAJAX_POW(-excess, {exponent!r}) : (smajax_real)SMAJAX_POW(excess, {exponent!r})"
 _GUARD = """
 /* What keeps a wire below {limit!r} degC: a state for each wire; temperatures in degC. */
 typedef struct {{
@@ -189,8 +221,8 @@ static inline smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {
 }}
 """
 _MATH = """#include <math.h>
-#ifndef SMAJAX_ATANH /* with SMAJAX_REAL as float, define it as atanhf */
-#define SMAJAX_ATANH atanh
+#ifndef SMAJAX_{name} /* with SMAJAX_REAL as float, define it as {function}f */
+#define SMAJAX_{name} {function}
 #endif
 """
 _PLAYS_BEGIN = """
@@ -240,7 +272,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         told = inverse_document(inverse)
         listed = {k: ", ".join(f"(smajax_real){v!r}" for v in told[k]) for k in ("thresholds", "densities")}
         extra |= told["envelope"] | {"direct": told["direct"], "edge": EDGE}
-        parts |= {"functions": _INVERSE.format(**listed), "include": _MATH}
+        parts |= {"functions": _INVERSE.format(**listed), "include": _MATH.format(name="ATANH", function="atanh")}
         parts["more"] += "\n    smajax_real plays[SMAJAX_PLAYS];"
         parts["reset"] += _PLAYS_BEGIN
     pid = controller.inner
@@ -250,6 +282,12 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
     if isinstance(owner, Loop) and owner.guard is not None:
         use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard), blind=BLIND)
+        if owner.observer is not None:
+            told = observer_document(owner.observer)
+            linear = told["exponent"] == 1.0
+            use = _OBSERVER_USE
+            guard += _OBSERVER.format(**told, lost="excess" if linear else _POWER.format(**told))
+            parts["include"] += "" if linear else _MATH.format(name="POW", function="pow")
     constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
     if inverse is not None:
         constants.append(f"#define SMAJAX_PLAYS {len(inverse.thresholds)}")
@@ -287,7 +325,8 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
 
     ``law`` and ``growth`` are those of an adaptive PID; ``leave`` is how many bands away a PPID that rests leaves its rest; ``least`` is
     the least 1 + kb y of a BPID.
-    Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does.
+    Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does, by
+    ``observer``, if it is by one.
     """
     controller = owner.controller if isinstance(owner, Loop) else owner
     pid, inverse = controller.inner, inverse_of(controller)
@@ -306,12 +345,21 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
         document["wires"] = [float(most) for most in owner.allocation.most]
     if isinstance(owner, Loop) and owner.guard is not None:
         document["guard"] = guard_document(owner.guard)
+        if owner.observer is not None:
+            document["observer"] = observer_document(owner.observer)
     return document
 
 
 def guard_document(guard: TemperatureGuard) -> dict[str, float]:
     """A guard's numbers: the temperature that it keeps (degC), its gains, and the largest command."""
     return {"limit": float(guard.limit), "kp": float(guard.pid.kp), "ki": float(guard.pid.ki), "upper": float(guard.pid.upper)}
+
+
+def observer_document(observer: AbstractThermometer) -> dict[str, float]:
+    """An observer's numbers in SI, with the surroundings' temperature in degC. Raises ``InputError`` for one that is not thermal."""
+    if not isinstance(observer, ThermalObserver):
+        raise InputError(f"an {type(observer).__name__} cannot leave for another program yet: a ThermalObserver can")
+    return {n: float(getattr(observer, n)) for n in ("a1", "a2", "exponent", "ambient", "gain")}
 
 
 def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:

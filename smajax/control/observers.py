@@ -1,10 +1,10 @@
 """Observers: what a rig does not measure, or measures badly, from what it does.
 
     thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
-               T_measured' = (T - T_measured) / lag                                   (a thermocouple in a rollout)
-    angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
+               angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
 
-Both are sampled; ``reset`` and ``step`` are pure functions. A filter of the whole plant is in ``ensemble``.
+Both are sampled; ``reset`` and ``step`` are pure functions. In a rollout they hear what the loop's ``meters`` tell. A filter of the whole
+plant is in ``ensemble``.
 """
 
 import math
@@ -15,19 +15,18 @@ import jax
 import jax.numpy as jnp
 
 from smajax.control.sensing import quantised
-from smajax.kinks import larger
-from smajax.parameters import parameter
+from smajax.plant.plant import Plant
 from smajax.units import numbered
 
 
 class AbstractThermometer(eqx.Module):
-    """Base class of what tells a guard the wires' temperatures. ``seen`` are the plant's channels at a sample, scalars by name."""
+    """Base class of what tells a guard the wires' temperatures. ``heard`` are the plant's channels at a sample, scalars by name."""
 
-    def begin(self, seen: dict[str, jax.Array]) -> Any:
+    def begin(self, heard: dict[str, jax.Array]) -> Any:
         """The state at rest."""
         raise NotImplementedError
 
-    def watch(self, state: Any, seen: dict[str, jax.Array]) -> tuple[Any, jax.Array]:
+    def watch(self, state: Any, heard: dict[str, jax.Array]) -> tuple[Any, jax.Array]:
         """The state a period later, and the temperatures that it tells, degC, shape ``(wires,)``."""
         raise NotImplementedError
 
@@ -36,21 +35,15 @@ class AbstractThermometer(eqx.Module):
         raise NotImplementedError
 
 
-def each(seen: dict[str, jax.Array], name: str) -> jax.Array:
+def each(heard: dict[str, jax.Array], name: str) -> jax.Array:
     """A channel of every wire, shape ``(wires,)``."""
-    return jnp.stack([seen[n] for n in numbered(name, 1 if name in seen else 2)])
-
-
-def probed(shown: jax.Array, temperature: jax.Array, lag: jax.Array, period: float) -> jax.Array:
-    """What a thermocouple with a time constant ``lag`` shows a period after ``shown``, its wire being at ``temperature`` by then."""
-    return shown - jnp.expm1(-period / larger(lag, 1e-9)) * (temperature - shown)
+    return jnp.stack([heard[n] for n in numbered(name, 1 if name in heard else 2)])
 
 
 class ThermalObserver(AbstractThermometer):
     """The temperature of a wire from its electrical power: ``a1`` in K/J, ``a2`` in K^(1 - n)/s and below 0, ``exponent`` n.
 
-    ``gain`` in 1/s trusts a thermocouple, where there is one; a reading that is NaN is none. In a rollout the thermocouple follows its
-    wire with the time constant ``lag`` in s.
+    ``gain`` in 1/s trusts a thermocouple, where there is one; a reading that is NaN is none.
     """
 
     a1: jax.Array
@@ -59,7 +52,21 @@ class ThermalObserver(AbstractThermometer):
     ambient: jax.Array
     gain: jax.Array
     period: float = eqx.field(static=True)
-    lag: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, default=0.0)
+
+    @classmethod
+    def of(cls, plant: Plant, temperature: float, period: float, gain: float = 0.0) -> "ThermalObserver":
+        """What a plant's heat balance says near a temperature in degC, n = 1: exact in the steady state there, phases half and half."""
+        at, wire = jnp.asarray(temperature, jnp.float64), plant.wire
+        capacity = plant.heat.capacity(jnp.asarray(0.5))
+        loss = plant.heat.conductance(at, wire)
+        return cls(
+            1.0 / (capacity * wire.area * wire.length),
+            -loss / capacity,
+            jnp.asarray(1.0),
+            plant.environment.ambient,
+            jnp.asarray(gain),
+            period,
+        )
 
     def reset(self, temperature: jax.Array) -> jax.Array:
         """The estimate at the start, degC."""
@@ -76,16 +83,16 @@ class ThermalObserver(AbstractThermometer):
             change = change + self.gain * jnp.where(jnp.isnan(measured), 0.0, measured - estimate)
         return estimate + self.period * change
 
-    def begin(self, seen: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        """See ``AbstractThermometer``: the estimates, and what the thermocouples show."""
-        temperature = each(seen, "temperature")
+    def begin(self, heard: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """See ``AbstractThermometer``: the estimates, and the thermocouples' last readings."""
+        temperature = each(heard, "temperature")
         return temperature, temperature
 
-    def watch(self, state: tuple[jax.Array, jax.Array], seen: dict[str, jax.Array]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+    def watch(self, state: tuple[jax.Array, jax.Array], heard: dict[str, jax.Array]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
         """See ``AbstractThermometer``: what the last period's power, and the reading at its start, have made of the last estimate."""
-        estimate, shown = state
-        estimate = self.step(estimate, each(seen, "power"), shown)
-        return (estimate, probed(shown, each(seen, "temperature"), self.lag, self.period)), estimate
+        estimate, reading = state
+        estimate = self.step(estimate, each(heard, "power"), reading)
+        return (estimate, each(heard, "temperature")), estimate
 
     def under(self, state: tuple[jax.Array, jax.Array], command: jax.Array) -> tuple[jax.Array, jax.Array]:
         """See ``AbstractThermometer``: the power tells it."""

@@ -19,6 +19,7 @@ from smajax.control.allocation import Allocation
 from smajax.control.controller import AbstractController
 from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
 from smajax.control.observers import AbstractThermometer, Inertial, each
 from smajax.control.sensing import Sensing
 from smajax.plant.step import push
@@ -29,7 +30,7 @@ _ELECTRICAL = ("current", "voltage", "power")
 class Loop(eqx.Module):
     """All that stands between the reference and the wires; ``channel`` is the one that is steered.
 
-    With an ``observer``, the guard knows the wires' temperatures by what that tells only.
+    With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell.
     """
 
     controller: AbstractController
@@ -37,6 +38,7 @@ class Loop(eqx.Module):
     sensing: Sensing | Inertial
     guard: TemperatureGuard | None = None
     observer: AbstractThermometer | None = None
+    meters: Meters | None = None
     channel: str = eqx.field(static=True, kw_only=True)
 
     def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
@@ -44,7 +46,8 @@ class Loop(eqx.Module):
         guards: tuple = ()
         if self.guard is not None:
             watched = () if self.observer is None else self.observer.begin(seen)
-            guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched
+            metered = () if self.meters is None else self.meters.reset(seen)
+            guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched, metered
         value = seen[self.channel]
         return self.controller.reset(reference, value), self.sensing.reset(value), guards
 
@@ -55,13 +58,15 @@ class Loop(eqx.Module):
         inner, command = self.controller.step(inner, reference, value)
         commands = self.allocation(command)
         if self.guard is not None:
-            states, watched = guards
+            states, watched, metered = guards
+            if self.meters is not None:
+                metered, seen = self.meters.step(metered, seen, draw)
             warm = each(seen, "temperature")
             if self.observer is not None:
                 watched, warm = self.observer.watch(watched, seen)
             cut = [self.guard.step(s, t, c) for s, t, c in zip(states, warm, commands, strict=True)]
             states, commands = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
-            guards = states, watched if self.observer is None else self.observer.under(watched, commands)
+            guards = states, watched if self.observer is None else self.observer.under(watched, commands), metered
         return (inner, heard, guards), commands
 
 

@@ -134,8 +134,9 @@ class Tuning(eqx.Module):
 
 
 def noises(loop: Loop, scenario: Scenario, count: int = NOISES, seed: int = 0) -> jax.Array:
-    """The scenario's noise and ``count - 1`` other draws of it, shape ``(count, n)``; only the one if the sensor has no noise."""
-    count = count if float(loop.sensing.noise) > 0.0 else 1
+    """The scenario's noise and ``count - 1`` other draws of it, shape ``(count, n)``; only the one if no sensor has noise."""
+    metered = () if loop.guard is None or loop.meters is None else loop.meters.each.values()
+    count = count if any(float(one.noise) > 0.0 for one in (loop.sensing, *metered)) else 1
     more = np.random.default_rng([seed, 11]).standard_normal((count - 1, scenario.draws.shape[0]))
     return jnp.concatenate([scenario.draws[None], jnp.asarray(more)])
 

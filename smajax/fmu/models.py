@@ -92,11 +92,11 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
 def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str, str], name: str) -> Model:
     """The model of a controller with its allocation and its guard; ``units`` are those of command and channel.
 
-    What the loop's sensor does to the measurement is the world's and is left out. A guard listens to ``temperature`` too. What is measured
-    or wanted and is no number is taken for the last one that was; a guard without an observer does not heat a wire whose temperature has
-    been no number for ``BLIND`` seconds.
+    What the loop's sensor and meters do to a measurement is the world's and is left out. A guard listens to ``temperature`` too, and with
+    an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was; a guard without an observer
+    does not heat a wire whose temperature has been no number for ``BLIND`` seconds.
     """
-    loop = dataclasses.replace(loop, sensing=perfect())
+    loop = dataclasses.replace(loop, sensing=perfect(), meters=None)
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]
     channel, declared = _channel(loop.channel), gains(loop)

@@ -2,41 +2,35 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from smajax import __version__, parameters
 from smajax.console import Progress
-from smajax.control import members, metrics
+from smajax.control import members
 from smajax.control.export import as_document, c_header
 from smajax.control.gains import gain, gains, unit_of
-from smajax.control.margins import Margins, margins, restless
 from smajax.control.reach import Reach, cut, falls, reach
-from smajax.control.rollout import Loop, Rollout
 from smajax.control.slow_loop import Identified, identify, with_inverse
-from smajax.control.tune import Tuned, least_broken, tune
-from smajax.control.tuning import NOISES, SPREAD, Tuning, noises, roll
+from smajax.control.tune import Tuned
+from smajax.control.tuning import NOISES, SPREAD, Tuning, noises
 from smajax.controller_file import ControllerFile, read_controller
 from smajax.errors import InputError
 from smajax.fmu.models import controller_model, plant_model
 from smajax.fmu.pack import fmu
+from smajax.jobs.behaviour import Behaviour, behave, broken_limits, check, each_of, given_up, idle_error
+from smajax.jobs.gain_search import harder, searched
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.report import prediction
 from smajax.report.document import number, to_json
 from smajax.report.tuning import SCHEMA, sentences, shown, tuning_page
 from smajax.results import check_out, read_json, write_folder
 from smajax.rig import Rig, read_rig
-from smajax.units import CHANNELS, numbered
-
-_BATCH = 64
-_AGAIN = 3  # times that gains are tuned on for draws that fail
-_WIDER = 4  # starts, where fewer do not keep all limits
-_IDLE = 0.9  # of the error of a rig that is left alone: gains that leave more have given the reference up
+from smajax.units import CHANNELS
 
 
 class TuneJob(NamedTuple):
@@ -46,25 +40,6 @@ class TuneJob(NamedTuple):
     controller: Path
     out: Path
     seed: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Behaviour:
-    """One set of gains on the plant as the rig has it: its rollout, metrics in SI, margins, and why it counts as unstable, if it does."""
-
-    loop: Loop
-    channels: Mapping[str, np.ndarray]
-    command: np.ndarray
-    numbers: dict[str, float]
-    margins: Margins
-    unstable: str
-
-
-class Checked(NamedTuple):
-    """What gains do on draws: a document, and which draws are unstable or beyond a limit."""
-
-    document: dict[str, Any]
-    failing: tuple[int, ...]
 
 
 def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
@@ -107,25 +82,29 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         draws = noises(given.loop, given.scenario, given.robust.draws if given.robust else NOISES, seed)
         sharp = bool(given.limits or given.settle or given.robust)  # what is limited, or spread already, is judged as it is
         tuning = Tuning.of(given.driven, given.loop, given.scenario, given.bounds, few, draws, 0.0 if sharp else SPREAD)
-        found = _tuned(given, tuning, seed, progress)
+        found, last, weights = searched(given, tuning, far, seed, progress)
+        asked, given = given.weights, replace(given, weights=weights)
     progress.phase("checking")
     with clock.time("check"):
-        checks = {when: _check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
+        checks = {when: check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
     if checks and checks["tuned"].failing:
         with clock.time("tune"):
-            found, checks["tuned"] = _harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
+            found, checks["tuned"] = harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
     if checks and len(checks["start"].failing) < len(checks["tuned"].failing):  # what was tuned for some draws does worse on the others
         found, checks["tuned"] = found._replace(gains=own), checks["start"]
-    last = behave(given, found.gains)
+    if checks:
+        last = behave(given, found.gains)
     units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
     progress.phase("exporting")
     with clock.time("export"):
         fmus, left_out = _fmus(given, rig, last, units)
     told = {when: one.document for when, one in checks.items()}
-    document = _document(given, rig, found, (first, last), told, beyond, far, seed) | {"left_out": left_out}
+    document: dict[str, Any] = _document(given, rig, found, (first, last), told, beyond, far, seed) | {"left_out": left_out}
     if fed is not None:
         document["feedforward"] = _fed(given, fed)
-        document["summary"] = sentences(document)
+    if weights is not asked:
+        document["objective"]["asked"] = dict(asked)
+    document["summary"] = sentences(document)
     reason = "; ".join(document["problems"])
     code = 3 if reason else 0
     run = run_record("tune", rig, argv, clock, seed, code) | {"controller": given.name}
@@ -148,23 +127,6 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     return Outcome(out, document, code, reason)
 
 
-def _tuned(given: ControllerFile, tuning: Tuning, seed: int, progress: Progress) -> Tuned:
-    """The gains found from as many starts as wanted, or, where those do not keep all limits, from more: what does may lie far away."""
-
-    def search(starts: int) -> Tuned:
-        return tune(
-            tuning, given.weights, given.limits, settle=given.settle, starts=starts, seed=seed, band=given.band,
-            progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
-        )  # fmt: skip
-
-    found = search(given.starts)
-    if found.feasible or given.starts >= _WIDER:
-        return found
-    progress.phase("no gains keep all limits yet: looking from more starts")
-    again = search(_WIDER)
-    return min(found, again, key=least_broken)._replace(rollouts=found.rollouts + again.rollouts)
-
-
 def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:
     """The FMUs of plant and controller by the name of their file, and of those that could not be made, why."""
     loop = last.loop
@@ -179,47 +141,6 @@ def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, st
         except InputError as error:
             left_out[name] = str(error)
     return made, left_out
-
-
-def behave(given: ControllerFile, gains: Mapping[str, float]) -> Behaviour:
-    """How the rig's own plant does with other gains than the file's."""
-    as_seen, calm = (Tuning.of(given.driven, given.loop, s, {}) for s in (given.scenario, given.scenario.calm()))
-    done, still = roll(as_seen, gains), roll(calm, gains)
-    channels = {name: np.asarray(values)[0] for name, values in done.channels.items()}
-    command, loop = np.asarray(done.command)[0], as_seen.steered(gains)
-    why = _unstable(given, still, 0)
-    return Behaviour(loop, channels, command, _numbers(given, channels, command), margins(given.driven, loop, calm.scenario), why)
-
-
-def _unstable(given: ControllerFile, still: Rollout, member: int) -> str:
-    """Why a member of a rollout without noise counts as unstable; nothing if it does not."""
-    pid = given.loop.controller.inner
-    command, value = np.asarray(still.command[member]), np.asarray(still.channels[given.loop.channel][member])
-    return restless(command, np.asarray(given.scenario.reference), value, float(pid.upper) - float(pid.lower))
-
-
-def _numbers(given: ControllerFile, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
-    period, channel = given.driven.period, given.loop.channel
-    reference = np.asarray(given.scenario.reference)
-    told = metrics.tracking(channels[channel], reference, period)
-    answers = metrics.answers(
-        channels[channel], reference, metrics.jumps(reference, float(given.scenario.before), period), period, given.band
-    )
-    if answers:
-        told |= {
-            "rise": max(a.rise for a in answers),
-            "settling": max(a.settling for a in answers),
-            "overshoot": max(a.overshoot for a in answers),
-        }
-    told["energy"] = float(np.sum([np.sum(channels[n]) for n in _of(given, "power")]) * period)
-    told["mean_command"] = float(np.mean(np.sum(command, axis=1)))
-    for name in ("temperature", "stress", "current"):
-        told[f"peak_{name}"] = float(np.max([np.max(channels[n]) for n in _of(given, name)]))
-    return told
-
-
-def _of(given: ControllerFile, name: str) -> tuple[str, ...]:
-    return numbered(name, given.driven.wires)
 
 
 def _drawn(given: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
@@ -246,67 +167,6 @@ def _beyond(given: ControllerFile, far: Reach) -> str:
     limited = given.loop.guard is not None or any(k in given.limits for k in ("temperature", "stress", "current"))
     told += " within the limits" if limited else ""
     return told + ("; tuned for the reference cut to that" if cut(given.scenario, far) is not given.scenario else "")
-
-
-def _harder(
-    given: ControllerFile, tuning: Tuning, found: Tuned, checked: Checked, drawn: Mapping[str, np.ndarray], seed: int, progress: Progress
-) -> tuple[Tuned, Checked]:  # fmt: skip
-    """Gains tuned on, a few times, for the draws among those checked that fail, beside some of those that they were tuned for."""
-    count = tuning.count
-    for _ in range(_AGAIN):
-        if not checked.failing:
-            break
-        progress.phase(f"tuning on for {len(checked.failing)} draws that are unstable or beyond a limit")
-        rows = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *range(count)]))[:count]
-        few = {n: v[np.resize(rows, count)] for n, v in drawn.items()}
-        on = Tuning.of(given.driven, tuning.steered(found.gains), given.scenario, given.bounds, few, tuning.draws)
-        again = tune(on, given.weights, given.limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
-        found = found._replace(rollouts=found.rollouts + again.rollouts)
-        now = _check(given, again.gains, drawn)
-        if len(now.failing) >= len(checked.failing):
-            break
-        found, checked = again._replace(rollouts=found.rollouts), now
-    return found, checked
-
-
-def _check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str, np.ndarray]) -> Checked:
-    """Metrics of every draw: median and 5 to 95 %, and how many are stable (without noise) and within the limits."""
-    count = len(next(iter(drawn.values())))
-    size = min(_BATCH, count)
-    told: list[dict[str, float]] = []
-    unstable = broken = 0
-    failing: list[int] = []
-    for first in range(0, count, size):
-        rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up: one program serves all
-        some = {n: v[rows] for n, v in drawn.items()}
-        done, still = (roll(Tuning.of(given.driven, given.loop, s, {}, some), gains) for s in (given.scenario, given.scenario.calm()))
-        channels = {n: np.asarray(v) for n, v in done.channels.items()}
-        for k in range(min(size, count - first)):
-            numbers = _numbers(given, {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k]))
-            told.append(numbers)
-            restless, beyond = bool(_unstable(given, still, k)), bool(broken_limits(given.limits, numbers))
-            unstable, broken = unstable + restless, broken + beyond
-            failing += [first + k] * (restless or beyond)
-    table = {n: np.array([t[n] for t in told]) for n in told[0]}
-    spread = {n: [number(float(q)) for q in _quantiles(v)] for n, v in table.items()}
-    worst = {n: number(float(np.max(v))) for n, v in table.items()}
-    return Checked({"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}, tuple(failing))
-
-
-def _quantiles(values: np.ndarray) -> np.ndarray:
-    """5, 50 and 95 % of what is a number; an infinite one, such as a settling time that never ends, is."""
-    known = np.sort(values[~np.isnan(values)])
-    return np.quantile(known, [0.05, 0.5, 0.95], method="inverted_cdf") if len(known) else np.full(3, np.nan)
-
-
-def broken_limits(limits: Mapping[str, float], numbers: Mapping[str, float]) -> list[str]:
-    """The limits that a rollout's numbers do not keep."""
-    names = {k: k if k in ("overshoot", "settling") else f"peak_{k}" for k in limits}
-    scales = {"temperature": 10.0, "overshoot": metrics.BAND, "settling": max(limits.get("settling", 1.0), 1e-9)}
-    return [
-        k for k, limit in limits.items()
-        if names[k] in numbers and not numbers[names[k]] <= limit + 2e-3 * scales.get(k, 0.1 * abs(limit))
-    ]  # fmt: skip
 
 
 def _document(
@@ -343,9 +203,8 @@ def _document(
         problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found {told}")
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
-    idle, least = _idle(given), _least(given, far)
-    if idle > 0.0 and last.numbers["rmse"] > least + _IDLE * (idle - least):
-        ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle)]
+    if given_up(given, last, far):
+        ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle_error(given))]
         told = f"the best gains found give the reference up: they leave an error of {ends[0]}, a rig that is left alone one of {ends[1]}"
         problems.append(f"{told}; try more starts, other start gains or wider limits")
     if checks and (few := {k: checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks["tuned"][k]}):
@@ -375,21 +234,7 @@ def _document(
         "seed": seed,
         "smajax": __version__,
     }  # fmt: skip
-    return document | {"summary": sentences(document)}
-
-
-def _idle(given: ControllerFile) -> float:
-    """The tracking error (RMS) of a rig that stays at rest; 0 for a reference that is near it all the time."""
-    rest = float(given.driven.read(given.driven.start(), jnp.zeros(given.driven.wires))[given.loop.channel])
-    wanted = np.append(np.asarray(given.scenario.reference), rest)
-    error = float(np.sqrt(np.mean((wanted - rest) ** 2)))
-    return error if error > 0.1 * float(np.ptp(wanted)) else 0.0
-
-
-def _least(given: ControllerFile, far: Reach) -> float:
-    """The tracking error (RMS) of a rig that is always as near to the reference as it reaches."""
-    wanted = np.asarray(given.scenario.reference)
-    return float(np.sqrt(np.mean((wanted - np.clip(wanted, far.least, far.largest)) ** 2)))
+    return document
 
 
 def _fed(given: ControllerFile, fed: Identified) -> dict[str, Any]:
@@ -411,7 +256,7 @@ def _series(given: ControllerFile, one: Behaviour, name: str) -> prediction.Seri
     control, channel = given.driven.plant.drive.control, given.loop.channel
     reference = np.asarray(given.scenario.reference)
     time = given.driven.period * np.arange(len(reference), dtype=np.float64)
-    beside = [channel, *_of(given, "temperature"), *_of(given, "stress")]
+    beside = [channel, *each_of(given, "temperature"), *each_of(given, "stress")]
     model = {c: one.channels[c] for c in dict.fromkeys(beside)}
-    model |= {c: one.command[:, i] for i, c in enumerate(_of(given, control))}
+    model |= {c: one.command[:, i] for i, c in enumerate(each_of(given, control))}
     return prediction.to_series(name, name.split()[0], time, {channel: reference}, model, {}, clock=True)

@@ -1,0 +1,92 @@
+"""Gains looked for until they keep the limits, follow the reference and come to rest, as far as they can.
+
+What helps is more starts, more weight of the effort, and the draws that fail.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from smajax.console import Progress
+from smajax.control.reach import Reach
+from smajax.control.tune import Tuned, least_broken, tune
+from smajax.control.tuning import Tuning
+from smajax.controller_file import ControllerFile
+from smajax.jobs.behaviour import Behaviour, Checked, behave, check, given_up
+
+_AGAIN = 3  # times that gains are tuned on for draws that fail
+_WIDER = 4  # starts, where fewer do not keep all limits or give the reference up
+_CALMER, _MORE, _SOME = 3, 10.0, 0.01  # times that effort is given more weight, how much more, and the least that it had
+
+
+class Searched(NamedTuple):
+    """What was found, how the rig does with it, and the weights with which it was."""
+
+    found: Tuned
+    last: Behaviour
+    weights: Mapping[str, float]
+
+
+def searched(given: ControllerFile, tuning: Tuning, far: Reach, seed: int, progress: Progress) -> Searched:
+    """The gains found from as many starts as wanted, or from more, since what does better may lie far away."""
+    found = _search(given, tuning, given.starts, seed, progress)
+    last = behave(given, found.gains)
+    lost = "keep all limits yet" if not found.feasible else "follow the reference yet" if given_up(given, last, far) else ""
+    if lost and given.starts < _WIDER:
+        progress.phase(f"no gains {lost}: looking from more starts")
+        again = _search(given, tuning, _WIDER, seed, progress)
+        found = min(found, again, key=lambda one: (least_broken(one), _cost(given, one)))._replace(rollouts=found.rollouts + again.rollouts)
+        last = behave(given, found.gains)
+    return (
+        _calmer(given, tuning, Searched(found, last, given.weights), seed, progress)
+        if last.unstable
+        else Searched(found, last, given.weights)
+    )
+
+
+def _search(given: ControllerFile, tuning: Tuning, starts: int, seed: int, progress: Progress) -> Tuned:
+    return tune(
+        tuning, given.weights, given.limits, settle=given.settle, starts=starts, seed=seed, band=given.band,
+        progress=lambda count, cost: progress.step(f"{count} rollouts, cost {cost:.4g}"),
+    )  # fmt: skip
+
+
+def _cost(given: ControllerFile, one: Tuned) -> float:
+    return sum(weight * one.terms[name] for name, weight in given.weights.items())
+
+
+def _calmer(given: ControllerFile, tuning: Tuning, before: Searched, seed: int, progress: Progress) -> Searched:
+    """Gains that come to rest, by ever more weight of the effort; what there was, if none do, or none that keep the limits kept before."""
+    spent, weights = before.found.rollouts, given.weights
+    for _ in range(0 if given.settle else _CALMER):  # the shortest settling is not steered by weights
+        weights = {**weights, "effort": _MORE * max(weights.get("effort", 0.0), _SOME)}
+        progress.phase(f"the gains found do not come to rest: giving effort the weight {weights['effort']:g}")
+        again = _search(replace(given, weights=weights), tuning, _WIDER, seed, progress)
+        spent += again.rollouts
+        now = behave(given, again.gains)
+        if not now.unstable and again.feasible >= before.found.feasible:
+            return Searched(again._replace(rollouts=spent), now, weights)
+    return before._replace(found=before.found._replace(rollouts=spent))
+
+
+def harder(
+    given: ControllerFile, tuning: Tuning, found: Tuned, checked: Checked, drawn: Mapping[str, np.ndarray], seed: int, progress: Progress
+) -> tuple[Tuned, Checked]:  # fmt: skip
+    """Gains tuned on, a few times, for the draws among those checked that fail, beside some of those that they were tuned for."""
+    count = tuning.count
+    for _ in range(_AGAIN):
+        if not checked.failing:
+            break
+        progress.phase(f"tuning on for {len(checked.failing)} draws that are unstable or beyond a limit")
+        rows = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *range(count)]))[:count]
+        few = {n: v[np.resize(rows, count)] for n, v in drawn.items()}
+        on = Tuning.of(given.driven, tuning.steered(found.gains), given.scenario, given.bounds, few, tuning.draws)
+        again = tune(on, given.weights, given.limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
+        found = found._replace(rollouts=found.rollouts + again.rollouts)
+        now = check(given, again.gains, drawn)
+        if len(now.failing) >= len(checked.failing):
+            break
+        found, checked = again._replace(rollouts=found.rollouts), now
+    return found, checked
