@@ -5,7 +5,6 @@ Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 the numbers failed, 130 
 
 import contextlib
 import os
-import platform
 import signal
 import sys
 import tempfile
@@ -21,13 +20,6 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
-# Known to jax < 0.11. XLA's older emitters compile our programs faster, and a loop over steps runs much faster if all of it, however large
-# its arrays are, is one function of machine code. Such a function is full of short vectors, which AVX-512 slows down.
-XLA_FLAGS = (
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000",
-    *(["--xla_cpu_max_isa=AVX2"] if platform.machine().lower() in ("x86_64", "amd64") else []),
-)
 
 
 class Progress:
@@ -151,10 +143,9 @@ def prepare_jax() -> None:
     if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
         raise RuntimeError("prepare_jax has to be called before anything imports equinox")
     os.environ.setdefault("EQX_ON_ERROR", "off")
-    given = os.environ.get("XLA_FLAGS", "")
-    ours = [flag for flag in XLA_FLAGS if flag.split("=")[0] not in given]
-    os.environ["XLA_FLAGS"] = " ".join([given, *ours]).strip()
     import jax
+
+    from smajax import jax_options  # noqa: F401
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         folder = cache_folder("jax")

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from smajax import precision  # noqa: F401
+from smajax import jax_options  # noqa: F401
 
 
 @jax.custom_jvp

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from smajax import precision  # noqa: F401
+from smajax import jax_options  # noqa: F401
 from smajax.errors import InputError, nearest
 
 TIES: Mapping[str, tuple[str, ...]] = {

@@ -1,3 +1,3 @@
 """Black boxes: input-output laws that know nothing of the wire."""
 
-from smajax import precision  # noqa: F401
+from smajax import jax_options  # noqa: F401

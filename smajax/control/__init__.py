@@ -1,3 +1,3 @@
 """Controllers, observers, closed-loop rollouts, and the tuning of gains through them."""
 
-from smajax import precision  # noqa: F401
+from smajax import jax_options  # noqa: F401

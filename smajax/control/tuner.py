@@ -86,13 +86,13 @@ def worst_of(violated: np.ndarray) -> float:
 
 
 class Tuner:
-    """Counts rollouts and keeps the points that all members were looked at."""
+    """Counts rollouts and keeps the points that all members were looked at, the start first."""
 
     def __init__(self, tuning: Tuning, wanted: Wanted, progress: Callable[[int, float], None], settle: bool = False) -> None:
         self.tuning, self.wanted, self.progress = tuning, wanted, progress
         self.rollouts, self.history = 0, []
         self.seen: list[Candidate] = []
-        terms, _ = self.look(tuning.start[None])
+        terms, violated = self.look(tuning.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale = np.where(usable, terms[0], 1.0)
         pid = tuning.loop.controller.inner
@@ -103,6 +103,7 @@ class Tuner:
         self.plain = not (settle or np.any(np.isfinite(np.asarray(wanted.limits))))  # the terms are all there is
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
         self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
+        self.keep(self._candidate(tuning.start, terms[0], violated[0]))
 
     def look(self, points: np.ndarray, tuning: Tuning | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Terms and largest violations of each limit at points, by all members or by those in ``tuning``."""
@@ -113,13 +114,15 @@ class Tuner:
 
     def candidates(self, points: np.ndarray, tuning: Tuning | None = None) -> list[Candidate]:
         """Looks at points by all members, which keeps them, or by those in ``tuning``."""
-        terms, violated = self.look(points, tuning)
-        costs = np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf)
-        found = [Candidate(worst_of(v), float(c), p, v) for v, c, p in zip(violated, costs, points, strict=True)]
+        found = [self._candidate(*one) for one in zip(points, *self.look(points, tuning), strict=True)]
         if tuning is None or tuning.count == self.tuning.count:
             for one in found:
                 self.keep(one)
         return found
+
+    def _candidate(self, point: np.ndarray, terms: np.ndarray, violated: np.ndarray) -> Candidate:
+        cost = float(np.nan_to_num(terms @ (np.asarray(self.wanted.weights) / self.scale), nan=np.inf))
+        return Candidate(worst_of(violated), cost, point, violated)
 
     def keep(self, one: Candidate) -> None:
         """Keeps what all members were looked at; the history tells where nothing limits."""

@@ -21,8 +21,10 @@ _BY_ONE, BY_ALL = (0.15, 0.01, 80), (0.04, 0.004, 40)
 
 
 def unlimited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
-    """The terms made small where nothing limits them: by gradients, and by quadratics then if there are several starts."""
-    tuner.candidates(points[:1])
+    """The terms made small where nothing limits them: by gradients, and by quadratics then if there are several starts.
+
+    The first of the ``points`` is the tuner's own start.
+    """
     if len(points) == 1:
         place, steps = Place(tuner.known().point, math.inf, None, _REGION), _ALL
         if tuner.tuning.count > 1:

@@ -1,3 +1,3 @@
 """Hysteresis operators: input-output laws without physics."""
 
-from smajax import precision  # noqa: F401
+from smajax import jax_options  # noqa: F401
