@@ -64,6 +64,7 @@ from smajax.units import CHANNELS
 
 KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
+_LATEST = 10_000  # periods of delay
 # What counts beside the objective unless weights are given: a real sensor would punish gains that shake the wire.
 _CALM = {"effort": 0.01}
 _SECTIONS = (
@@ -234,13 +235,14 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         guard = TemperatureGuard(PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, max(upper, -lower)), period=period), jnp.asarray(
             quantity_at(given.limit, "degC", "guard.limit", least=float(plant.environment.ambient))
         ))  # fmt: skip
+    observer = _observer(data["observer"], rig, guard, period) if "observer" in data else None
     loop = Loop(
         _controller(head, period, (lower, upper)),
         Allocation(*_arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
         _sensing(validate(_Sensor, data.get("sensor", {}), "sensor"), difference, period, "sensor"),
         guard,
-        _observer(data["observer"], rig, guard, period) if "observer" in data else None,
-        _meters(data["meters"], guard, period) if "meters" in data else None,
+        observer,
+        _meters(data["meters"], guard, observer, period) if "meters" in data else None,
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
@@ -287,6 +289,8 @@ def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
     """A sensor's noise, steps and delay; ``unit`` is that of the first two."""
     noise, quantum = (_positive(v, unit, f"{place}.{k}") for k, v in (("noise", given.noise), ("quantum", given.quantum)))
     wait = _positive(given.delay, "s", f"{place}.delay") / period
+    if wait > _LATEST:
+        raise InputError(f"{place}.delay = {show(given.delay)} is too long: give {_LATEST * period:g} s or less")
     if abs(wait - round(wait)) > 1e-6 * max(wait, 1.0):
         ends = [as_text(period * n, "s") for n in (math.floor(wait), math.ceil(wait))]
         raise InputError(f"{place}.delay = {show(given.delay)} is not a whole number of controller.period: give {ends[0]} or {ends[1]}")
@@ -294,7 +298,7 @@ def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
 
 
 def _observer(data: Any, rig: Rig, guard: TemperatureGuard | None, period: float) -> ThermalObserver:
-    """What tells the guard the temperature; what is not given is the rig's own heat balance at the guard's limit."""
+    """What tells the guard the temperature; what is not given is what the rig's convection and capacity say at the guard's limit."""
     given = validate(_Observer, data, "observer")
     if guard is None:
         raise InputError(
@@ -306,15 +310,29 @@ def _observer(data: Any, rig: Rig, guard: TemperatureGuard | None, period: float
     if given.a1 is None:
         if given.exponent != 1:
             raise InputError(f"observer.exponent = {show(given.exponent)} goes with an a1 and an a2 of its own: give both, or take it out")
-        return own
-    a1 = quantity_at(given.a1, "K/J", "observer.a1", least=1e-9)
+        return _steady(own, guard, given)
+    a1 = quantity_at(given.a1, "K/J", "observer.a1")
+    if not a1 > 0.0:
+        raise InputError(f"observer.a1 = {show(given.a1)} would not warm a wire by its power: give one above 0")
     a2 = quantity_at(given.a2, "1/s" if given.exponent == 1 else f"K^{1 - given.exponent}/s", "observer.a2")
     if not a2 < 0.0:
         raise InputError(f"observer.a2 = {show(given.a2)} would warm the wire without power: give one below 0")
-    return replace(own, **dict(zip(("a1", "a2", "exponent"), _arrays(a1, a2, given.exponent), strict=True)))
+    return _steady(replace(own, **dict(zip(("a1", "a2", "exponent"), _arrays(a1, a2, given.exponent), strict=True))), guard, given)
 
 
-def _meters(data: Any, guard: TemperatureGuard | None, period: float) -> Meters:
+def _steady(observer: ThermalObserver, guard: TemperatureGuard, given: _Observer) -> ThermalObserver:
+    """The observer, if at the guard's limit it forgets no more than all within a period."""
+    excess, exponent = float(guard.limit - observer.ambient), float(observer.exponent)
+    loses, trusts = -exponent * float(observer.a2) * excess ** (exponent - 1.0), float(observer.gain)
+    if observer.period * (loses + trusts) > 1.0:
+        key = "trust" if trusts > loses else "a2"
+        what = f"observer.{key} = {show(getattr(given, key))}" if getattr(given, key) is not None else "the rig, as [observer] has it,"
+        most = as_text(1.0 / (loses + trusts), "s")
+        raise InputError(f"{what} acts faster than controller.period: give a smaller one, or a period of at most {most}")
+    return observer
+
+
+def _meters(data: Any, guard: TemperatureGuard | None, observer: ThermalObserver | None, period: float) -> Meters:
     given = validate(_Meters, data, "meters")
     if guard is None:
         raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
@@ -323,6 +341,10 @@ def _meters(data: Any, guard: TemperatureGuard | None, period: float) -> Meters:
         told = getattr(given, kind)
         if told is None:
             continue
+        if kind != "temperature" and observer is None:
+            raise InputError(f"meters.{kind}: nothing hears it without an observer: add a section [observer], or take it out")
+        if kind == "temperature" and observer is not None and not float(observer.gain) > 0.0:
+            raise InputError("meters.temperature: the observer trusts no thermocouple: give observer.trust a value, or take it out")
         one = validate(_Thermocouple if kind == "temperature" else _Sensor, told, f"meters.{kind}")
         each[kind] = _sensing(one, unit, period, f"meters.{kind}")
         if isinstance(one, _Thermocouple):

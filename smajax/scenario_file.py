@@ -65,9 +65,9 @@ def read_scenario(
     channel, unit, period = seen
     section = data["reference"]
     kind = section.get("kind") if isinstance(section, dict) else None
-    if isinstance(kind, str) and kind in _KEYS:  # the cure is among this kind's keys
-        for key in section.keys() - _Reference.model_fields.keys():
-            raise InputError(f"reference.{key} is not known{advice(key, _KEYS[kind], f'the keys of a {kind} are')}")
+    unknown = [key for key in section if key not in _Reference.model_fields] if isinstance(kind, str) and kind in _KEYS else []
+    if unknown:  # the cure is among this kind's keys
+        raise InputError(f"reference.{unknown[0]} is not known{advice(unknown[0], _KEYS[kind], f'the keys of a {kind} are')}")
     given = validate(_Reference, section, "reference")
 
     def level(value: Any, key: str, unit: str = unit, **ends: float) -> float:

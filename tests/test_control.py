@@ -567,15 +567,24 @@ def test_the_c_header_of_an_observer(tmp_path, exponent, gain):
     rng, n = np.random.default_rng(5), 300
     power, reading, u = 6.0 * np.abs(rng.standard_normal(n)), 60.0 + 3.0 * rng.standard_normal(n), np.abs(rng.standard_normal(n))
     reading[100:150] = np.nan
+    lost = power.copy()
+    lost[200:208] = np.nan  # for less than a second
+    power[200:208] = power[199]
     found, pointer = np.empty((2, n)), ctypes.POINTER(ctypes.c_double)
-    ctypes.CDLL(str(tmp_path / "c.so")).run(n, *(a.ctypes.data_as(pointer) for a in (power, reading, u, found)))
+    ctypes.CDLL(str(tmp_path / "c.so")).run(n, *(a.ctypes.data_as(pointer) for a in (lost, reading, u, found)))
     state, kept, expected = observer.begin({"temperature": jnp.asarray(20.0)}), guard.reset(jnp.asarray(20.0)), []
     for p, t, command in zip(power, reading, u, strict=True):
         state, (now,) = observer.watch(state, {"power": jnp.asarray(p), "temperature": jnp.asarray(t)})
         kept, allowed = guard.step(kept, now, jnp.asarray(command))
         expected.append((float(now), float(allowed)))
-    np.testing.assert_allclose(found.T, expected, rtol=1e-12, atol=1e-12)
+    known = np.isfinite(lost)
+    assert np.all(np.isnan(found[0, ~known]))
+    np.testing.assert_allclose(found.T[:200], expected[:200], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found[0, known], np.array(expected)[known, 0], rtol=1e-12)  # the last power was kept meanwhile
     assert np.any(found[1] < u)
+    dead, hot = np.full(n, np.nan), np.full(n, 20.0)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(n, *(a.ctypes.data_as(pointer) for a in (dead, hot, u, found)))
+    assert np.any(found[1, :9] > 0.0) and np.all(found[1, 11:] == 0.0)  # a power that is never known
     assert as_document(loop, dict.fromkeys(gains(loop), "-"))["observer"]["exponent"] == exponent
 
 

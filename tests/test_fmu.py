@@ -184,10 +184,6 @@ def test_a_guard_by_an_observer_listens_to_the_power():
     assert [v.name for v in model.variables if v.causality == "input"] == ["reference", "measurement", "temperature", "power"]
     text, given = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     rows = [[np.float64(v) for v in (9.0, 0.0, 60.0 + k % 7, 6.0 + k % 5)] for k in range(200)]
-    state, commands = list(text["start"](given, rows[0])), []
-    for row in rows:
-        *state, _ = text["advance"](given, state, row, np.float64(PERIOD))
-        commands.append(text["outputs"](given, state, row)[0])
     names = ("angle", "temperature", "power")
     seen = [dict(zip(names, map(jnp.asarray, row[1:]), strict=True)) for row in rows]
     alone = dataclasses.replace(loop, meters=None)
@@ -196,8 +192,29 @@ def test_a_guard_by_an_observer_listens_to_the_power():
     for one in seen:
         inner, each = step(inner, jnp.asarray(9.0), one, jnp.zeros(()))
         expected.append(float(each[0]))
+
+    def run(rows, text=text):
+        state, commands = list(text["start"](given, rows[0])), []
+        for row in rows:
+            *state, _ = text["advance"](given, state, row, np.float64(PERIOD))
+            commands.append(float(text["outputs"](given, state, row)[0]))
+        return np.array(commands)
+
+    commands = run(rows)
     np.testing.assert_allclose(commands, expected, rtol=1e-12, atol=1e-12)
     assert min(commands) < 0.45 < max(commands)
+
+    # Without its thermocouple at first, or later, the estimate goes on by itself; without the power nothing heats after a second.
+    alone = dataclasses.replace(loop, observer=dataclasses.replace(observer, gain=jnp.zeros(())))
+    trusts_none = module(controller_model(alone, ("A", "rad"), dict.fromkeys(gains(loop), "A/rad"), "alone"))
+    cold = [[*row[:2], np.float64(20.0), row[3]] for row in rows]  # where both estimates begin
+    blind = [[*row[:2], np.float64(np.nan), row[3]] for row in rows]
+    np.testing.assert_allclose(run(blind), run(cold, trusts_none), rtol=1e-12, atol=1e-12)
+    dead = run([[*row[:3], np.float64(np.nan if k >= 5 else row[3])] for k, row in enumerate(rows)])
+    assert np.all(dead[5:15] > 0.0) and np.all(dead[55:] == 0.0)
+    # A sensor that is late: the loop begins with it, as if it had been at rest there.
+    late = run([[row[0], np.float64(np.nan), *row[2:]] if k < 10 else row for k, row in enumerate(rows)])
+    assert np.all(late[:10] == 0.0) and np.all(np.isfinite(late)) and np.any(late[10:] > 0.0)
 
 
 @pytest.fixture(scope="module")

@@ -148,6 +148,11 @@ def test_meters_tell_what_a_rig_would():
     np.testing.assert_allclose(noisy["voltage_2"] / 0.01, np.round(noisy["voltage_2"] / 0.01), atol=1e-6)
     assert np.all(noisy["voltage_2"][:2] == 2.0) and np.std(noisy["voltage_2"][2:]) == pytest.approx(0.02, rel=0.1)
     np.testing.assert_allclose(noisy["power_2"], noisy["voltage_2"] * 0.25)
+    pulsed = {"voltage": 2.0, "current": 0.1, "power": 1.0}  # means over pulses, one fifth of the time
+    one = Meters({"voltage": Sensing(jnp.asarray(0.1), jnp.zeros(()))}, period)
+    for draw in (0.0, 1.0):
+        state, _ = one.step(one.reset(pulsed), pulsed, jnp.asarray(draw))
+        assert float(one.step(state, pulsed, jnp.zeros(()))[1]["power"]) == pytest.approx(1.0 + 0.05 * draw)
     noise = np.stack([(noisy[m] - calm[m])[10:] for m in ("temperature_1", "temperature_2", "voltage_1", "voltage_2")] + [draws[10:]])
     np.testing.assert_allclose(np.std(noise, axis=1), [0.5, 0.5, 0.02, 0.02, 1.0], rtol=0.06)
     assert np.max(np.abs(np.corrcoef(noise) - np.eye(5))) < 0.06  # at a sample none tells of another

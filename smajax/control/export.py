@@ -2,10 +2,10 @@
 
 The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
-feedforward; call ``smajax_step`` once a period. A measurement that is no number is taken for the last one that was. Of a loop with two
-wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a guard ``smajax_guard``, which cuts a wire's
-command to what its temperature allows, to 0 where it has not been known for a second. Where an observer tells the guard the temperature,
-there is ``smajax_observe``, which does so from the wire's power.
+feedforward and the ``pow`` of an observer that is not linear; call ``smajax_step`` once a period. A measurement that is no number is taken
+for the last one that was. Of a loop with two wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a
+guard ``smajax_guard``, which cuts a wire's command to what its temperature allows, to 0 where it has not been known for a second. Where an
+observer tells the guard the temperature, there is ``smajax_observe``, which does so from the wire's power.
 """
 
 from typing import Any
@@ -129,8 +129,8 @@ static inline void smajax_observer_reset(smajax_observer_state *o, smajax_real t
     o->power = 0;
 }}
 
-/* The temperature now. power: the mean over the last period, in W; one that is no number counts as the last one that was.
- * thermocouple: its reading now; one that is no number is none. */
+/* The temperature now, in degC. power: the mean over the last period, in W. thermocouple: its reading now; one that is no number is none.
+ * Of a power that is no number the last one that was is kept, and no temperature is told: a guard then stops in a second. */
 static inline smajax_real smajax_observe(smajax_observer_state *o, smajax_real power, smajax_real thermocouple) {{
     smajax_real excess = o->temperature - (smajax_real){ambient!r};
     smajax_real lost = {lost};
@@ -138,7 +138,7 @@ static inline smajax_real smajax_observe(smajax_observer_state *o, smajax_real p
     if (smajax_is_number(o->reading)) change += (smajax_real){gain!r} * (o->reading - o->temperature);
     o->temperature += SMAJAX_PERIOD * change;
     o->reading = thermocouple;
-    return o->temperature;
+    return smajax_is_number(power) ? o->temperature : power - power;
 }}
 """
 _POWER = "excess < 0 ? -(smajax_real)SMAJAX_POW(-excess, {exponent!r}) : (smajax_real)SMAJAX_POW(excess, {exponent!r})"

@@ -1,7 +1,7 @@
 """What a rig hears of its wires: voltage, current and temperature as its meters tell them, with their noise, steps and delays.
 
-A temperature is a thermocouple's, which follows its wire with a first-order lag: T_heard' = (T - T_heard) / lag. A power is the product of
-the voltage and the current that are heard.
+A temperature is a thermocouple's, which follows its wire with a first-order lag: T_heard' = (T - T_heard) / lag. A power is heard with the
+errors of voltage and current, P V_heard I_heard / (V I): their own product would not do where they are means over pulses.
 """
 
 import itertools
@@ -51,8 +51,10 @@ class Meters(eqx.Module):
             waiting[name], heard[name] = sensing.step(state.waiting[name], probes.get(name, seen[name]), noise)
         if self.each.keys() & {"voltage", "current"}:
             for name in [n for n in seen if channel_of(n) == "power"]:
-                wire = name.removeprefix("power")
-                heard[name] = heard[f"voltage{wire}"] * heard[f"current{wire}"]
+                pair = [f"{kind}{name.removeprefix('power')}" for kind in ("voltage", "current")]
+                true = seen[pair[0]] * seen[pair[1]]
+                flows = true > 0.0
+                heard[name] = jnp.where(flows, seen[name] / jnp.where(flows, true, 1.0), 1.0) * heard[pair[0]] * heard[pair[1]]
         return Heard(waiting, probes, jnp.append(draw, state.draws)[: len(state.draws)]), heard
 
     def _metered(self, seen: dict[str, jax.Array]) -> dict[str, Sensing]:

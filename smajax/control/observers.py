@@ -1,7 +1,7 @@
 """Observers: what a rig does not measure, or measures badly, from what it does.
 
     thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
-               angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
+    angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
 
 Both are sampled; ``reset`` and ``step`` are pure functions. In a rollout they hear what the loop's ``meters`` tell. A filter of the whole
 plant is in ``ensemble``.
@@ -55,7 +55,7 @@ class ThermalObserver(AbstractThermometer):
 
     @classmethod
     def of(cls, plant: Plant, temperature: float, period: float, gain: float = 0.0) -> "ThermalObserver":
-        """What a plant's heat balance says near a temperature in degC, n = 1: exact in the steady state there, phases half and half."""
+        """What a plant's heat stage says near a temperature in degC, n = 1, with phases half and half and without its effects."""
         at, wire = jnp.asarray(temperature, jnp.float64), plant.wire
         capacity = plant.heat.capacity(jnp.asarray(0.5))
         loss = plant.heat.conductance(at, wire)

@@ -16,9 +16,11 @@ import jax.numpy as jnp
 from smajax import parameters
 from smajax.control.gains import gain, gains, with_gains
 from smajax.control.guard import BLIND
+from smajax.control.observers import ThermalObserver
 from smajax.control.rollout import Loop
 from smajax.control.sensing import perfect
 from smajax.fmu.numpy_source import HEADER, numpy_source
+from smajax.kinks import within
 from smajax.plant.plant import Plant
 from smajax.simulate import default_step
 from smajax.units import CHANNELS, channel_of, numbered
@@ -93,15 +95,19 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     """The model of a controller with its allocation and its guard; ``units`` are those of command and channel.
 
     What the loop's sensor and meters do to a measurement is the world's and is left out. A guard listens to ``temperature`` too, and with
-    an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was; a guard without an observer
-    does not heat a wire whose temperature has been no number for ``BLIND`` seconds.
+    an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was, and the loop begins when
+    there has been one; a thermal observer goes without a thermocouple that tells no number. A guard does not heat a wire whose temperature,
+    or power where an observer needs that, has been no number for ``BLIND`` seconds.
     """
     loop = dataclasses.replace(loop, sensing=perfect(), meters=None)
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]
     channel, declared = _channel(loop.channel), gains(loop)
     told = ["reference", loop.channel, *heard]
-    eyes = [told.index(n) for n in numbered("temperature", loop.allocation.wires)] if loop.guard and loop.observer is None else []
+    eyes = [told.index(n) for n in numbered(listens[-1], loop.allocation.wires)] if listens else []
+    thermal = isinstance(loop.observer, ThermalObserver)
+    probes = [thermal and _kind(n) == "temperature" for n in told]
+    at_first = [float(loop.observer.ambient) if probe and isinstance(loop.observer, ThermalObserver) else 0.0 for probe in probes]
     variables = [
         Variable("reference", "input", "discrete", units[1], f"what is wanted of: {channel.description}", 0.0),
         Variable("measurement", "input", "discrete", units[1], f"what is measured of: {channel.description}", 0.0),
@@ -117,18 +123,27 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     def seen(inputs: Any) -> dict[str, jax.Array]:
         return {loop.channel: inputs[1]} | dict(zip(heard, inputs[2:], strict=True))
 
+    def begins(inputs: Any) -> jax.Array:
+        return jnp.where(jnp.isfinite(inputs[0]) & jnp.isfinite(inputs[1]), 1.0, 0.0)
+
     def start(parameters: Any, inputs: Any) -> Any:
+        known = [jnp.where(jnp.isfinite(now), now, first) for now, first in zip(inputs, at_first, strict=True)]
         blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, BLIND) for i in eyes]
-        return (changed(parameters).reset(inputs[0], seen(inputs)), jnp.zeros(loop.allocation.wires)), inputs, blind
+        return (changed(parameters).reset(known[0], seen(known)), jnp.zeros(loop.allocation.wires)), known, blind, begins(inputs)
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
-        (inner, _), known, blind = state
+        (inner, _), known, blind, begun = state
+        steered, pid = changed(parameters), loop.controller.inner
         known = [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
         blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, for_so_long + step) for i, for_so_long in zip(eyes, blind, strict=True)]
-        inner, commands = changed(parameters).step(inner, known[0], seen(known), jnp.zeros(()))
+        inner = jax.tree.map(lambda a, b: jnp.where(begun > 0.0, a, b), inner, steered.reset(known[0], seen(known)))
+        begun = jnp.where(begun > 0.0, begun, begins(inputs))
+        told = [jnp.where(jnp.isfinite(now), now, jnp.nan) if probe else v for now, v, probe in zip(inputs, known, probes, strict=True)]
+        inner, commands = steered.step(inner, known[0], seen(told), jnp.zeros(()))
+        commands = jnp.where(begun > 0.0, commands, steered.allocation(within(jnp.zeros(()), pid.lower, pid.upper)))
         if eyes:
             commands = jnp.where(jnp.stack(blind) >= BLIND, jnp.minimum(commands, 0.0), commands)
-        return ((inner, commands), known, blind), jnp.asarray(False)
+        return ((inner, commands), known, blind, begun), jnp.asarray(False)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
         return [state[0][1][i] for i in range(loop.allocation.wires)]

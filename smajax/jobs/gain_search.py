@@ -1,6 +1,6 @@
 """Gains looked for until they keep the limits, follow the reference and come to rest, as far as they can.
 
-What helps is more starts, more weight of the effort, and the draws that fail.
+What helps is more starts where few were asked for, more weight of the effort, and the draws that fail.
 """
 
 from collections.abc import Mapping
@@ -37,13 +37,10 @@ def searched(given: ControllerFile, tuning: Tuning, far: Reach, seed: int, progr
     if lost and given.starts < _WIDER:
         progress.phase(f"no gains {lost}: looking from more starts")
         again = _search(given, tuning, _WIDER, seed, progress)
-        found = min(found, again, key=lambda one: (least_broken(one), _cost(given, one)))._replace(rollouts=found.rollouts + again.rollouts)
+        found = min(found, again, key=lambda one: _rank(given, one))._replace(rollouts=found.rollouts + again.rollouts)
         last = behave(given, found.gains)
-    return (
-        _calmer(given, tuning, Searched(found, last, given.weights), seed, progress)
-        if last.unstable
-        else Searched(found, last, given.weights)
-    )
+    so_far = Searched(found, last, given.weights)
+    return _calmer(given, tuning, so_far, far, seed, progress) if last.unstable else so_far
 
 
 def _search(given: ControllerFile, tuning: Tuning, starts: int, seed: int, progress: Progress) -> Tuned:
@@ -53,20 +50,23 @@ def _search(given: ControllerFile, tuning: Tuning, starts: int, seed: int, progr
     )  # fmt: skip
 
 
-def _cost(given: ControllerFile, one: Tuned) -> float:
-    return sum(weight * one.terms[name] for name, weight in given.weights.items())
+def _rank(given: ControllerFile, one: Tuned) -> tuple:
+    """What searches are compared by: limits broken first, then by what is wanted."""
+    if not one.feasible:
+        return least_broken(one)
+    return False, 0.0, one.settling if given.settle else sum(weight * one.terms[name] for name, weight in given.weights.items())
 
 
-def _calmer(given: ControllerFile, tuning: Tuning, before: Searched, seed: int, progress: Progress) -> Searched:
-    """Gains that come to rest, by ever more weight of the effort; what there was, if none do, or none that keep the limits kept before."""
+def _calmer(given: ControllerFile, tuning: Tuning, before: Searched, far: Reach, seed: int, progress: Progress) -> Searched:
+    """Gains that come to rest, by ever more weight of the effort; what there was, if none do that follow and break limits no further."""
     spent, weights = before.found.rollouts, given.weights
     for _ in range(0 if given.settle else _CALMER):  # the shortest settling is not steered by weights
         weights = {**weights, "effort": _MORE * max(weights.get("effort", 0.0), _SOME)}
         progress.phase(f"the gains found do not come to rest: giving effort the weight {weights['effort']:g}")
-        again = _search(replace(given, weights=weights), tuning, _WIDER, seed, progress)
+        again = _search(replace(given, weights=weights), tuning, max(_WIDER, given.starts), seed, progress)
         spent += again.rollouts
         now = behave(given, again.gains)
-        if not now.unstable and again.feasible >= before.found.feasible:
+        if not now.unstable and not given_up(given, now, far) and least_broken(again)[:2] <= least_broken(before.found)[:2]:
             return Searched(again._replace(rollouts=spent), now, weights)
     return before._replace(found=before.found._replace(rollouts=spent))
 

@@ -91,7 +91,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         with clock.time("tune"):
             found, checks["tuned"] = harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
     if checks and len(checks["start"].failing) < len(checks["tuned"].failing):  # what was tuned for some draws does worse on the others
-        found, checks["tuned"] = found._replace(gains=own), checks["start"]
+        found, checks["tuned"], weights = found._replace(gains=own), checks["start"], asked
     if checks:
         last = behave(given, found.gains)
     units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)

@@ -49,9 +49,8 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += f" ({fed['loop']}, {fed['seconds']:.0f} s) with a misfit of {misfit} RMSE,"
         told += f" {share:.1f} % of its stroke."
     if "asked" in doc["objective"]:
-        told += (
-            f" With the weights as they were given they do not come to rest: effort counts {doc['objective']['weights']['effort']:g} here."
-        )
+        weight = doc["objective"]["weights"]["effort"]
+        told += f" With the weights as they were given the gains would not let the loop come to rest: effort counts {weight:g} here."
     if doc["problems"]:
         told += " But " + "; ".join(doc["problems"]) + "."
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
