@@ -200,7 +200,7 @@ def test_slopes_that_tell_nothing_end_the_search(monkeypatch):
     monkeypatch.setattr("smajax.control.tuner._slope", slope)
     found = tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {"overshoot": 5.0})
     # As many by the search without limits that leads the way.
-    assert len(asked) == 3 + 3 and found.rollouts == 3 * (3 + 3) + 7
+    assert len(asked) == 3 + 3 and found.rollouts == 3 * (3 + 3) + 6
     asked.clear()
     tune(hip_tuning(dt=0.2, seconds=20.0), {"tracking": 1.0}, {})
     assert len(asked) < 10
