@@ -64,10 +64,10 @@ def read_scenario(
     """
     channel, unit, period = seen
     section = data["reference"]
-    kind = section.get("kind") if isinstance(section, dict) else None
-    unknown = [key for key in section if key not in _Reference.model_fields] if isinstance(kind, str) and kind in _KEYS else []
-    if unknown:  # the cure is among this kind's keys
-        raise InputError(f"reference.{unknown[0]} is not known{advice(unknown[0], _KEYS[kind], f'the keys of a {kind} are')}")
+    if isinstance(section, dict) and (kind := str(section.get("kind"))) in _KEYS:
+        unknown = [key for key in section if key not in _Reference.model_fields]
+        if unknown:  # the cure is among this kind's keys
+            raise InputError(f"reference.{unknown[0]} is not known{advice(unknown[0], _KEYS[kind], f'the keys of a {kind} are')}")
     given = validate(_Reference, section, "reference")
 
     def level(value: Any, key: str, unit: str = unit, **ends: float) -> float:
