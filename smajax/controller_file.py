@@ -45,26 +45,22 @@ from smajax.control.controller import AbstractController
 from smajax.control.driven import DrivenPlant
 from smajax.control.gains import gain, unit_of, with_gains
 from smajax.control.gains import gains as gains_of
-from smajax.control.guard import TemperatureGuard
-from smajax.control.meters import Meters
 from smajax.control.objective import TERMS
-from smajax.control.observers import ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop, Scenario
-from smajax.control.sensing import Sensing
 from smajax.control.slow_loop import Feedforward
 from smajax.errors import InputError
 from smajax.fit.operator_problem import Series
 from smajax.rig import Rig
-from smajax.rig_schema import as_text, one_of, quantity
+from smajax.rig_schema import one_of, quantity
 from smajax.scenario_file import read_scenario
+from smajax.sensing_file import arrays, read_sensing
 from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
 from smajax.units import CHANNELS
 
 KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
-_LATEST = 10_000  # periods of delay
 # What counts beside the objective unless weights are given: a real sensor would punish gains that shake the wire.
 _CALM = {"effort": 0.01}
 _SECTIONS = (
@@ -108,39 +104,6 @@ class _Limits(BaseModel):
     stress: Any = Field(None, examples=['"200 MPa"'])
     overshoot: Any = Field(None, examples=['"2 %"'])
     settling: Any = Field(None, examples=['"5 s"'])
-
-
-class _Sensor(BaseModel):
-    model_config = STRICT
-    noise: Any = Field(None, examples=['"0.01 mm"'])
-    quantum: Any = Field(None, examples=['"0.005 mm"'])
-    delay: Any = Field(None, examples=['"20 ms"'])
-
-
-class _Guard(BaseModel):
-    model_config = STRICT
-    limit: Any = Field(examples=['"110 degC"'])
-    kp: Any = Field(examples=['"0.05 A/K"'])
-    ki: Any = Field(None, examples=['"0.01 A/K/s"'])
-
-
-class _Observer(BaseModel):
-    model_config = STRICT
-    a1: Any = Field(None, examples=['"12 K/J"'])
-    a2: Any = Field(None, examples=['"-0.8 1/s"'])
-    exponent: int = Field(1, ge=1, le=6, examples=["2"])
-    trust: Any = Field(None, examples=['"0.2 1/s"'])
-
-
-class _Thermocouple(_Sensor):
-    lag: Any = Field(None, examples=['"1 s"'])
-
-
-class _Meters(BaseModel):
-    model_config = STRICT
-    voltage: Any = Field(None, examples=['{ noise = "10 mV", quantum = "5 mV" }'])
-    current: Any = Field(None, examples=['{ noise = "2 mA", delay = "20 ms" }'])
-    temperature: Any = Field(None, examples=['{ noise = "0.5 K", lag = "1 s" }'])
 
 
 class _Robust(BaseModel):
@@ -226,23 +189,11 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         )
     if head.kind != "adaptive-pid" and "law" in data["controller"]:
         raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
-    guard = None
-    if "guard" in data:
-        given = validate(_Guard, data["guard"], "guard")
-        kp, ki = (_positive(v, f"{command}/K{over}", f"guard.{k}") for v, k, over in ((given.kp, "kp", ""), (given.ki, "ki", "/s")))
-        if not kp + ki > 0.0:
-            raise InputError("guard.kp and guard.ki are 0, so that the guard would never let a command through: give guard.kp a value")
-        guard = TemperatureGuard(PID(*_arrays(kp, ki, 0.0, 0.0, 0.0, max(upper, -lower)), period=period), jnp.asarray(
-            quantity_at(given.limit, "degC", "guard.limit", least=float(plant.environment.ambient))
-        ))  # fmt: skip
-    observer = _observer(data["observer"], rig, guard, period) if "observer" in data else None
+    heard = read_sensing(data, rig, (command, difference), period, max(upper, -lower))
     loop = Loop(
         _controller(head, period, (lower, upper)),
-        Allocation(*_arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
-        _sensing(validate(_Sensor, data.get("sensor", {}), "sensor"), difference, period, "sensor"),
-        guard,
-        observer,
-        _meters(data["meters"], guard, observer, period) if "meters" in data else None,
+        Allocation(*arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
+        *heard,
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
@@ -275,83 +226,14 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
 
 def _controller(head: _Controller, period: float, output: tuple[float, float]) -> AbstractController:
     """The controller, its gains still 0."""
-    pid = PID(*_arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
+    pid = PID(*arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
     if head.kind == "bpid":
         return BPID(pid)
     if head.kind == "ppid":
-        return PPID(pid, *_arrays(0.0, 0.0))
+        return PPID(pid, *arrays(0.0, 0.0))
     if head.kind == "adaptive-pid":
         return AdaptivePID(pid, law=cast(Any, head.law))
     return pid
-
-
-def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
-    """A sensor's noise, steps and delay; ``unit`` is that of the first two."""
-    noise, quantum = (_positive(v, unit, f"{place}.{k}") for k, v in (("noise", given.noise), ("quantum", given.quantum)))
-    wait = _positive(given.delay, "s", f"{place}.delay") / period
-    if wait > _LATEST:
-        raise InputError(f"{place}.delay = {show(given.delay)} is too long: give {_LATEST * period:g} s or less")
-    if abs(wait - round(wait)) > 1e-6 * max(wait, 1.0):
-        ends = [as_text(period * n, "s") for n in (math.floor(wait), math.ceil(wait))]
-        raise InputError(f"{place}.delay = {show(given.delay)} is not a whole number of controller.period: give {ends[0]} or {ends[1]}")
-    return Sensing(jnp.asarray(noise), jnp.asarray(quantum), round(wait))
-
-
-def _observer(data: Any, rig: Rig, guard: TemperatureGuard | None, period: float) -> ThermalObserver:
-    """What tells the guard the temperature; what is not given is what the rig's convection and capacity say at the guard's limit."""
-    given = validate(_Observer, data, "observer")
-    if guard is None:
-        raise InputError(
-            "[observer] tells a guard the wire's temperature, and there is none: add a section [guard], or take [observer] out"
-        )
-    if (given.a1 is None) != (given.a2 is None):
-        raise InputError(f"observer.{'a1' if given.a1 is None else 'a2'} is missing: give both a1 and a2, or neither for those of the rig")
-    own = ThermalObserver.of(rig.plant, float(guard.limit), period, _positive(given.trust, "1/s", "observer.trust"))
-    if given.a1 is None:
-        if given.exponent != 1:
-            raise InputError(f"observer.exponent = {show(given.exponent)} goes with an a1 and an a2 of its own: give both, or take it out")
-        return _steady(own, guard, given)
-    a1 = quantity_at(given.a1, "K/J", "observer.a1")
-    if not a1 > 0.0:
-        raise InputError(f"observer.a1 = {show(given.a1)} would not warm a wire by its power: give one above 0")
-    a2 = quantity_at(given.a2, "1/s" if given.exponent == 1 else f"K^{1 - given.exponent}/s", "observer.a2")
-    if not a2 < 0.0:
-        raise InputError(f"observer.a2 = {show(given.a2)} would warm the wire without power: give one below 0")
-    return _steady(replace(own, **dict(zip(("a1", "a2", "exponent"), _arrays(a1, a2, given.exponent), strict=True))), guard, given)
-
-
-def _steady(observer: ThermalObserver, guard: TemperatureGuard, given: _Observer) -> ThermalObserver:
-    """The observer, if at the guard's limit it forgets no more than all within a period."""
-    excess, exponent = float(guard.limit - observer.ambient), float(observer.exponent)
-    loses, trusts = -exponent * float(observer.a2) * excess ** (exponent - 1.0), float(observer.gain)
-    if observer.period * (loses + trusts) > 1.0:
-        key = "trust" if trusts > loses else "a2"
-        what = f"observer.{key} = {show(getattr(given, key))}" if getattr(given, key) is not None else "the rig, as [observer] has it,"
-        most = as_text(1.0 / (loses + trusts), "s")
-        raise InputError(f"{what} acts faster than controller.period: give a smaller one, or a period of at most {most}")
-    return observer
-
-
-def _meters(data: Any, guard: TemperatureGuard | None, observer: ThermalObserver | None, period: float) -> Meters:
-    given = validate(_Meters, data, "meters")
-    if guard is None:
-        raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
-    each, lag = {}, 0.0
-    for kind, unit in (("voltage", "V"), ("current", "A"), ("temperature", "K")):
-        told = getattr(given, kind)
-        if told is None:
-            continue
-        if kind != "temperature" and observer is None:
-            raise InputError(f"meters.{kind}: nothing hears it without an observer: add a section [observer], or take it out")
-        if kind == "temperature" and observer is not None and not float(observer.gain) > 0.0:
-            raise InputError("meters.temperature: the observer trusts no thermocouple: give observer.trust a value, or take it out")
-        one = validate(_Thermocouple if kind == "temperature" else _Sensor, told, f"meters.{kind}")
-        each[kind] = _sensing(one, unit, period, f"meters.{kind}")
-        if isinstance(one, _Thermocouple):
-            lag = _positive(one.lag, "s", "meters.temperature.lag")
-    if not each:
-        raise InputError('[meters] names none: add a line like temperature = { noise = "0.5 K", lag = "1 s" }, or take the section out')
-    return Meters(each, period, *_arrays(lag))
 
 
 def _with_gains(loop: Loop, kind: str, given: Any, units: tuple[str, str]) -> tuple[Loop, dict[str, str]]:
@@ -467,11 +349,3 @@ def _robust(data: Any, path: Path, rig: Rig) -> Robust:
     if given.fit is None and not vary:
         raise InputError('[robust] says neither fit = "FOLDER" nor vary = {...}: name what may be different')
     return Robust(None if given.fit is None else path.parent / given.fit, given.draws, given.check, vary)
-
-
-def _arrays(*values: float) -> tuple[Any, ...]:
-    return tuple(jnp.asarray(v, jnp.float64) for v in values)
-
-
-def _positive(value: Any, unit: str, place: str) -> float:
-    return 0.0 if value is None else quantity_at(value, unit, place, least=0.0)
