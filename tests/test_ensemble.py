@@ -86,7 +86,7 @@ def test_a_hidden_temperature_is_found_and_the_spread_is_honest():
                 assert rms(found.martensite[:, 0] - martensite) < 0.01
         assert rms(np.asarray(measured["temperature"]) - warm) > 10.0  # what the thermocouple says by itself
         model = errors[seed, ()]  # what the plant says by itself
-        assert model > 8.0 and errors[seed, ("voltage",)] < 0.6 * model
+        assert model > 8.0 and errors[seed, ("voltage",)] < 0.5 * model
         assert errors[seed, ("temperature",)] < 1.0 and errors[seed, ("voltage", "temperature")] < 1.0
     assert np.mean([errors[seed, ("voltage",)] / errors[seed, ()] for *_, seed in BENCHES]) < 0.4
     for channels in (("voltage",), ("temperature",), ("voltage", "temperature")):

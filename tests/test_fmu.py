@@ -175,7 +175,7 @@ def test_two_wires_and_a_guard_have_their_variables():
 
 
 def test_a_guard_by_an_observer_listens_to_the_power():
-    """Its temperatures are the observer's; a thermocouple that is no number is one that last was."""
+    """Its temperatures are the observer's, which goes without a thermocouple that tells no number; it begins with its first numbers."""
     guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
     observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.9, 1.0, 20.0, 0.2)), period=PERIOD)
     meters = Meters({"temperature": perfect()}, PERIOD, jnp.asarray(5.0))  # the world's, which an FMU leaves out

@@ -143,7 +143,7 @@ class EnsembleFilter(AbstractThermometer):
     def _carry(self, ensemble: Ensemble) -> Ensemble:
         """A period on, before anything is measured."""
         stays, middle = jnp.exp(-self.driven.period / self.memory), self._middle()
-        key = jax.random.fold_in(jax.random.key(self.seed), ensemble.count)
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), 0)
 
         def wander(values: jax.Array, draw: jax.Array) -> jax.Array:
             return self._possible(middle + stays * (values - middle) + jnp.sqrt(1.0 - stays**2) * self._deviations() * draw)

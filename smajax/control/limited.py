@@ -6,14 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.stats
 
-from smajax.control.tuner import Tuner, order, violations
+from smajax.control.tuner import BATCH, Tuner, order, violations
 from smajax.control.unlimited import BY_ALL, unlimited
 
 _GROSS = 1.0  # a violation from which a search is not begun
 _RAISES = 8
 _STEPS, _SMALL_STEP = 10, 20.0  # steps of a search; one over the length of its first step at most, the box being one wide
 _REACH = 0.06  # of the box: how far gains go between two looks at what limits cost; else they flee to where nothing moves
-_BATCH = 8  # points looked at together
 _SPREAD = 64  # points looked at by one member, where limits keep the search from where the terms are small
 _LIMITED = (0.15, 0.004, 80)  # of quadratics by one member: see ``unlimited``
 
@@ -24,8 +23,6 @@ def limited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
     If that breaks a limit, by an augmented Lagrangian, or from the best point known if it breaks it by far; then by quadratics of the terms
     and of the limits: a limit of a loop that turns unstable, or rests, near it has no slope that leads anywhere.
     """
-    if tuner.plain:
-        return unlimited(tuner, points)
     spent = tuner.rollouts
     free = Tuner(tuner.tuning.alone(), tuner.unlimited, lambda count, cost: tuner.progress(spent + count, cost))
     point = unlimited(free, points)
@@ -52,7 +49,7 @@ def limited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
         # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
         alone = tuner.tuning.alone()
         spread = scipy.stats.qmc.Sobol(len(point), scramble=False).random(_SPREAD) + 0.5 / _SPREAD  # amid cells, none on an edge
-        seen = [one for k in range(0, _SPREAD, _BATCH) for one in tuner.candidates(spread[k : k + _BATCH], alone)]
+        seen = [one for k in range(0, _SPREAD, BATCH) for one in tuner.candidates(spread[k : k + BATCH], alone)]
         begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], min(seen, key=order).point)}.values()
         led = min((tuner.quadratics(p, alone, *_LIMITED) for p in begun), key=order)
         best = min(best, tuner.quadratics(led.point, tuner.tuning, *BY_ALL), key=order)

@@ -14,12 +14,12 @@ from smajax.control import metrics
 from smajax.control.limited import limited
 from smajax.control.objective import LIMITS, TERMS, wanted_of
 from smajax.control.soonest import SETTLING, longest_settling, near, soon_enough, soonest
-from smajax.control.tuner import LOOSE, Tuner, order
+from smajax.control.tuner import BATCH, LOOSE, Tuner, order
 from smajax.control.tuning import Tuning
+from smajax.control.unlimited import unlimited
 from smajax.errors import InputError
 
 _SCREENED = 16
-_BATCH = 8  # points looked at together
 
 
 class Tuned(NamedTuple):
@@ -78,9 +78,14 @@ def tune(
     wanted = wanted_of(weights or SETTLING, limits, band)
     tuner = Tuner(tuning, wanted, progress, settle)
     points = _starts(tuner, starts, seed)
-    found = soonest(tuner, near(tuner, points)) if settle else limited(tuner, points)
-    if not settle and limits.get("settling", math.inf) < math.inf:
-        found = soon_enough(tuner, found, points)
+    if settle:
+        found = soonest(tuner, near(tuner, points))
+    elif tuner.plain:
+        found = unlimited(tuner, points)
+    else:
+        found = limited(tuner, points)
+        if limits.get("settling", math.inf) < math.inf:
+            found = soon_enough(tuner, found, points)
     terms, violated = tuner.look(found[None])
     kept = float(np.max(violated[0])) <= LOOSE
     value = {name: float(v) for name, v in tuning.gains(found).items()}
@@ -101,7 +106,7 @@ def _starts(tuner: Tuner, starts: int, seed: int) -> np.ndarray:
     own = tuner.tuning.start[None]
     if starts <= 1:
         return own
-    drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, _BATCH * -(-starts // 2)), own.shape[1]))
+    drawn = np.random.default_rng(seed).uniform(size=(max(_SCREENED, BATCH * -(-starts // 2)), own.shape[1]))
     members = tuner.tuning.alone() if tuner.plain else tuner.tuning
-    found = [one for k in range(0, len(drawn), _BATCH) for one in tuner.candidates(drawn[k : k + _BATCH], members)]
+    found = [one for k in range(0, len(drawn), BATCH) for one in tuner.candidates(drawn[k : k + BATCH], members)]
     return np.vstack([own, *(one.point for one in sorted(found, key=order)[: starts - 1])])

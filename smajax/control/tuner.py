@@ -23,6 +23,7 @@ from smajax.control.trust_region import Place
 from smajax.control.tuning import Tuning, look
 from smajax.errors import NumericsError
 
+BATCH = 8  # points looked at together
 LOOSE = 1e-3  # a violation that counts as none
 _REVERSE = 3  # rollouts that a gradient by reverse mode counts
 _STEEPEST = 100.0  # a slope at most, costs being near 1: steeper ones are of loops that swing themselves up, and would end a line search

@@ -123,18 +123,21 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     def seen(inputs: Any) -> dict[str, jax.Array]:
         return {loop.channel: inputs[1]} | dict(zip(heard, inputs[2:], strict=True))
 
+    def kept(inputs: Any, known: Any) -> Any:
+        return [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
+
     def begins(inputs: Any) -> jax.Array:
         return jnp.where(jnp.isfinite(inputs[0]) & jnp.isfinite(inputs[1]), 1.0, 0.0)
 
     def start(parameters: Any, inputs: Any) -> Any:
-        known = [jnp.where(jnp.isfinite(now), now, first) for now, first in zip(inputs, at_first, strict=True)]
+        known = kept(inputs, at_first)
         blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, BLIND) for i in eyes]
         return (changed(parameters).reset(known[0], seen(known)), jnp.zeros(loop.allocation.wires)), known, blind, begins(inputs)
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
         (inner, _), known, blind, begun = state
         steered, pid = changed(parameters), loop.controller.inner
-        known = [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
+        known = kept(inputs, known)
         blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, for_so_long + step) for i, for_so_long in zip(eyes, blind, strict=True)]
         inner = jax.tree.map(lambda a, b: jnp.where(begun > 0.0, a, b), inner, steered.reset(known[0], seen(known)))
         begun = jnp.where(begun > 0.0, begun, begins(inputs))
