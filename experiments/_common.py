@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))  # the checkout's own smajax, and its tests/refere
 
 from smajax.console import prepare_jax  # noqa: E402
 
-prepare_jax()
+prepare_jax(accelerator=Path(sys.argv[0]).stem == "sweep_throughput")  # all others simulate few at a time
 
 from smajax import parameters  # noqa: E402
 from smajax.fit.fit import Fit, fit  # noqa: E402

@@ -32,7 +32,8 @@ def main() -> None:
     text = readme.read_text(encoding="utf-8")
     for path in sys.argv[1:]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
-        name = document["experiment"] + document.get("words", "")
+        beside = "" if document.get("backend", "cpu") == "cpu" else " on an accelerator"
+        name = document["experiment"] + document.get("words", "") + beside
         marked = re.compile(f"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
         found = marked.search(text)
         if found is None:

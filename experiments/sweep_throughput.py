@@ -4,6 +4,7 @@ The same designs go through the sweep as the command runs it (chunks, tables on 
 designs among the same cores, in turn, chunk by chunk, so that whatever else the machine does falls on both. The loop takes as many parts
 of a step as it needs to be as exact as the sweep; its own limit with 64 parts is the truth. Beside them, the same loop in plain Python,
 and one simulation after the other. Then: memory and cost against the number of designs, and the best of all samples against a refined one.
+On an accelerator the sweep also runs on the processor alone, and its numbers are compared.
 """
 
 import json
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -24,8 +26,7 @@ from _common import ROOT, Row, arguments, exponent, finish, say
 from smajax import parameters
 from smajax.console import cores
 from smajax.sweep import chunks, refine
-from smajax.sweep.chunks import columns_of
-from smajax.sweep.table import write_table
+from smajax.sweep.table import read_table
 from smajax.sweep_file import read_sweep
 from tests.reference import fast_loop
 
@@ -65,6 +66,21 @@ for row in rows:
     fast_loop.rotary(fast_loop.Design(*row), np.array(grid), np.array(current), substeps=parts)
 print((time.perf_counter() - began) / len(rows))
 """
+# Some of a sweep's chunks on the processor alone: its seconds, the program being compiled; the tables go to a folder beside the sweep.
+PROCESSOR = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import sweep_throughput as own
+sweep = own.read_sweep(Path(sys.argv[2]) / "sweep.toml")
+study, folder = sweep.study(), Path(sys.argv[2]) / "processor"
+folder.mkdir()
+parts = own.chunks.split(study, sweep.designs(), sweep.chunk)[:: int(sys.argv[3])]
+own.warm(study, [[part] for part in parts])
+began = time.perf_counter()
+own.chunks.run_chunks(parts, study.names, folder, own.chunks.here(study, False), lambda count: None, lambda: False)
+print(time.perf_counter() - began)
+"""
 
 
 def main() -> None:
@@ -82,12 +98,14 @@ def main() -> None:
 def study_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
     study, designs = sweep.study(), sweep.designs()
     parts = chunks.split(study, designs, sweep.chunk)
+    groups = chunks.batches(study, parts, False)
     loop = Loop(sweep)
     say("compiling")
-    began = time.perf_counter()
     checked = designs[:CHECKED]
+    began = time.perf_counter()
     found = chunks.evaluate(study, checked, parts[0].steps, workers=chunks.threads(), new=True)
     compiling = time.perf_counter() - began
+    warm(study, groups)
     truth = loop.strokes(checked, 64)
     error = np.sqrt(np.mean((found["stroke"] - truth) ** 2))
     tried: list[tuple[int, float]] = []
@@ -97,38 +115,47 @@ def study_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
             break
     substeps = tried[-1][0]
     seconds = {"ours": 0.0, "loop": 0.0}
-    best, memory = (-np.inf, None), []
-    for k, part in enumerate(parts):
+    memory: list[float] = []
+
+    def submit(missing):
+        """Chunks as the sweep has them worked on and written; after each lot the loop has its turn."""
         began = time.perf_counter()
-        columns = chunks.evaluate(study, part.designs, part.steps, workers=chunks.threads())
-        write_table(folder / part.file, columns_of(part, study.names, columns))
-        middle = time.perf_counter()
-        loop.strokes(part.designs, substeps)
-        seconds["loop"] += time.perf_counter() - middle
-        seconds["ours"] += middle - began
-        memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-        fine = np.flatnonzero(columns["peak_temperature"] <= COLD)
-        if len(fine) and columns["stroke"][fine].max() > best[0]:
-            top = fine[np.argmax(columns["stroke"][fine])]
-            best = (columns["stroke"][top], part.designs[top])
-        if k % 10 == 0:
-            say(f"{k + 1} of {len(parts)} chunks")
+        for lot in chunks.here(study, False)(missing):
+            yield lot
+            middle = time.perf_counter()
+            for part, _ in lot:
+                loop.strokes(part.designs, substeps)
+            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+            seconds["ours"] += middle - began
+            began = time.perf_counter()
+            seconds["loop"] += began - middle
+
+    chunks.run_chunks(parts, study.names, folder, submit, lambda k: say(f"{k} of {len(parts)} chunks"), lambda: False)
+    columns = chunks.gather(parts, folder)
+    fine = np.flatnonzero(columns["peak_temperature"] <= COLD)
+    top = fine[np.argmax(columns["stroke"][fine])]
+    best = columns["stroke"][top], designs[top]
     each = {n: 1e3 * s / count for n, s in seconds.items()}
+    place, theirs = f"{cores()} cores", "the same cores"
+    if chunks.wide():
+        place, theirs = jax.devices()[0].device_kind, f"{cores()} cores beside it"
     ratio = seconds["loop"] / seconds["ours"]
     text = f"{ratio:.2f}x ({each['ours']:.3f} ms a design, {count / seconds['ours']:,.0f} a second, against {each['loop']:.3f} ms)"
     rows = [
-        Row("designs simulated, ten seconds of motion each", "-", f"{count:,} on {cores()} cores ({jax.default_backend()})", None),
-        Row("throughput against a compiled loop at least as exact, the same cores", ">= 1x", text, ratio >= 1.0, each),
+        Row("designs simulated, ten seconds of motion each", "-", f"{count:,} on {place}", None),
+        Row(f"throughput against a compiled loop at least as exact, {theirs}", ">= 1x", text, ratio >= 1.0, each),
         Row("how exact: RMS error of the stroke", "-", exact_text(error, tried), None, {"sweep_rad": error, "loop_rad": tried}),
         Row("compiling, once", "-", f"{compiling:.1f} s", None, {"seconds": compiling}),
     ]  # fmt: skip
     rows += loops(loop, sweep, each["ours"], substeps, quick)
+    if chunks.wide():
+        rows.append(processor(folder, study, parts, each["ours"]))
     # In the order of the sequence: chunks of a sweep hold designs that do alike, and some cost more than others.
     sizes = [count // 16, count // 4, count]
     slope = exponent(sizes, [timed(study, designs[:n], sweep.chunk) for n in sizes[:2]] + [seconds["ours"]])
     rows.append(Row("growth of cost with the number of designs", "exponent <= 1.05", f"{slope:.3f}", slope <= 1.05, {"exponent": slope}))
     grown = memory[-1] - memory[0]
-    text = f"{memory[-1]:,.0f} MB at most, {grown:,.0f} MB of it after the first {len(parts[0].rows):,} designs"
+    text = f"{memory[-1]:,.0f} MB at most, {grown:,.0f} MB of it after the first {sum(len(part.rows) for part in groups[0]):,} designs"
     rows.append(
         Row("memory of the process, numba's loop included", "bounded", text, grown < 300.0, {"peak_mb": memory[-1], "grown_mb": grown})
     )
@@ -143,13 +170,37 @@ def exact_text(error: float, tried: list[tuple[int, float]]) -> str:
 
 def timed(study, designs: np.ndarray, size: int) -> float:
     """Seconds for a sweep of these designs, its program being compiled."""
-    parts = chunks.split(study, designs, size)
-    for steps in {part.steps for part in parts}:
-        chunks.evaluate(study, designs[:1], steps)
+    groups = chunks.batches(study, chunks.split(study, designs, size), False)
+    warm(study, groups)
     began = time.perf_counter()
-    for part in parts:
-        chunks.evaluate(study, part.designs, part.steps, workers=chunks.threads())
+    for group in groups:
+        list(chunks.here(study, False)(group))
     return time.perf_counter() - began
+
+
+def warm(study, groups) -> None:
+    """Compiles what the groups of chunks need: one program for each number of steps, on an accelerator for each size of batch, too."""
+    seen = set()
+    for group in groups:
+        kind = (group[0].steps, sum(len(part.rows) for part in group) if chunks.wide() else 0)
+        if kind not in seen:
+            list(chunks.here(study, False)(group if chunks.wide() else [replace(group[0], designs=group[0].designs[:1])]))
+        seen.add(kind)
+
+
+def processor(folder: Path, study, parts, ours: float) -> Row:
+    """Some of the chunks by the same command on this machine's processor, in a process that does not see the accelerator."""
+    stride = -(-len(parts) // 8)
+    few = parts[::stride]
+    words = [sys.executable, "-c", PROCESSOR, str(Path(__file__).parent), str(folder), str(stride)]
+    told = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+    each = 1e3 * float(told.stdout) / sum(len(part.rows) for part in few)
+    here, there = ([read_table(place / part.file) for part in few] for place in (folder, folder / "processor"))
+    here, there = ({n: np.concatenate([one[n] for one in tables]) for n in tables[0]} for tables in (here, there))
+    apart = {n: float(np.nanmax(np.abs(here[n] - there[n])) / np.nanmax(np.abs(there[n]))) for n in study.units}
+    text = f"{each / ours:.1f}x ({each:.3f} ms a design); apart by " + ", ".join(f"{v:.1e} of the largest {n}" for n, v in apart.items())
+    text += f"; {np.sum(here['code'] != there['code'])} of {len(here['code']):,} end otherwise"
+    return Row(f"against the same on the {cores()} cores beside it", "-", text, None, {"ms": each, "apart": apart})
 
 
 class Loop:

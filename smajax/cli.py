@@ -233,7 +233,7 @@ def sweep(
     open_report: Open = False,
 ) -> None:
     """Simulate many designs of a rig at once: which are best, what they cost, what matters; refine the best by gradients."""
-    with _progress(quiet) as progress:
+    with _progress(quiet, accelerator=True) as progress:
         from smajax.jobs.sweep import SweepJob, run_sweep
         from smajax.report.sweep import text
 
@@ -376,13 +376,13 @@ def datasets(
         typer.echo(f"smajax: not there: {', '.join(missing)}" + (f" ({note})" if note else ""), err=True)
 
 
-def _progress(quiet: bool) -> "Progress":
+def _progress(quiet: bool, accelerator: bool = False) -> "Progress":
     """Progress of a long command; whatever compiles comes after it."""
     from smajax.console import Progress, prepare_jax
 
     progress = Progress(quiet)
     progress.phase("loading")
-    prepare_jax()
+    prepare_jax(accelerator)
     return progress
 
 

@@ -133,8 +133,11 @@ def _write_down(error: BaseException) -> str:
         return f"these lines:\n{text}"
 
 
-def prepare_jax() -> None:
+def prepare_jax(accelerator: bool = False) -> None:
     """Have compiled programs kept between runs, in the user's cache folder or where ``JAX_COMPILATION_CACHE_DIR`` says.
+
+    Unless ``accelerator``, or ``JAX_PLATFORMS`` says otherwise, they run on the processor: a few simulations at a time, step after step,
+    are many times as slow on a GPU, which pays where thousands of designs go side by side.
 
     Equinox's run-time checks are switched off first: they bring calls from the compiled program into Python, with which it could not be
     kept, and smajax's simulations carry result codes instead. Where no folder can be written, nothing is kept, and all else works. Raises
@@ -147,6 +150,8 @@ def prepare_jax() -> None:
 
     from smajax import jax_options  # noqa: F401
 
+    if not accelerator and not os.environ.get("JAX_PLATFORMS"):
+        jax.config.update("jax_platforms", "cpu")
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         folder = cache_folder("jax")
         if folder is None:

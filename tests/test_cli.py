@@ -94,7 +94,7 @@ def test_equinox_is_loaded_after_its_checks_are_off(words, tmp_path):
     """Its run-time checks call from compiled programs into Python: such programs cannot be kept between runs."""
     probe = (
         "import sys, smajax.console\n"
-        "def stop():\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
+        "def stop(accelerator):\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
         "smajax.console.prepare_jax = stop\nimport smajax.cli\nsmajax.cli.main()"
     )
     files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]

@@ -22,3 +22,24 @@ def test_options_that_are_given_stay(given, expected):
     done = subprocess.run([sys.executable, "-c", CODE], env=environment, capture_output=True, text=True, check=True)
     flags, kind = done.stdout.split("\n")[:2]
     assert kind == "float64" and set(expected) <= set(flags.split()) and flags.count("use_fusion_emitters") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "platforms", "expected"), [("", "", "cpu"), ("accelerator=True", "", "None"), ("", "cpu,cuda", "cpu,cuda")]
+)
+def test_only_what_goes_in_batches_is_left_to_an_accelerator(words, platforms, expected):
+    """A few simulations at a time are slower there."""
+    code = f"from smajax.console import prepare_jax; prepare_jax({words}); import jax; print(jax.config.jax_platforms)"
+    environment = os.environ | {"JAX_PLATFORMS": platforms}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() in (expected, expected.replace("None", ""))
+
+
+def test_the_best_designs_are_refined_on_the_processor():
+    code = "import jax; jax.config.update('jax_num_cpu_devices', 2); jax.config.update('jax_default_device', jax.devices()[1]);"
+    code += "from smajax.jax_options import on_processor; import jax.numpy as jnp; double = jax.jit(lambda x: 2.0 * x)\n"
+    code += "with on_processor(): print(double(jnp.ones(1)).devices())"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "{CpuDevice(id=0)}"

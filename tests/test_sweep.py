@@ -316,7 +316,7 @@ def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
     sweep = read_sweep(folder / "sweep.toml")
     study, parts = sweep.study(), chunks.split(sweep.study(), sweep.designs(), 20)
     assert [len(group) for group in chunks.batches(study, parts, False)] == [1] * 7
-    narrow = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
+    narrow = {chunk.number: found for done in chunks.here(study, False)(parts[:3]) for chunk, found in done}
     sizes = []
 
     def counted(study, designs, steps):
@@ -326,8 +326,8 @@ def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
     monkeypatch.setattr(chunks, "wide", lambda: True)
     monkeypatch.setattr(chunks, "evaluate_batch", counted)
     assert [len(group) for group in chunks.batches(study, parts, False)] == [7]
-    together = {chunk.number: found for chunk, found in chunks.here(study, False)(parts[:3])}
-    # 60 designs in one batch of 64, not three of 4096.
+    together = {chunk.number: found for done in chunks.here(study, False)(parts[:3]) for chunk, found in done}
+    # 60 designs in one batch of 64, not three of 16384.
     assert sizes == [64] and together.keys() == narrow.keys()
     for number, found in together.items():
         assert all(

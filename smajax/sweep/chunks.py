@@ -21,13 +21,14 @@ from smajax.recording import Floats
 from smajax.sweep.study import CODES, AbstractStudy, differentiate_batch, evaluate_batch
 from smajax.sweep.table import read_table, write_table
 
-# Designs in a batch on an accelerator: so many that it has work.
-WIDE_BATCH = 4096
+# Designs in a batch on an accelerator: with fewer it waits for the next step, with more its caches do not hold them.
+WIDE_BATCH = 16384
 # Bytes for the arrays of a batch on each core, and on an accelerator.
 MEMORY, WIDE_MEMORY = 2**28, 2**33
 # Bytes that one design may take.
 _MOST = 2**31
 _STATES = 4
+_WRITERS = 8
 CHUNK = 1024
 
 
@@ -44,6 +45,10 @@ class Chunk:
     def file(self) -> str:
         """The name of its file."""
         return f"chunk-{self.number:06d}.parquet"
+
+
+Done = Sequence[tuple[Chunk, Mapping[str, np.ndarray]]]  # chunks that were worked on at once, each with its columns
+Submit = Callable[[Sequence[Chunk]], Iterable[Done]]
 
 
 def split(study: AbstractStudy, designs: Floats, size: int) -> list[Chunk]:
@@ -144,24 +149,32 @@ def run_chunks(
     chunks: Sequence[Chunk],
     names: Sequence[str],
     folder: Path,
-    submit: Callable[[Sequence[Chunk]], Iterable[tuple[Chunk, Mapping[str, np.ndarray]]]],
+    submit: Submit,
     done: Callable[[int], None],
     stop: Callable[[], bool],
 ) -> bool:
     """Has the chunks that are not in the folder yet worked on, and writes each as it comes; says whether all are there now.
 
-    ``submit`` takes chunks and gives them back with their columns in any order; ``done`` is told how many are there; ``stop`` is asked
-    after each. Raises InputError if the disk does not take a file; what is there by then stays.
+    ``submit`` takes chunks and gives them back with their columns in any order, those that were worked on at once together; ``done`` is
+    told how many are there; ``stop`` is asked after each time. Raises InputError if the disk does not take a file; what is there by then
+    stays.
     """
     missing = [chunk for chunk in chunks if not (folder / chunk.file).is_file()]
     count = len(chunks) - len(missing)
     done(count)
-    for chunk, found in submit(missing):
+
+    def write(one: tuple[Chunk, Mapping[str, np.ndarray]]) -> None:
+        chunk, found = one
         write_table(folder / chunk.file, columns_of(chunk, names, found))
-        count += 1
-        done(count)
-        if stop():
-            break
+
+    # A file is there when the disk says so: several wait for that at once.
+    with ThreadPoolExecutor(_WRITERS) as pool:
+        for group in submit(missing):
+            list(pool.map(write, group))
+            count += len(group)
+            done(count)
+            if stop():
+                break
     return count == len(chunks)
 
 
@@ -178,10 +191,10 @@ def batches(study: AbstractStudy, chunks: Sequence[Chunk], gradients: bool) -> l
     return groups
 
 
-def here(study: AbstractStudy, gradients: bool) -> Callable[[Sequence[Chunk]], Iterator[tuple[Chunk, dict[str, np.ndarray]]]]:
+def here(study: AbstractStudy, gradients: bool) -> Submit:
     """Works on chunks in this process: its cores share the batches of a chunk, or an accelerator takes as many chunks as a batch holds."""
 
-    def submit(chunks: Sequence[Chunk]) -> Iterator[tuple[Chunk, dict[str, np.ndarray]]]:
+    def submit(chunks: Sequence[Chunk]) -> Iterator[Done]:
         compiled: set[int] = set()
         for group in batches(study, chunks, gradients):
             steps = group[0].steps
@@ -189,8 +202,7 @@ def here(study: AbstractStudy, gradients: bool) -> Callable[[Sequence[Chunk]], I
             found = evaluate(study, designs, steps, gradients=gradients, workers=threads(), new=steps not in compiled)
             compiled.add(steps)
             ends = np.cumsum([len(chunk.rows) for chunk in group])
-            for chunk, end in zip(group, ends, strict=True):
-                yield chunk, {n: values[end - len(chunk.rows) : end] for n, values in found.items()}
+            yield [(c, {n: v[end - len(c.rows) : end] for n, v in found.items()}) for c, end in zip(group, ends, strict=True)]
 
     return submit
 

@@ -6,7 +6,7 @@ import json
 import logging
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from smajax.console import cores, prepare_jax
 from smajax.errors import InputError
 
 if TYPE_CHECKING:
-    from smajax.sweep.chunks import Chunk
+    from smajax.sweep.chunks import Chunk, Done, Submit
 
 LOCAL = "local"
 _PATIENCE = 20
@@ -147,14 +147,14 @@ def _quiet(*names: str) -> Iterator[None]:
             logger.setLevel(level)
 
 
-def across(client: Any, header: Mapping[str, Any], gradients: bool) -> "Callable[[Sequence[Chunk]], Iterator[tuple[Chunk, dict]]]":
+def across(client: Any, header: Mapping[str, Any], gradients: bool) -> "Submit":
     """Works on chunks on a cluster; each worker builds the study of a sweep's ``header`` once.
 
     A worker that dies costs what it was at: its chunk is given to another one. Raises InputError if the scheduler is gone.
     """
     text = json.dumps(header)
 
-    def submit(chunks: "Sequence[Chunk]") -> "Iterator[tuple[Chunk, dict]]":
+    def submit(chunks: "Sequence[Chunk]") -> "Iterator[Done]":
         import distributed
 
         def hand(chunk: "Chunk") -> Any:
@@ -178,7 +178,7 @@ def across(client: Any, header: Mapping[str, Any], gradients: bool) -> "Callable
             except (distributed.CancelledError, OSError):
                 raise InputError("the Dask scheduler is gone: start it again, and run the sweep again with --resume") from None
             future.release()
-            yield chunk, found
+            yield [(chunk, found)]
 
     return submit
 
@@ -186,7 +186,7 @@ def across(client: Any, header: Mapping[str, Any], gradients: bool) -> "Callable
 def work(text: str, designs: np.ndarray, steps: int, gradients: bool) -> dict[str, np.ndarray]:
     """What a worker does with a chunk of the sweep whose header is ``text`` (JSON)."""
     with contextlib.suppress(RuntimeError):  # a worker that has worked before has it behind it
-        prepare_jax()
+        prepare_jax(accelerator=True)
     from smajax.sweep.chunks import evaluate
 
     return evaluate(_study(text), designs, steps, gradients=gradients)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
+from smajax.jax_options import on_processor
 from smajax.recording import Floats
 from smajax.sweep.space import Axis
 from smajax.sweep.study import AbstractStudy, differentiate_batch
@@ -128,7 +129,8 @@ def _search(
         key = np.asarray(share).tobytes()
         if key not in known:
             design = design_of(share)
-            found, slopes, _ = differentiate_batch(study, jnp.asarray(design)[None], steps)
+            with on_processor():
+                found, slopes, _ = differentiate_batch(study, jnp.asarray(design)[None], steps)
             per_share = np.array([_slope(axes[k], design[k]) for k in moving])
             values = {n: float(found[n][0]) for n in study.units}
             known[key] = values, {n: np.asarray(slopes[n][0])[moving] * per_share for n in study.units}
