@@ -10,7 +10,7 @@ from smajax import parameters, simulate
 from smajax.datasets import shipped
 from smajax.errors import NumericsError
 from smajax.plant.material.brinson import Brinson
-from smajax.rig import parse_rig
+from smajax.rig import parse_rig, read_rig
 from tests import plants
 from tests.reference import rigs
 from tests.reference.brinson import Material
@@ -328,6 +328,23 @@ def test_two_wires_with_latent_heat_and_narrow_transformations_are_solved_at_eve
             swings.append(float(np.ptp(np.asarray(result.channels["angle"]))))
     assert swings[::2] == pytest.approx(swings[1::2], rel=0.02)
     assert min(swings) > 0.5
+
+
+def test_a_step_as_far_beyond_a_kink_as_it_was_before_is_no_gain():
+    """Found among 100,000 designs: Newton's steps led to and fro between two places that left equally much, and eight or nine never ended."""
+    rig, swings = read_rig(shipped("recordings", "rotary") / "rig.toml"), []
+    diameter, length, prestrain, radius = 0.0001535965451505035, 0.5910847990773618, 0.021063704323023555, 0.011318499315530061
+    amplitude = 1.337448635923257
+    plant = parameters.replace(
+        rig.plant, {"wire.diameter": diameter, "wire.length": length, "wire.prestrain": prestrain, "pulley.radius": radius}
+    )
+    for rows in (42, 840):
+        time = np.arange(2 * rows + 1) / rows
+        first = np.where(np.arange(len(time)) % rows < rows // 2, amplitude, 0.0)
+        recording = plants.recording({"current_1": first, "current_2": amplitude - first}, time)
+        result = simulate.simulate(plant, recording, interpolation="hold", step=1.0 / rows)
+        swings.append(float(np.ptp(np.asarray(result.channels["angle"]))))
+    assert swings[0] == pytest.approx(swings[1], rel=0.02) and swings[0] > 0.5
 
 
 def test_light_pulley_is_the_limit_of_small_inertia():

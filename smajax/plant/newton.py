@@ -15,6 +15,7 @@ _ITERATIONS = 72
 _TEMPERATURE_TOLERANCE = 1e-3
 _STRESS_TOLERANCE = 1e3
 _SHORT = 0.05  # of Newton's step: as short a one shows the other side of a kink
+_LESS = 1e-4  # of what is left: as much elsewhere, such as on the other side of a kink, is no gain (Armijo's condition)
 _TURN = 12  # iterations
 _FRICTION = 0.01  # times the tolerances, where there is dry friction
 
@@ -48,7 +49,7 @@ def solve(residual: Residual, guess: jax.Array, wires: int) -> Found:
         trial = z + fraction * change
         value, later, new = _newton(residual, trial)
         left, shorter = _norm(value, scale), _norm(linear(slope, value), scale) <= (1.0 - 0.25 * fraction) * _norm(change, scale)
-        falls = left <= jnp.maximum(1.0, error)  # within the tolerances, rounding may raise it
+        falls = left <= jnp.maximum(1.0, (1.0 - _LESS * fraction) * error)  # within the tolerances, rounding may raise it
         better = (shorter & _loose(count)) | falls | (fraction < _SHORT)
         taken = (trial, left, new, later, jnp.asarray(1.0))
         kept = (z, error, change, slope, 0.5 * fraction)
