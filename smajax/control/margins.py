@@ -41,6 +41,11 @@ class Margins(NamedTuple):
     phase: float
     sensitivity: float
 
+    @property
+    def none(self) -> bool:
+        """Whether the linearised loop is unstable, though limits of its command may hold it."""
+        return self.gain < 1.0 or self.phase < 0.0
+
 
 @eqx.filter_jit
 def _carries(driven: AbstractDriven, loop: Loop, scenario: Scenario) -> tuple[jax.Array, jax.Array]:

@@ -84,10 +84,14 @@ class Tuning(eqx.Module):
         """Number of members: rollouts at each look at a point."""
         return self.draws.shape[0]
 
-    def alone(self) -> "Tuning":
-        """The same with its first member only."""
+    def alone(self, member: int = 0) -> "Tuning":
+        """The same with one member only."""
+        own = slice(member, member + 1)
         return dataclasses.replace(
-            self, members={name: values[:1] for name, values in self.members.items()}, draws=self.draws[:1], offsets=0.0 * self.offsets[:1]
+            self,
+            members={name: values[own] for name, values in self.members.items()},
+            draws=self.draws[own],
+            offsets=0.0 * self.offsets[own],
         )
 
     @property

@@ -3,6 +3,7 @@
 What helps is more starts where few were asked for, more weight of the effort, and the draws that fail.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,6 +19,8 @@ from smajax.jobs.behaviour import Behaviour, Checked, behave, check, given_up
 
 _AGAIN = 3  # times that gains are tuned on for draws that fail
 _WIDER = 4  # starts, where fewer do not keep all limits or give the reference up
+_FURTHER = 1.5  # times what the worst draw passes a limit by: so much further inside it is sought
+_LEAST = 0.005  # of a limit
 _CALMER, _MORE, _SOME = 3, 10.0, 0.01  # times that effort is given more weight, how much more, and the least that it had
 
 
@@ -40,7 +43,7 @@ def searched(given: ControllerFile, tuning: Tuning, far: Reach, seed: int, progr
         found = min(found, again, key=lambda one: _rank(given, one))._replace(rollouts=found.rollouts + again.rollouts)
         last = behave(given, found.gains)
     so_far = Searched(found, last, given.weights)
-    return _calmer(given, tuning, so_far, far, seed, progress) if last.unstable else so_far
+    return _calmer(given, tuning, so_far, far, seed, progress) if last.unstable or last.margins.none else so_far
 
 
 def _search(given: ControllerFile, tuning: Tuning, starts: int, seed: int, progress: Progress) -> Tuned:
@@ -58,35 +61,55 @@ def _rank(given: ControllerFile, one: Tuned) -> tuple:
 
 
 def _calmer(given: ControllerFile, tuning: Tuning, before: Searched, far: Reach, seed: int, progress: Progress) -> Searched:
-    """Gains that come to rest, by ever more weight of the effort; what there was, if none do that follow and break limits no further."""
+    """Gains that come to rest with margins, by ever more weight of the effort.
+
+    What there was, if none do that follow and break limits no further.
+    """
     spent, weights = before.found.rollouts, given.weights
     for _ in range(0 if given.settle else _CALMER):  # the shortest settling is not steered by weights
         weights = {**weights, "effort": _MORE * max(weights.get("effort", 0.0), _SOME)}
-        progress.phase(f"the gains found do not come to rest: giving effort the weight {weights['effort']:g}")
+        progress.phase(f"the gains found do not come to rest, or nearly not: giving effort the weight {weights['effort']:g}")
         again = _search(replace(given, weights=weights), tuning, max(_WIDER, given.starts), seed, progress)
         spent += again.rollouts
         now = behave(given, again.gains)
-        if not now.unstable and not given_up(given, now, far) and least_broken(again)[:2] <= least_broken(before.found)[:2]:
+        calm = not now.unstable and not now.margins.none
+        if calm and not given_up(given, now, far) and least_broken(again)[:2] <= least_broken(before.found)[:2]:
             return Searched(again._replace(rollouts=spent), now, weights)
     return before._replace(found=before.found._replace(rollouts=spent))
 
 
 def harder(
-    given: ControllerFile, tuning: Tuning, found: Tuned, checked: Checked, drawn: Mapping[str, np.ndarray], seed: int, progress: Progress
+    given: ControllerFile, tuning: Tuning, found: Tuned, checks: Mapping[str, Checked], drawn: Mapping[str, np.ndarray], seed: int,
+    progress: Progress,
 ) -> tuple[Tuned, Checked]:  # fmt: skip
-    """Gains tuned on, a few times, for the draws among those checked that fail, beside some of those that they were tuned for."""
-    count = tuning.count
-    for _ in range(_AGAIN):
+    """Gains tuned on, a few times, for the draws among those checked that fail, beside some of those that they were tuned for.
+
+    A limit that some of the draws pass then still is sought further inside by as much, and by half as much more. What follows the
+    reference worse than the start gains do is no help.
+    """
+    count, limits, checked = tuning.count, dict(given.limits), checks["tuned"]
+    hard: list[int] = []
+    for turn in range(_AGAIN):
         if not checked.failing:
             break
         progress.phase(f"tuning on for {len(checked.failing)} draws that are unstable or beyond a limit")
-        rows = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *range(count)]))[:count]
+        worst = checked.document["worst"]
+        hard = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *hard]))
+        rows = list(dict.fromkeys([*hard, *range(count)]))[:count]
         few = {n: v[np.resize(rows, count)] for n, v in drawn.items()}
         on = Tuning.of(given.driven, tuning.steered(found.gains), given.scenario, given.bounds, few, tuning.draws)
-        again = tune(on, given.weights, given.limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
+        if turn:
+            passed = {k: (worst.get(k) or worst.get(f"peak_{k}") or 0.0) - v for k, v in given.limits.items()}
+            limits = {k: v - (passed[k] > 0.0) * max(_FURTHER * passed[k], _LEAST * abs(v)) for k, v in limits.items()}
+        again = tune(on, given.weights, limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
         found = found._replace(rollouts=found.rollouts + again.rollouts)
         now = check(given, again.gains, drawn)
-        if len(now.failing) >= len(checked.failing):
-            break
-        found, checked = again._replace(rollouts=found.rollouts), now
+        follows = given.settle or _middle(now) <= _middle(checks["start"])
+        if follows and len(now.failing) < len(checked.failing):
+            found, checked = again._replace(rollouts=found.rollouts), now
     return found, checked
+
+
+def _middle(checked: Checked) -> float:
+    """The median tracking error (RMS) over the draws."""
+    return checked.document["spread"]["rmse"][1] or math.inf

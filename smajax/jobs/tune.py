@@ -89,7 +89,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         checks = {when: check(given, some, drawn) for when, some in (("start", own), ("tuned", found.gains))} if drawn else {}
     if checks and checks["tuned"].failing:
         with clock.time("tune"):
-            found, checks["tuned"] = harder(given, tuning, found, checks["tuned"], drawn, seed, progress)
+            found, checks["tuned"] = harder(given, tuning, found, checks, drawn, seed, progress)
     if checks and len(checks["start"].failing) < len(checks["tuned"].failing):  # what was tuned for some draws does worse on the others
         found, checks["tuned"], weights = found._replace(gains=own), checks["start"], asked
     if checks:
@@ -203,11 +203,16 @@ def _document(
         problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found {told}")
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
+    elif last.margins.none:
+        have = {"gain margin": last.margins.gain, "phase margin (degrees)": last.margins.phase}
+        told = " and ".join(f"a {name} of {value:.2g}" for name, value in have.items() if math.isfinite(value))
+        problems.append(f"the best gains found are unstable, linearised along their rollout, with {told}: give effort more weight")
     if given_up(given, last, far):
         ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle_error(given))]
         told = f"the best gains found give the reference up: they leave an error of {ends[0]}, a rig that is left alone one of {ends[1]}"
         problems.append(f"{told}; try more starts, other start gains or wider limits")
-    if checks and (few := {k: checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks["tuned"][k]}):
+    few = {k: checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks and checks["tuned"][k]}
+    if few:
         told = " and ".join(f"{count} {'are unstable' if k == 'unstable' else 'are beyond a limit'}" for k, count in few.items())
         problems.append(f"of {checks['tuned']['draws']} draws {told} with the best gains found: narrow what varies, or raise robust.draws")
     document: dict[str, Any] = {
@@ -216,7 +221,7 @@ def _document(
         "controller": given.name,
         "channel": given.loop.channel,
         "unit": unit,
-        "feasible": not broken and not last.unstable and not any(checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks),
+        "feasible": not (broken or last.unstable or last.margins.none or few),
         "problems": problems,
         "gains": table,
         "metrics": {

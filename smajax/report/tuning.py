@@ -54,12 +54,12 @@ def sentences(doc: Mapping[str, Any]) -> str:
     if doc["problems"]:
         told += " But " + "; ".join(doc["problems"]) + "."
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
-    beyond = (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0)
-    if beyond or (gain is not None and gain < _GAIN) or (phase is not None and phase < _PHASE):
+    none = (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0)  # which is a problem, and told as one
+    if not none and ((gain is not None and gain < _GAIN) or (phase is not None and phase < _PHASE)):
         have = [] if gain is None else [f"a gain margin of {gain:.2g}"]
         have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
-        brink = "it is at the brink of swinging" if beyond else "a rig that is a little different may swing"
-        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: {brink}, so give effort more weight."
+        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: a rig that is a little different may swing, so give"
+        told += " effort more weight."
     if doc.get("start_kept"):
         told += " Of the gains found none does better on the draws than the start gains, which are kept: try more starts, or more draws."
     if doc["robust"]:
