@@ -399,6 +399,22 @@ def test_a_carrier_does_what_its_mean_does(rig):
         DrivenPlant.of(rig.plant, 0.05, carrier=100.0)
 
 
+def test_pulses_transform_more_than_their_mean():
+    """However fast the carrier: the law remembers no warmest place, so that each pulse transforms some of what is left."""
+    text = (ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").read_text()
+    pulsing = parse_rig(text.replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "4 V"\n')
+
+    def lifted(driven):
+        held = jax.jit(
+            lambda: jax.lax.scan(lambda s, _: (driven.advance(s, jnp.asarray([0.5]))[0], None), driven.start(), None, length=80)[0]
+        )
+        return float(driven.read(held(), jnp.asarray([0.5]))["displacement"])
+
+    fast = DrivenPlant.of(pulsing.plant, 0.1, carrier=100.0)
+    mean, pulsed, faster = map(lifted, (fast.averaged(), fast, DrivenPlant.of(pulsing.plant, 0.1, carrier=200.0)))
+    assert pulsed > mean + 2e-3 and faster == pytest.approx(pulsed, rel=0.05)
+
+
 def test_what_counts_as_unrest():
     time = np.arange(400) * 0.02
     reference, value = np.ones(400), 1.0 - np.exp(-time)

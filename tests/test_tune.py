@@ -470,6 +470,18 @@ def test_margins_of_which_one_is_none_are_told():
     assert "has a phase margin of 3 degrees: a rig" in tuning_text(doc | {"margins": {"tuned": {"gain": None, "phase": 3.0}}})
 
 
+def test_what_pulses_do_beside_their_mean_is_told(tmp_path, monkeypatch):
+    kept = Tuned(np.zeros(1), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
+    monkeypatch.setattr("smajax.jobs.gain_search.tune", lambda *_, **__: kept)
+    (tmp_path / "rig.toml").write_text(RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n')
+    content = re.sub(r'"([0-9.]+) A/m', r'"\1 1/m', FILE).replace('["0 A", "0.5 A"]', '["0", "0.5"]')
+    done = run(tmp_path, content.replace('kind = "pid"', 'kind = "pid"\ncarrier = "50 Hz"'), rig=tmp_path / "rig.toml")
+    assert done.exit_code in (0, 3), done.output
+    doc = json.loads((tmp_path / "out" / "tune.json").read_text())
+    assert doc["pulses"]["carrier"] == 50.0 and doc["pulses"]["rmse_of_mean"] != doc["metrics"]["tuned"]["rmse"]
+    assert f"would leave an error of {1e3 * doc['pulses']['rmse_of_mean']:.4g} mm" in " ".join(done.output.split())
+
+
 def test_a_duty_beyond_the_whole_is_refused(tmp_path):
     text = RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n'
     (tmp_path / "rig.toml").write_text(text)

@@ -6,6 +6,7 @@ sample. Commands have the shape ``(wires,)``.
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -76,7 +77,9 @@ class AbstractDriven(eqx.Module):
 class DrivenPlant(AbstractDriven):
     """A plant under a controller of period ``period`` s, each period in ``pieces`` steps of the plant.
 
-    With a ``carrier`` in Hz, a duty is what a pulse-width modulator makes of it, and not its mean.
+    With a ``carrier`` in Hz, a duty is what a pulse-width modulator makes of it, and not its mean. What transforms then is not that of the
+    mean, however fast the carrier: kinetics in relative form have no memory of how far a wire was warmed before, so that every pulse
+    transforms some of what is left, and the pause after it nothing back. Real wires remember, and the mean is nearer to what they do.
     """
 
     plant: Plant
@@ -101,6 +104,10 @@ class DrivenPlant(AbstractDriven):
             raise InputError(f'a carrier is given and the drive takes a {plant.drive.control}: only control = "duty" is pulsed')
         longest = min(step or default_step(plant), 1.0 / (8.0 * carrier) if carrier else math.inf)
         return cls(plant=plant, period=period, pieces=max(1, math.ceil(period / longest - 1e-9)), carrier=carrier)
+
+    def averaged(self) -> "DrivenPlant":
+        """The same without its carrier."""
+        return replace(self, carrier=None)
 
     @property
     def wires(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from smajax import __version__, parameters
 from smajax.console import Progress
 from smajax.control import members
+from smajax.control.driven import DrivenPlant
 from smajax.control.export import as_document, c_header
 from smajax.control.gains import gain, gains, unit_of
 from smajax.control.reach import Reach, cut, falls, reach
@@ -102,6 +103,9 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     document: dict[str, Any] = _document(given, rig, found, (first, last), told, beyond, far, seed) | {"left_out": left_out}
     if fed is not None:
         document["feedforward"] = _fed(given, fed)
+    if isinstance(given.driven, DrivenPlant) and given.driven.carrier is not None:
+        even = behave(replace(given, driven=given.driven.averaged()), found.gains)
+        document["pulses"] = {"carrier": given.driven.carrier, "rmse_of_mean": number(even.numbers["rmse"])}
     if weights is not asked:
         document["objective"]["asked"] = dict(asked)
     document["summary"] = sentences(document)

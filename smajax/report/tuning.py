@@ -48,6 +48,13 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += f" The feedforward's operator of {fed['operators']} plays was fitted to a slow loop of {ends} {fed['command_unit']}"
         told += f" ({fed['loop']}, {fed['seconds']:.0f} s) with a misfit of {misfit} RMSE,"
         told += f" {share:.1f} % of its stroke."
+    if "pulses" in doc:
+        pulses = doc["pulses"]
+        told += f" The command is pulsed at {pulses['carrier']:g} Hz: with the mean of its pulses the same gains would leave an error of"
+        told += (
+            f" {shown(pulses['rmse_of_mean'], 'rmse', channel)}. The law transforms some of the wire with every pulse, however short, and"
+        )
+        told += " nothing back after it, which real wires do not: gains for these are better tuned without controller.carrier."
     if "asked" in doc["objective"]:
         weight = doc["objective"]["weights"]["effort"]
         told += f" With the weights as they were given the gains would not let the loop come to rest: effort counts {weight:g} here."
