@@ -75,6 +75,13 @@ def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
         BoucWen.from_seven(**(SEVEN | wrong))
 
 
+@pytest.mark.parametrize("name", SEVEN)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_seven_parameters_that_are_no_numbers_are_refused(name, value):
+    with pytest.raises(InputError, match="one of the seven parameters is no finite number"):
+        BoucWen.from_seven(**(SEVEN | {name: value}))
+
+
 def test_bouc_wen_does_not_know_the_rate_and_stays_within_its_bound():
     law = BoucWen.from_seven(**SEVEN)
     slow = follow(law, jnp.asarray(TIME), jnp.asarray(INPUT))

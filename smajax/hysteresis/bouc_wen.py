@@ -78,9 +78,12 @@ class BoucWen(AbstractOperator):
         """The law of z' = (A x' - beta |x'| |z|^(n-1) z - gamma x' |z|^n) / D, y = alpha k x + (1 - alpha) D k z.
 
         z_0 = (A / (beta + gamma))^(1/n) is the largest value that z comes near to. Raises ``InputError`` where there is none, where z runs
-        away from it, or where n is below 1.
+        away from it, where n is below 1, or where one of the seven is no finite number.
         """
-        alpha, k, d, a, beta, gamma, n = (jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n))
+        seven = [jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n)]
+        alpha, k, d, a, beta, gamma, n = seven
+        if not all(isinstance(v, Tracer) or bool(jnp.all(jnp.isfinite(v))) for v in seven):
+            raise InputError("one of the seven parameters is no finite number: give alpha, k, D, A, beta, gamma and n as numbers")
         traced = any(isinstance(v, Tracer) for v in (d, a, beta, gamma, n))
         if not traced and not bool(jnp.all((a * (beta + gamma) > 0.0) & (a * beta > 0.0) & (a * d > 0.0) & (n >= 1.0))):
             raise InputError("no normalised form has these: give A, D, beta and beta + gamma of one sign, and n of at least 1")
