@@ -39,7 +39,7 @@ _LEAST = 1e-6  # strain
 _EXPANSION = 5e-5  # 1/K: what no lattice expands by, a line beside the transformation as steep as this belongs to it
 _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
-_STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be
+_STEEPER = 2.0  # times a plateau's slope in the transformation's direction that the transformation's own has to be
 _BACKWARDS = 0.02  # of the temperatures
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 _NO_NOISE = 5.0  # times the scatter from row to row: what is further off the lines is no noise
@@ -280,7 +280,10 @@ def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, ki
         if np.sum(beside) < _BESIDE:
             told = f"on {kind} {np.sum(beside)} rows are {side} than the transformation, fewer than {_BESIDE}"
             raise InputError(f"{told}: heat and cool further ({cure}), or record more rows per kelvin")
-    if abs(slopes[1]) < _STEEPER * max(abs(slopes[0]), abs(slopes[2])):
+    # What both plateaus expand by is in all three slopes; in tension it runs against the transformation, in compression along it.
+    expansion = min(max(min(slopes[0], slopes[2]), 0.0), _EXPANSION)
+    cold, steepness, hot = -math.copysign(1.0, jump) * (slopes - expansion)
+    if steepness < _STEEPER * max(cold, hot):
         raise InputError(_unreached(kind))
 
 

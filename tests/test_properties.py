@@ -215,6 +215,28 @@ def test_what_cannot_be_read_is_said(change, sentence):
     assert not found and sentence in refused[0] and refused[0].startswith("bad.csv")
 
 
+def _little(strain: float, sign: float = 1.0, coldest: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
+    """A cycle with little transformation strain, in tension or compression (``sign``), beside an expansion of 1.1e-5/K."""
+    cool = np.linspace(130.0, coldest, 241)
+    share = [1.0 - np.clip((cool - 40.0) / 20.0, 0.0, 1.0), 1.0 - np.clip((cool - 70.0) / 20.0, 0.0, 1.0)]
+    temperature = np.r_[cool, cool[::-1]]
+    noise = 1e-7 * np.random.default_rng(0).standard_normal(len(temperature))
+    return temperature, sign * strain * np.r_[share[0], share[1][::-1]] + 1.1e-5 * (temperature - 20.0) + noise
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("strain", [2e-4, 3e-4, 4.4e-4, 6e-4])
+def test_expansion_is_not_taken_for_an_end_that_was_not_reached(strain, sign):
+    """A specimen under 7 MPa: its plateaus are as steep as its transformation, but the strain bends where this begins and ends."""
+    (cycle,), refused = analyse("7 MPa", *_little(strain, sign))
+    assert not refused
+    for name, true in zip(NAMES, (60.0, 40.0, 70.0, 90.0), strict=True):
+        one = cycle.values[name]
+        assert one.value == pytest.approx(true, abs=0.2) and one.lower95 < one.value < one.upper95 < one.lower95 + 0.5
+    assert cycle.values["transformation_strain"].value == pytest.approx(sign * strain - 20.0 * 1.1e-5, abs=1e-6)
+    assert not analyse("7 MPa", *_little(strain, sign, coldest=45.0))[0]
+
+
 @pytest.mark.parametrize("law", MATERIALS)
 def test_the_command(tmp_path, law):
     paths = [write(tmp_path / f"{s}.csv", t + s / 7.0, e, float(s)) for s, (t, e) in ((s, made(2)) for s in (50, 150, 300))]
