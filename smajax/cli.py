@@ -253,6 +253,13 @@ class StartModel(StrEnum):
     liang_rogers = "liang-rogers"
 
 
+class TangentLine(StrEnum):
+    """Which line is laid along a transformation."""
+
+    lines = "lines"
+    steepest = "steepest"
+
+
 @app.command()
 def properties(
     recordings: Annotated[list[Path], typer.Argument(metavar="CYCLES.csv [MORE.csv ...]", help="Thermal cycles: temperature and strain.")],
@@ -262,6 +269,12 @@ def properties(
             "--smooth", min=1, metavar="ROWS", help="Smooth temperatures over so many rows, an odd number (default: as noise asks)."
         ),
     ] = None,
+    tangent: Annotated[
+        TangentLine,
+        typer.Option(
+            "--tangent", help="Along the transformation: one of three lines of least squares, or the tangent where it is steepest."
+        ),
+    ] = TangentLine.lines,
     write_set: Annotated[
         Path | None, typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set that starts a fit.")
     ] = None,
@@ -282,7 +295,7 @@ def properties(
 
     names = [name.strip() for name in columns.split(",")] if columns else None
     between = {"tab": "\t", "\\t": "\t", "space": " "}.get(delimiter, delimiter)
-    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between, decimal))
+    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between, decimal, tangent.value))
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')

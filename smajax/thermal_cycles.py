@@ -1,18 +1,21 @@
 """Thermal cycles under constant stress, and the temperatures and strains that ASTM E3097 reads off them by tangents.
 
 A cycle is a way from hot to cold and back. On each of its two branches three straight lines are laid that meet (``tangents.py``); where
-they meet are start and finish. Intervals come from redrawn branches: the lines, with distances from them that scatter and go together as
-the rows' do, and temperatures about their smooth course. Each is smoothed, begun and laid like the measured one.
+they meet are start and finish. Or the transformation's line is the tangent at its steepest place (``steepest.py``), as ASTM E3097 draws
+it, and start and finish are where it meets the plateaus' lines. Intervals come from redrawn branches: the course that the definition
+takes, with distances from it that scatter and go together as the rows' do, and temperatures about their smooth course. Each is smoothed,
+begun and laid like the measured one.
 
-Where a transformation ends slowly, the place of its end is a matter of definition, beyond what the interval tells: a tangent at the
-steepest place ends it early, one of a symmetrical sigmoid through all rows, as other programs lay it, late. The measured NiTiHf begins
-sharply on cooling and ends slowly, and its M_f lies some kelvins above that of the sigmoid.
+Where a transformation begins or ends slowly, the place of its end is a matter of definition, beyond what the interval tells: a tangent at
+the steepest place ends it early, one of a symmetrical sigmoid through all rows, as other programs lay it, late, three lines between. The
+measured NiTiHf begins sharply on cooling and ends slowly, and its M_f lies some kelvins above that of the sigmoid.
 """
 
 import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -23,7 +26,10 @@ from smajax.errors import InputError
 from smajax.fit.uncertainty import autoregression
 from smajax.inner_loops import inner_loops, scatter
 from smajax.row_order import refuse_disorder, refuse_strays
+from smajax.steepest import Straight, course, refuse_few, steepest
 from smajax.tangents import Lines, lay
+
+Tangent = Literal["lines", "steepest"]
 
 NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
 VALUES = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
@@ -39,7 +45,7 @@ _LEAST = 1e-6  # strain
 _EXPANSION = 5e-5  # 1/K: what no lattice expands by, a line beside the transformation as steep as this belongs to it
 _BESIDE = 3  # rows on each plateau
 _WITHIN = 2  # rows on the transformation
-_STEEPER = 2.0  # times a plateau's slope in the transformation's direction that the transformation's own has to be
+_STEEPER = 2.0  # times the plateaus' slopes that the transformation's has to be, expansion aside
 _BACKWARDS = 0.02  # of the temperatures
 _HIDDEN = 0.25  # of the branch's temperatures, to either side
 _NO_NOISE = 5.0  # times the scatter from row to row: what is further off the lines is no noise
@@ -130,8 +136,11 @@ def analyse(
     *,
     smooth: int = 1,
     seed: int = 0,
+    tangent: Tangent = "lines",
 ) -> tuple[list[Cycle], list[str]]:
     """The properties of every cycle of a recording (arrays ``(n,)``: degC, fraction), and a sentence for each that cannot be read.
+
+    With ``tangent`` the transformation's line is that of three laid by least squares ("lines"), or the tangent where it is "steepest".
 
     Raises ``InputError`` if the rows are not in the order in which they were recorded, or if there is no cycle at all.
     """
@@ -143,7 +152,7 @@ def analyse(
             loops = [loop for branch in (cooling, heating) for loop in inner_loops(temperature, branch)]
             inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)
             cooling, heating = (branch[~np.isin(branch, inner)] for branch in (cooling, heating))
-            values = _properties(temperature, strain, cooling, heating, smooth, np.random.default_rng([seed, number]))
+            values = _properties(temperature, strain, cooling, heating, smooth, tangent, np.random.default_rng([seed, number]))
         except InputError as error:
             refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
             continue
@@ -159,10 +168,17 @@ def _in_order(name: str, temperature: np.ndarray, strain: np.ndarray, smooth: in
 
 
 def _properties(
-    temperature: np.ndarray, strain: np.ndarray, cooling: np.ndarray, heating: np.ndarray, smooth: int, rng: np.random.Generator
+    temperature: np.ndarray,
+    strain: np.ndarray,
+    cooling: np.ndarray,
+    heating: np.ndarray,
+    smooth: int,
+    tangent: Tangent,
+    rng: np.random.Generator,
 ) -> dict[str, Value]:
     """Values of a cycle, each with the distance within which 95 % of its redrawings lie from what they are drawn of."""
-    branches = [_branch(temperature[rows], strain[rows], kind, smooth, rng) for rows, kind in ((cooling, "cooling"), (heating, "heating"))]
+    kinds = ((cooling, "cooling"), (heating, "heating"))
+    branches = [_branch(temperature[rows], strain[rows], kind, smooth, tangent, rng) for rows, kind in kinds]
     best, half = _joined(*(value for value, _ in branches)), np.quantile(np.abs(_joined(*(away for _, away in branches))), _INSIDE, axis=0)
     width = float(best[0, VALUES.index("width")])
     if width < -max(float(half[VALUES.index("width")]), _BACKWARDS * float(np.ptp(temperature))):
@@ -178,40 +194,45 @@ def _joined(cooling: np.ndarray, heating: np.ndarray) -> np.ndarray:
     return np.stack([start, finish, begun, ended, change, moved, width, ended - finish], axis=1)
 
 
-def _branch(temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _branch(
+    temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int, tangent: Tangent, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """A branch's corners and strains (1, 4), and how far redrawings (draws, 4) lie from what they are drawn of."""
     warm = median_filter(temperature, smooth, mode="nearest")[None]
     lines = lay(warm, strain[None])
     _refuse_unseen(warm[0], strain, lines, kind)
-    on_lines, count = lines.strain(warm)[0], len(strain)
+    if tangent == "steepest":
+        refuse_few(warm, lines, kind)
+    drawn_of, free = (lines.strain(warm), _FREE) if tangent == "lines" else course(warm, strain[None], lines)
+    distance, count = strain - drawn_of[0], len(strain)
     # Distances from a smoothed course lack what is slow, which blocks would pass on; drawn singly they have it again.
     drawn_t = warm + (temperature - warm[0])[rng.integers(0, count, (_DRAWS, count))]
-    drawn_e = on_lines + _redrawn(np.searchsorted(lines.corners[0], warm[0]), strain - on_lines, rng)
+    drawn_e = drawn_of + _redrawn(np.searchsorted(lines.corners[0], warm[0]), distance, free, rng)
     drawn_t = median_filter(drawn_t, (1, smooth), mode="nearest")
     again = lay(drawn_t, drawn_e, lines.corners[0])
-    away = _measured(drawn_t, drawn_e, again) - _measured(warm, on_lines[None], lines)
+    away = _measured(drawn_t, drawn_e, again, tangent) - _measured(warm, drawn_of, lines, tangent)
     unsure = float(np.max(np.quantile(np.abs(away[:, :2]), 0.95, axis=0)))
     if unsure > _HIDDEN * float(np.ptp(warm)):
         told = f"on {kind} start and finish are uncertain by {unsure:.2g} K:"
-        if float(np.std(strain - on_lines)) > _NO_NOISE * scatter(strain, 1):
+        if float(np.std(strain - lines.strain(warm)[0])) > _NO_NOISE * scatter(strain, 1):
             why = "the strain bends where three straight lines do not, as by a transformation in two steps (an R-phase)"
             raise InputError(f"{told} {why}; give the part of the branch in which one step happens")
         raise InputError(f"{told} the transformation is hidden in the noise; load more, or measure with less noise")
-    return _measured(warm, strain[None], lines), away
+    return _measured(warm, strain[None], lines, tangent), away
 
 
-def _redrawn(line: np.ndarray, distance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Distances (draws, n) from the lines drawn anew, neighbours erring together as they do: by an autoregression.
+def _redrawn(line: np.ndarray, distance: np.ndarray, free: int, rng: np.random.Generator) -> np.ndarray:
+    """Distances (draws, n) from a course of ``free`` numbers drawn anew, neighbours erring together as they do: by an autoregression.
 
     Each of the three ``line``s with rows enough has its own, and its own scatter: noise in the temperatures shows where the strain is steep
     and nowhere else.
     """
     drawn = np.zeros((_DRAWS, len(line)))
     lines = [line == one for one in np.unique(line)]
-    for rows, taken in ((np.full(len(line), True), _FREE), *((rows, _FREE / 3) for rows in lines if np.sum(rows) >= _POOL)):
+    for rows, taken in ((np.full(len(line), True), free), *((rows, free / 3) for rows in lines if np.sum(rows) >= _POOL)):
         one = distance[rows]
         scatter, together = math.sqrt(float(np.mean(one**2))), 2.0 * _together(one) - 1.0
-        # So many rows err by themselves, of which the lines have taken a number each with them; of how many are left, chi-squares tell.
+        # So many rows err by themselves, of which the course has taken a number each with them; of how many are left, chi-squares tell.
         alone = max(len(one) / together, taken + _FEWEST_LEFT)
         drawn[:, rows] = _alike(one / max(scatter, 1e-300), rng) * scatter * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
     return drawn
@@ -235,14 +256,19 @@ def _together(distance: np.ndarray) -> float:
     return float(np.sum(shares[: int(np.argmax(shares <= 0.0))])) if np.any(shares <= 0.0) else 1.0
 
 
-def _measured(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> np.ndarray:
+def _measured(temperature: np.ndarray, strain: np.ndarray, lines: Lines, tangent: Tangent) -> np.ndarray:
     """Lower and upper corner, the strain between them, and between the coldest and the hottest rows: (draws, 4)."""
-    (cold, coldest), (hot, hottest) = (_plateau(temperature, strain, lines, side) for side in (0, 1))
-    return np.column_stack([lines.corners, cold - hot, coldest - hottest])
+    cold, hot = (_plateau(temperature, strain, lines, side) for side in (0, 1))
+    low, high = lines.corners.T
+    if tangent == "steepest":
+        steep = steepest(temperature, strain, lines)
+        low, high = steep.meets(cold), steep.meets(hot)
+    moved = cold.at(temperature.min(axis=1)) - hot.at(temperature.max(axis=1))
+    return np.column_stack([low, high, cold.at(low) - hot.at(high), moved])
 
 
-def _plateau(temperature: np.ndarray, strain: np.ndarray, lines: Lines, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Strains (draws,) at the lower (side 0) or upper corner and at the rows' end, on the line along the farther half of the rows between.
+def _plateau(temperature: np.ndarray, strain: np.ndarray, lines: Lines, side: int) -> Straight:
+    """The line along the farther half of the rows below the lower corner (side 0), or above the upper one.
 
     The half that is nearer may belong to a transformation that ends slowly. Where the farther one has few rows, the three lines' own tells.
     """
@@ -253,8 +279,8 @@ def _plateau(temperature: np.ndarray, strain: np.ndarray, lines: Lines, side: in
     middle, level = (np.sum(np.where(taken, v, 0.0), axis=1, keepdims=True) / count for v in (temperature, strain))
     away = np.where(taken, temperature - middle, 0.0)
     slope = np.sum(away * strain, axis=1, keepdims=True) / np.maximum(np.sum(away**2, axis=1, keepdims=True), 1e-300)
-    at_corner, at_end = (np.where(count >= _BESIDE, level + slope * (t - middle), lines.strain(t))[:, 0] for t in (corner, end))
-    return at_corner, at_end
+    found, own = (middle, level, slope), (corner, lines.strain(corner), lines.slopes[:, 2 * side, None])
+    return Straight(*(np.where(count >= _BESIDE, a, b)[:, 0] for a, b in zip(found, own, strict=True)))
 
 
 def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, kind: str) -> None:
@@ -282,7 +308,7 @@ def _refuse_unseen(temperature: np.ndarray, strain: np.ndarray, lines: Lines, ki
             raise InputError(f"{told}: heat and cool further ({cure}), or record more rows per kelvin")
     # What both plateaus expand by is in all three slopes; in tension it runs against the transformation, in compression along it.
     expansion = min(max(min(slopes[0], slopes[2]), 0.0), _EXPANSION)
-    cold, steepness, hot = -math.copysign(1.0, jump) * (slopes - expansion)
+    cold, steepness, hot = np.abs(slopes - expansion)
     if steepness < _STEEPER * max(cold, hot):
         raise InputError(_unreached(kind))
 

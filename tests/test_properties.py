@@ -98,6 +98,84 @@ def test_intervals_know_noise_that_is_not_smoothed_and_noise_that_is_slow(warm_n
     assert np.mean(held) >= share, np.mean(held, axis=0)
 
 
+def rounded(noise: float, seed: int = 0, rows: int = 161, cosine: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """A cycle that cools from 60 to 40 degC and heats from 70 to 90 degC through its transformation, by a cosine or a straight line."""
+    cool = np.linspace(130.0, 10.0, rows)
+    shares = [np.clip((finish - cool) / 20.0, 0.0, 1.0) for finish in (60.0, 90.0)]
+    shares = [0.5 - 0.5 * np.cos(np.pi * share) for share in shares] if cosine else shares
+    temperature = np.r_[cool, cool[::-1]]
+    return temperature, 0.03 * np.r_[shares[0], shares[1][::-1]] + noise * np.random.default_rng(seed).standard_normal(2 * rows)
+
+
+# Where a cosine's steepest tangent meets the plateaus: a cosine over 20 K is as steep as a line over 40 / pi.
+STEEPEST = dict(zip(NAMES, (50.0 + 20.0 / np.pi, 50.0 - 20.0 / np.pi, 80.0 - 20.0 / np.pi, 80.0 + 20.0 / np.pi), strict=True))
+STRAIGHT = dict(zip(NAMES, (60.0, 40.0, 70.0, 90.0), strict=True))
+
+
+@pytest.mark.parametrize("rows", [81, 121, 600])
+@pytest.mark.parametrize("tilt", [1.0, -1.0])
+def test_the_steepest_tangent_of_exact_kinetics(rows, tilt):
+    """In tension and compression; of straight transformations it is the line of three."""
+    for cosine, truth in ((True, STEEPEST), (False, STRAIGHT)):
+        t, e = rounded(1e-8, rows=rows, cosine=cosine)
+        (cycle,), refused = analyse("exact", t, tilt * e, tangent="steepest")
+        assert not refused
+        for name, true in truth.items():
+            assert cycle.values[name].value == pytest.approx(true, abs=0.05 if cosine else 0.001), name
+        (lines,), _ = analyse("exact", t, tilt * e)
+        apart = [abs(lines.values[n].value - cycle.values[n].value) for n in NAMES]
+        assert min(apart) > 0.5 if cosine else max(apart) < 0.001
+        assert cycle.values["transformation_strain"].value == pytest.approx(0.03 * tilt, abs=2e-5)
+
+
+@pytest.mark.parametrize(("cosine", "noise", "rows"), [(True, 2e-4, 161), (True, 4e-4, 81), (False, 2e-4, 161)])
+def test_intervals_hold_the_steepest_tangent(cosine, noise, rows):
+    """As often as of the three lines, see above; they are a few times the scatter of what they tell of, no more."""
+    truth = (STEEPEST if cosine else STRAIGHT) | {"width": 30.0}
+    held, away, half, times = {n: 0 for n in truth}, [], [], 30
+    for seed in range(times):
+        (cycle,), _ = analyse("made", *rounded(noise, seed, rows, cosine), seed=seed, tangent="steepest")
+        for name, true in truth.items():
+            held[name] += cycle.values[name].lower95 <= true <= cycle.values[name].upper95
+        away.append([cycle.values[n].value - truth[n] for n in NAMES])
+        half.append([cycle.values[n].upper95 - cycle.values[n].value for n in NAMES])
+    assert min(held.values()) >= binom.ppf(1e-3 / len(held), times, 0.95), held
+    assert np.mean(half) < 4.0 * np.sqrt(np.mean(np.square(away)))
+
+
+def test_the_steepest_tangent_of_noisy_temperatures():
+    found = []
+    for seed in range(8):
+        t, e = rounded(1e-5, seed)
+        warm = t + 2.0 * np.random.default_rng(seed + 50).standard_normal(len(t))
+        found += analyse("noisy", warm, e, smooth=9, seed=seed, tangent="steepest")[0]
+    means = mean_of(found)
+    for name, true in STEEPEST.items():
+        assert len(found) == 8 and means[name].value == pytest.approx(true, abs=2.0), name
+
+
+def test_too_few_rows_to_say_where_it_is_steepest(tmp_path):
+    path = write(tmp_path / "few.csv", *rounded(1e-6, rows=31), 50.0)
+    assert CliRunner().invoke(app, ["properties", str(path)]).exit_code == 0
+    done = CliRunner().invoke(app, ["properties", str(path), "--tangent", "steepest"])
+    assert done.exit_code == 2 and "on cooling 3 rows lie on the transformation's middle part, fewer than the 6" in done.output
+    assert "--tangent lines" in done.output
+
+
+def test_the_command_says_by_which_tangent(tmp_path):
+    path = write(tmp_path / "a.csv", *rounded(1e-6), 50.0)
+    starts = {}
+    for tangent, told in (("lines", "three straight lines meet"), ("steepest", "the tangent at the transformation's steepest place meets")):
+        options = ["properties", str(path), "--tangent", tangent]
+        assert told in CliRunner().invoke(app, options).output
+        document = json.loads(CliRunner().invoke(app, [*options, "--json"]).output)
+        assert document["tangent"] == tangent and told in document["definition"]
+        starts[tangent] = document["recordings"][0]["mean"]["martensite_start"]
+    assert "--tangent steepest" in CliRunner().invoke(app, ["properties", str(path)]).output
+    assert starts["steepest"]["value"] < starts["lines"]["value"] - 0.5
+    assert starts["steepest"]["value"] == pytest.approx(STEEPEST["martensite_start"], abs=0.05)
+
+
 def test_the_interval_of_a_mean_knows_how_few_its_cycles_are():
     """Values of cycles that scatter among themselves, each thought exact, and some that agree by chance, each uncertain."""
     rng, held = np.random.default_rng(0), 0
@@ -383,6 +461,17 @@ def test_the_hundred_cycles_measured_by_others(shared):
     for name, value in zip(VALUES, (122.90, 94.26, 113.09, 128.11, 0.0344, 0.03791, 12.02, 33.85), strict=True):
         scatter = np.std([c.values[name].value for c in found])
         assert abs(means[name].value - value) < 0.6 * scatter, name
+
+
+def test_the_steepest_tangent_of_cycles_measured_by_others(shared):
+    """Some of the hundred: it begins later and ends earlier, about the same middles."""
+    columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")[:4000]
+    (lines, _), (steepest, refused) = (analyse("cycles", columns[:, 0], columns[:, 1], smooth=9, tangent=t) for t in ("lines", "steepest"))
+    assert len(steepest) >= 13 and len(refused) <= 2
+    of_lines, of_steepest = mean_of(lines), mean_of(steepest)
+    assert 0.75 < of_steepest["span"].value / of_lines["span"].value < 1.0
+    for name in ("width", "actuation_strain", "transformation_strain"):
+        assert of_steepest[name].value == pytest.approx(of_lines[name].value, rel=0.05), name
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from smajax.errors import InputError
 from smajax.parameter_file import write_parameters
 from smajax.recording import Recording
 from smajax.report.summary import table
-from smajax.thermal_cycles import Cycle, Value, analyse, mean_of, unpaired, unsteadiness
+from smajax.thermal_cycles import Cycle, Tangent, Value, analyse, mean_of, unpaired, unsteadiness
 
 SCHEMA = "smajax.properties/1"
 _NOISY = 0.5  # K of noise from row to row above which temperatures are smoothed
@@ -63,6 +63,11 @@ _LABELS = {
     "span": "span A_f - M_f",
 }  # fmt: skip
 _STRAINS = ("transformation_strain", "actuation_strain")
+_DEFINITIONS = {
+    "lines": "Start and finish are where three straight lines meet that are laid by least squares. Where a transformation begins or ends "
+    "gradually, the tangent at its steepest place gives others (--tangent steepest).",
+    "steepest": "Start and finish are where the tangent at the transformation's steepest place meets the plateaus' lines.",
+}
 _WAYS = {True: "cooling", False: "heating"}
 _PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
 
@@ -71,7 +76,7 @@ class PropertiesJob(NamedTuple):
     """What to read; ``smooth`` rows of temperature (``None``: as its noise asks), ``write_set`` a parameter file to write for ``model``.
 
     ``columns`` are headers of text files without ("temperature [degC]", or "-" for one to leave out), ``delimiter`` separates them, and
-    ``decimal`` is their numbers' sign.
+    ``decimal`` is their numbers' sign. ``tangent`` says which line is laid along the transformation: see ``thermal_cycles.analyse``.
     """
 
     paths: Sequence[Path]
@@ -81,6 +86,7 @@ class PropertiesJob(NamedTuple):
     columns: Sequence[str] | None = None
     delimiter: str = ","
     decimal: str = "."
+    tangent: Tangent = "lines"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +119,8 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
         raise InputError("; ".join(refused))
     document = {
         "schema": SCHEMA,
+        "tangent": job.tangent,
+        "definition": _DEFINITIONS[job.tangent],
         "recordings": [_entry(one) for one in read],
         "refused": refused,
         "smajax": __version__,
@@ -133,7 +141,7 @@ def _read(path: Path, job: PropertiesJob) -> list[Read]:
     warm = one.channels["temperature"]
     rows = job.smooth if job.smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
-        found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows)
+        found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows, tangent=job.tangent)
         alone = unpaired(one.name, warm, smooth=rows)
     except InputError as error:
         return [Read(one, rows, [], [str(error)], None)]
@@ -232,5 +240,5 @@ def text(document: Mapping[str, Any]) -> str:
             for a in one["in_no_cycle"]
         ]
         lines.append("")
-    lines += [f"Not read: {sentence}." for sentence in document["refused"]]
+    lines += [document["definition"], *(f"Not read: {sentence}." for sentence in document["refused"])]
     return "\n".join(lines).rstrip()
