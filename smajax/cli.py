@@ -299,6 +299,8 @@ def properties(
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')
+    if write_set is not None:
+        typer.echo(f"smajax: {write_set.name}: {document['guessed']}", err=True)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from smajax.errors import InputError
 from smajax.parameter_file import Entry
 from smajax.parameters import declarations
-from smajax.rig_schema import MATERIALS
+from smajax.rig_schema import MATERIALS, as_text
 from smajax.thermal_cycles import NAMES, Value
 
 _USUAL = 7e6  # Pa/K, where one stress does not tell
@@ -19,6 +19,8 @@ _SLOPES = (1e6, 3e7)  # Pa/K, plausible ones
 # What thermal cycles under constant stress hardly tell, and a law needs: Pa, and the ends of what is plausible.
 _BRINSON = "usual: the material of Brinson (1993), which the cycles do not tell"
 _USUALLY = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
+_GUESSES = ("usual", "plausible")  # words of the sources of values that are not read off the cycles
+_FALL = "the temperatures fall"
 _APART = 10e6  # Pa between stresses that tell the slope of the lines
 _LEVELS = 3  # stresses that tell how strain grows
 _LARGEST = declarations(MATERIALS["brinson"])["max_strain"]  # as all laws have it
@@ -80,6 +82,18 @@ def parameter_set(levels: Sequence[Level], model: str) -> dict[str, Entry]:
     return {n: e for n, e in entries.items() if math.isfinite(e.value)}
 
 
+def guessed(entries: Mapping[str, Entry]) -> str:
+    """A sentence that says which start values were not read off the cycles, and where each comes from instead."""
+    by_source: dict[str, list[str]] = {}
+    for name, entry in entries.items():
+        if any(word in entry.source for word in _GUESSES):
+            by_source.setdefault(entry.source, []).append(f"{name.removeprefix('material.')} = {as_text(entry.value, entry.unit)}")
+    told = [f"{', '.join(names)} ({source})" for source, names in by_source.items()]
+    if any(_FALL in source for source in by_source):
+        told.append("no shape-memory alloy's temperatures fall as the stress rises: check which stress belongs to which cycle")
+    return f"not read off the cycles: {'; '.join(told)}"
+
+
 def _strain(largest: float, told: str) -> Entry:
     return Entry(largest, "1", max(0.3 * largest, _STRAINS[0]), min(2.5 * largest, _STRAINS[1]), source=told)
 
@@ -96,7 +110,7 @@ def _slope(stress: np.ndarray, middle: np.ndarray, letter: str) -> tuple[float, 
         return _USUAL, f"{letter} is a usual value: one stress does not tell it"
     per_stress = float(np.polyfit(stress, middle, 1)[0])
     if not per_stress > 0.0:
-        return _USUAL, f"{letter} is a usual value: through {len(stress)} stresses the temperatures fall, by {-1e6 * per_stress:.3g} K/MPa"
+        return _USUAL, f"{letter} is a usual value: through {len(stress)} stresses {_FALL}, by {-1e6 * per_stress:.3g} K/MPa"
     slope, told = 1.0 / per_stress, f"{letter} by a straight line through {len(stress)} stresses"
     told += "" if _SLOPES[0] <= slope <= _SLOPES[1] else f", cut from {slope / 1e6:.3g} MPa/K to the nearest plausible one"
     return float(np.clip(slope, *_SLOPES)), told

@@ -616,6 +616,21 @@ def test_a_slope_that_the_stresses_do_not_tell_is_said_to_be_usual(tmp_path):
     assert told["steep"].value == 3e7 and "cut from 100 MPa/K to the nearest plausible one" in told["steep"].source
 
 
+def test_the_command_says_what_it_guessed(tmp_path):
+    (t, e), told = made(1), {}
+    for name, shift in (("rises", 15.0), ("falls", -5.0), ("steep", 1.0)):
+        paths = [str(write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k)) for k in range(2)]
+        for case, some in ((name, paths), ("one", paths[:1])):
+            told[case] = CliRunner().invoke(app, ["properties", *some, "--write-set", str(tmp_path / "set.toml"), "--json"]).stderr
+    assert all(said.startswith("smajax: set.toml: not read off the cycles: ") and said.count("\n") == 1 for said in told.values())
+    assert all("modulus_austenite = 67000 MPa" in said and "Brinson (1993)" in said for said in told.values())
+    assert "clausius" not in told["rises"]
+    assert "clausius_clapeyron_austenite = 7 MPa/K (C_A is a usual value: one stress does not tell it)" in told["one"]
+    assert "clausius_clapeyron_martensite = 30 MPa/K (C_M by a straight line through 2 stresses, cut from" in told["steep"]
+    falling = "no shape-memory alloy's temperatures fall as the stress rises: check which stress belongs to which cycle"
+    assert falling in told["falls"] and falling not in told["rises"] + told["steep"] + told["one"]
+
+
 def test_several_stresses_tell_how_strain_grows(tmp_path):
     """Cycles of the exact law at five stresses, and the set that is written."""
     law, rng, noise = lagoudas_reference.Law(**{**LAGOUDAS, "critical_stress": 0.0}), np.random.default_rng(0), 2e-5

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from smajax import __version__, recording
-from smajax.cycle_set import Level, parameter_set
+from smajax.cycle_set import Level, guessed, parameter_set
 from smajax.errors import InputError
 from smajax.parameter_file import write_parameters
 from smajax.recording import Recording
@@ -129,6 +129,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
         entries = parameter_set([Level(one.recording.name, one.stress, mean_of(one.cycles)) for one in read if one.cycles], job.model)
         names = ", ".join(dict.fromkeys(one.recording.name for one in read if one.cycles))
         write_parameters(job.write_set, entries, {"title": f"read by tangents from {names}", "source": "smajax properties"})
+        document["guessed"] = guessed(entries)
     return document
 
 
