@@ -341,6 +341,22 @@ def test_one_that_cannot_be_read_leaves_the_others(tmp_path):
     assert lacking.exit_code == 2 and "has no column stress" in lacking.output and not (tmp_path / "set.toml").exists()
 
 
+def test_what_is_said_of_many_cycles_is_said_once(tmp_path):
+    t, e = made(20)
+    hidden = e.reshape(20, -1).copy()
+    hidden[[0, 1, 2, 5, 7, 9, 11, 13, 15, 17]] = 0.0052 - 1e-5 * t.reshape(20, -1)[0]
+    path = write(tmp_path / "some.csv", t, hidden.ravel())
+    told = CliRunner().invoke(app, ["properties", str(path)]).output
+    # From the sixth on a cycle begins with a row of one that transforms, which changes what is wrong with it.
+    assert told.count("Not read") == 2 and told.count("no transformation is seen") == 1
+    assert "some.csv, 3 cycles (1 to 3), the first of them (rows 1 to 320): on cooling the strain moves by" in told
+    assert "some.csv, 7 cycles (6, 8, 10, 12, 14, 16 and 1 more), the first of them (rows 1600 to 1920): on cooling" in told
+    assert len(json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).output)["refused"]) == 10
+    cold = t > 62.0
+    done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "all.csv", t[cold], e[cold]))])
+    assert done.exit_code == 2 and done.output.count("its end was not reached") == 1 and "all.csv, 20 cycles (1 to 20), the" in done.output
+
+
 def test_spaces_between_columns_are_noticed_and_cures_are_this_commands(tmp_path):
     (tmp_path / "a.csv").write_text("temperature [degC] strain [%]\n20 1.5\n30 1.4\n")
     done = CliRunner().invoke(app, ["properties", str(tmp_path / "a.csv")])

@@ -68,6 +68,8 @@ _DEFINITIONS = {
     "gradually, the tangent at its steepest place gives others (--tangent steepest).",
     "steepest": "Start and finish are where the tangent at the transformation's steepest place meets the plateaus' lines.",
 }
+_OF_A_CYCLE = re.compile(r"(?P<name>.*), cycle (?P<number>\d+) \((?P<rows>rows \d+ to \d+)\): (?P<why>.*)")
+_LISTED = 6  # stretches of cycles' numbers that are listed
 _WAYS = {True: "cooling", False: "heating"}
 _PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
 
@@ -116,7 +118,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     read = [one for path in job.paths for one in _read(path, job)]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):
-        raise InputError("; ".join(refused))
+        raise InputError("; ".join(_once(refused)))
     document = {
         "schema": SCHEMA,
         "tangent": job.tangent,
@@ -186,6 +188,30 @@ def _by_options(sentence: str, ending: str) -> str:
     return sentence
 
 
+def _once(refused: Sequence[str]) -> list[str]:
+    """Sentences about cycles, those that say the same of a file's cycles, numbers apart, said once."""
+    alike: dict[tuple[str, str], list[re.Match[str]]] = {}
+    told: dict[tuple[str, str], str] = {}
+    for sentence in refused:
+        found = _OF_A_CYCLE.fullmatch(sentence)
+        key = (found["name"], re.sub(r"\d[\d.e+-]*", "", found["why"])) if found else ("", sentence)
+        alike[key] = [*alike.get(key, []), *([found] if found else [])]
+        told[key] = sentence
+        if len(alike[key]) > 1:
+            first, numbers = alike[key][0], _stretches([int(one["number"]) for one in alike[key]])
+            told[key] = f"{first['name']}, {len(alike[key])} cycles ({numbers}), the first of them ({first['rows']}): {first['why']}"
+    return list(told.values())
+
+
+def _stretches(numbers: Sequence[int]) -> str:
+    """Rising numbers, those that follow each other as "3 to 7"."""
+    ends = [k for k in range(len(numbers)) if k + 1 == len(numbers) or numbers[k + 1] > numbers[k] + 1]
+    begins = [0, *(k + 1 for k in ends[:-1])]
+    told = [f"{numbers[a]}" if a == b else f"{numbers[a]} to {numbers[b]}" for a, b in zip(begins, ends, strict=True)]
+    left = len(numbers) - begins[_LISTED] if len(told) > _LISTED else 0
+    return ", ".join(told[:_LISTED]) + (f" and {left} more" if left else "")
+
+
 def _entry(one: Read) -> dict[str, Any]:
     def shown(values: Mapping[str, Value]) -> dict[str, Any]:
         return {
@@ -241,5 +267,5 @@ def text(document: Mapping[str, Any]) -> str:
             for a in one["in_no_cycle"]
         ]
         lines.append("")
-    lines += [document["definition"], *(f"Not read: {sentence}." for sentence in document["refused"])]
+    lines += [document["definition"], *(f"Not read: {sentence}." for sentence in _once(document["refused"]))]
     return "\n".join(lines).rstrip()
