@@ -8,6 +8,7 @@ import numpy as np
 
 from smajax import parameters
 from smajax.diagnose.evidence import evidence
+from smajax.dissipation import crossed
 from smajax.errors import InputError
 from smajax.jobs.fit import read_recordings
 from smajax.machines import AbstractMachine, is_machine, kind_of, parse_machine
@@ -35,7 +36,7 @@ def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False
         f"Fitted and scored: {', '.join(given.get(c, c) for c in rig.fit.observe)}; needed in a recording: {', '.join(rig.plant.signals)}.",
     ]
     lines.append(f"A fit begins at {rig.fit.starts} point{'s' * (rig.fit.starts != 1)}, seed {rig.fit.seed}.")
-    lines += [f"Note: {note}." for note in rig.notes]
+    lines += [f"Note: {note}." for note in rig.notes] + [f"Note: {one}" for one in crossed(rig.plant, [r.channels for r in read])]
     for recording in read:
         lines += ["", *_recording(rig, recording)]
     return "\n".join(line.rstrip() for line in lines)

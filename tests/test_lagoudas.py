@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import equinox as eqx
 import jax
@@ -10,8 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
+from typer.testing import CliRunner
 
 from smajax import parameters
+from smajax.cli import app
 from smajax.diagnose.effects import catalogue
 from smajax.fit.fit import fit
 from smajax.parameters import declarations
@@ -19,7 +23,7 @@ from smajax.plant.material.base import Fractions
 from smajax.plant.material.hardening import hardened, hardening
 from smajax.plant.material.lagoudas import Lagoudas
 from smajax.recording import Recording
-from smajax.rig import parse_rig
+from smajax.rig import parse_rig, read_rig
 from smajax.simulate import lay_out, simulate, simulate_batch, simulate_inputs
 from tests.reference import lagoudas as reference
 
@@ -56,6 +60,69 @@ def advance(law: Lagoudas, state: reference.State, temperature: float, stress: t
     start = Fractions(jnp.asarray(detwinned), jnp.asarray(state.martensite - detwinned))
     end = evolved(law, start, (jnp.asarray(0.0), jnp.asarray(temperature)), tuple(jnp.asarray(s) for s in stress))
     return reference.State(float(end.martensite), float(law.strain_of(end)))
+
+
+STEEP = VALUES | {"clausius_clapeyron_austenite": 9.4e6, "clausius_clapeyron_martensite": 5.2e6, "martensite_start": 55.0}
+
+
+def apart(law: reference.Law, stress: float) -> float:
+    """How far above the temperature at which it grows a fraction begins to shrink, where that is least, by the exact law's forces."""
+    e, direction, least = reference.energy(law), reference.current_strain(law, stress), math.inf
+    for fraction in np.linspace(0.0, 1.0, 201):
+        grows = brentq(lambda t, f=fraction: reference.forward_force(law, e, t, stress, f), -500.0, 900.0)
+        shrinks = brentq(lambda t, f=fraction: reference.reverse_force(law, e, t, stress, f, direction), -500.0, 900.0)
+        least = min(least, shrinks - grows)
+    return least
+
+
+@pytest.mark.parametrize("change", [{}, {"n1": 1.0, "n2": 1.0, "n3": 1.0, "n4": 1.0}, {"n1": 0.1, "n4": 0.1}, {"min_strain_share": 0.9}])
+def test_the_lines_cross_where_the_exact_law_has_no_hysteresis(change):
+    values = STEEP | change
+    crossing = Lagoudas(**values).crossing()
+    assert 50e6 < crossing < 500e6
+    assert apart(reference.Law(**values), crossing) == pytest.approx(0.0, abs=0.02)
+    assert apart(reference.Law(**values), 0.8 * crossing) > 0.5 and apart(reference.Law(**values), 1.2 * crossing) < -0.5
+    shifted = Lagoudas(**values, austenite_shift=4.0, martensite_shift=-3.0)
+    assert shifted.crossing() == pytest.approx(
+        Lagoudas(
+            **(values | {"austenite_start": 64.0, "austenite_finish": 82.0, "martensite_start": 52.0, "martensite_finish": 27.0})
+        ).crossing()
+    )
+
+
+def test_lines_that_do_not_approach_each_other_never_cross():
+    assert Lagoudas(**(STEEP | {"clausius_clapeyron_martensite": 9.4e6})).crossing() == math.inf
+    assert Lagoudas(**(STEEP | {"clausius_clapeyron_martensite": 12e6})).crossing() == math.inf
+    assert Lagoudas(**(STEEP | {"austenite_start": 29.0})).crossing() == 0.0
+
+
+def test_lost_hysteresis_is_said(tmp_path):
+    """By the check, a simulation and a fit of a recording that goes above the stress from which lines cross; not below it."""
+    units = {"Pa": "Pa", "Pa/K": "Pa/K", "degC": "degC", "1": "", "1/Pa": "1/Pa"}
+    lines = "\n".join(f'{n} = "{v} {units[declarations(Lagoudas)[n].unit]}"' for n, v in STEEP.items())
+    rig, out = tmp_path / "rig.toml", tmp_path / "out"
+    rig.write_text(
+        f'[rig]\nkind = "path"\n[material]\n{lines}\n[fit]\nmodel = "lagoudas"\nfree = ["material.max_strain"]\nobserve = ["strain"]\nstarts = 1\n'
+    )
+    crossing = Lagoudas(**STEEP).crossing()
+    warm = np.r_[np.linspace(200.0, 20.0, 60), np.linspace(20.0, 200.0, 60)]
+    run = lambda *words: CliRunner().invoke(app, [*map(str, words)])  # noqa: E731
+    for stress, said in ((0.9 * crossing, False), (1.5 * crossing, True)):
+        simulated = simulate(
+            read_rig(rig).plant, Recording.from_arrays("a", None, {"temperature": warm, "stress": np.full(120, stress)}, {})
+        )
+        strain = np.asarray(simulated.channels["strain"])
+        path = tmp_path / "a.csv"
+        table = np.column_stack([warm, np.full(120, stress / 1e6), 100.0 * strain + 0.001 * np.sin(np.arange(120.0))])
+        np.savetxt(path, table, delimiter=",", header="temperature [degC],stress [MPa],strain [%]", comments="", fmt="%.9g")
+        told = f"from {crossing / 1e6:.4g} MPa on Lagoudas' lines of heating and cooling cross"
+        for words in (("check", rig, path), ("simulate", rig, path, "--out", out), ("fit", rig, path, "--out", out)):
+            done = run(*words)
+            text = " ".join(done.stdout.split())
+            assert done.exit_code == 0, done.output
+            assert (told in text) == said == ("(9.4 MPa/K) is above clausius_clapeyron_martensite (5.2 MPa/K)" in text), words
+            if words[0] != "check":
+                assert ("lines of heating and cooling cross" in (out / "report.html").read_text("utf-8")) == said
 
 
 def path_rig(observe: str, **values: str):

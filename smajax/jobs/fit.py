@@ -11,6 +11,7 @@ import numpy as np
 
 from smajax import __version__, parameters
 from smajax.console import INTERRUPTED, Progress, stopping
+from smajax.dissipation import crossed
 from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.fit import Fit, fit, profile, respond
 from smajax.fit_settings import FitSettings
@@ -84,6 +85,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             None,
         )
     else:
+        warnings += crossed(result.plant, [{**r.recording.channels, **r.model} for r in result.responses])
         document = fit_document(result, rig, settings, profiles=profiles, warnings=warnings)
         responses = list(result.responses)
     failed = [f"{r.recording.name}: {r.code.name}: {r.code.cure}" for r in responses if r.code is not Code.done]

@@ -7,6 +7,7 @@ import numpy as np
 
 from smajax import simulate
 from smajax.console import Progress
+from smajax.dissipation import crossed
 from smajax.errors import NumericsError
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.recording import Recording
@@ -36,6 +37,7 @@ def run_simulation(rig_path: Path, path: Path, out: Path, *, drop_bad_rows: bool
     progress.phase("writing the report")
     good = int(np.argmin(np.append(np.all([np.isfinite(v) for v in channels.values()], axis=0), False)))
     told = "" if code is Code.done else f"{recording.name}: {code.name}: {code.cure} ({good} of {len(recording)} rows could be simulated)"
+    warnings = crossed(rig.plant, [channels])
     driving = {c: recording.channels[c] for c in rig.plant.signals}
     given = driving | {c: v for c, v in channels.items() if c not in driving}
     units = {c: recording.units.get(c) or prediction.usual_unit(c) for c in ("time", *given)}
@@ -50,6 +52,7 @@ def run_simulation(rig_path: Path, path: Path, out: Path, *, drop_bad_rows: bool
         "observed": list(rig.fit.observe),
         "channels": {c: _range(v, series.units[c]) for c, v in series.model.items()},
         "recordings": [recording_entry(recording, "simulation")],
+        "warnings": warnings,
     }
 
     def fill(folder: Path) -> None:

@@ -46,6 +46,7 @@ def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
     observed = [c for c in run["observed"] if c in series.model] or list(series.model)
     rest = [c for c in series.model if c not in observed and c not in run["inputs"]]
     sections = [f'<div class="verdict bad"><p>{escape(run["text"])}</p></div>'] if run["code"] != "done" else []
+    sections.append(bullets(run.get("warnings", ())))  # which earlier versions did not write
     sections += _recording(series, observed, run["inputs"], {}, pictures)
     if rest:
         sections.append("<h2>The other channels</h2>")

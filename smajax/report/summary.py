@@ -144,7 +144,8 @@ def simulation_text(run: Document, folder: str = "") -> str:
     lines = [f"Simulated {recording['rows']:,} rows of {recording['name']} with {run['rig']}.", ""]
     rows = [(c, _plain(r["lowest"]), _plain(r["highest"]), r["unit"]) for c, r in run["channels"].items()]
     lines += table([("channel", "lowest", "highest", "unit"), *rows], right=(1, 2))
-    lines += ["", *(f"- {recording['name']}: {note}." for note in recording["notes"]), f"Results: {folder}"]
+    lines += ["", *(f"- {recording['name']}: {note}." for note in recording["notes"]), *(f"- {one}" for one in run["warnings"])]
+    lines.append(f"Results: {folder}")
     return "\n".join(line.rstrip() for line in lines)
 
 

@@ -25,10 +25,17 @@ transformation is dS for every w, since at the ends there is one phase alone, an
 choice, the lines of transformation do not. With w > 0 a loop that transforms forward under one stress and back under another one
 dissipates more or less than the thresholds say by half the difference of the squared stresses times that of 1/E_R - 1/E at its ends:
 nothing for a whole transformation, little for a partial one.
+
+The thresholds follow the stress so that the lines of transformation have the slopes C_A and C_M. With C_A above C_M the lines approach each
+other, and beyond the stress at which they meet (``crossing``) a threshold is negative, which the second law forbids: heating and cooling
+would transform at one temperature, without hysteresis.
 """
+
+import math
 
 import jax
 import jax.numpy as jnp
+from scipy.optimize import root_scalar
 
 from smajax.kinks import larger, smaller, within
 from smajax.parameters import parameter
@@ -37,6 +44,7 @@ from smajax.plant.material.hardening import hardened, hardening
 
 _NONE = 1e-12  # a fraction that is none
 _FEW = 1e-6  # one of which it does not matter how much of it is detwinned
+_HIGHEST = 1e10  # Pa, above which no stress is of interest
 
 
 class Lagoudas(AbstractMaterial):
@@ -113,6 +121,25 @@ class Lagoudas(AbstractMaterial):
         """Transformation strain of martensite that grows under a stress, H_cur."""
         above = larger(stress - self.critical_stress, 0.0)
         return self.max_strain * (1.0 - (1.0 - self.min_strain_share) * jnp.exp(-self.strain_saturation * above))
+
+    def crossing(self) -> float:
+        """Stress (Pa) above which some of the transformation dissipates nothing; infinite where there is none.
+
+        The temperatures at which a fraction of detwinned martensite grows and shrinks lie as far apart as at no stress, and by
+        2 D sigma H(sigma) / (-ds) beside, which with C_A above C_M is negative.
+        """
+        entropy, share = map(float, self._calibrated())
+        if share >= 0.0:
+            return math.inf
+        fraction = jnp.linspace(0.0, 1.0, 1001)
+        grows = (self.martensite_finish - self.martensite_start) * hardening(fraction, self.n1, self.n2) + self.forward_start
+        shrinks = (self.austenite_start - self.austenite_finish) * hardening(fraction, self.n3, self.n4) + self.austenite_finish
+        work = float(jnp.min(shrinks + self.austenite_shift - grows)) * entropy / (2.0 * share)
+
+        def over(stress: float) -> float:
+            return stress * float(self.grown_strain(jnp.asarray(stress))) - work
+
+        return math.inf if over(_HIGHEST) < 0.0 else float(root_scalar(over, bracket=(0.0, _HIGHEST)).root) if work > 0.0 else 0.0
 
     def _calibrated(self) -> tuple[jax.Array, jax.Array]:
         """Entropy difference per volume (Pa/K, negative) and the share D by which the threshold follows the stress."""
