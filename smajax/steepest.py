@@ -46,19 +46,24 @@ def refuse_few(temperature: np.ndarray, lines: Lines, kind: str) -> None:
 
 def _places(temperature: np.ndarray, lines: Lines) -> np.ndarray:
     """Where rows lie on their transformation: from -1 to 1 on its middle part."""
-    low, high = lines.corners[:, :1], lines.corners[:, 1:]
-    return (temperature - 0.5 * (low + high)) / (0.5 * _MIDDLE * (high - low))
+    middle, half = _middle(lines)
+    return (temperature - middle[:, None]) / half[:, None]
+
+
+def _middle(lines: Lines) -> tuple[np.ndarray, np.ndarray]:
+    """The middle of the transformation and half the length of its middle part (draws,), which in a poor draw may have none."""
+    low, high = lines.corners.T
+    return 0.5 * (low + high), np.maximum(0.5 * _MIDDLE * (high - low), 1e-9)
 
 
 def steepest(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> Straight:
     """The tangents of branches at the steepest places of their transformations; where no cubic can be laid, the three lines' own."""
-    low, high = lines.corners.T
-    half, middle = 0.5 * _MIDDLE * (high - low), 0.5 * (low + high)
+    middle, half = _middle(lines)
     place = _places(temperature, lines)
     taken = np.abs(place) <= 1.0
     count = taken.sum(axis=1)
     powers, level = np.where(taken[:, :, None], place[:, :, None] ** np.arange(4), 0.0), np.where(taken, strain, 0.0)
-    (line, off_line), (cubic, off_cubic) = (_laid(powers, level, count) for count in (2, 4))
+    (line, off_line), (cubic, off_cubic) = (_laid(powers[:, :, :size], level) for size in (2, 4))
     noise = 2.0 * off_cubic / np.maximum(count - 4, 1)  # what two numbers more explain of it
     believed = np.clip(1.0 - noise / np.maximum(off_line - off_cubic, 1e-300), 0.0, 1.0)[:, None]
     along = line + believed * (cubic - line)
@@ -72,12 +77,14 @@ def steepest(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> Strai
     return Straight(*(np.where(count > 4, b, a) for a, b in zip(own, tangent, strict=True)))
 
 
-def _laid(powers: np.ndarray, strain: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (draws, 4) of the polynomials of ``count`` of them through the rows, and the sums of squared residuals."""
-    base, upper = np.linalg.qr(powers[:, :, :count])
-    along = np.linalg.solve(upper + 1e-300 * np.eye(count), np.einsum("drk,dr->dk", base, strain)[:, :, None])[:, :, 0]
-    off = strain - np.einsum("drk,dk->dr", powers[:, :, :count], along)
-    return np.pad(along, ((0, 0), (0, 4 - count))), np.sum(off**2, axis=1)
+def _laid(powers: np.ndarray, strain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (draws, 4) of the polynomials of these powers through the rows, and the sums of squared residuals (draws,)."""
+    size = powers.shape[2]
+    base, upper = np.linalg.qr(powers)
+    upper = upper + 1e-300 * np.eye(size)  # regular where a draw has too few rows, whose result is not used
+    along = np.linalg.solve(upper, np.einsum("drk,dr->dk", base, strain)[:, :, None])[:, :, 0]
+    off = strain - np.einsum("drk,dk->dr", powers, along)
+    return np.pad(along, ((0, 0), (0, 4 - size))), np.sum(off**2, axis=1)
 
 
 def course(temperature: np.ndarray, strain: np.ndarray, lines: Lines) -> tuple[np.ndarray, int]:

@@ -212,7 +212,7 @@ def _branch(
     again = lay(drawn_t, drawn_e, lines.corners[0])
     away = _measured(drawn_t, drawn_e, again, tangent) - _measured(warm, drawn_of, lines, tangent)
     unsure = float(np.max(np.quantile(np.abs(away[:, :2]), 0.95, axis=0)))
-    if unsure > _HIDDEN * float(np.ptp(warm)):
+    if not unsure <= _HIDDEN * float(np.ptp(warm)):  # nor where a draw has no corner at all
         told = f"on {kind} start and finish are uncertain by {unsure:.2g} K:"
         if float(np.std(strain - lines.strain(warm)[0])) > _NO_NOISE * scatter(strain, 1):
             why = "the strain bends where three straight lines do not, as by a transformation in two steps (an R-phase)"
