@@ -34,6 +34,7 @@ from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.recording import Recording
 from smajax.rig import parse_rig, read_rig
 from smajax.simulate import simulate
+from smajax.units import numbered
 from tests.conftest import ROOT
 from tests.reference.closed_loop import Pid, turn
 from tests.reference.rig_file import read_rig as read_reference
@@ -295,6 +296,43 @@ def test_a_guard_keeps_the_wire_below_its_limit(driven):
     assert hot > 90.0 and kept < 84.5
 
 
+def held_back(driven, reference, guard):
+    """Displacements in mm and commands under a guard."""
+    done = eqx.filter_jit(rollout)(driven, wire_loop(guard=guard), Scenario.quiet(reference))
+    return 1e3 * np.asarray(done.channels["displacement"]), np.asarray(done.command)
+
+
+def test_nothing_winds_up_against_a_guard(driven):
+    """The guard leaves the wire less than 8.3 mm for 25 s; the reference then falls, and the wire follows at once."""
+    guard = TemperatureGuard(pid(0.1, 0.0, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(93.0))
+    time = PERIOD * np.arange(1600)
+    reference = np.where((time >= 5.0) & (time < 30.0), 8.3e-3, 2e-3)
+    value, _ = held_back(driven, reference, guard)
+    assert 6.0 < value[1499] < 7.5 and value[1550] < 2.5  # with an integral that winds up, still 6.6 mm after that second
+    # A guard that does not cut changes nothing.
+    idle = dataclasses.replace(guard, limit=jnp.asarray(300.0))
+    for found, alone in zip(held_back(driven, reference[:500], idle), held_back(driven, reference[:500], None), strict=True):
+        np.testing.assert_allclose(found, alone, rtol=1e-12, atol=1e-12)
+
+
+def test_derivatives_of_a_loop_that_its_guard_holds_back(driven):
+    """By the controller's gains, which count once it is free again, and the guard's."""
+    reference = np.where(np.arange(400) < 300, 8.3e-3, 2e-3)
+
+    def found(x):
+        guard = TemperatureGuard(pid(0.1, 0.05, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(90.0))
+        loop = eqx.tree_at(lambda one: (one.controller.kp, one.controller.ki, one.guard.pid.kp), wire_loop(guard=guard), tuple(x))
+        done = rollout(driven, loop, Scenario.quiet(reference))
+        return 1e3 * jnp.sqrt(jnp.mean((done.channels["displacement"] - reference) ** 2))
+
+    at, value = jnp.asarray([30.0, 10.0, 0.1]), jax.jit(found)
+    steps = np.array([1e-4, 1e-4, 1e-6])
+    central = [float(value(at.at[i].add(h)) - value(at.at[i].add(-h))) / (2 * h) for i, h in enumerate(steps)]
+    assert np.min(np.abs(central)) > 1e-6
+    for mode in (jax.jacfwd, jax.grad):
+        np.testing.assert_allclose(jax.jit(mode(found))(at), central, rtol=1e-4)
+
+
 def test_sensing_delays_rounds_and_adds_noise():
     law = Sensing(jnp.asarray(0.1), jnp.asarray(0.5), 2)
     state, heard = law.reset(jnp.asarray(1.0)), []
@@ -515,6 +553,53 @@ def test_the_c_header_of_a_guard(tmp_path):
     ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (warm, u, cut)))
     assert np.all(cut[:20] == 0.0) and np.any(cut[20:200] > 0.0) and np.any(cut[200:208] > 0.0) and np.all(cut[211:] == 0.0)
     assert as_document(loop, dict.fromkeys(gains(loop), "-"))["guard"] == {"limit": 84.0, "kp": 0.05, "ki": 0.02, "upper": 0.5}
+
+
+def watched(controller, wires) -> tuple[Loop, np.ndarray]:
+    """A loop with a guard, and rows of reference, value and the wires' temperatures which it cuts now and then."""
+    steered = controller.limited(jnp.asarray(0.1 if wires == 1 else -0.9), jnp.asarray(1.5))
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=1.5, dt=0.05), jnp.asarray(84.0))
+    split = Allocation(*map(jnp.asarray, (1.5, 0.2)), wires, jnp.asarray(0.9) if wires == 2 else None)
+    wanders = 0.2 * np.cumsum(np.random.default_rng(7).standard_normal((400, 2)), axis=0)
+    warm = 80.0 + 25.0 * np.sin(np.arange(400)[:, None] / 20.0 + 2.0 * np.arange(wires))
+    return Loop(steered, split, perfect(), guard, channel="displacement"), np.column_stack([wanders, warm])
+
+
+def guarded(loop, rows) -> np.ndarray:
+    """The wires' commands for rows of reference, value and the wires' temperatures, shape ``(n, wires)``."""
+
+    def seen(row):
+        return {loop.channel: row[1]} | dict(zip(numbered("temperature", loop.allocation.wires), row[2:], strict=True))
+
+    def one(state, row):
+        return loop.step(state, row[0], seen(row), jnp.zeros(()))
+
+    rows = jnp.asarray(rows)
+    return np.asarray(jax.jit(lambda: jax.lax.scan(one, loop.reset(rows[0][0], seen(rows[0])), rows)[1])())
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("wires", [1, 2])
+def test_the_c_header_of_a_controller_that_its_guard_holds_back(tmp_path, name, wires):
+    """It saturates at what the guard leaves, as the loop does here, each controller in its way; of a pair each wire by its own guard."""
+    loop, rows = watched(CONTROLLERS[name], wires)
+    (tmp_path / "controller.h").write_text(c_header(loop, ("A", "m"), "0"))
+    most = [f"most[{i}] = smajax_guard(&g[{i}], x[{2 + i}], {end}); " for i, end in enumerate(("SMAJAX_UPPER", "-SMAJAX_LOWER")[:wires])]
+    last = "smajax_step_guarded(&s, x[0], x[1], most, u);" if wires == 2 else "u[0] = smajax_step_guarded(&s, x[0], x[1], most[0]);"
+    (tmp_path / "c.c").write_text(
+        '#include "controller.h"\nvoid run(int n, const double *x, double *u) {\n'
+        f"    smajax_state s; smajax_guard_state g[{wires}]; double most[{wires}]; int i;\n    smajax_reset(&s, x[0], x[1]);\n"
+        f"    for (i = 0; i < {wires}; i++) smajax_guard_reset(&g[i], x[2 + i]);\n"
+        f"    for (; n-- > 0; x += {2 + wires}, u += {wires}) {{ {''.join(most)}{last} }}\n}}\n"
+    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off", "-shared", "-fPIC", "-o", "c.so", "c.c", "-lm"]
+    subprocess.run(["cc", *flags], cwd=tmp_path, check=True)
+    found, pointer = np.empty((len(rows), wires)), ctypes.POINTER(ctypes.c_double)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(len(rows), *(a.ctypes.data_as(pointer) for a in (rows, found)))
+    np.testing.assert_allclose(found, guarded(loop, rows), rtol=1e-12, atol=1e-12)
+    free = guarded(dataclasses.replace(loop, guard=None), rows)
+    assert np.any(found < free - 0.1) and np.any(np.abs(found - free) < 1e-12) and np.any(found == 0.0)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")

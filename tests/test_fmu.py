@@ -29,7 +29,7 @@ from smajax.recording import Recording
 from smajax.rig import read_rig
 from smajax.simulate import simulate
 from tests.conftest import ROOT
-from tests.test_control import CONTROLLERS, RNG, pid, series
+from tests.test_control import CONTROLLERS, RNG, guarded, pid, series, watched
 
 PERIOD = 0.02
 
@@ -150,6 +150,18 @@ def test_a_controller_in_numpy_does_the_same(name):
         *state, _ = text["advance"](given, state, row, np.float64(0.05))
         found += text["outputs"](given, state, row)
     np.testing.assert_allclose(found, series(controller, r, y), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("wires", [1, 2])
+def test_a_controller_in_numpy_is_held_back_by_its_guard(wires):
+    loop, rows = watched(CONTROLLERS["pid, feedforward"], wires)
+    model = controller_model(loop, ("A", "m"), dict.fromkeys(gains(loop), "A/m"), "guarded")
+    text, given = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    state, found = list(text["start"](given, list(rows[0]))), []
+    for row in rows:
+        *state, _ = text["advance"](given, state, list(row), np.float64(0.05))
+        found.append(text["outputs"](given, state, list(row)))
+    np.testing.assert_allclose(found, guarded(loop, rows), rtol=1e-12, atol=1e-12)
 
 
 def test_two_wires_and_a_guard_have_their_variables():

@@ -33,6 +33,13 @@ class Allocation(eqx.Module):
             return command[None]
         return within(self.co_contraction + larger(jnp.stack([command, -command]), 0.0), 0.0, self.most)
 
+    def ends(self, most: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The least and the largest command that make use of what each wire may get at most, shape ``(wires,)``."""
+        if self.wires == 1:
+            return jnp.asarray(-jnp.inf), most[0]
+        first, second = larger(most - self.co_contraction, 0.0)
+        return -second, first
+
 
 def pulsed(duty: jax.Array, start: jax.Array, step: jax.Array, carrier: float) -> jax.Array:
     """Share of the time from ``start`` to ``start + step`` (s) in which a pulse-width modulator at ``carrier`` Hz is on, for a duty 0..1.

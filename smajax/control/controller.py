@@ -5,7 +5,7 @@ a command in the drive's (A, V, W or a duty). ``reset`` and ``step`` are pure fu
 declared as parameters; in their units ``u`` stands for the unit of the command and ``y`` for that of the channel.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import equinox as eqx
 import jax
@@ -21,6 +21,10 @@ class AbstractController(eqx.Module):
     def inner(self) -> "PID":
         """The PID within, or the controller itself if it is one."""
         raise NotImplementedError
+
+    def limited(self, lower: jax.Array, upper: jax.Array) -> Self:
+        """The same with its output between other limits, scalars: what else acts on the actuator leaves the controller less."""
+        return eqx.tree_at(lambda c: (c.inner.lower, c.inner.upper), self, (lower, upper))
 
     def reset(self, reference: jax.Array, value: jax.Array) -> Any:
         """The state of a controller that has been at rest with this reference and this value; scalars."""

@@ -4,8 +4,9 @@ The header holds one controller: its gains as constants, its state as a structur
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
 feedforward and the ``pow`` of an observer that is not linear; call ``smajax_step`` once a period. A measurement that is no number is taken
 for the last one that was. Of a loop with two wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a
-guard ``smajax_guard``, which cuts a wire's command to what its temperature allows, to 0 where it has not been known for a second. Where an
-observer tells the guard the temperature, there is ``smajax_observe``, which does so from the wire's power.
+guard ``smajax_guard``, which cuts a wire's command to what its temperature allows, to 0 where it has not been known for a second:
+``smajax_step_guarded`` takes what it leaves of the largest commands and is called in the place of ``smajax_step``. Where an observer tells
+the guard the temperature, there is ``smajax_observe``, which does so from the wire's power.
 """
 
 from typing import Any
@@ -27,7 +28,6 @@ _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the
  *
  *     smajax_state s;
  *     smajax_reset(&s, reference, value);
- *     each period:  command = smajax_step(&s, reference, value);
 {use} *
  * Units: reference and value in {channel_unit}, command in {command_unit}. Define SMAJAX_REAL as float where doubles are slow.
  * A value or reference that is no number (a sensor that fell out) counts as the last one that was; before the first ones the command is 0.
@@ -90,14 +90,19 @@ static inline void smajax_reset(smajax_state *s, smajax_real reference, smajax_r
     s->slope = 0;{reset}
 }}
 
-static inline smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value, smajax_real lower, smajax_real upper) {{
 {step}
 }}
 
-static inline smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+static inline smajax_real smajax_step_within(smajax_state *s, smajax_real reference, smajax_real value, smajax_real lower,
+                                             smajax_real upper) {{
     if (!s->begun) smajax_reset(s, reference, value);
-    if (!s->begun) return smajax_clip(0, SMAJAX_LOWER, SMAJAX_UPPER);
-    return smajax_go(s, smajax_known(reference, &s->reference), smajax_known(value, &s->value));
+    if (!s->begun) return smajax_clip(0, lower, upper);
+    return smajax_go(s, smajax_known(reference, &s->reference), smajax_known(value, &s->value), lower, upper);
+}}
+
+static inline smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
+    return smajax_step_within(s, reference, value, SMAJAX_LOWER, SMAJAX_UPPER);
 }}
 {pair}{guard}
 #endif
@@ -109,12 +114,19 @@ static inline void smajax_allocate(smajax_real command, smajax_real each[2]) {{
     each[1] = smajax_clip(SMAJAX_CO_CONTRACTION + (command < 0 ? -command : 0), 0, (smajax_real){second!r});
 }}
 """
-_GUARD_USE = """ *     and then, once a period and wire, with a smajax_guard_state g that smajax_guard_reset(&g, temperature) has set:
- *     command = smajax_guard(&g, temperature, command);
+_USE = " *     each period:  command = smajax_step(&s, reference, value);\n"
+_PAIR_USE = " *     each period:  smajax_allocate(smajax_step(&s, reference, value), each);\n"
+_GUARD_USE = """ *     each period:  most = smajax_guard(&g, temperature, SMAJAX_UPPER);
+ *                   command = smajax_step_guarded(&s, reference, value, most);
+ * with a smajax_guard_state g that smajax_guard_reset(&g, temperature) has set.
 """
-_OBSERVER_USE = """ *     and then, once a period and wire, with a smajax_observer_state o and a smajax_guard_state g
- *     that smajax_observer_reset(&o, temperature) and smajax_guard_reset(&g, temperature) have set:
- *     command = smajax_guard(&g, smajax_observe(&o, power, thermocouple), command);
+_GUARDED_PAIR_USE = """ *     each period:  most[0] = smajax_guard(&g[0], temperature_1, SMAJAX_UPPER);
+ *                   most[1] = smajax_guard(&g[1], temperature_2, -SMAJAX_LOWER);
+ *                   smajax_step_guarded(&s, reference, value, most, each);
+ * with a smajax_guard_state g[2] that smajax_guard_reset(&g[0], temperature_1) and (&g[1], temperature_2) have set.
+"""
+_OBSERVER_USE = """ * A temperature is smajax_observe(&o, power, thermocouple), called once a period and wire with a smajax_observer_state o
+ * that smajax_observer_reset(&o, temperature) has set.
 """
 _OBSERVER = """
 /* A wire's temperature in degC by its electrical power: a state for each wire. */
@@ -140,6 +152,25 @@ static inline smajax_real smajax_observe(smajax_observer_state *o, smajax_real p
     o->reading = thermocouple;
     return smajax_is_number(power) ? o->temperature : power - power;
 }}
+"""
+_GUARDED = """
+/* The command of the wire, at most what smajax_guard leaves of the largest one; the integral does not wind up meanwhile. */
+static inline smajax_real smajax_step_guarded(smajax_state *s, smajax_real reference, smajax_real value, smajax_real most) {
+    smajax_real upper = most < SMAJAX_UPPER ? most : SMAJAX_UPPER, lower = SMAJAX_LOWER < upper ? SMAJAX_LOWER : upper;
+    smajax_real command = smajax_step_within(s, reference, value, lower, upper);
+    return command < most ? command : most;
+}
+"""
+_GUARDED_PAIR = """
+/* The commands of the wires, each at most what smajax_guard leaves of its largest one; the integral does not wind up meanwhile. */
+static inline void smajax_step_guarded(smajax_state *s, smajax_real reference, smajax_real value, const smajax_real most[2],
+                                       smajax_real each[2]) {
+    smajax_real lower = -smajax_clip(most[1] - SMAJAX_CO_CONTRACTION, 0, -SMAJAX_LOWER);
+    smajax_real upper = smajax_clip(most[0] - SMAJAX_CO_CONTRACTION, 0, SMAJAX_UPPER);
+    int i;
+    smajax_allocate(smajax_step_within(s, reference, value, lower, upper), each);
+    for (i = 0; i < 2; i++) each[i] = each[i] < most[i] ? each[i] : most[i];
+}
 """
 _POWER = "excess < 0 ? -(smajax_real)SMAJAX_POW(-excess, {exponent!r}) : (smajax_real)SMAJAX_POW(excess, {exponent!r})"
 _GUARD = """
@@ -175,20 +206,20 @@ static inline smajax_real smajax_guard(smajax_guard_state *g, smajax_real temper
 }}
 """
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
-_PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"
+_PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, lower, upper);"
 _BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here = 1 + SMAJAX_KB * value, factor;
     if (point < SMAJAX_LEAST) point = SMAJAX_LEAST;
     if (here < SMAJAX_LEAST) here = SMAJAX_LEAST;
     factor = point / here;
-    return factor * smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER / factor, SMAJAX_UPPER / factor);"""
+    return factor * smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, lower / factor, upper / factor);"""
 _SWITCHED = """    smajax_real error = reference - value, size = error < 0 ? -error : error;
     int rests = size <= (s->rested ? SMAJAX_LEAVE * SMAJAX_BAND : SMAJAX_BAND);
     smajax_real ahead = {ahead};
     if (error <= 0) ahead = 0;
     if (rests != s->rested) s->integral = 0;
     s->rested = rests;
-    if (rests) return ahead + smajax_pid(s, reference, value, SMAJAX_KP_REST, SMAJAX_KI, 0, SMAJAX_LOWER - ahead, SMAJAX_UPPER - ahead);
-    return smajax_pid(s, reference, value, SMAJAX_KP, 0, SMAJAX_KD, SMAJAX_LOWER, SMAJAX_UPPER);"""
+    if (rests) return ahead + smajax_pid(s, reference, value, SMAJAX_KP_REST, SMAJAX_KI, 0, lower - ahead, upper - ahead);
+    return smajax_pid(s, reference, value, SMAJAX_KP, 0, SMAJAX_KD, lower, upper);"""
 _ADAPTIVE = """    smajax_real error = reference - value, slope = smajax_slope(s, reference, value);
     s->summed += error * SMAJAX_PERIOD;
     {{
@@ -197,10 +228,10 @@ _ADAPTIVE = """    smajax_real error = reference - value, slope = smajax_slope(s
         s->ki = smajax_clip(s->ki + SMAJAX_RATE_I * i * s->summed, 0, SMAJAX_GROWTH * SMAJAX_KI);
         s->kd = smajax_clip(s->kd + SMAJAX_RATE_D * d * slope, 0, SMAJAX_GROWTH * SMAJAX_KD);
     }}
-    return smajax_pid(s, reference, value, s->kp, s->ki, s->kd, SMAJAX_LOWER, SMAJAX_UPPER);"""
+    return smajax_pid(s, reference, value, s->kp, s->ki, s->kd, lower, upper);"""
 
-_FED = """    smajax_real ahead = smajax_ahead(s, reference);
-    return ahead + smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, SMAJAX_LOWER - ahead, SMAJAX_UPPER - ahead);"""
+_FED = """    smajax_real ahead = smajax_ahead(s, reference, lower, upper);
+    return ahead + smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, lower - ahead, upper - ahead);"""
 _INVERSE = """
 static const smajax_real smajax_thresholds[SMAJAX_PLAYS] = {{{thresholds}}};
 static const smajax_real smajax_densities[SMAJAX_PLAYS] = {{{densities}}};
@@ -209,7 +240,7 @@ static inline smajax_real smajax_play(smajax_real wanted, smajax_real threshold,
     return smajax_clip(play, wanted - threshold, wanted + threshold);
 }}
 
-static inline smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {{
+static inline smajax_real smajax_ahead(smajax_state *s, smajax_real reference, smajax_real lower, smajax_real upper) {{
     smajax_real level = SMAJAX_DIRECT * reference;
     int i;
     for (i = 0; i < SMAJAX_PLAYS; i++) {{
@@ -217,7 +248,7 @@ static inline smajax_real smajax_ahead(smajax_state *s, smajax_real reference) {
         level += smajax_densities[i] * s->plays[i];
     }}
     level = smajax_clip((level - SMAJAX_MIDDLE) / SMAJAX_HEIGHT, -1 + SMAJAX_EDGE, 1 - SMAJAX_EDGE);
-    return smajax_clip((SMAJAX_ATANH(level) - SMAJAX_SHIFT) / SMAJAX_STEEPNESS, SMAJAX_LOWER, SMAJAX_UPPER);
+    return smajax_clip((SMAJAX_ATANH(level) - SMAJAX_SHIFT) / SMAJAX_STEEPNESS, lower, upper);
 }}
 """
 _MATH = """#include <math.h>
@@ -256,7 +287,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     elif isinstance(controller, FeedforwardPID):
         kind, step = "PID with feedforward", _FED
     elif isinstance(controller, PPID):
-        ahead = "0" if inverse is None else "smajax_ahead(s, reference)"
+        ahead = "0" if inverse is None else "smajax_ahead(s, reference, lower, upper)"
         kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), _fixed(controller)
         size = "(reference - value < 0 ? value - reference : reference - value)"
         parts |= {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
@@ -277,15 +308,17 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         parts["reset"] += _PLAYS_BEGIN
     pid = controller.inner
     values = {name: float(gain(owner, name)) for name in gains(owner)} | extra
-    pair = guard = use = ""
-    if isinstance(owner, Loop) and owner.allocation.wires > 1:
+    two = isinstance(owner, Loop) and owner.allocation.wires > 1
+    pair, guard, use = "", "", _PAIR_USE if two else _USE
+    if isinstance(owner, Loop) and two:
         pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
     if isinstance(owner, Loop) and owner.guard is not None:
-        use, guard = _GUARD_USE, _GUARD.format(**guard_document(owner.guard), blind=BLIND)
+        use = _GUARDED_PAIR_USE if two else _GUARD_USE
+        guard = _GUARD.format(**guard_document(owner.guard), blind=BLIND) + (_GUARDED_PAIR if two else _GUARDED)
         if owner.observer is not None:
             told = observer_document(owner.observer)
             linear = told["exponent"] == 1.0
-            use = _OBSERVER_USE
+            use += _OBSERVER_USE
             guard += _OBSERVER.format(**told, lost="excess" if linear else _POWER.format(**told))
             parts["include"] += "" if linear else _MATH.format(name="POW", function="pow")
     constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]

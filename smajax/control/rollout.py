@@ -22,6 +22,7 @@ from smajax.control.guard import TemperatureGuard
 from smajax.control.meters import Meters
 from smajax.control.observers import AbstractThermometer, Inertial, each
 from smajax.control.sensing import Sensing
+from smajax.kinks import larger, smaller
 from smajax.plant.step import push
 
 _ELECTRICAL = ("current", "voltage", "power")
@@ -30,7 +31,8 @@ _ELECTRICAL = ("current", "voltage", "power")
 class Loop(eqx.Module):
     """All that stands between the reference and the wires; ``channel`` is the one that is steered.
 
-    With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell.
+    With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell. What
+    the guard leaves of a wire's command is the controller's limit for the sample, lest its integral winds up while the guard holds it back.
     """
 
     controller: AbstractController
@@ -55,19 +57,30 @@ class Loop(eqx.Module):
         """The state after a sample and the wires' commands, shape ``(wires,)``."""
         inner, heard, guards = state
         heard, value = self.sensing.step(heard, seen[self.channel], draw)
-        inner, command = self.controller.step(inner, reference, value)
-        commands = self.allocation(command)
-        if self.guard is not None:
+        controller, guards, most = self.limited(guards, seen, draw)
+        inner, command = controller.step(inner, reference, value)
+        commands = smaller(self.allocation(command), most)
+        if self.observer is not None and self.guard is not None:
             states, watched, metered = guards
-            if self.meters is not None:
-                metered, seen = self.meters.step(metered, seen, draw)
-            warm = each(seen, "temperature")
-            if self.observer is not None:
-                watched, warm = self.observer.watch(watched, seen)
-            cut = [self.guard.step(s, t, c) for s, t, c in zip(states, warm, commands, strict=True)]
-            states, commands = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
-            guards = states, watched if self.observer is None else self.observer.under(watched, commands), metered
+            guards = states, self.observer.under(watched, commands), metered
         return (inner, heard, guards), commands
+
+    def limited(self, guards: Any, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[AbstractController, Any, jax.Array]:
+        """The controller within what the guard leaves it at a sample, the guards' state then, and the most that each wire may get."""
+        if self.guard is None:
+            return self.controller, guards, jnp.full(self.allocation.wires, jnp.inf)
+        states, watched, metered = guards
+        if self.meters is not None:
+            metered, seen = self.meters.step(metered, seen, draw)
+        warm = each(seen, "temperature")
+        if self.observer is not None:
+            watched, warm = self.observer.watch(watched, seen)
+        cut = [self.guard.step(s, t, c) for s, t, c in zip(states, warm, self.allocation.most, strict=True)]
+        states, most = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
+        own = self.controller.inner
+        least, largest = self.allocation.ends(most)
+        upper = smaller(own.upper, largest)
+        return self.controller.limited(smaller(larger(own.lower, least), upper), upper), (states, watched, metered), most
 
 
 class Scenario(eqx.Module):
