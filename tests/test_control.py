@@ -556,13 +556,17 @@ def test_the_c_header_of_a_guard(tmp_path):
 
 
 def watched(controller, wires) -> tuple[Loop, np.ndarray]:
-    """A loop with a guard, and rows of reference, value and the wires' temperatures which it cuts now and then."""
+    """A loop with a guard, and rows of reference, value and the wires' temperatures, for which it cuts; some stay away, briefly or long."""
     steered = controller.limited(jnp.asarray(0.1 if wires == 1 else -0.9), jnp.asarray(1.5))
     guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=1.5, dt=0.05), jnp.asarray(84.0))
     split = Allocation(*map(jnp.asarray, (1.5, 0.2)), wires, jnp.asarray(0.9) if wires == 2 else None)
     wanders = 0.2 * np.cumsum(np.random.default_rng(7).standard_normal((400, 2)), axis=0)
     warm = 80.0 + 25.0 * np.sin(np.arange(400)[:, None] / 20.0 + 2.0 * np.arange(wires))
-    return Loop(steered, split, perfect(), guard, channel="displacement"), np.column_stack([wanders, warm])
+    rows = np.column_stack([wanders, warm])
+    for column, gaps in ((1, ((60, 70), (90, 130), (395, 400))), (2, ((200, 210), (230, 270)))):
+        for first, end in gaps:
+            rows[first:end, column] = np.nan
+    return Loop(steered, split, perfect(), guard, channel="displacement"), rows
 
 
 def guarded(loop, rows) -> np.ndarray:
@@ -576,6 +580,36 @@ def guarded(loop, rows) -> np.ndarray:
 
     rows = jnp.asarray(rows)
     return np.asarray(jax.jit(lambda: jax.lax.scan(one, loop.reset(rows[0][0], seen(rows[0])), rows)[1])())
+
+
+def lost(controller) -> tuple[np.ndarray, np.ndarray]:
+    """References and values every 0.05 s, of which the latter stay away from sample 40 on, and the commands that they make."""
+    r, y = 0.2 * np.cumsum(np.random.default_rng(3).standard_normal((2, 120)), axis=1)
+    held = np.where(np.arange(120) < 40, y, y[39])
+    expected = np.concatenate([series(controller, r[:59], held[:59]), np.zeros(31), series(controller, r[90:], y[90:])])
+    y[40:90] = np.nan
+    return np.column_stack([r, y]), expected
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_loop_whose_sensor_stays_away_does_not_go_on(name):
+    """For a second the channel counts as where it was; then nothing is heated, and the loop begins anew where the channel is found again."""
+    rows, expected = lost(CONTROLLERS[name])
+    loop = loop_of(CONTROLLERS[name], "displacement")
+    warm = np.full((120, 1), 20.0)
+    np.testing.assert_allclose(guarded(loop, np.hstack([rows, warm]))[:, 0], expected, rtol=1e-12, atol=1e-12)
+    assert np.any(np.abs(expected[40:59]) > 0.1)
+    never = rows.copy()
+    never[:90, 1] = np.nan
+    np.testing.assert_allclose(
+        guarded(loop, np.hstack([never, warm]))[:, 0], np.append(np.zeros(90), expected[90:]), rtol=1e-12, atol=1e-12
+    )
+
+
+def test_a_pair_whose_sensor_stays_away_keeps_its_co_contraction():
+    loop, rows = watched(CONTROLLERS["pid"], 2)
+    found = guarded(dataclasses.replace(loop, guard=None), rows)
+    assert np.all(found[109:130] == 0.2) and np.any(found[90:109] > 0.3)
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
@@ -634,6 +668,10 @@ def test_the_c_header_does_the_same(tmp_path, name):
     ctypes.CDLL(str(tmp_path / "c.so")).run(300, *(a.ctypes.data_as(pointer) for a in (gone, late, u)))
     gone[150] = gone[149]
     np.testing.assert_allclose(u, np.append(np.zeros(5), series(controller, gone[5:], y[5:])), rtol=1e-12, atol=1e-12)
+    # A sensor that stays away for a second: the command is 0, and the next number begins anew.
+    rows, expected = lost(controller)
+    ctypes.CDLL(str(tmp_path / "c.so")).run(120, *(a.ctypes.data_as(pointer) for a in (*np.ascontiguousarray(rows.T), u)))
+    np.testing.assert_allclose(u[:120], expected, rtol=1e-12, atol=1e-12)
 
 
 def test_gains_have_names_and_units():

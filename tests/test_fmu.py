@@ -29,7 +29,7 @@ from smajax.recording import Recording
 from smajax.rig import read_rig
 from smajax.simulate import simulate
 from tests.conftest import ROOT
-from tests.test_control import CONTROLLERS, RNG, guarded, pid, series, watched
+from tests.test_control import CONTROLLERS, RNG, guarded, lost, pid, series, watched
 
 PERIOD = 0.02
 
@@ -150,6 +150,13 @@ def test_a_controller_in_numpy_does_the_same(name):
         *state, _ = text["advance"](given, state, row, np.float64(0.05))
         found += text["outputs"](given, state, row)
     np.testing.assert_allclose(found, series(controller, r, y), rtol=1e-12, atol=1e-12)
+    rows, expected = lost(controller)  # what stays away for a second
+    state, found = list(text["start"](given, list(rows[0]))), []
+    for row in rows:
+        *state, _ = text["advance"](given, state, list(row), np.float64(0.05))
+        found += text["outputs"](given, state, list(row))
+        assert all(np.all(np.isfinite(leaf)) for leaf in state)  # or the unit would tell that its step failed
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("wires", [1, 2])
@@ -165,8 +172,8 @@ def test_a_controller_in_numpy_is_held_back_by_its_guard(wires):
 
 
 def test_two_wires_and_a_guard_have_their_variables():
-    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5), jnp.asarray(84.0))
-    loop = Loop(pid(), Allocation(jnp.asarray(0.5), jnp.asarray(0.1), 2), perfect(), guard, channel="angle")
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
+    loop = Loop(pid(dt=PERIOD), Allocation(jnp.asarray(0.5), jnp.asarray(0.1), 2), perfect(), guard, channel="angle")
     model = controller_model(loop, ("A", "rad"), dict.fromkeys(gains(loop), "A/rad"), "two")
     names = [v.name for v in model.variables if v.causality != "parameter"]
     assert names == ["reference", "measurement", "temperature_1", "temperature_2", "command_1", "command_2"]
@@ -209,6 +216,7 @@ def test_a_guard_by_an_observer_listens_to_the_power():
         state, commands = list(text["start"](given, rows[0])), []
         for row in rows:
             *state, _ = text["advance"](given, state, row, np.float64(PERIOD))
+            assert all(np.all(np.isfinite(leaf)) for leaf in state)
             commands.append(float(text["outputs"](given, state, row)[0]))
         return np.array(commands)
 

@@ -3,10 +3,11 @@
 The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
 feedforward and the ``pow`` of an observer that is not linear; call ``smajax_step`` once a period. A measurement that is no number is taken
-for the last one that was. Of a loop with two wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a
-guard ``smajax_guard``, which cuts a wire's command to what its temperature allows, to 0 where it has not been known for a second:
-``smajax_step_guarded`` takes what it leaves of the largest commands and is called in the place of ``smajax_step``. Where an observer tells
-the guard the temperature, there is ``smajax_observe``, which does so from the wire's power.
+for the last one that was, but for a second only: the command is 0 then, and with the next number the controller begins anew. Of a loop with
+two wires it also holds ``smajax_allocate``, which gives each wire its command, and of one with a guard ``smajax_guard``, which cuts a
+wire's command to what its temperature allows, to 0 where it has not been known for a second: ``smajax_step_guarded`` takes what it leaves
+of the largest commands and is called in the place of ``smajax_step``. Where an observer tells the guard the temperature, there is
+``smajax_observe``, which does so from the wire's power.
 """
 
 from typing import Any
@@ -16,7 +17,8 @@ from smajax.control.bpid import BPID, LEAST
 from smajax.control.controller import AbstractController
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
-from smajax.control.guard import BLIND, TemperatureGuard
+from smajax.control.guard import TemperatureGuard
+from smajax.control.last_known import BLIND
 from smajax.control.observers import AbstractThermometer, ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
@@ -31,6 +33,7 @@ _TOP = """/* A {kind} controller tuned by smajax {version}: include it where the
 {use} *
  * Units: reference and value in {channel_unit}, command in {command_unit}. Define SMAJAX_REAL as float where doubles are slow.
  * A value or reference that is no number (a sensor that fell out) counts as the last one that was; before the first ones the command is 0.
+ * It is 0, too, when there has been no value for SMAJAX_BLIND s, and with the next one the controller begins anew.
  */
 #ifndef SMAJAX_CONTROLLER_H
 #define SMAJAX_CONTROLLER_H
@@ -43,10 +46,11 @@ typedef SMAJAX_REAL smajax_real;
 #define SMAJAX_PERIOD ((smajax_real){period!r})
 #define SMAJAX_LOWER ((smajax_real){lower!r})
 #define SMAJAX_UPPER ((smajax_real){upper!r})
+#define SMAJAX_BLIND ((smajax_real){blind!r}) /* s without a measurement after which nothing is heated */
 {constants}
 
 typedef struct {{
-    smajax_real integral, last, slope, value, reference;
+    smajax_real integral, last, slope, value, reference, missing;
     int begun;{more}
 }} smajax_state;
 
@@ -81,13 +85,18 @@ static inline smajax_real smajax_pid(smajax_state *s, smajax_real reference, sma
     return smajax_clip(wanted, lower, upper);
 }}
 
+static inline void smajax_begin(smajax_state *s, smajax_real reference, smajax_real value) {{
+    s->integral = 0;
+    s->last = smajax_seen(reference, value);
+    s->slope = 0;{reset}
+}}
+
 static inline void smajax_reset(smajax_state *s, smajax_real reference, smajax_real value) {{
     s->begun = smajax_is_number(reference) && smajax_is_number(value);
     s->reference = s->begun ? reference : 0;
     s->value = s->begun ? value : 0;
-    s->integral = 0;
-    s->last = smajax_seen(s->reference, s->value);
-    s->slope = 0;{reset}
+    s->missing = 0;
+    smajax_begin(s, s->reference, s->value);
 }}
 
 static inline smajax_real smajax_go(smajax_state *s, smajax_real reference, smajax_real value, smajax_real lower, smajax_real upper) {{
@@ -96,9 +105,15 @@ static inline smajax_real smajax_go(smajax_state *s, smajax_real reference, smaj
 
 static inline smajax_real smajax_step_within(smajax_state *s, smajax_real reference, smajax_real value, smajax_real lower,
                                              smajax_real upper) {{
+    int lost = s->missing >= SMAJAX_BLIND;
     if (!s->begun) smajax_reset(s, reference, value);
     if (!s->begun) return smajax_clip(0, lower, upper);
-    return smajax_go(s, smajax_known(reference, &s->reference), smajax_known(value, &s->value), lower, upper);
+    s->missing = smajax_is_number(value) ? 0 : s->missing + SMAJAX_PERIOD;
+    reference = smajax_known(reference, &s->reference);
+    value = smajax_known(value, &s->value);
+    if (s->missing >= SMAJAX_BLIND) return smajax_clip(0, lower, upper);
+    if (lost) smajax_begin(s, reference, value);
+    return smajax_go(s, reference, value, lower, upper);
 }}
 
 static inline smajax_real smajax_step(smajax_state *s, smajax_real reference, smajax_real value) {{
@@ -179,14 +194,11 @@ typedef struct {{
     smajax_real integral, temperature, blind;
 }} smajax_guard_state;
 
-/* Without a temperature for so many seconds a wire is not heated. */
-#define SMAJAX_GUARD_BLIND ((smajax_real){blind!r})
-
 static inline void smajax_guard_reset(smajax_guard_state *g, smajax_real temperature) {{
     int known = smajax_is_number(temperature);
     g->integral = 0;
     g->temperature = known ? temperature : 0;
-    g->blind = known ? 0 : SMAJAX_GUARD_BLIND;
+    g->blind = known ? 0 : SMAJAX_BLIND;
 }}
 
 static inline smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
@@ -201,7 +213,7 @@ static inline smajax_real smajax_guard_cut(smajax_guard_state *g, smajax_real te
 static inline smajax_real smajax_guard(smajax_guard_state *g, smajax_real temperature, smajax_real command) {{
     int known = smajax_is_number(temperature);
     g->blind = known ? 0 : g->blind + SMAJAX_PERIOD;
-    if (g->blind >= SMAJAX_GUARD_BLIND) return command < 0 ? command : 0;
+    if (g->blind >= SMAJAX_BLIND) return command < 0 ? command : 0;
     return smajax_guard_cut(g, smajax_known(temperature, &g->temperature), command);
 }}
 """
@@ -314,7 +326,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         pair = _PAIR.format(first=float(owner.allocation.most[0]), second=float(owner.allocation.most[1]))
     if isinstance(owner, Loop) and owner.guard is not None:
         use = _GUARDED_PAIR_USE if two else _GUARD_USE
-        guard = _GUARD.format(**guard_document(owner.guard), blind=BLIND) + (_GUARDED_PAIR if two else _GUARDED)
+        guard = _GUARD.format(**guard_document(owner.guard)) + (_GUARDED_PAIR if two else _GUARDED)
         if owner.observer is not None:
             told = observer_document(owner.observer)
             linear = told["exponent"] == 1.0
@@ -332,6 +344,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         period=pid.period,
         lower=float(pid.lower),
         upper=float(pid.upper),
+        blind=BLIND,
         constants="\n".join(constants),
         seen="return reference - value;" if pid.derivative_on == "error" else "(void)reference; return -value;",
         step=step,
@@ -357,7 +370,7 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
     """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward.
 
     ``law`` and ``growth`` are those of an adaptive PID; ``leave`` is how many bands away a PPID that rests leaves its rest; ``least`` is
-    the least 1 + kb y of a BPID.
+    the least 1 + kb y of a BPID; ``blind_s`` is how long the channel, or a temperature, may be no number before the command is 0.
     Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does, by
     ``observer``, if it is by one.
     """
@@ -368,6 +381,7 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
         "kind": _KINDS[type(controller)],
         "period_s": pid.period,
         "output": [float(pid.lower), float(pid.upper)],
+        "blind_s": BLIND,
         "derivative_on": pid.derivative_on,
         "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
         **_fixed(controller),

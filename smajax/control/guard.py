@@ -1,12 +1,24 @@
-"""A guard against overheating: a temperature PID that only heats (hip paper), and what it allows is the most that a wire gets."""
+"""A guard against overheating: a temperature PID that only heats (hip paper), and what it allows is the most that a wire gets.
+
+A wire whose temperature is not known gets nothing: see ``LastKnown``.
+"""
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
+from smajax.control.last_known import LastKnown
 from smajax.control.pid import PID, PIDState
 from smajax.kinks import larger, smaller
 
-BLIND = 1.0  # s without a temperature after which exported guards do not heat
+
+class GuardState(NamedTuple):
+    """The PID's state and the temperature as it is known, degC."""
+
+    inner: PIDState
+    known: LastKnown
 
 
 class TemperatureGuard(eqx.Module):
@@ -15,11 +27,14 @@ class TemperatureGuard(eqx.Module):
     pid: PID
     limit: jax.Array
 
-    def reset(self, temperature: jax.Array) -> PIDState:
+    def reset(self, temperature: jax.Array) -> GuardState:
         """The state at rest at a temperature; scalar."""
-        return self.pid.reset(self.limit, temperature)
+        known = LastKnown.begin(temperature)
+        return GuardState(self.pid.reset(self.limit, known.value), known)
 
-    def step(self, state: PIDState, temperature: jax.Array, command: jax.Array) -> tuple[PIDState, jax.Array]:
-        """The state after a sample, and the command cut to what the wire may get."""
-        state, allowed = self.pid.step(state, self.limit, temperature)
-        return state, smaller(command, larger(allowed, 0.0))
+    def step(self, state: GuardState, temperature: jax.Array, command: jax.Array) -> tuple[GuardState, jax.Array]:
+        """The state after a sample, and the command cut to what the wire may get; ``temperature`` may be no number."""
+        known = state.known.after(temperature, self.pid.period)
+        later, allowed = self.pid.step(state.inner, self.limit, known.value)
+        inner = jax.tree.map(lambda a, b: jnp.where(known.lost, a, b), state.inner, later)
+        return GuardState(inner, known), smaller(command, jnp.where(known.lost, 0.0, larger(allowed, 0.0)))

@@ -58,17 +58,17 @@ def _loop_gain(driven: AbstractDriven, loop: Loop, carry: Any, reference: jax.Ar
     """L(z) at a sample, linearised; complex, of the shape of ``z``."""
     state, inner, before = carry
     seen = driven.read(state, before)
-    known, heard, guards = inner
+    held, heard, guards, _ = inner
     _, value = loop.sensing.step(heard, seen[loop.channel], draw)
     controller, _, _ = loop.limited(guards, seen, draw)
-    flat, unflatten = ravel_pytree(known)
+    flat, unflatten = ravel_pytree(held)
 
     def decide(flat: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
         later, command = controller.step(unflatten(flat), reference, value)
         return ravel_pytree(later)[0].astype(flat.dtype), command
 
     (rates, out), (drive, direct) = (jax.jacfwd(decide, argnums=i)(flat, value) for i in (0, 1))
-    command = controller.step(known, reference, value)[1]
+    command = controller.step(held, reference, value)[1]
     each, direction = loop.allocation(command), jax.jacfwd(loop.allocation)(command)
     plant = driven.response(state, each, direction, loop.channel, z)
 

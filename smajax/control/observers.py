@@ -40,10 +40,19 @@ def each(heard: dict[str, jax.Array], name: str) -> jax.Array:
     return jnp.stack([heard[n] for n in numbered(name, 1 if name in heard else 2)])
 
 
+class ThermalState(NamedTuple):
+    """Estimates, what the thermocouples read then (the estimate where they told nothing), degC, and the last powers, W; ``(wires,)``."""
+
+    estimate: jax.Array
+    reading: jax.Array
+    power: jax.Array
+
+
 class ThermalObserver(AbstractThermometer):
     """The temperature of a wire from its electrical power: ``a1`` in K/J, ``a2`` in K^(1 - n)/s and below 0, ``exponent`` n.
 
-    ``gain`` in 1/s trusts a thermocouple, where there is one; a reading that is NaN is none.
+    ``gain`` in 1/s trusts a thermocouple, where there is one; a reading that is NaN is none. Of a power that is NaN the last one that was
+    is kept, and no temperature is told meanwhile.
     """
 
     a1: jax.Array
@@ -83,18 +92,22 @@ class ThermalObserver(AbstractThermometer):
             change = change + self.gain * jnp.where(jnp.isnan(measured), 0.0, measured - estimate)
         return estimate + self.period * change
 
-    def begin(self, heard: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        """See ``AbstractThermometer``: the estimates, and the thermocouples' last readings."""
+    def begin(self, heard: dict[str, jax.Array]) -> ThermalState:
+        """See ``AbstractThermometer``; a wire of which no temperature is known is as warm as the surroundings."""
         temperature = each(heard, "temperature")
-        return temperature, temperature
+        estimate = jnp.where(jnp.isfinite(temperature), temperature, self.ambient)
+        return ThermalState(estimate, estimate, jnp.zeros_like(estimate))
 
-    def watch(self, state: tuple[jax.Array, jax.Array], heard: dict[str, jax.Array]) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+    def watch(self, state: ThermalState, heard: dict[str, jax.Array]) -> tuple[ThermalState, jax.Array]:
         """See ``AbstractThermometer``: what the last period's power, and the reading at its start, have made of the last estimate."""
-        estimate, reading = state
-        estimate = self.step(estimate, each(heard, "power"), reading)
-        return (estimate, each(heard, "temperature")), estimate
+        told, reading = each(heard, "power"), each(heard, "temperature")
+        known = jnp.isfinite(told)
+        power = jnp.where(known, told, state.power)
+        estimate = self.step(state.estimate, power, state.reading)
+        reading = jnp.where(jnp.isfinite(reading), reading, estimate)
+        return ThermalState(estimate, reading, power), jnp.where(known, estimate, jnp.nan)
 
-    def under(self, state: tuple[jax.Array, jax.Array], command: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def under(self, state: ThermalState, command: jax.Array) -> ThermalState:
         """See ``AbstractThermometer``: the power tells it."""
         return state
 

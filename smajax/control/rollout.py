@@ -19,10 +19,11 @@ from smajax.control.allocation import Allocation
 from smajax.control.controller import AbstractController
 from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
+from smajax.control.last_known import LastKnown
 from smajax.control.meters import Meters
 from smajax.control.observers import AbstractThermometer, Inertial, each
 from smajax.control.sensing import Sensing
-from smajax.kinks import larger, smaller
+from smajax.kinks import larger, smaller, within
 from smajax.plant.step import push
 
 _ELECTRICAL = ("current", "voltage", "power")
@@ -33,6 +34,8 @@ class Loop(eqx.Module):
 
     With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell. What
     the guard leaves of a wire's command is the controller's limit for the sample, lest its integral winds up while the guard holds it back.
+    A channel that is no number counts as where it was; once it is lost the command is 0, or the least one, until the controller begins anew
+    with the next number.
     """
 
     controller: AbstractController
@@ -50,20 +53,24 @@ class Loop(eqx.Module):
             watched = () if self.observer is None else self.observer.begin(seen)
             metered = () if self.meters is None else self.meters.reset(seen)
             guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched, metered
-        value = seen[self.channel]
-        return self.controller.reset(reference, value), self.sensing.reset(value), guards
+        known = LastKnown.begin(seen[self.channel])
+        return self.controller.reset(reference, known.value), self.sensing.reset(known.value), guards, known
 
     def step(self, state: Any, reference: jax.Array, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[Any, jax.Array]:
         """The state after a sample and the wires' commands, shape ``(wires,)``."""
-        inner, heard, guards = state
-        heard, value = self.sensing.step(heard, seen[self.channel], draw)
+        inner, heard, guards, before = state
+        known = before.after(seen[self.channel], self.controller.inner.period)
+        seen = seen | {self.channel: known.value}
+        heard, value = self.sensing.step(heard, known.value, draw)
         controller, guards, most = self.limited(guards, seen, draw)
+        inner = jax.tree.map(lambda a, b: jnp.where(before.lost, a, b), controller.reset(reference, value), inner)
         inner, command = controller.step(inner, reference, value)
-        commands = smaller(self.allocation(command), most)
+        idle = within(jnp.zeros(()), controller.inner.lower, controller.inner.upper)
+        commands = smaller(self.allocation(jnp.where(known.lost, idle, command)), most)
         if self.observer is not None and self.guard is not None:
             states, watched, metered = guards
             guards = states, self.observer.under(watched, commands), metered
-        return (inner, heard, guards), commands
+        return (inner, heard, guards, known), commands
 
     def limited(self, guards: Any, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[AbstractController, Any, jax.Array]:
         """The controller within what the guard leaves it at a sample, the guards' state then, and the most that each wire may get."""

@@ -15,12 +15,9 @@ import jax.numpy as jnp
 
 from smajax import parameters
 from smajax.control.gains import gain, gains, with_gains
-from smajax.control.guard import BLIND
-from smajax.control.observers import ThermalObserver
 from smajax.control.rollout import Loop
 from smajax.control.sensing import perfect
 from smajax.fmu.numpy_source import HEADER, numpy_source
-from smajax.kinks import within
 from smajax.plant.plant import Plant
 from smajax.simulate import default_step
 from smajax.units import CHANNELS, channel_of, numbered
@@ -96,18 +93,12 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
 
     What the loop's sensor and meters do to a measurement is the world's and is left out. A guard listens to ``temperature`` too, and with
     an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was, and the loop begins when
-    there has been one; a thermal observer goes without a thermocouple that tells no number. A guard does not heat a wire whose temperature,
-    or power where an observer needs that, has been no number for ``BLIND`` seconds.
+    there has been one of both; what happens to a channel, a temperature or a power that stays away is in ``Loop``, guard and observer.
     """
     loop = dataclasses.replace(loop, sensing=perfect(), meters=None)
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]
     channel, declared = _channel(loop.channel), gains(loop)
-    told = ["reference", loop.channel, *heard]
-    eyes = [told.index(n) for n in numbered(listens[-1], loop.allocation.wires)] if listens else []
-    thermal = isinstance(loop.observer, ThermalObserver)
-    probes = [thermal and _kind(n) == "temperature" for n in told]
-    at_first = [float(loop.observer.ambient) if probe and isinstance(loop.observer, ThermalObserver) else 0.0 for probe in probes]
     variables = [
         Variable("reference", "input", "discrete", units[1], f"what is wanted of: {channel.description}", 0.0),
         Variable("measurement", "input", "discrete", units[1], f"what is measured of: {channel.description}", 0.0),
@@ -120,33 +111,21 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     def changed(given: Any) -> Loop:
         return with_gains(loop, dict(zip(values, given, strict=True)))
 
-    def seen(inputs: Any) -> dict[str, jax.Array]:
-        return {loop.channel: inputs[1]} | dict(zip(heard, inputs[2:], strict=True))
-
-    def kept(inputs: Any, known: Any) -> Any:
-        return [jnp.where(jnp.isfinite(now), now, last) for now, last in zip(inputs, known, strict=True)]
-
-    def begins(inputs: Any) -> jax.Array:
-        return jnp.where(jnp.isfinite(inputs[0]) & jnp.isfinite(inputs[1]), 1.0, 0.0)
+    def seen(inputs: Any, begun: jax.Array) -> dict[str, jax.Array]:
+        """The channels; the one that is steered counts as lost until a reference is known."""
+        return {loop.channel: jnp.where(begun > 0.0, inputs[1], jnp.nan)} | dict(zip(heard, inputs[2:], strict=True))
 
     def start(parameters: Any, inputs: Any) -> Any:
-        known = kept(inputs, at_first)
-        blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, BLIND) for i in eyes]
-        return (changed(parameters).reset(known[0], seen(known)), jnp.zeros(loop.allocation.wires)), known, blind, begins(inputs)
+        known = jnp.isfinite(inputs[0])
+        reference, begun = jnp.where(known, inputs[0], 0.0), jnp.where(known, 1.0, 0.0)
+        return (changed(parameters).reset(reference, seen(inputs, begun)), jnp.zeros(loop.allocation.wires)), reference, begun
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
-        (inner, _), known, blind, begun = state
-        steered, pid = changed(parameters), loop.controller.inner
-        known = kept(inputs, known)
-        blind = [jnp.where(jnp.isfinite(inputs[i]), 0.0, for_so_long + step) for i, for_so_long in zip(eyes, blind, strict=True)]
-        inner = jax.tree.map(lambda a, b: jnp.where(begun > 0.0, a, b), inner, steered.reset(known[0], seen(known)))
-        begun = jnp.where(begun > 0.0, begun, begins(inputs))
-        told = [jnp.where(jnp.isfinite(now), now, jnp.nan) if probe else v for now, v, probe in zip(inputs, known, probes, strict=True)]
-        inner, commands = steered.step(inner, known[0], seen(told), jnp.zeros(()))
-        commands = jnp.where(begun > 0.0, commands, steered.allocation(within(jnp.zeros(()), pid.lower, pid.upper)))
-        if eyes:
-            commands = jnp.where(jnp.stack(blind) >= BLIND, jnp.minimum(commands, 0.0), commands)
-        return ((inner, commands), known, blind, begun), jnp.asarray(False)
+        (inner, _), reference, begun = state
+        known = jnp.isfinite(inputs[0])
+        reference, begun = jnp.where(known, inputs[0], reference), jnp.where(known, 1.0, begun)
+        inner, commands = changed(parameters).step(inner, reference, seen(inputs, begun), jnp.zeros(()))
+        return ((inner, commands), reference, begun), jnp.asarray(False)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
         return [state[0][1][i] for i in range(loop.allocation.wires)]
