@@ -57,7 +57,7 @@ from smajax.rig_schema import one_of, quantity
 from smajax.scenario_file import read_scenario
 from smajax.sensing_file import arrays, read_sensing
 from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
-from smajax.units import CHANNELS
+from smajax.units import CHANNELS, numbered
 
 KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
 OBJECTIVES = (*TERMS, "settling")
@@ -197,10 +197,10 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
-    rest = float(driven.read(driven.start(), jnp.zeros(driven.wires))[channel])
-    scenario = read_scenario(data, path.parent, rig, (channel, unit, period), rest, tune.seed)
+    rest = driven.read(driven.start(), jnp.zeros(driven.wires))
+    scenario = read_scenario(data, path.parent, rig, (channel, unit, period), float(rest[channel]), tune.seed)
     weights, settle = _objective(tune.objective)
-    limits = _limits(data.get("limits", {}))
+    limits = _limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", driven.wires)))
     if not metrics.jumps(np.asarray(scenario.reference), float(scenario.before), period).rows:
         if settle:
             raise InputError("tune.objective: the reference never jumps and holds, so that nothing settles: ask for tracking instead")
@@ -322,7 +322,8 @@ def _objective(given: Any) -> tuple[dict[str, float], bool]:
     return {name: float(w) for name, w in given.items()}, False
 
 
-def _limits(data: Any) -> dict[str, float]:
+def _limits(data: Any, warm: float) -> dict[str, float]:
+    """The limits by name; ``warm`` is the temperature of the wires at rest, degC."""
     given = validate(_Limits, data, "limits")
     units = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
     found = {k: quantity_at(v, units[k], f"limits.{k}") for k, v in given.model_dump().items() if v is not None}
@@ -330,6 +331,9 @@ def _limits(data: Any) -> dict[str, float]:
         if key != "temperature" and not (value > 0.0 or (key == "overshoot" and value == 0.0)):
             least = "0 or more" if key == "overshoot" else "one above 0"
             raise InputError(f"limits.{key} = {show(getattr(given, key))} is not possible: give {least}")
+    if found.get("temperature", math.inf) <= warm:
+        told = f"limits.temperature = {show(given.temperature)} is not above the {warm:.6g} degC that the wire has at rest"
+        raise InputError(f"{told}: give a higher one")
     return found
 
 

@@ -76,6 +76,13 @@ def read_scenario(
             raise InputError(f"reference.{key} is missing: a {given.kind} needs a line like {key} = {(field.examples or [''])[0]}")
         return quantity_at(value, unit, f"reference.{key}", **ends)
 
+    def lasting(value: Any, key: str, periods: int) -> float:
+        seconds = level(value, key, "s")
+        if not seconds >= periods * period:
+            least = f"{f'{periods} times ' if periods > 1 else ''}controller.period = {show(data['controller']['period'])}"
+            raise InputError(f"reference.{key} = {show(value)} is shorter than {least}: make it longer, or the period shorter")
+        return seconds
+
     for key in ("duration", "low", "high", "at", "levels", "hold", "frequency", "file"):
         if getattr(given, key) not in (None, []) and key not in _KEYS[given.kind]:
             raise InputError(
@@ -90,7 +97,7 @@ def read_scenario(
         values = references.recorded(time, wanted.time, wanted.channels[channel])
         before = float(values[0])
     else:
-        time = _clock(level(given.duration, "duration", "s", least=2 * period), period, "duration")
+        time = _clock(lasting(given.duration, "duration", 2), period, "duration")
         before = low
         if given.kind == "step":
             at = 0.0 if given.at is None else quantity_at(given.at, "s", "reference.at", least=0.0)
@@ -101,7 +108,7 @@ def read_scenario(
             if not given.levels:
                 raise InputError('reference.levels is missing: a staircase needs a line like levels = ["2 mm", "6 mm", "4 mm"]')
             steps, before = [quantity_at(v, unit, "reference.levels") for v in given.levels], rest
-            hold = level(given.hold, "hold", "s", least=period)
+            hold = lasting(given.hold, "hold", 1)
             if (len(steps) - 1) * hold > time[-1]:
                 raise InputError(
                     f"reference.levels: {len(steps)} levels of {show(given.hold)} do not fit into {show(given.duration)}: make it longer"

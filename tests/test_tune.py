@@ -297,6 +297,10 @@ def read_model(path):
             "the reference goes from 2 mm to 4 mm, and with its largest command the rig reaches",
         ),
         (("[tune]", '[limits]\nstress = "1 MPa"\n[tune]'), "the limit on stress is not met: it is 1 MPa"),
+        (
+            ("[tune]", '[limits]\nstress = "100 MPa"\n[tune]'),
+            "the rig reaches 0 mm to 0 mm within the limits: at rest the stress is 111 MPa already, and its limit is 100 MPa",
+        ),
         (("[tune]", '[limits]\novershoot = "0 %"\nsettling = "50 ms"\n[tune]'), "the limit on settling is not met: it is 0.05 s"),
         (
             ("[tune]", '[tune]\nbounds = { kp = ["1e-3 A/m", "40 A/m"], ki = ["1e-4 A/m/s", "20 A/m/s"] }\nobjective = { energy = 1 }'),
@@ -560,6 +564,9 @@ BAD = {
     (STAIRS, STEP.replace('at = "2 s"', 'at = "15 s"')): "reference.at = '15 s' is not within reference.duration",
     (STAIRS + "[tune]", SINE + '[limits]\novershoot = "2 %"\n[tune]'): "limits.overshoot: the reference never jumps and holds",
     (STAIRS + "[tune]", SINE + '[tune]\nobjective = "settling"'): "so that nothing settles",
+    ("[tune]", '[limits]\ntemperature = "10 degC"\n[tune]'): "limits.temperature = '10 degC' is not above the 20 degC that the wire has",
+    ('"50 ms"', '"10 s"'): "reference.duration = '15 s' is shorter than 2 times controller.period = '10 s': make it longer, or the period",
+    ('hold = "8 s"', 'hold = "20 ms"'): "reference.hold = '20 ms' is shorter than controller.period = '50 ms': make it longer",
     ('duration = "15 s"', 'duration = "15 days"'): "has 25,920,000 samples of 0.05 s: make it 2 to 500,000",
 }
 

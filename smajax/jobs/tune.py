@@ -23,7 +23,7 @@ from smajax.controller_file import ControllerFile, read_controller
 from smajax.errors import InputError
 from smajax.fmu.models import controller_model, plant_model
 from smajax.fmu.pack import fmu
-from smajax.jobs.behaviour import Behaviour, behave, broken_limits, check, each_of, given_up, idle_error
+from smajax.jobs.behaviour import Behaviour, at_rest, behave, broken_limits, check, each_of, given_up, idle_error
 from smajax.jobs.gain_search import harder, searched
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.report import prediction
@@ -170,6 +170,10 @@ def _beyond(given: ControllerFile, far: Reach) -> str:
     told = f"the reference {asked}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
     limited = given.loop.guard is not None or any(k in given.limits for k in ("temperature", "stress", "current"))
     told += " within the limits" if limited else ""
+    stress, most = at_rest(given, "stress"), given.limits.get("stress", math.inf)
+    if stress > most:
+        ends = [shown(v, "peak_stress", channel) for v in (stress, most)]
+        told += f": at rest the stress is {ends[0]} already, and its limit is {ends[1]}"
     return told + ("; tuned for the reference cut to that" if cut(given.scenario, far) is not given.scenario else "")
 
 
