@@ -103,15 +103,58 @@ def test_the_hip_papers_flexion():
     np.testing.assert_allclose(at, [106.6546, 438.3960, 622.1917, 647.9679], rtol=2e-5)
 
 
-def test_the_delay_is_a_number_like_the_others():
-    """Between rows the delayed response is read linearly, so that it has a derivative everywhere but at the rows."""
+COARSE, FINE = np.arange(80) * 1.0, np.arange(1600) * 0.05
+ON = np.repeat(RNG.uniform(0.2, 1.0, 40), 2)
+
+
+def late(system: tuple, delay: float) -> np.ndarray:
+    """The response at the ``COARSE`` rows to the held input ``ON``, by SciPy on rows twenty times as fine, from rest."""
+    moved = np.floor((FINE - delay) / 1.0 + 1e-9).astype(int)
+    return scipy.signal.lsim(system, np.where(moved >= 0, ON[np.maximum(moved, 0)], 0.0), FINE, interp=False)[1][::20]
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("delay", [0.0, 0.35, 2.0, 2.85])
+def test_a_delay_of_a_part_of_a_row_is_exact_where_the_lag_is_hardly_longer(structure, delay):
+    law = function(structure, delay=delay)
+    found = np.asarray(respond(law, jnp.asarray(COARSE), jnp.asarray(ON)))
+    np.testing.assert_allclose(found, 0.5 + late(([3.0], DENOMINATORS[structure]), delay), atol=1e-9)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_the_delay_is_a_number_like_the_others(structure):
+    """It has a derivative everywhere; at a whole row, where a pole's response has a kink, it is that towards longer delays."""
 
     def mean(delay):
-        return jnp.mean(respond(function("two-poles", delay=delay), jnp.asarray(TIME), jnp.asarray(INPUT)) ** 2)
+        return jnp.mean(respond(function(structure, delay=delay, settled=0.3), jnp.asarray(COARSE), jnp.asarray(ON)) ** 2)
 
-    for delay in (0.03, 0.37):
-        slope = float(jax.grad(mean)(delay))
-        assert slope == pytest.approx(float(mean(delay + 1e-6) - mean(delay - 1e-6)) / 2e-6, rel=1e-5)
+    slopes = jax.vmap(jax.grad(mean))(jnp.asarray([0.0, 0.03, 0.37, 1.99, 2.0]))
+    for delay, slope in zip((0.03, 0.37, 1.99), slopes[1:4], strict=True):
+        assert float(slope) == pytest.approx(float(mean(delay + 1e-6) - mean(delay - 1e-6)) / 2e-6, rel=1e-5)
+    for delay, slope in zip((0.0, 2.0), slopes[::4], strict=True):
+        assert float(slope) == pytest.approx(float(mean(delay + 1e-6) - mean(delay)) / 1e-6, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("structure", "truth"),
+    [
+        ("one-pole", {"first": 1.5, "delay": 2.5}),
+        ("two-poles", {"first": 1.0, "second": 2.0, "delay": 2.5}),
+        ("underdamped", {"first": 1.2, "damping": 0.6, "delay": 3.4}),
+    ],
+)
+def test_a_delay_is_found_where_the_lag_is_a_row_or_two(structure, truth):
+    """With intervals that hold it: neither delay nor lag is taken for the other."""
+    first, second = truth["first"], truth.get("second", 0.0)
+    damped = [first**2, 2 * truth["damping"] * first, 1.0] if "damping" in truth else np.polymul([first, 1.0], [second, 1.0])
+    exact = 1.0 + late(([3.0], damped), truth["delay"])
+    series = [Series("a", COARSE, ON, exact + 0.004 * np.random.default_rng(0).standard_normal(len(exact)))]
+    found = fit_operator(transfer_function(series, structure), series, starts=8)
+    assert found.rmse < 0.0045
+    order = {"first": "second", "second": "first"} if structure == "two-poles" and found.values["first"]["value"] > 1.5 else {}
+    for name, value in truth.items():
+        ends = found.values[order.get(name, name)]
+        assert ends["lower95"] < value < ends["upper95"] and ends["upper95"] - ends["lower95"] < 0.1 * value + 0.1, (name, ends)
 
 
 def test_hammerstein_wiener_by_hand():

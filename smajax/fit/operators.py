@@ -116,12 +116,13 @@ class OperatorFit:
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """The free parameters that ended at a bound, each with its value there; of an array, how many of its entries."""
+        """The free parameters that ended at a bound, each with that bound; of an array, how many of its entries."""
         told = []
         for name, value, low, high, _ in self._leaves():
             held = _at_bound(value, low, high)
             if np.any(held):
-                told.append(f"{name} ({f'{np.sum(held)} of {held.size}' if held.ndim else f'{float(value):.4g}'})")
+                end = low if np.all(value - low < high - value) else high
+                told.append(f"{name} ({f'{np.sum(held)} of {held.size}' if held.ndim else f'{float(end):.4g}'})")
         return tuple(told)
 
     def respond(self, series: Series) -> np.ndarray:
