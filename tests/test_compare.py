@@ -170,6 +170,20 @@ def test_what_holds_a_network_is_said(short, tmp_path):
     assert found["fit_percent_holdout"] > 0.0  # better than the mean
 
 
+def test_where_no_model_is_better_than_the_mean_none_is_called_best(short, tmp_path):
+    """A sensor that reads ten times less in the holdout, about another level."""
+    for name in ("rig.toml", "train.csv"):
+        shutil.copy(short / name, tmp_path)
+    r = read_rig(short / "rig.toml").read(short / "holdout.csv")
+    read = 5e-3 + 0.1 * r.channels["displacement"]
+    Recording.from_arrays("holdout", r.time, {**r.channels, "displacement": read}, {"displacement": "mm"}).write(tmp_path / "holdout.csv")
+    done = run(tmp_path, "transfer-function-one-pole,bouc-wen", tmp_path / "out")
+    told = " ".join(done.output.split())
+    assert done.exit_code == 0, done.output
+    assert "No model predicts the holdout better than the holdout's own mean does; the least error has" in told
+    assert "holdout best" not in told and "By BIC" not in told
+
+
 @pytest.mark.parametrize(
     ("models", "sentence"),
     [

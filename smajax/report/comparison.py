@@ -16,12 +16,15 @@ _HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "para
 
 
 def summary(doc: Mapping[str, Any]) -> str:
-    """Which model predicts best, in words."""
+    """Which model predicts best, in words, or that none does better than a constant."""
     good = [m for m in doc["models"] if not m["why"]]
     best = good[0]
-    told = f"{best['name']} predicts the holdout best: {best['rmse_holdout']:.3g} {doc['unit']} with {best['parameters']} parameters."
+    error, useless = f"{best['rmse_holdout']:.3g} {doc['unit']}", best["fit_percent_holdout"] <= 0.0
+    told = f"{best['name']} predicts the holdout best: {error} with {best['parameters']} parameters."
+    if useless:
+        told = f"No model predicts the holdout better than the holdout's own mean does; the least error has {best['name']}: {error}."
     lowest = min(good, key=lambda m: m["bic"])
-    if lowest is not best:
+    if lowest is not best and not useless:
         told += f" By BIC, which knows the training recording only, it would be {lowest['name']}."
     if doc["not_compared"]:
         others = " and ".join(doc["not_compared"])
