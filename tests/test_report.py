@@ -315,6 +315,13 @@ def test_only_long_recordings_are_thinned_and_no_peak_is_lost():
     assert "rows the picture" not in plots.time_picture(series(), ["displacement"], ["current"], {}).caption
 
 
+def test_curves_of_many_models_are_thinned_the_more():
+    picture = plots.comparison_picture({"brinson": series(6_001), "tanaka": series(6_001)}, "displacement", "holdout")
+    points = [len(trace["x"]) for trace in picture.figure["data"]]
+    assert len(points) == 5 and max(points) <= plots.MOST_OF_MANY + 2
+    assert "Of 6,001 rows the picture draws the lowest and highest of every 7." in picture.caption
+
+
 def test_the_table_of_predictions_reads_back(tmp_path):
     awkward = series(name='my, "best"\nrun.csv')
     other = to_series(

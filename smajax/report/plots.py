@@ -1,7 +1,7 @@
 """Pictures of a run as plotly figures, written as plain dictionaries (``data`` and ``layout``), so that no plotting library is loaded.
 
 A picture of more than ``MOST_POINTS`` rows shows the lowest and the highest point of each of many short spans, which loses no peak, and
-its caption says so; the table beside the report has all rows.
+its caption says so; the table beside the report has all rows. A picture of many models has fewer points of each, ``MOST_OF_MANY``.
 """
 
 import math
@@ -18,6 +18,7 @@ from smajax.report.prediction import Series, usual_unit
 from smajax.units import channel_of
 
 MOST_POINTS = 20_000
+MOST_OF_MANY = 2_000
 MEASURED, MODEL, RESIDUAL, INPUT = "#8b95a1", "#c8501e", "#23648c", "#4a7a3f"
 MANY = (MODEL, RESIDUAL, INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f", "#b0577f", "#5d6b2f", "#3c4f86", "#a3452c", "#6b6f76", "#1f7a5c")
 INPUTS = (INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f")
@@ -89,17 +90,18 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     panels = [(channel, 6.0), ("model minus measured", 4.0)]
     layout = _layout(panels, time_title(first), first)
     data, thinned = [], False
-    trace, thinned = _line(first.time, first.measured[channel], "measured", MEASURED, _axis(0))
+    trace, thinned = _line(first.time, first.measured[channel], "measured", MEASURED, _axis(0), most=MOST_OF_MANY)
     data.append(trace)
     for k, (name, one) in enumerate(series.items()):
         colour = MANY[k % len(MANY)]
         for row, values in enumerate((one.model[channel], -one.residual(channel))):
-            trace, less = _line(one.time, values, name, colour, _axis(row), name_shown=row == 0)
+            trace, less = _line(one.time, values, name, colour, _axis(row), name_shown=row == 0, most=MOST_OF_MANY)
             data.append(trace | {"legendgroup": name, "visible": True if k < 3 else "legendonly"})
             thinned |= less
     _entitle(layout, 0, titled(channel, first.units), panels)
     _entitle(layout, 1, "model - measured", panels)
-    caption = "Grey is measured. Click a name to show or hide a model; below, what each leaves." + _thin_note(len(first.time), thinned)
+    caption = "Grey is measured. Click a name to show or hide a model; below, what each leaves."
+    caption += _thin_note(len(first.time), thinned, MOST_OF_MANY)
     return Picture(f"{first.name.rpartition(' (')[0]} ({role})", caption, {"data": data, "layout": layout}, 760)
 
 
@@ -272,9 +274,9 @@ def _partners(series: Series, channel: str) -> list[str]:
 
 
 def _line(
-    x: Floats, y: Floats, name: str, colour: str, y_axis: str, *, x_axis: str = "x", name_shown: bool = True
+    x: Floats, y: Floats, name: str, colour: str, y_axis: str, *, x_axis: str = "x", name_shown: bool = True, most: int = MOST_POINTS
 ) -> tuple[dict[str, Any], bool]:
-    rows = thin(y)
+    rows = thin(y, most)
     trace = {
         "type": "scatter",
         "mode": "lines",
@@ -357,5 +359,5 @@ def _level(value: float, axis: str, line: dict[str, Any]) -> dict[str, Any]:
     return {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": value, "y1": value, "yref": axis, "line": line}
 
 
-def _thin_note(rows: int, thinned: bool) -> str:
-    return f" Of {rows:,} rows the picture draws the lowest and highest of every {math.ceil(2 * rows / MOST_POINTS)}." if thinned else ""
+def _thin_note(rows: int, thinned: bool, most: int = MOST_POINTS) -> str:
+    return f" Of {rows:,} rows the picture draws the lowest and highest of every {math.ceil(2 * rows / most)}." if thinned else ""
