@@ -366,6 +366,25 @@ def test_two_envelopes_are_found_from_far(seed):
     assert found.rmse < 1e-6 * np.ptp(series[0].output)
 
 
+def test_twenty_plays_fit_no_worse_than_the_ten_that_they_hold():
+    """A lag, which no number of plays is: the cost has many minima, and from the usual guesses twenty plays end at a far higher one."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(0.0, 1.0, 20), 20)
+    y = scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]
+    series = [Series("a", TIME, u, y + 0.01 * rng.standard_normal(400))]
+    few, many = (prandtl_ishlinskii(series, count) for count in (10, 20))
+    ((held, write),) = many.holds
+    end = fit_operator(held, series, starts=2)
+    same = many.make(write(end.parameters)).respond(jnp.asarray(TIME), jnp.asarray(u))
+    np.testing.assert_allclose(same, end.respond(series[0]), atol=1e-12)
+    assert held.name == few.name and not few.holds
+    assert (
+        fit_operator(many, series, starts=2).rmse
+        <= end.rmse
+        < 0.8 * fit_operator(dataclasses.replace(many, holds=()), series, starts=2).rmse
+    )
+
+
 @pytest.mark.parametrize("envelopes", [1, 2])
 def test_an_output_that_falls_with_its_input_is_fitted_as_well(envelopes):
     """As a loaded wire's strain falls with its temperature; the loop is a reference's, by play operators of its own."""

@@ -88,19 +88,20 @@ def _envelope(parameters: dict) -> Envelope:
     return Envelope(parameters["height"], parameters["slope"], -parameters["slope"] * parameters["centre"], parameters["middle"])
 
 
+_PLAYS = 10
 # Other first guesses: slopes times the input's range, centres and distance of the envelopes over it, and a factor on the plays' reach.
 _ELSEWHERE = ((2.0, 4.0, 8.0, 16.0), (0.2, 0.35, 0.5, 0.65, 0.8), (0.0, 0.1, 0.25), (0.2, 1.0))
 
 
 def prandtl_ishlinskii(
     series: Sequence[Series],
-    count: int = 10,
+    count: int = _PLAYS,
     envelopes: int = 2,
     *,
     thresholds: Sequence[float] | np.ndarray | Literal["even", "free"] = "even",
     densities: Sequence[float] | np.ndarray | Literal["free"] = "free",
 ) -> Family:
-    """``count`` plays, and one tanh envelope or one for each direction.
+    """``count`` plays, and one tanh envelope or one for each direction; more than ten even ones begin at the fit of half as many, too.
 
     ``thresholds``, in the output's unit, are fitted as evenly spread ones up to a largest (``"even"``), each for itself (``"free"``), or
     held at rising values, shape ``(count,)``; ``densities`` are fitted or held at values of that shape. While both are fitted, the height
@@ -151,8 +152,16 @@ def prandtl_ishlinskii(
         for name, side in (("loading", 0.5), ("unloading", -0.5))[:envelopes]:
             other |= {name: envelope | {"slope": slope / span, "centre": low + (place + side * gap) * span}}
         others.append(_arrays(other))
-    name = f"prandtl-ishlinskii-{count}" if count != 10 else "prandtl-ishlinskii"
-    return Family(name, _spread, *map(_arrays, (lower, upper, start)), kinked=True, others=tuple(others))
+    name = f"prandtl-ishlinskii-{count}" if count != _PLAYS else "prandtl-ishlinskii"
+    held_plays = ()
+    if "reach" in start and held is None and count > _PLAYS and count % 2 == 0:
+        held_plays = ((prandtl_ishlinskii(series, count // 2, envelopes), _twice_as_many),)
+    return Family(name, _spread, *map(_arrays, (lower, upper, start)), kinked=True, others=tuple(others), holds=held_plays)
+
+
+def _twice_as_many(fewer: dict) -> dict:
+    """The parameters of twice as many plays that do the same: those at the thresholds between have no density."""
+    return fewer | {"densities": jnp.stack([jnp.zeros_like(fewer["densities"]), fewer["densities"]], axis=1).ravel()}
 
 
 def transfer_function(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> Family:
