@@ -6,9 +6,10 @@
     underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
 
 each times exp(-delay s). Before its first row a recording was at rest, or in the steady state of its first input, or between the two:
-``settled`` says so. The input is held between rows, which are equally far apart. Delayed by some rows and a part of one, it changes once
-inside each row, and the step over both parts is exact. So the delay is a number like the others, however few rows the lag has; at whole
-rows the response of one pole has a kink in it, and the derivative is that towards longer delays.
+``settled`` says so. The input is held between rows, which are equally far apart. Then the step from row to row is exact, and so is that
+from a row to an instant before the next one, where a delay of some rows and a part of one reads the response. So the delay is a number
+like the others, however few rows the lag has; at whole rows the response of one pole has a kink in it, and the derivative is that
+towards longer delays.
 """
 
 from typing import Literal
@@ -44,20 +45,20 @@ class TransferFunction(AbstractOperator):
     def respond(self, time: jax.Array, values: jax.Array) -> jax.Array:
         """See ``AbstractOperator.respond``; ``time`` is equally spaced."""
         step = (time[-1] - time[0]) / (len(time) - 1)
-        whole = jnp.floor(self.delay / step)
-        kept, older, newer = self.changed_within(step, self.delay - whole * step)
+        kept, entering = self.held(step)
         before = self.settled * values[0]
-        rows = jnp.arange(len(values) - 1) - whole.astype(int)
-        acting, acted = (jnp.where(k >= 0, values[jnp.maximum(k, 0)], before) for k in (rows, rows - 1))
         moving = np.arange(self.order) == (1 if "underdamped" in self.structure else -1)  # a rate, which is 0 at rest
         state = jnp.where(moving, 0.0, before)
 
-        def one(state: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
-            state = kept @ state + older * row[0] + newer * row[1]
-            return state, state[0]
+        def one(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return kept @ state + entering * value, state
 
-        _, found = jax.lax.scan(one, state, (acted, acting))
-        return self.rest + self.gain * jnp.append(before, found)
+        _, states = jax.lax.scan(one, state, values)
+        whole = jnp.floor(self.delay / step)
+        last = jnp.arange(len(values)) - whole.astype(int) - 1  # the row before the instant that is read
+        kept, entering = self.held((whole + 1) * step - self.delay)
+        prompt = states @ kept[0] + values * entering[0]
+        return self.rest + self.gain * jnp.where(last >= 0, prompt[jnp.maximum(last, 0)], before)
 
     @property
     def order(self) -> int:
@@ -71,11 +72,6 @@ class TransferFunction(AbstractOperator):
         whole = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)
         moved = jax.scipy.linalg.expm(whole * duration)
         return moved[:size, :size], moved[:size, size]
-
-    def changed_within(self, duration: jax.Array, since: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """As ``held``, of an input that changes after ``since`` s: what is kept, and what enters of the older and of the newer value."""
-        (early, older), (late, newer) = self.held(since), self.held(duration - since)
-        return late @ early, late @ older, newer
 
     def _equations(self) -> tuple[jax.Array, jax.Array]:
         """x' = rates x + drive u with the output x[0], of unit gain; in an underdamped pair x[1] is the rate of x[0]."""

@@ -200,8 +200,10 @@ class DrivenTransferFunction(AbstractDriven):
         size = self.whole + 2
         ring = ring.at[place].set(command[0])
         # In the delay's rest of this period the command of one period earlier still acts.
-        kept, older, newer = self._period()
-        inner = kept @ inner + older * ring[(place - self.whole - 1) % size] + newer * ring[(place - self.whole) % size]
+        rest = larger(self.function.delay - self.whole * self.period, 0.0)
+        for duration, age in ((rest, self.whole + 1), (self.period - rest, self.whole)):
+            kept, entering = self.function.held(duration)
+            inner = kept @ inner + entering * ring[(place - age) % size]
         return inner, ring, (place + 1) % size
 
     def read(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
@@ -210,14 +212,12 @@ class DrivenTransferFunction(AbstractDriven):
 
     def response(self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array) -> jax.Array:
         """See ``AbstractDriven.response``; exact, since it is linear. ``state`` does not matter."""
-        kept, older, newer = self._period()
+        rest = larger(self.function.delay - self.whole * self.period, 0.0)
+        (late, entering), (kept, later) = self.function.held(rest), self.function.held(self.period - rest)
+        size = self.function.order
 
         def at(z: jax.Array) -> jax.Array:
-            drive = older / z + newer  # what comes one period later, and at once
-            return jnp.linalg.solve(z * jnp.eye(self.function.order) - kept, drive)[0] * z ** (-self.whole)
+            drive = kept @ entering / z + later  # what comes one period later, and at once
+            return jnp.linalg.solve(z * jnp.eye(size) - kept @ late, drive)[0] * z ** (-self.whole)
 
         return self.function.gain * direction[0] * jax.vmap(at)(z)
-
-    def _period(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """See ``TransferFunction.changed_within``: the command changes after the delay's rest."""
-        return self.function.changed_within(jnp.asarray(self.period), larger(self.function.delay - self.whole * self.period, 0.0))
