@@ -34,6 +34,31 @@ def evolved(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int,
     return _found(one, weights, ours, seconds, lambda cost: scipy.optimize.differential_evolution(cost, bounds, **options))
 
 
+def evolved_by_one(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int) -> int | None:
+    """Rollouts after which a population that one member leads, and all judge whenever it finds better, is within 1 % of ours.
+
+    ``None`` if it never is. Ours begins by one member, too.
+    """
+    by_one, by_all = objective_of(one.alone(), weights), objective_of(one, weights)
+    mark, best, counted, reached = by_all(ours.point), np.inf, 0, None
+
+    def cost(x: np.ndarray) -> float:
+        nonlocal best, counted, reached
+        counted += 1
+        value = by_one(point := np.clip(x, 0.0, 1.0))
+        if value < best and reached is None:
+            best, counted = value, counted + one.count
+            reached = counted if by_all(point) <= 1.01 * mark else None
+        return value
+
+    size = 15 * len(one.names)
+    scipy.optimize.differential_evolution(
+        cost, [(0.0, 1.0)] * len(one.names), popsize=15, maxiter=max(budget // size - 1, 1), rng=0, polish=False, tol=0.0,
+        callback=lambda intermediate_result: reached is not None,
+    )  # fmt: skip
+    return reached
+
+
 def simplex(one: Tuning, weights: Mapping[str, float], ours: Tuned, budget: int, seconds: float = 0.0) -> Found:
     """Nelder and Mead's simplex from the start gains; ``seconds`` are what ours took."""
     return _found(
