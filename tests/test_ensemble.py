@@ -103,6 +103,20 @@ def test_it_learns_what_it_was_not_told():
     assert bool(jnp.all((found.martensite >= 0.0) & (found.martensite <= 1.0)))
 
 
+def test_a_measurement_that_falls_out_is_none():
+    """A thermocouple that tells nothing for ten seconds leaves what the voltage tells; then it helps again."""
+    current, measured, warm, _ = bench(1.2, 24.0, 3)
+    rows = np.arange(ROWS)
+    away = (rows >= 600) & (rows < 800)
+    holed = measured | {"temperature": jnp.where(away, jnp.nan, measured["temperature"])}
+    errors = [
+        np.asarray(followed(filter_of("voltage", "temperature"), current, m)[1].mean["temperature"]) - warm for m in (measured, holed)
+    ]
+    assert np.all(np.isfinite(errors[1])) and np.array_equal(errors[0][:600], errors[1][:600])
+    assert not np.array_equal(errors[0][600:800], errors[1][600:800])
+    assert np.sqrt(np.mean(errors[1][away] ** 2)) < 4.0 and np.sqrt(np.mean(errors[1][900:] ** 2)) < 1.0
+
+
 def test_a_guard_by_an_ensemble_in_a_rollout():
     """The wire cools worse than the filter's plant says; a thermocouple with its lag would be late. The derivative is that of differences."""
     one = filter_of("voltage", "temperature", members=8)

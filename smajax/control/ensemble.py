@@ -75,7 +75,7 @@ class EnsembleFilter(AbstractThermometer):
         return Ensemble(states, states[0].temperature, unknown, jnp.zeros(self.driven.wires), jnp.asarray(0))
 
     def step(self, ensemble: Ensemble, measured: Mapping[str, jax.Array]) -> Ensemble:
-        """The ensemble a period on under its command, once the channels of ``noise`` are measured there (scalars)."""
+        """The ensemble a period on under its command, once the channels of ``noise`` are measured there (scalars; NaN: not this time)."""
         later = self._carry(ensemble)
         shown = jax.vmap(self._shown, in_axes=(0, 0, 0, None))(later.states, later.probes, later.unknown, later.command)
         pieces = (later.states[0].temperature, *later.states[0].fractions, later.probes, later.unknown)
@@ -87,9 +87,10 @@ class EnsembleFilter(AbstractThermometer):
         for k, name in enumerate(seen):
             at = members.shape[1] - len(seen) + k
             own, noise = jnp.mean(away[:, at] ** 2) * self.members / (self.members - 1), self.noise[_base(name, self.noise)] ** 2
-            slope = away[:, at] @ away / (self.members - 1) / (own + noise)
+            known = jnp.isfinite(measured[name])
+            slope = jnp.where(known, away[:, at] @ away / (self.members - 1) / (own + noise), 0.0)
             far = self.trust * jnp.sqrt(own + noise)
-            mean = mean + slope * within(measured[name] - mean[at], -far, far)
+            mean = mean + slope * within(jnp.where(known, measured[name], mean[at]) - mean[at], -far, far)
             away = away - jnp.outer(away[:, at], slope) / (1.0 + jnp.sqrt(1.0 / (1.0 + own / noise)))
         after = _deviation(away)
         widened = 1.0 + self.relaxation * (before / jnp.where(after > 0.0, after, 1.0) - 1.0) * (after > 0.0)
