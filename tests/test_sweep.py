@@ -171,8 +171,9 @@ def test_a_bandwidth_is_found_between_frequencies():
 
 def test_bandwidth_of_a_rig_against_dense_frequencies():
     plant, wave = read_rig(RIG).plant, Wave("square", 0.3, 0.1, 0.5, 2)
-    study = RigStudy(("heat.h0",), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
-    found, codes = evaluate_batch(study, jnp.asarray([[90.0]]), 100)
+    study = RigStudy(("heat.h0", "input.amplitude"), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
+    found, codes = evaluate_batch(study, jnp.asarray([[90.0, 0.3], [90.0, 1e-4]]), 100)
+    assert np.isnan(found["bandwidth"][1])  # a wire that stays cold does not move, and so does not fall off
     each = RigStudy(("heat.h0", "input.frequency"), plant, ("stroke", "settling"), wave, 2, "hold", 0.0)
     dense = np.sort(np.concatenate([np.geomspace(0.1, 2.0, 40), float(found["bandwidth"][0]) * np.linspace(0.97, 1.03, 31)]))
     told, _ = evaluate_batch(each, jnp.asarray(np.column_stack([np.full(len(dense), 90.0), dense])), 100)

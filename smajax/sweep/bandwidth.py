@@ -31,10 +31,15 @@ class _Ends(NamedTuple):
 
 
 def find(
-    at: Callable[[jax.Array], Reached], lowest: jax.Array, highest: float, again: Callable[[jax.Array], Reached] | None = None
+    at: Callable[[jax.Array], Reached],
+    lowest: jax.Array,
+    highest: float,
+    again: Callable[[jax.Array], Reached] | None = None,
+    least: jax.Array | float = 0.0,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Frequency in Hz at which the stroke has fallen to 1 / sqrt(2) of that at ``lowest``, infinite if it does not up to ``highest``.
 
+    NaN where even that stroke is at most ``least``: what does not move does not fall off.
     With it the largest gap of the simulations that it is read off, and the worst code of all. ``at`` is never differentiated; derivatives
     are those of the straight line between the last interval's ends, where ``again`` gives the same as ``at``, with derivatives.
     """
@@ -60,7 +65,8 @@ def find(
     points = jax.tree.map(lambda *leaves: jnp.stack(leaves), ends.first[1], ends.low[1], ends.high[1])
     if again is not None:
         points = jax.vmap(again)(frequencies)
-    return bandwidth(frequencies, points.stroke), jnp.max(points.gap), jnp.maximum(ends.worst, jnp.max(points.code))
+    found = jnp.where(points.stroke[0] > least, bandwidth(frequencies, points.stroke), jnp.nan)
+    return found, jnp.max(points.gap), jnp.maximum(ends.worst, jnp.max(points.code))
 
 
 def _pick(chosen: jax.Array, one: tuple[jax.Array, Reached], other: tuple[jax.Array, Reached]) -> tuple[jax.Array, Reached]:

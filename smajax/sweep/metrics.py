@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax.kinks import larger, largest, swing
+from smajax.plant.plant import Plant
 from smajax.units import numbered
 
 Channels = Mapping[str, jax.Array]
@@ -54,6 +55,11 @@ class Metric(NamedTuple):
     part: str
     reads: tuple[str, ...]
     read: Callable[[Response], jax.Array]
+
+
+def still(plant: Plant) -> jax.Array:
+    """The stroke of a plant, in m or rad, up to which its wires count as not moving."""
+    return _STILL * jnp.abs(plant.wire.motion_per_strain)
 
 
 def stroke(cycle: Response) -> jax.Array:

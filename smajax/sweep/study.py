@@ -15,7 +15,7 @@ from smajax.plant.plant import Plant
 from smajax.recording import Floats, Recording
 from smajax.simulate import Code, Inputs
 from smajax.sweep.bandwidth import Reached, find
-from smajax.sweep.metrics import BANDWIDTH, METRICS, Response, settling
+from smajax.sweep.metrics import BANDWIDTH, METRICS, Response, settling, still
 from smajax.sweep.wave import Span, Wave, lay, span
 from smajax.units import CHANNELS, numbered
 
@@ -202,7 +202,7 @@ class RigStudy(AbstractStudy):
         lowest = jnp.asarray(values.get("frequency", wave.frequency), jnp.float64)
         held, fixed = jax.lax.stop_gradient((plant, dict(values)))
         again = (lambda frequency: reach(plant, values, frequency)) if differentiable else None
-        return find(lambda frequency: reach(held, fixed, frequency), lowest, self.highest, again)
+        return find(lambda frequency: reach(held, fixed, frequency), lowest, self.highest, again, still(held))
 
 
 class MachineStudy(AbstractStudy):
