@@ -571,6 +571,7 @@ def watched(controller, wires) -> tuple[Loop, np.ndarray]:
 
 def guarded(loop, rows) -> np.ndarray:
     """The wires' commands for rows of reference, value and the wires' temperatures, shape ``(n, wires)``."""
+    loop = dataclasses.replace(loop, gaps=True)
 
     def seen(row):
         return {loop.channel: row[1]} | dict(zip(numbered("temperature", loop.allocation.wires), row[2:], strict=True))

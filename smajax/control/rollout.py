@@ -34,8 +34,8 @@ class Loop(eqx.Module):
 
     With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell. What
     the guard leaves of a wire's command is the controller's limit for the sample, lest its integral winds up while the guard holds it back.
-    A channel that is no number counts as where it was; once it is lost the command is 0, or the least one, until the controller begins anew
-    with the next number.
+    With ``gaps`` a channel may be no number, as a rig's may and a simulated one may not, and counts as where it was; once it is lost the
+    command is 0, or the least one, until the controller begins anew with the next number.
     """
 
     controller: AbstractController
@@ -45,6 +45,7 @@ class Loop(eqx.Module):
     observer: AbstractThermometer | None = None
     meters: Meters | None = None
     channel: str = eqx.field(static=True, kw_only=True)
+    gaps: bool = eqx.field(static=True, kw_only=True, default=False)
 
     def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
         """The state at rest."""
@@ -53,23 +54,28 @@ class Loop(eqx.Module):
             watched = () if self.observer is None else self.observer.begin(seen)
             metered = () if self.meters is None else self.meters.reset(seen)
             guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched, metered
-        known = LastKnown.begin(seen[self.channel])
-        return self.controller.reset(reference, known.value), self.sensing.reset(known.value), guards, known
+        known = LastKnown.begin(seen[self.channel]) if self.gaps else None
+        value = seen[self.channel] if known is None else known.value
+        return self.controller.reset(reference, value), self.sensing.reset(value), guards, known
 
     def step(self, state: Any, reference: jax.Array, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[Any, jax.Array]:
         """The state after a sample and the wires' commands, shape ``(wires,)``."""
         inner, heard, guards, before = state
-        known = before.after(seen[self.channel], self.controller.inner.period)
-        seen = seen | {self.channel: known.value}
-        heard, value = self.sensing.step(heard, known.value, draw)
+        known = None if before is None else before.after(seen[self.channel], self.controller.inner.period)
+        if known is not None:
+            seen = seen | {self.channel: known.value}
+        heard, value = self.sensing.step(heard, seen[self.channel], draw)
         controller, guards, most = self.limited(guards, seen, draw)
-        inner = jax.tree.map(lambda a, b: jnp.where(before.lost, a, b), controller.reset(reference, value), inner)
+        if before is not None:
+            inner = jax.tree.map(lambda a, b: jnp.where(before.lost, a, b), controller.reset(reference, value), inner)
         inner, command = controller.step(inner, reference, value)
-        idle = within(jnp.zeros(()), controller.inner.lower, controller.inner.upper)
-        commands = smaller(self.allocation(jnp.where(known.lost, idle, command)), most)
-        if self.observer is not None and self.guard is not None:
+        if known is not None:
+            command = jnp.where(known.lost, within(jnp.zeros(()), controller.inner.lower, controller.inner.upper), command)
+        commands = self.allocation(command)
+        if self.guard is not None:
+            commands = smaller(commands, most)
             states, watched, metered = guards
-            guards = states, self.observer.under(watched, commands), metered
+            guards = states, watched if self.observer is None else self.observer.under(watched, commands), metered
         return (inner, heard, guards, known), commands
 
     def limited(self, guards: Any, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[AbstractController, Any, jax.Array]:

@@ -95,7 +95,7 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was, and the loop begins when
     there has been one of both; what happens to a channel, a temperature or a power that stays away is in ``Loop``, guard and observer.
     """
-    loop = dataclasses.replace(loop, sensing=perfect(), meters=None)
+    loop = dataclasses.replace(loop, sensing=perfect(), meters=None, gaps=True)
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]
     channel, declared = _channel(loop.channel), gains(loop)
