@@ -42,7 +42,7 @@ class Margins(NamedTuple):
     sensitivity: float
 
     @property
-    def none(self) -> bool:
+    def unstable(self) -> bool:
         """Whether the linearised loop is unstable, though limits of its command may hold it."""
         return self.gain < 1.0 or self.phase < 0.0
 

@@ -20,7 +20,7 @@ from smajax.jobs.behaviour import Behaviour, Checked, behave, check, given_up
 _AGAIN = 3  # times that gains are tuned on for draws that fail
 _WIDER = 4  # starts, where fewer do not keep all limits or give the reference up
 _FURTHER = 1.5  # times what the worst draw passes a limit by: so much further inside it is sought
-_LEAST = 0.005  # of a limit
+_LEAST, _HALF = 0.005, 0.5  # of a limit: by so much further at least, and at most
 _CALMER, _MORE, _SOME = 3, 10.0, 0.01  # times that effort is given more weight, how much more, and the least that it had
 
 
@@ -43,7 +43,7 @@ def searched(given: ControllerFile, tuning: Tuning, far: Reach, seed: int, progr
         found = min(found, again, key=lambda one: _rank(given, one))._replace(rollouts=found.rollouts + again.rollouts)
         last = behave(given, found.gains)
     so_far = Searched(found, last, given.weights)
-    return _calmer(given, tuning, so_far, far, seed, progress) if last.unstable or last.margins.none else so_far
+    return _calmer(given, tuning, so_far, far, seed, progress) if last.unstable or last.margins.unstable else so_far
 
 
 def _search(given: ControllerFile, tuning: Tuning, starts: int, seed: int, progress: Progress) -> Tuned:
@@ -72,7 +72,7 @@ def _calmer(given: ControllerFile, tuning: Tuning, before: Searched, far: Reach,
         again = _search(replace(given, weights=weights), tuning, max(_WIDER, given.starts), seed, progress)
         spent += again.rollouts
         now = behave(given, again.gains)
-        calm = not now.unstable and not now.margins.none
+        calm = not now.unstable and not now.margins.unstable
         if calm and not given_up(given, now, far) and least_broken(again)[:2] <= least_broken(before.found)[:2]:
             return Searched(again._replace(rollouts=spent), now, weights)
     return before._replace(found=before.found._replace(rollouts=spent))
@@ -101,6 +101,7 @@ def harder(
         if turn:
             passed = {k: (worst.get(k) or worst.get(f"peak_{k}") or 0.0) - v for k, v in given.limits.items()}
             limits = {k: v - (passed[k] > 0.0) * max(_FURTHER * passed[k], _LEAST * abs(v)) for k, v in limits.items()}
+            limits = {k: max(v, given.limits[k] - _HALF * abs(given.limits[k])) for k, v in limits.items()}  # an overshoot below 0 is none
         again = tune(on, given.weights, limits, settle=given.settle, starts=_WIDER, seed=seed, band=given.band)
         found = found._replace(rollouts=found.rollouts + again.rollouts)
         now = check(given, again.gains, drawn)

@@ -211,7 +211,7 @@ def _document(
         problems.append(f"the limit on {name} is not met: it is {ends[1]}, and the best gains found {told}")
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
-    elif last.margins.none:
+    elif last.margins.unstable:
         have = {"gain margin": last.margins.gain, "phase margin (degrees)": last.margins.phase}
         told = " and ".join(f"a {name} of {value:.2g}" for name, value in have.items() if math.isfinite(value))
         problems.append(f"the best gains found are unstable, linearised along their rollout, with {told}: give effort more weight")
@@ -229,7 +229,7 @@ def _document(
         "controller": given.name,
         "channel": given.loop.channel,
         "unit": unit,
-        "feasible": not (broken or last.unstable or last.margins.none or few),
+        "feasible": not (broken or last.unstable or last.margins.unstable or few),
         "problems": problems,
         "gains": table,
         "metrics": {
