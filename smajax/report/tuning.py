@@ -51,10 +51,8 @@ def sentences(doc: Mapping[str, Any]) -> str:
     if "pulses" in doc:
         pulses = doc["pulses"]
         told += f" The command is pulsed at {pulses['carrier']:g} Hz: with the mean of its pulses the same gains would leave an error of"
-        told += (
-            f" {shown(pulses['rmse_of_mean'], 'rmse', channel)}. The law transforms some of the wire with every pulse, however short, and"
-        )
-        told += " nothing back after it, which real wires do not: gains for these are better tuned without controller.carrier."
+        told += f" {shown(pulses['rmse_of_mean'], 'rmse', channel)}. Where the two differ, the law transforms some of the wire with every"
+        told += " pulse, however short, and nothing back after it, which real wires do not: then tune without controller.carrier."
     if "asked" in doc["objective"]:
         weight = doc["objective"]["weights"]["effort"]
         told += f" With the weights as they were given the gains would not let the loop come to rest: effort counts {weight:g} here."
