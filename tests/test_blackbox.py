@@ -160,9 +160,11 @@ def test_a_delay_is_found_where_the_lag_is_a_row_or_two(structure, truth):
 
 def test_hammerstein_wiener_by_hand():
     knots, inlet, outlet = np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([0.0, 1.0, 1.5])
-    law = HammersteinWiener(*map(jnp.asarray, (knots, inlet, np.array([-0.95, 0.6]), 0.3, outlet)))
+    late = 3  # rows
+    law = HammersteinWiener(*map(jnp.asarray, (knots, inlet, np.array([-0.95, 0.6]), 0.3, outlet, late * (TIME[1] - TIME[0]))))
     second, first = 0.6, -0.95 * 1.6
     w = np.interp(INPUT, knots, inlet)
+    w = np.append(np.full(late, w[0]), w[:-late])
     x = np.full(len(INPUT), w[0])
     for k in range(1, len(x)):
         x[k] = -first * x[k - 1] - second * x[max(k - 2, 0)] + (1 + first + second) * (0.3 * w[k - 1] + 0.7 * w[max(k - 2, 0)])
@@ -442,6 +444,21 @@ def test_a_saturated_loop_is_prandtl_ishlinskiis():
     assert errors["prandtl-ishlinskii"] < 0.3 * errors["bouc-wen"]
 
 
+@pytest.mark.parametrize("late", [0.0, 1.7, 6.25])
+def test_the_dead_time_of_a_hammerstein_wiener_model_is_found(late):
+    """A curve, a dead time, a lag and a curve, on a fine grid by another rule; the fit sees one row in ten."""
+    fine = np.linspace(TIME[0], TIME[-1], 10 * (len(TIME) - 1) + 1)
+    series = []
+    for seed in (1, 2):
+        u = np.repeat(np.append(0.0, np.random.default_rng(seed).uniform(0.0, 1.0, 19)), 20)
+        held = u[np.minimum(np.floor((fine - late) / (TIME[1] - TIME[0]) + 1e-9).clip(0).astype(int), len(u) - 1)]
+        y = np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), held**2, fine, interp=False)[1])[::10]
+        series.append(Series(str(seed), TIME, u, y + 0.004 * np.random.default_rng(seed + 5).standard_normal(len(y))))
+    found = fit_operator(hammerstein_wiener(series[:1]), series[:1], starts=6)
+    assert float(found.law.delay) == pytest.approx(late, abs=0.12)
+    assert fit_percent(series[1].output, found.respond(series[1])) > 95.0
+
+
 def test_hammerstein_wiener_may_begin_at_rest_with_its_input_on():
     u = np.repeat([1.0, 0.2, 0.8, 0.4, 1.0, 0.0, 0.6, 0.3], 50)
     exact = scipy.signal.lsim(([1.0], [2.0, 1.0]), u, TIME, interp=False)[1]
@@ -471,7 +488,7 @@ def test_open_and_closed_loop_of_a_network():
 
 
 def laws() -> dict:
-    curves = (np.array([-0.1, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([-0.95, 0.6]), 0.3, np.array([0.0, 1.0, 1.5, 1.6]), 0.6)
+    curves = (np.array([-0.1, 0.5, 1.0]), np.array([0.0, 0.2, 1.0]), np.array([-0.95, 0.6]), 0.3, np.array([0.0, 1.0, 1.5, 1.6]), 0.37, 0.6)
     return {s: function(s, delay=0.37, settled=0.4) for s in STRUCTURES} | {
         "hammerstein-wiener": HammersteinWiener(*map(jnp.asarray, curves)),
         "narx": network(),

@@ -230,8 +230,12 @@ def _wiener(parameters: dict) -> HammersteinWiener:
 
 
 def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
-    """Ten knots in each curve and two poles; ``settled`` is free where a recording begins with the input on."""
+    """Ten knots in each curve, two poles and a delay of at most half the recording, looked for from several.
+
+    ``settled`` is free where a recording begins with the input on.
+    """
     low, span, bottom, swing = _ranges(series)
+    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
     places, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
     edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
     lower = {
@@ -240,6 +244,7 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
         "reflections": (-1 + 1e-6, -0.999),
         "split": -3.0,
         "outlet": np.full(knots, bottom - swing),
+        "delay": 0.0,
         "settled": 0.0 if any(abs(s.input[0]) > 1e-9 * span for s in series) else 1.0,
     }
     upper = {
@@ -248,20 +253,32 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
         "reflections": (1.0, 1 - 1e-6),
         "split": 4.0,
         "outlet": np.full(knots, bottom + 2 * swing),
+        "delay": duration / 2,
         "settled": 1.0,
     }
-    step = float(np.median(np.diff(series[0].time)))
-    pole = float(np.exp(-step * 50 / _duration(series)))
     start = {
         "knots": places,
         "inlet": even,
-        "reflections": (-2 * pole / (1 + pole**2), pole**2),
+        "reflections": _slow_pair(step, duration / 50),
         "split": 0.5,
         "outlet": bottom + swing * even,
+        "delay": 0.0,
         "settled": 1.0,
     }
-    lower, upper, start = ({**side, "reflections": np.array(side["reflections"])} for side in (lower, upper, start))
-    return Family("hammerstein-wiener", _wiener, *map(_arrays, (lower, upper, start)), even=True)
+    others = [
+        start | {"delay": delay, "reflections": _slow_pair(step, slow)}
+        for delay in np.linspace(0.0, 0.45, 19) * duration
+        for slow in (duration / 50, duration / 12)
+    ]
+    lower, upper, start, *others = ({**side, "reflections": np.array(side["reflections"])} for side in (lower, upper, start, *others))
+    ends = map(_arrays, (lower, upper, start))
+    return Family("hammerstein-wiener", _wiener, *ends, even=True, others=tuple(map(_arrays, others)))
+
+
+def _slow_pair(step: float, slow: float) -> tuple[float, float]:
+    """The reflection coefficients of two poles of the time constant ``slow``."""
+    pole = math.exp(-step / slow)
+    return -2 * pole / (1 + pole**2), pole**2
 
 
 def _narx(parameters: dict) -> Narx:
