@@ -16,8 +16,9 @@ from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
 from smajax.errors import InputError
 from smajax.fit.families import FAMILIES, bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
+from smajax.fit.networks import parted
 from smajax.fit.operator_problem import Series, build_operator
-from smajax.fit.operators import fit_operator, parted
+from smajax.fit.operators import fit_operator
 from smajax.hysteresis.bouc_wen import BoucWen
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs.compare import fit_percent
@@ -275,15 +276,18 @@ def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
 
 
 def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
-    """The last quarter of what was measured, of each recording; together they are the problem."""
+    """A quarter of what was measured, of each recording, in turn; with what is seen it is the problem."""
     time, voltage, displacement = (values[:100] for values in wire[1][1:])
     short = Series("short", time, voltage, np.where(np.arange(100) < 20, np.nan, displacement))
     problem = build_operator(narx(wire[:1]), [wire[0], short])
-    earlier, later = (np.asarray(part.data.weight) for part in parted(problem))
-    np.testing.assert_array_equal(earlier + later, problem.data.weight)
+    parts = [[np.asarray(part.data.weight) for part in pair] for pair in parted(problem)]
     count = len(wire[0].time)
-    assert np.all(earlier[0, : int(0.75 * count)] > 0.0) and not np.any(earlier[0, int(0.75 * count) :])
-    assert np.all(earlier[1, 20:80] > 0.0) and not np.any(earlier[1, 80:]) and np.all(later[1, 80:100] > 0.0)
+    for seen, hidden in parts:
+        np.testing.assert_array_equal(seen + hidden, problem.data.weight)
+        assert not np.any((seen > 0.0) & (hidden > 0.0))
+        assert np.sum(hidden[0] > 0.0) == pytest.approx(count / 4, abs=1) and np.sum(hidden[1] > 0.0) == 20
+        assert all(np.ptp(np.flatnonzero(row)) == np.sum(row > 0.0) - 1 for row in hidden)  # rows on end
+    np.testing.assert_array_equal(sum(hidden for _, hidden in parts), problem.data.weight)
 
 
 @pytest.mark.parametrize("slope", [8.0, 30.0])

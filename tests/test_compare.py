@@ -108,7 +108,7 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
         errors.append(model["rmse_holdout"])
         assert bool(model["note"]) is (folder is tmp_path)
     assert "holdout.csv resampled for it" in done.output
-    assert errors[1] == pytest.approx(errors[0], rel=0.1)
+    assert errors[1] == pytest.approx(errors[0], rel=0.15)
 
 
 def test_what_few_rows_do_not_tell_is_said(short, tmp_path):

@@ -2,9 +2,9 @@
 
     w = f(u),     x(k) = -f_1 x(k-1) - f_2 x(k-2) + b_1 w(k-1-nk) + b_2 w(k-2-nk),     y = h(x)
 
-(flexible-actuator paper). f and h are piecewise linear between knots. The block has unit gain at rest, since f and h scale it, and is stable
-by construction: its poles are given by reflection coefficients between -1 and 1. Rows are equally far apart. The delay nk is given in s and
-need not be whole rows: between rows, w is what lies on the straight line between them.
+(flexible-actuator paper). f and h are piecewise linear between knots. The block has unit gain at rest, since f and h scale it, and is
+stable by construction: its poles are given by reflection coefficients between -1 and 1. Rows are equally far apart. The delay nk is given
+in s and need not be whole rows: between rows, w is what lies on the straight line between them.
 """
 
 import equinox as eqx

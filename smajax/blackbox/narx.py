@@ -6,7 +6,7 @@
 of about one inside. *Open loop* it predicts one row ahead from measured outputs; *closed loop*, which is what ``respond`` does, it feeds on
 its own. In between, ``ahead`` lets it run so many rows on its own before it is told again: a fit that goes from 1 row to all of them finds
 a network that does not run away on what it was fitted to. That it does not run away on another input either is a matter of small weights: a
-ridge holds them, chosen by rows of the training recordings that the fit under it does not see (``smajax.fit.operators.fit_operator``).
+ridge holds them, chosen by rows of the training recordings that the fit under it does not see (``smajax.fit.networks``).
 """
 
 import jax
@@ -59,7 +59,9 @@ class Narx(AbstractOperator):
 
     def _next(self, outputs: jax.Array, inputs: jax.Array) -> jax.Array:
         seen = jnp.concatenate([outputs, inputs])
-        return self.constant + self.straight @ outputs + self.outer @ jnp.tanh(self.hidden @ seen + self.shift)
+        # Sums instead of products of matrices: these are too small for what calling one costs in every row.
+        inner = jnp.tanh(jnp.sum(self.hidden * seen[None, :], axis=1) + self.shift)
+        return self.constant + jnp.sum(self.straight * outputs) + jnp.sum(self.outer * inner)
 
     def _entering(self, value: jax.Array) -> jax.Array:
         return (value - self.scale[0]) / self.scale[1]
