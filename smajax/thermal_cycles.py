@@ -39,6 +39,8 @@ _DRAWS = 60
 _INSIDE = 0.95 * (_DRAWS + 1) / _DRAWS  # the quantile of so many draws below which one more lies in 95 % of all cases
 _FREE = 6  # numbers in the three lines
 _FEWEST_LEFT = 4.0  # rows that err by themselves, beyond those numbers
+_SLOWEST = 0.96  # neighbours that go together more than this are no noise in so many rows
+_TAKEN = 0.05  # numbers of a course to a row
 _POOL = 4  # rows on a line that tell its noise
 _SEEN = 4.0  # times the scatter about the lines by which the strain has to move
 _LEAST = 1e-6  # strain
@@ -234,18 +236,40 @@ def _redrawn(line: np.ndarray, distance: np.ndarray, free: int, rng: np.random.G
         scatter, together = math.sqrt(float(np.mean(one**2))), 2.0 * _together(one) - 1.0
         # So many rows err by themselves, of which the course has taken a number each with them; of how many are left, chi-squares tell.
         alone = max(len(one) / together, taken + _FEWEST_LEFT)
-        drawn[:, rows] = _alike(one / max(scatter, 1e-300), rng) * scatter * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
+        drawn[:, rows] = (
+            _alike(one / max(scatter, 1e-300), taken, rng) * scatter * np.sqrt(alone / rng.chisquare(alone - taken, (_DRAWS, 1)))
+        )
     return drawn
 
 
-def _alike(series: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Series (draws, n) of the same autoregression as one (n,)."""
+def _alike(series: np.ndarray, taken: float, rng: np.random.Generator) -> np.ndarray:
+    """Series (draws, n) of the same autoregression as one (n,), from which a course of so many numbers has been ``taken``."""
     own, variance = autoregression(series)
     if np.sum(own) <= 0.0:  # what goes to and fro like this is what the lines leave of noise without memory
         own, variance = np.zeros(0), 1.0
+    if float(np.std(series)) < _NO_NOISE * scatter(series, 1):
+        own = _slower(own, taken / len(series), 2.0 / len(series))
     burnt = len(series) + 20 * (len(own) + 1)
     pushed = math.sqrt(variance) * rng.standard_normal((_DRAWS, burnt))
     return np.asarray(lfilter([1.0], np.append(1.0, -own), pushed, axis=1))[:, burnt - len(series) :]
+
+
+def _slower(own: np.ndarray, taken: float, each: float) -> np.ndarray:
+    """An autoregression as it was before a course of so many numbers a row was taken from it, ``each`` being 2 over the rows.
+
+    With the course went what is slow, so that neighbours seem to go together less than they do. Of a first-order autoregression r in n rows
+    about a mean, r - (1 + 3 r) / n is seen on average (Kendall 1954), about a straight line r - (2 + 4 r) / n, and so on. That is undone of
+    the slowest part of any, unless it swings or the rows are too few for such a formula.
+    """
+    if not len(own) or taken > _TAKEN:
+        return own
+    parts = np.roots(np.append(1.0, -own))
+    slowest = int(np.argmax(np.abs(parts)))
+    if abs(parts[slowest].imag) > 0.0 or parts[slowest].real <= 0.0:
+        return own
+    seen = parts[slowest].real
+    parts[slowest] = max(seen, min((seen + taken) / (1.0 - taken - each), _SLOWEST))
+    return -np.real(np.poly(parts))[1:]
 
 
 def _together(distance: np.ndarray) -> float:
