@@ -21,7 +21,7 @@ from smajax.recording import Recording
 
 _SCREENED = 48
 # So many recordings are a batch of their own.
-_WIDE = 4
+WIDE = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,7 +133,7 @@ def fit(
     problem = build(plant, recordings, settings, interpolation=interpolation, step=step)
     starts, screened = draw_starts(problem, settings.starts, settings.seed)
     compiled = time.perf_counter()
-    search = least_squares.Search(residual, problem, starts, *problem.box, size=problem.size, apart=len(recordings) >= _WIDE)
+    search = least_squares.Search(residual, problem, starts, *problem.box, size=problem.size, apart=len(recordings) >= WIDE)
     solved = search.advance(max_steps, progress).result()
     first = solved.history[0][1] if solved.history else 0.0
     later = (solved.wall - first) / max(len(solved.history) - 1, 1)

@@ -14,6 +14,7 @@ from smajax.console import INTERRUPTED, Progress, stopping
 from smajax.dissipation import crossed
 from smajax.errors import InputError, NumericsError, nearest
 from smajax.fit.fit import Fit, fit, profile, respond
+from smajax.fit.input_noise import moved
 from smajax.fit_settings import FitSettings
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.parameter_file import Entry, read_parameters, write_parameters
@@ -85,6 +86,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             None,
         )
     else:
+        warnings += moved(result, rig.plant, trained, given)
         warnings += crossed(result.plant, [{**r.recording.channels, **r.model} for r in result.responses])
         document = fit_document(result, rig, settings, profiles=profiles, warnings=warnings)
         responses = list(result.responses)
