@@ -75,7 +75,7 @@ def main() -> None:
     rows: list[Row] = []
 
     course, base, _ = cooled(machine)
-    frequency = float(filter_jit(lambda m: m.metrics()["frequency"])(machine))
+    frequency = float(filter_jit(lambda m: m.metrics()["bandwidth"])(machine))
     rows.append(Row("300 um, 2 wires: time to 55 degC", "order of 1 s", f"{base:.3f} s", 0.3 < base < 3.0, {"seconds": base}))
     told = f"{frequency:.2f} Hz: heated by 3.5 A without losses, then cooled without the latent heat, which the paper leaves out, too"
     rows.append(Row("and the cycle", "did not reach 1 Hz", told, None, {"hertz": frequency}))

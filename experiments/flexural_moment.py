@@ -47,7 +47,7 @@ def by_quadrature(law: BilinearLaw, diameter: float, curvature: float) -> float:
 @filter_jit
 def figures(machine: FlexuralActuator) -> dict[str, jax.Array]:
     """All but what needs the cooling."""
-    return {name: value for name, value in machine.metrics().items() if name not in ("time_to_cool", "temperature_after", "frequency")}
+    return {name: value for name, value in machine.metrics().items() if name not in ("time_to_cool", "temperature_after", "bandwidth")}
 
 
 def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from smajax.machines.block_tridiagonal import FivePoint
+from smajax.machines.block_tridiagonal import FivePoint, inverted
 from smajax.machines.cross_section import Cooling, Course, CrossSection, Layer, SectionWire
 from smajax.machines.section_grid import EvenWires, SpacedWires, circle, graded
 from tests.reference import cross_section as reference
@@ -234,3 +234,12 @@ def test_many_right_hand_sides_are_solved_as_each_alone(count: int):
     np.testing.assert_allclose(
         np.asarray(found).reshape(count, 24), np.linalg.solve(dense, right.reshape(count, 24).T).T, rtol=1e-12, atol=1e-14
     )
+
+
+def test_an_inverse_by_sweeps_calls_no_lapack():
+    """LAPACK's threads wait for each other where a machine is busy: a section with twelve wires took minutes for a second's work."""
+    root = np.random.default_rng(1).standard_normal((40, 40))
+    positive = root @ root.T + 40.0 * np.eye(40)
+    np.testing.assert_allclose(np.asarray(inverted(jnp.asarray(positive))) @ positive, np.eye(40), atol=1e-12)
+    lowered = jax.jit(lambda section: section.cool(1.0).hottest).lower(section())
+    assert "lapack" not in lowered.as_text()

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.stats import qmc
 
 from smajax import machines, parameters
@@ -96,7 +97,27 @@ def test_figures_of_a_command(knee):
     wire, law = knee.wire, knee.material
     ends = [25.0 * 20.0 / float(rho * wire.length / wire.area) for rho in (law.resistivity_austenite, law.resistivity_martensite)]
     assert ends[0] < springs["energy_per_cycle"] < ends[1]
+    # Once more finely: what the springs pull over what they shorten; and the cooling, by steps of the heat balance.
+    fine = eqx.filter_jit(lambda one: one.roll(jnp.linspace(0.0, 1.0, 2001)))(knee)
+    pull, turned = np.asarray(jax.vmap(knee.forces)(fine)), np.diff(np.asarray(fine.angle))
+    shortened = float(knee.joint.radius) * np.stack([-turned, turned], axis=1)
+    work = np.sum(np.maximum(0.5 * (pull[1:] + pull[:-1]) * shortened, 0.0))
+    assert springs["work_per_cycle"] == pytest.approx(work, rel=2e-3)
+    assert springs["efficiency"] == pytest.approx(springs["work_per_cycle"] / springs["energy_per_cycle"], rel=1e-12)
+    tau = 5.4e6 * 1e-3 / (4.0 * 70.0)  # h is a number
+    assert springs["time_to_cool"] == pytest.approx(tau * np.log(10.0), rel=1e-9)
+    assert springs["bandwidth"] == pytest.approx(1.0 / (20.0 + springs["time_to_cool"]), rel=1e-12)
+    rising = parameters.replace(knee, {"heat.h0": 40.0, "heat.h2": 6e-3})
+    hot = eqx.filter_jit(lambda one: one.time_to_cool(jax.tree.map(lambda leaf: leaf[-1], one.roll(SHARE))))(rising)
+    top = float(np.asarray(roll(rising).temperature)[-1].max())
+    cooling = solve_ivp(
+        lambda _, t: -4.0 / 1e-3 / 5.4e6 * (40.0 + 6e-3 * t**2) * (t - 22.0), (0.0, 300.0), [top], rtol=1e-9, atol=1e-9, dense_output=True
+    )
+    assert cooling.sol(float(hot))[0] - 22.0 == pytest.approx(0.1 * (top - 22.0), rel=1e-5)
+    assert motor["time_to_cool"] == 0.0 and motor["bandwidth"] == 1.0 and 0.0 < motor["efficiency"] < 1.0
     current = np.asarray(roll(commanded(knee, "motor")).current)
+    idle = figures(parameters.replace(knee, {"command.second": 0.0}))
+    assert float(idle["efficiency"]) == 0.0 == float(idle["energy_per_cycle"])
     assert motor["energy_per_cycle"] == pytest.approx(np.trapezoid(current, np.asarray(SHARE)), rel=0.02)
 
 

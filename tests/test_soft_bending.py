@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.optimize import brentq
+from scipy.special import j0, j1, y0, y1
 
 from smajax import machines, parameters
 from smajax.datasets import shipped
@@ -186,3 +187,42 @@ def test_soft_bending_figures():
     small = parameters.replace(machine, {"wires.memory_curvature": 1e-3})
     held = _figures(parameters.replace(small, {"cable.force": _figures(small)["blocking_force"]}))
     assert abs(float(held["tip_deflection"])) < 1e-6 * 0.12 * 1e-3
+
+
+def test_a_cycle_of_the_bar():
+    """Against a hanging weight the tip goes from below to above; the wires are warmed, transformed, and cooled in the silicone."""
+    machine = machines.read(shipped("machines", "soft-bending", "rig.toml"))
+    pulled = parameters.replace(machine, {"cable.force": 0.2})
+    told = {name: float(value) for name, value in _figures(pulled).items()}
+    cold = bend(jnp.asarray(0.2), jnp.asarray(0.0), jnp.asarray(0.12), jnp.asarray(told["cold_rigidity"]))
+    assert float(cold.y) < 0.0 and told["stroke"] == pytest.approx(told["tip_deflection"] - float(cold.y), rel=1e-9)
+    assert told["work_per_cycle"] == pytest.approx(0.2 * told["stroke"], rel=1e-12)
+    mass = 4 * 0.12 * np.pi / 4 * 1.2e-3**2 * 6450.0
+    assert told["energy_per_cycle"] == pytest.approx(mass * (837.4 * 24.0 + 24.2e3), rel=1e-9)
+    assert told["efficiency"] == pytest.approx(told["work_per_cycle"] / told["energy_per_cycle"], rel=1e-12)
+    resistance = 0.9e-6 * 4 * 0.12 / (np.pi / 4 * 1.2e-3**2)
+    assert told["heating_time"] == pytest.approx(told["energy_per_cycle"] / (10.0**2 * resistance), rel=1e-9)
+    assert told["bandwidth"] == pytest.approx(1.0 / (told["heating_time"] + told["time_to_cool"]), rel=1e-12)
+    assert told["force"] == told["blocking_force"] and told["peak_temperature"] == 46.0
+    # Of one wire in much silicone only the silicone around it counts: that of a cylinder in a boundless medium.
+    wide = parameters.replace(pulled, {"wires.count": 1.0, "bar.width": 0.1, "bar.thickness": 0.05, "wires.diameter": 0.6e-3})
+    alone = float(_figures(wide)["time_to_cool"])
+    assert alone == pytest.approx(_cylinder(0.3e-3, 5.4e6, 0.15, 970.0 * 1460.0, (46.0 - 36.0) / 24.0), rel=0.02)
+
+
+def _cylinder(radius: float, stored: float, conductivity: float, around: float, lost: float) -> float:
+    """When a cylinder at one temperature, of so much heat per volume and kelvin, has lost a share of it to a boundless medium, s.
+
+    Carslaw and Jaeger, Conduction of Heat in Solids (1959), 13.7 (8), without contact resistance.
+    """
+    a, diffusivity = 2.0 * around / stored, conductivity / around
+
+    def left(time: float) -> float:
+        def part(u: float) -> float:
+            real, imaginary = u * j0(u) - a * j1(u), u * y0(u) - a * y1(u)
+            return np.exp(-diffusivity * time * u**2 / radius**2) / (u * (real**2 + imaginary**2))
+
+        # Alike on a logarithmic scale, along which it changes slowly.
+        return 4.0 * a / np.pi**2 * quad(lambda s: part(np.exp(s)) * np.exp(s), -25.0, 7.0, limit=500)[0]
+
+    return brentq(lambda time: left(time) - (1.0 - lost), 1e-4, 100.0)

@@ -31,6 +31,23 @@ def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.A
     return jnp.stack([_product(symmetric, one) for one in vector]), True
 
 
+def inverted(positive: jax.Array) -> jax.Array:
+    """The inverse of a symmetric positive definite matrix, ``(c, c)``, by sweeping one pivot after the other.
+
+    LAPACK's would share so small a matrix among threads that wait for each other, on a busy machine a hundred times as long as they work.
+    """
+
+    def sweep(k: jax.Array, matrix: jax.Array) -> jax.Array:
+        column = matrix[:, k]
+        row = column / column[k]
+        here = jnp.arange(len(matrix)) == k
+        swept = matrix - column[:, None] * row[None, :]
+        swept = jnp.where(here[:, None], row[None, :], jnp.where(here[None, :], row[:, None], swept))
+        return jnp.where(here[:, None] & here[None, :], -1.0 / column[k], swept)
+
+    return -jax.lax.fori_loop(0, len(positive), sweep, positive)
+
+
 class FivePoint(NamedTuple):
     """A symmetric matrix over ``r`` rows of ``c`` cells: the diagonal ``(r, c)``, and the couplings within rows ``(r, c - 1)`` and between
     them ``(r - 1, c)``, which stand in the matrix with a minus."""
@@ -46,21 +63,22 @@ class FivePoint(NamedTuple):
         return product.at[1:].add(-self.between * x[:-1]).at[:-1].add(-self.between * x[1:])
 
     def factor(self) -> jax.Array:
-        """The inverses S_i of the eliminated rows, shape ``(r, c, c)``."""
+        """The inverses S_i of the eliminated rows, shape ``(r, c, c)``, without derivatives, which no solution needs of them."""
         cells = self.diagonal.shape[1]
-        above = jnp.concatenate([jnp.zeros((1, cells)), self.between])
+        fixed = jax.lax.stop_gradient(self)
+        above = jnp.concatenate([jnp.zeros((1, cells)), fixed.between])
 
         def eliminate(inverse: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
             diagonal, within, coupling = row
             block = jnp.diag(diagonal) - jnp.diag(within, 1) - jnp.diag(within, -1)
-            inverse = jnp.linalg.inv(block - coupling[:, None] * inverse * coupling[None, :])
+            inverse = inverted(block - coupling[:, None] * inverse * coupling[None, :])
             return inverse, inverse
 
-        return jax.lax.scan(eliminate, jnp.zeros((cells, cells)), (self.diagonal, self.within, above))[1]
+        return jax.lax.scan(eliminate, jnp.zeros((cells, cells)), (fixed.diagonal, fixed.within, above))[1]
 
     def solve(self, factors: jax.Array, right: jax.Array) -> jax.Array:
         """The solution for a right-hand side, both of shape ``(r, c)``; differentiable in matrix and right-hand side."""
-        factors, between = jax.lax.stop_gradient((factors, self.between))
+        between = jax.lax.stop_gradient(self.between)
         zero = jnp.zeros((1, right.shape[1]))
 
         def sweep(right: jax.Array) -> jax.Array:

@@ -32,6 +32,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from smajax.kinks import larger, largest, swing, within
 from smajax.machines.machine import AbstractMachine
@@ -42,6 +43,8 @@ from smajax.plant.material.base import Fractions
 from smajax.plant.material.lagoudas import Lagoudas
 from smajax.plant.wire import Coil, Environment
 
+# The share of its excess over the surroundings that a spring has lost when it counts as cooled, as a rig's wires do.
+COOLED = 0.9
 _FOLLOWS = 0.02  # s, in which the fractions come to what the law says
 
 
@@ -130,6 +133,10 @@ class Knee(AbstractMachine):
         "force": "N",
         "peak_temperature": "degC",
         "energy_per_cycle": "J",
+        "work_per_cycle": "J",
+        "efficiency": "1",
+        "time_to_cool": "s",
+        "bandwidth": "Hz",
         "slip": "rad/s",
         "clutch_sticks": "1",
     }
@@ -229,8 +236,10 @@ class Knee(AbstractMachine):
     def metrics(self) -> dict[str, jax.Array]:
         """See ``AbstractMachine``: the parts' own figures, and what the command makes of them.
 
-        ``stroke`` is the largest less the smallest angle, ``force`` the largest pull of a spring, and ``energy_per_cycle`` what springs and
-        motor take while the command lasts, since going back takes none.
+        ``stroke`` is the largest less the smallest angle, ``force`` the largest pull of a spring. A cycle is the command, and the cooling
+        after it: ``energy_per_cycle`` is what springs and motor take while the command lasts, since going back takes none,
+        ``work_per_cycle`` what springs do while they shorten and the clutch while it drives the joint, ``efficiency`` their ratio (0 where
+        nothing is taken), and ``bandwidth`` the rate of such cycles.
         """
         one, none = jnp.ones(()), jnp.zeros(())
         share = jnp.linspace(0.0, 1.0, 201)
@@ -239,6 +248,8 @@ class Knee(AbstractMachine):
         passed = jnp.abs(self.clutch.transmitted(self.slip(end), self.command.clutch))
         whole = self.clutch.torque * self.clutch.share(self.command.clutch)
         hot = self.stiffness(none) * self.wire.prestretch
+        energy = self.command.duration * jnp.trapezoid(jax.vmap(self.power)(way), share)
+        work, cooling = self.work(way), self.time_to_cool(end)
         found = {
             "austenite_stiffness": self.stiffness(none),
             "martensite_stiffness": self.stiffness(one),
@@ -253,11 +264,40 @@ class Knee(AbstractMachine):
             "stroke": swing(way.angle),
             "force": largest(jax.vmap(self.forces)(way)),
             "peak_temperature": largest(way.temperature),
-            "energy_per_cycle": self.command.duration * jnp.trapezoid(jax.vmap(self.power)(way), share),
+            "energy_per_cycle": energy,
+            "work_per_cycle": work,
+            "efficiency": jnp.where(energy > 0.0, work / jnp.where(energy > 0.0, energy, 1.0), 0.0),
+            "time_to_cool": cooling,
+            "bandwidth": 1.0 / (self.command.duration + cooling),
             "slip": self.slip(end),
             "clutch_sticks": jnp.where((whole > 0) & (passed < whole * jnp.tanh(1.0)), 1.0, 0.0),
         }
         return {n: jnp.where(self.wire.fits, value, jnp.nan) for n, value in found.items()}
+
+    def work(self, way: KneeState) -> jax.Array:
+        """Work in J along a way of ``n`` states: of the springs while they shorten, and of the clutch while it drives the joint.
+
+        By the trapezoidal rule, each from state to state where it is positive.
+        """
+        pull, turned = jax.vmap(self.forces)(way), jnp.diff(way.angle)
+        shortened = self.joint.radius * jnp.stack([-turned, turned], axis=1)
+        drive = self.clutch.belt * self.clutch.transmitted(self.slip(way), self.command.clutch)
+        springs = jnp.sum(larger(0.5 * (pull[1:] + pull[:-1]) * shortened, 0.0))
+        return springs + jnp.sum(larger(0.5 * (drive[1:] + drive[:-1]) * turned, 0.0))
+
+    def time_to_cool(self, state: KneeState) -> jax.Array:
+        """Time in s in which the hottest heated spring loses 90 % of its excess over the surroundings; 0 where none is heated.
+
+        By the heat balance without current, C dT/dt = -g(T) (T - T_ambient), and the capacity of the mean of both phases: the integral of
+        C / g over the logarithm of the excess.
+        """
+        heated = jnp.stack([self.command.first, self.command.second]) > 0.0
+        excess = largest(state.temperature) - self.environment.ambient
+        points, weights = np.polynomial.legendre.leggauss(12)
+        fall = jnp.log(1.0 / (1.0 - COOLED))
+        temperature = self.environment.ambient + excess * jnp.exp(-0.5 * fall * (1.0 + points))
+        slowness = self.heat.capacity(jnp.asarray(0.5)) / self.heat.conductance(temperature, self.wire)
+        return jnp.where(jnp.any(heated), 0.5 * fall * jnp.sum(weights * slowness), 0.0)
 
     def heating_time(self, voltage: jax.Array) -> jax.Array:
         """Time in s in which a spring without load warms up to its austenite finish; infinite where it never does.

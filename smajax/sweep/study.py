@@ -218,8 +218,8 @@ class MachineStudy(AbstractStudy):
 
     @property
     def batch(self) -> int:
-        """See ``AbstractStudy``: a machine may have the factors of a whole section's equations to hold."""
-        return 8
+        """See ``AbstractStudy``: the machine's own."""
+        return self.machine.batch
 
     def steps(self, designs: Floats) -> np.ndarray:
         """See ``AbstractStudy``: a machine resolves itself, but in one layout."""
