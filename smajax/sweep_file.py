@@ -43,6 +43,7 @@ from smajax.sweep.study import AbstractStudy
 from smajax.sweep.table import read_header
 from smajax.sweep_subject import Subject, again, read_subject
 from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
+from smajax.units import unit_of
 from smajax.versions import versions
 
 WAYS = ("max", "min")
@@ -91,8 +92,9 @@ class _Refine(BaseModel):
 class SweepFile:
     """A sweep as its file has it, in internal units.
 
-    ``constraints`` are lower and upper ends by metric, ``objectives`` are ``max`` or ``min``, ``refined`` is from how many of the best
-    designs to go on by gradients, ``sensitivity`` whether Sobol indices are wanted. ``text`` is the file's.
+    ``constraints`` are lower and upper ends by metric, ``units_of`` those in which the file has them, ``objectives`` are ``max`` or
+    ``min``, ``refined`` is from how many of the best designs to go on by gradients, ``sensitivity`` whether Sobol indices are wanted.
+    ``text`` is the file's.
     """
 
     name: str
@@ -108,6 +110,7 @@ class SweepFile:
     sensitivity: bool
     objectives: Mapping[str, str]
     constraints: Mapping[str, tuple[float, float]]
+    units_of: Mapping[str, str]
     refined: int
 
     def designs(self) -> Floats:
@@ -199,7 +202,7 @@ def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> S
     return SweepFile(
         name=name, text=text, subject=subject, axes=axes, sampling=head.sampling, count=count, seed=head.seed, chunk=head.chunk,
         metrics=metrics, gradients=head.gradients, sensitivity=ranged if head.sensitivity is None else head.sensitivity,
-        objectives=objectives, constraints=constraints,
+        objectives=objectives, constraints=constraints, units_of=_units_of(data),
         refined=validate(_Refine, data["refine"], "refine").starts if "refine" in data else 0,
     )  # fmt: skip
 
@@ -322,6 +325,11 @@ def _constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]
             )
         found[name] = (ends[0], ends[1])
     return found
+
+
+def _units_of(data: Mapping[str, Any]) -> dict[str, str]:
+    """The unit in which each constraint is written, of two ends the lower one's."""
+    return {name: unit_of(limit.get("at_least", limit.get("at_most"))) for name, limit in data.get("constraints", {}).items()}
 
 
 def _check_order(axes: Sequence[Axis], subject: Subject) -> None:

@@ -22,7 +22,7 @@ from smajax.sweep.space import Axis
 from smajax.sweep.study import INPUT, AbstractStudy, MachineStudy, RigStudy
 from smajax.sweep.wave import SHAPES, Wave
 from smajax.toml_file import STRICT, quantity_at, read_text, show, validate
-from smajax.units import CHANNELS
+from smajax.units import CHANNELS, numbered
 
 NAMES = (*METRICS, "bandwidth")
 _USUAL = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
@@ -94,6 +94,8 @@ class RigSubject:
         for name in (axis.name for axis in axes):
             if name in ("pulley.inertia", "pulley.damping") and isinstance(self.rig.plant.mechanism, LightRotary):
                 raise InputError(f"parameters.{name} does nothing while the rig has neither inertia nor damping: give it one in the rig")
+        if any(axis.name == f"{INPUT}amplitude" and not axis.upper > 0.0 for axis in axes):
+            raise InputError(f"parameters.{INPUT}amplitude is 0 throughout, and nothing else heats a wire: give values above 0")
         if not isinstance(self.source, Wave) and (only := [n for n in _NEEDS_WAVE if n in metrics]):
             raise InputError(f"{only[0]} needs a wave, and [input] has a recording: take the metric out, or give a wave")
         if "bandwidth" in metrics and not self.highest:
@@ -221,6 +223,10 @@ def _rig(rig: Rig, given: _Input, recording: Recording | None) -> RigSubject:
         extra = [key for key in ("wave", "amplitude", "frequency", "duty", "highest") if getattr(given, key) is not None]
         if extra:
             raise InputError(f"input.{extra[0]} has no place beside input.recording: take one of the two out")
+        control = rig.plant.drive.control
+        heating = numbered(control, rig.plant.mechanism.wires) if control else ()
+        if heating and not any(np.any(recording.channels[n]) for n in heating):
+            raise InputError(f"input.recording: {' and '.join(heating)} is 0 throughout, so that no wire is heated: name another one")
         return RigSubject(rig, recording, given.cycles or 1, 0.0)
     if rig.plant.mechanism.prescribed:
         raise InputError(f"[input] needs a recording, since this rig follows its {rig.plant.mechanism.prescribed[0]}: add recording = ...")
@@ -243,8 +249,9 @@ def _wave(rig: Rig, given: _Input) -> Wave:
     amplitude = quantity_at(given.amplitude, control.unit, "input.amplitude")
     frequency = quantity_at(given.frequency, "Hz", "input.frequency")
     duty = 0.5 if given.duty is None else quantity_at(given.duty, "1", "input.duty")
-    if not 0.0 <= amplitude <= control.plausible[1]:
-        raise InputError(f"input.amplitude = {show(given.amplitude)} is not possible: give 0 to {control.plausible[1]:g}")
+    if not 0.0 < amplitude <= control.plausible[1]:
+        top = f"above 0, up to {control.plausible[1]:g} {control.unit}".removesuffix(" 1")
+        raise InputError(f"input.amplitude = {show(given.amplitude)} is not possible: give one {top}, since nothing else heats a wire")
     if not 0.0 < frequency <= 1e4:
         raise InputError(f"input.frequency = {show(given.frequency)} is not possible: give one above 0, up to 10 kHz")
     if not 0.0 < duty < 1.0:

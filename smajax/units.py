@@ -190,6 +190,12 @@ def parse(text: str | float, canonical: str) -> float:
         raise InputError(f"'{text}' is too large for a number: {example}") from None
 
 
+def unit_of(text: str | float) -> str:
+    """The unit in which a quantity that ``parse`` reads is written: ``"mm"`` of ``"5 mm"``, ``"1"`` of a bare number."""
+    number = _NUMBER.match(str(text).strip().replace("\N{MINUS SIGN}", "-"))
+    return (str(text).strip()[number.end() :].strip() if number else "") or "1"
+
+
 def format_quantity(value_si: float, unit: str, canonical: str | None = None) -> str:
     """Text such as ``"0.15 mm"``, as short as can be, that ``parse`` takes back to exactly the same finite float.
 

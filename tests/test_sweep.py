@@ -34,7 +34,7 @@ from smajax.jobs.sweep import SweepJob, run_sweep
 from smajax.machines.knee import Knee
 from smajax.report.sweep import best_rows, sentences
 from smajax.rig import read_rig
-from smajax.sweep import chunks, refine, space
+from smajax.sweep import chunks, look, refine, space
 from smajax.sweep.bandwidth import Reached, find
 from smajax.sweep.chunks import slope_name
 from smajax.sweep.front import pareto, thinned
@@ -633,9 +633,50 @@ def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
 def test_constraints_that_nothing_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)
-    assert "degC (allowed: at most 21)" in outcome.reason
+    assert "degC (allowed: at most 21 degC)" in outcome.reason
     assert outcome.code == 3 and "none of the 130 designs keeps the constraints: the nearest, design" in outcome.reason
     assert (folder / "out" / "sweep.parquet").is_file()
+
+
+def test_a_search_goes_from_beyond_the_constraints_to_where_they_hold(folder):
+    """All that is drawn strokes too little; there is room at the edge of what may be so hot, which the gradients lead to."""
+    text = SWEEP.replace("peak_temperature = {", 'stroke = { at_least = "9.5 mm" }\npeak_temperature = {').replace(
+        "designs = 130", "designs = 4"
+    )
+    (folder / "sweep.toml").write_text(text, "utf-8")
+    drawn = run(folder, "drawn")
+    assert drawn.code == 3 and "has stroke 8.348 mm (allowed: at least 9.5 mm)" in drawn.reason
+    (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 2\n", "utf-8")
+    outcome = run(folder)
+    assert outcome.code == 0 and outcome.document["feasible"] == 0 and not outcome.document["problems"]
+    best = [one for one in outcome.document["refined"] if one["better"]]
+    assert best and all(one["rescued"] for one in outcome.document["refined"])
+    assert all(one["metrics"]["stroke"] >= 9.5e-3 and one["metrics"]["peak_temperature"] <= 120.0 for one in best)
+    assert "0 keep all constraints, so the nearest ones were refined: " in outcome.document["summary"]
+    assert (folder / "out" / "rig-refined-1.toml").is_file() or (folder / "out" / "rig-refined-2.toml").is_file()
+    # Where none is found, it is said how near it came, and where.
+    (folder / "sweep.toml").write_text(text.replace("9.5 mm", "20 mm") + "[refine]\nstarts = 1\n", "utf-8")
+    none = run(folder, "none")
+    assert none.code == 3 and not none.document["refined"][0]["better"]
+    assert "refining from the nearest kept none either, and came to stroke" in none.reason and "at wire.diameter" in none.reason
+
+
+def test_a_whole_count_is_moved_to_where_the_constraints_hold():
+    class Study:
+        names, units, program = ("n", "a"), {"size": "m", "cost": "1"}, staticmethod(lambda design: 1)
+
+    def answer(study, designs, steps):
+        n, a = (float(v) for v in designs[0])
+        return {"size": [n * a], "cost": [n + a]}, {"size": np.array([[a, n]]), "cost": np.array([[1.0, 1.0]])}, None
+
+    axes, limits = (Axis("n", "1", 2.0, 5.0, whole=True), Axis("a", "1", 0.0, 1.0)), {"size": (3.2, np.inf), "cost": (-np.inf, 5.0)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(look, "differentiate_batch", answer)
+        one = refine.rescue(Study, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits)
+        assert one.better and one.rescued and one.design[0] in (4.0, 5.0) and one.metrics["size"] >= 3.2 and one.metrics["cost"] <= 5.0
+        assert one.before == {"size": pytest.approx(0.2), "cost": pytest.approx(2.1)}
+        none = refine.rescue(Study, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits | {"cost": (-np.inf, 2.5)})
+        assert not none.better and none.rescued and none.metrics["size"] > 0.2
 
 
 def test_the_nearest_of_those_that_could_be_simulated(tmp_path):
@@ -649,12 +690,12 @@ def test_the_nearest_of_those_that_could_be_simulated(tmp_path):
     [parameters]
     wire.diameter = {{ values = ["0.3 mm", "0.9 mm"] }}
     [constraints]
-    moment = {{ at_least = "1 N m" }}
+    moment = {{ at_least = "1000 mN m" }}
     """
     (tmp_path / "sweep.toml").write_text(content, "utf-8")
     outcome = run(tmp_path)
     assert outcome.code == 3 and outcome.document["codes"] == {"done": 1, "diverged": 1}
-    assert "the nearest, design 0, has moment 0.001528 N m (allowed: at least 1)" in outcome.reason
+    assert "the nearest, design 0, has moment 1.528 mN m (allowed: at least 1000 mN m)" in outcome.reason
 
 
 def test_a_design_that_no_memory_holds(folder):
@@ -778,6 +819,12 @@ BAD = [
     ('at_most = "120 degC"', 'at_most = "19 degC"', "at_most = '19 degC' can never be kept, as it is never below 20 degC"),
     ('peak_temperature = { at_most = "120 degC" }', 'efficiency = { at_least = "101 %" }', "can never be kept, as it is never above 1"),
     ("designs = 130", "designs = 130\nsensitivity = true", "sweep.sensitivity needs at least 640 designs with 3 parameters"),
+    (
+        'amplitude = "0.3 A"',
+        'amplitude = "0 A"',
+        "input.amplitude = '0 A' is not possible: give one above 0, up to 50 A, since nothing else",
+    ),
+    ('input.amplitude = ["0.2 A", "0.4 A"]', 'input.amplitude = { values = ["0 A"] }', "parameters.input.amplitude is 0 throughout"),
     ("[objectives]", 'duty = "150 %"\n[objectives]', "input.duty = '150 %' is not possible"),
     (
         "load.mass = {",
@@ -822,6 +869,9 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
     for address, why in (("tcp://127.0.0.1:9", "Connection refused"), ("foo", "missing port number")):
         with pytest.raises(InputError, match=rf"--scheduler {address}: no Dask scheduler answers there \(.*{why}"):
             run(folder, scheduler=address)
+        assert not (folder / "out.partial").exists()
+    with pytest.raises(InputError, match="--scheduler is empty: give a Dask scheduler's address, like tcp://host:8786, or local"):
+        run(folder, scheduler="")
     assert run(folder, resume=True).code == 0
 
 
@@ -975,7 +1025,7 @@ def test_a_search_from_or_to_what_is_infinite():
 
     axes = (Axis("a", "1", 0.0, 1.0),)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "differentiate_batch", answer)
+        patch.setattr(look, "differentiate_batch", answer)
         one = refine.refine(Study, axes, np.array([0.9]), {"size": "max"}, {"slow": (0.7, np.inf)})
         assert one.better and one.metrics["size"] == 1.0
         least = refine.refine(Study, axes, np.array([0.4]), {"size": "max"}, {"slow": (-np.inf, 0.45)})
@@ -1000,7 +1050,7 @@ def test_what_is_refined_is_better_on_steps_that_resolve_it():
 
     axes = (Axis("a", "1", 0.0, 1.0),)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "differentiate_batch", answer)
+        patch.setattr(look, "differentiate_batch", answer)
         one = refine.refine(Study, axes, np.array([0.1]), {"size": "max", "cost": "min"}, {"hot": (-np.inf, 0.8)})
         assert one.better and one.metrics["hot"] == one.design[0] == pytest.approx(0.8, abs=1e-5)
         # One that seems better on coarse steps alone is not called so.
@@ -1027,7 +1077,7 @@ def test_counts_are_whole_drawn_and_refined(folder):
 
     axes = (count, Axis("a", "1", 0.0, 1.0))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "differentiate_batch", answer)
+        patch.setattr(look, "differentiate_batch", answer)
         one = refine.refine(Study, axes, np.array([2.0, 0.9]), {"size": "max"}, {})
         assert one.better and one.design[0] == 4.0 and one.design[1] == pytest.approx(0.125, abs=1e-3)
         # Where the rounded count is beyond a limit, the count stays, and the rest is refined.

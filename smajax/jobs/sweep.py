@@ -5,8 +5,9 @@ and ``--resume`` goes on from them; a sweep that has ended it leaves as it is. W
 ``sweep.json``.
 """
 
+import contextlib
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,14 +19,14 @@ from smajax.errors import InputError
 from smajax.jobs.record import Clock, Outcome, run_record
 from smajax.recording import Floats
 from smajax.report.document import number, to_json
-from smajax.report.sweep import SCHEMA, figure, sentences, sweep_page
+from smajax.report.sweep import SCHEMA, figure, in_unit, sentences, shown, sweep_page
 from smajax.results import check_out, read_json, write_folder
 from smajax.sweep import cluster
-from smajax.sweep.chunks import Chunk, check_room, gather, here, run_chunks, slope_name, split
-from smajax.sweep.front import cheapest, feasible, pareto, thinned
+from smajax.sweep.chunks import Submit, check_room, gather, here, run_chunks, slope_name, split
+from smajax.sweep.front import beyond, cheapest, feasible, pareto, thinned
 from smajax.sweep.metrics import SETTLED
 from smajax.sweep.partial import begun, digest, partial_folder
-from smajax.sweep.refine import Refined, refine, starts
+from smajax.sweep.refine import Refined, refine, rescue, starts
 from smajax.sweep.sensitivity import indices, whole_rows, why_not
 from smajax.sweep.space import pick_and_freeze
 from smajax.sweep.study import INPUT, AbstractStudy
@@ -48,8 +49,8 @@ class SweepJob(NamedTuple):
 def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     """Reads, simulates chunk by chunk, and writes the folder. Raises InputError for what cannot be read, written or reached.
 
-    Exit code 3 if every simulation failed or no design keeps the constraints (with the nearest), 130 if interrupted; both keep what is
-    there.
+    Exit code 3 if every simulation failed or no design keeps the constraints, drawn or refined (with the nearest), 130 if interrupted;
+    both keep what is there.
     """
     out, clock = check_out(job.out), Clock()
     pyarrow_parquet(out, instead="")  # before anything is computed
@@ -73,43 +74,67 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
             check_room(study, chunks, given.gradients)
         except InputError as error:
             raise InputError(f"{job.sweep}: {error}") from None
-    with partial_folder(out, header, resume=job.resume) as partial:
-        progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
-        with clock.time("simulate"), stopping(progress) as asked:
-            complete = _simulate(given, study, header, chunks, partial, job.scheduler, progress, lambda: asked.requested)
-        if not complete:
-            have = sum((partial / chunk.file).is_file() for chunk in chunks)
-            told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
-            return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
-        progress.phase("looking for the best")
-        columns = gather(chunks, partial)
-        both = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, len(designs)), slice(len(designs), None))]
-        main, apart = ({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in both)
-        with clock.time("refine"):
-            document, refined = _document(given, study, main, apart, progress)
-        reason = "; ".join(document["problems"])
-        code = 3 if reason else 0
-        run = run_record("sweep", given.subject, argv, clock, given.seed, code) | {"sweep": given.name, "header": digest(header)}
-        units = {axis.name: axis.unit for axis in given.axes} | study.units
-        units |= {slope_name(n, axis.name): f"{study.units[n]}/({axis.unit})" for n in study.units for axis in given.axes}
+    # Workers are asked for before anything is made, and let go before the best designs are refined here.
+    with contextlib.ExitStack() as workers:
+        if job.scheduler is not None:
+            progress.phase("looking for workers")
+        submit = workers.enter_context(_workers(given, study, header, job.scheduler))
+        with partial_folder(out, header, resume=job.resume) as partial:
+            progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
+            with clock.time("simulate"), stopping(progress) as asked:
 
-        def fill(folder: Path) -> None:
-            (folder / "sweep.toml").write_text(given.text, "utf-8", newline="")
-            (folder / "rig.toml").write_text(given.subject.to_toml(), "utf-8")
-            write_table(folder / "sweep.parquet", main, header, {n: u for n, u in units.items() if n in main})
-            if base:
-                write_table(folder / "sensitivity.parquet", apart, header, {n: u for n, u in units.items() if n in apart})
-            for k, one in enumerate(refined):
-                if one.better:
-                    values = {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True) if not a.name.startswith(INPUT)}
-                    (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
-            (folder / "sweep.json").write_text(to_json(document), "utf-8")
-            (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
+                def done(count: int) -> None:
+                    progress.step(f"{count} of {len(chunks)} chunks")
 
-        progress.phase("writing the report")
-        write_folder(out, run, fill)
-        shutil.rmtree(partial, ignore_errors=True)
-        return Outcome(out, document, code, reason, note)
+                complete = run_chunks(chunks, study.names, partial, submit, done, lambda: asked.requested)
+            workers.close()
+            if not complete:
+                have = sum((partial / chunk.file).is_file() for chunk in chunks)
+                told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
+                return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
+            progress.phase("looking for the best")
+            columns = gather(chunks, partial)
+            both = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, len(designs)), slice(len(designs), None))]
+            main, apart = ({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in both)
+            with clock.time("refine"):
+                document, refined = _document(given, study, main, apart, progress)
+            reason = "; ".join(document["problems"])
+            code = 3 if reason else 0
+            run = run_record("sweep", given.subject, argv, clock, given.seed, code) | {"sweep": given.name, "header": digest(header)}
+            progress.phase("writing the report")
+            write_folder(out, run, lambda folder: _fill(folder, given, study, header, main, apart, document, refined, run))
+            shutil.rmtree(partial, ignore_errors=True)
+            return Outcome(out, document, code, reason, note)
+
+
+def _fill(
+    folder: Path, given: SweepFile, study: AbstractStudy, header: Mapping[str, Any], main: Mapping[str, np.ndarray],
+    apart: Mapping[str, np.ndarray], document: Mapping[str, Any], refined: Sequence[Refined], run: Mapping[str, Any],
+) -> None:  # fmt: skip
+    """Writes what a sweep found into its result folder."""
+    units = {axis.name: axis.unit for axis in given.axes} | study.units
+    units |= {slope_name(n, axis.name): f"{study.units[n]}/({axis.unit})" for n in study.units for axis in given.axes}
+    (folder / "sweep.toml").write_text(given.text, "utf-8", newline="")
+    (folder / "rig.toml").write_text(given.subject.to_toml(), "utf-8")
+    write_table(folder / "sweep.parquet", main, header, {n: u for n, u in units.items() if n in main})
+    if len(apart["design"]):
+        write_table(folder / "sensitivity.parquet", apart, header, {n: u for n, u in units.items() if n in apart})
+    for k, one in enumerate(refined):
+        if one.better:
+            values = {a.name: float(v) for a, v in zip(given.axes, one.design, strict=True) if not a.name.startswith(INPUT)}
+            (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
+    (folder / "sweep.json").write_text(to_json(document), "utf-8")
+    (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
+
+
+@contextlib.contextmanager
+def _workers(given: SweepFile, study: AbstractStudy, header: Mapping[str, Any], scheduler: str | None) -> Iterator[Submit]:
+    """What works on chunks: this process, or a cluster. InputError if there is no such cluster."""
+    if scheduler is None:
+        yield here(study, given.gradients)
+        return
+    with cluster.connected(scheduler) as client:
+        yield cluster.across(client, header, given.gradients)
 
 
 def _finished(out: Path, header: Mapping[str, Any]) -> Outcome | None:
@@ -124,20 +149,6 @@ def _finished(out: Path, header: Mapping[str, Any]) -> Outcome | None:
     return Outcome(out, document, int(run["exit_code"]), "; ".join(document["problems"]), note)
 
 
-def _simulate(
-    given: SweepFile, study: AbstractStudy, header: Mapping[str, Any], chunks: Sequence[Chunk], partial: Path, scheduler: str | None,
-    progress: Progress, stop: Any,
-) -> bool:  # fmt: skip
-    def done(count: int) -> None:
-        progress.step(f"{count} of {len(chunks)} chunks")
-
-    names = study.names
-    if scheduler is None:
-        return run_chunks(chunks, names, partial, here(study, given.gradients), done, stop)
-    with cluster.connected(scheduler) as client:
-        return run_chunks(chunks, names, partial, cluster.across(client, header, given.gradients), done, stop)
-
-
 def _document(
     given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray], apart: Mapping[str, np.ndarray], progress: Progress
 ) -> tuple[dict[str, Any], list[Refined]]:
@@ -150,8 +161,8 @@ def _document(
     problems = []
     if not np.any(main["code"] == "done"):
         problems.append(f"none of the {len(kept):,} designs could be simulated: {', '.join(codes)}")
-    elif given.constraints and not kept.any():
-        problems.append(_nearest(given, study, main))
+    elif given.constraints and not kept.any() and not any(one.better for one in refined):
+        problems.append(_nearest(given, main, refined))
     document: dict[str, Any] = {
         "schema": SCHEMA,
         "sweep": given.name,
@@ -190,24 +201,31 @@ def _row(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray],
     return {"design": int(main["design"][k]), "parameters": values, "metrics": {n: figure(main[n][k]) for n in study.units}}
 
 
-def _nearest(given: SweepFile, study: AbstractStudy, main: Mapping[str, np.ndarray]) -> str:
-    """What to say if no design keeps the constraints: which of those that could be simulated comes nearest, and where it is beyond."""
-    miss = np.where(main["code"] == "done", 0.0, np.inf)
-    for name, (low, high) in given.constraints.items():
-        size = max(abs(end) for end in (low, high) if np.isfinite(end)) or 1.0
-        over = np.maximum(np.maximum(low - main[name], main[name] - high), 0.0) / size
-        miss += np.where(np.isfinite(over), over, 1e6)
-    k = int(np.argmin(miss))
-    told = []
-    for name, (low, high) in given.constraints.items():
-        if not low <= main[name][k] <= high:
-            told.append(f"{name} {main[name][k]:.4g} {study.units[name]} ({_allowed(low, high)})")
-    return f"none of the {len(miss):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has {', '.join(told)}"
+def _nearest(given: SweepFile, main: Mapping[str, np.ndarray], refined: Sequence[Refined]) -> str:
+    """What to say if no design keeps the constraints: the nearest that could be simulated, where refining led, and what is beyond."""
+    far = np.where(main["code"] == "done", beyond(main, given.constraints), np.inf)
+    k = int(np.argmin(far))
+    drawn = {n: float(main[n][k]) for n in given.constraints}
+    told = f"none of the {len(far):,} designs keeps the constraints: the nearest, design {int(main['design'][k])}, has "
+    told += ", ".join(_broken(given, drawn))
+    if not refined:
+        return told
+    last = min(refined, key=lambda one: float(beyond(one.metrics, given.constraints)))
+    where = ", ".join(f"{a.name} {shown(float(v), a.unit)}" for a, v in zip(given.axes, last.design, strict=True))
+    return f"{told}; refining from the nearest kept none either, and came to {', '.join(_broken(given, last.metrics))} at {where}"
 
 
-def _allowed(low: float, high: float) -> str:
-    ends = [f"{word} {end:.4g}" for word, end in (("at least", low), ("at most", high)) if np.isfinite(end)]
-    return f"allowed: {' and '.join(ends)}"
+def _broken(given: SweepFile, values: Mapping[str, float]) -> list[str]:
+    """The constraints that metrics do not keep, each with its figure and what is allowed, in the unit of the sweep file."""
+    found = []
+    for name, (low, high) in given.constraints.items():
+        if not low <= values[name] <= high:
+            unit = given.subject.units[name]
+            written = given.units_of[name]
+            ends = [(word, end) for word, end in (("at least", low), ("at most", high)) if np.isfinite(end)]
+            allowed = " and ".join(f"{word} {in_unit(end, unit, written)}" for word, end in ends)
+            found.append(f"{name} {in_unit(values[name], unit, written)} (allowed: {allowed})")
+    return found
 
 
 def _settling(main: Mapping[str, np.ndarray], front: np.ndarray, refined: Sequence[Refined]) -> dict[str, Any]:
@@ -253,19 +271,26 @@ def _refined(
     front: np.ndarray,
     progress: Progress,
 ) -> list[Refined]:
-    """The best designs, refined: in the first objective, no other objective getting worse than it is there."""
-    if not given.refined or not kept.any() or all(axis.values for axis in given.axes):
+    """The best designs, refined: in the first objective, no other objective getting worse than it is there.
+
+    Where no design keeps the constraints, those that come nearest are moved to where they hold.
+    """
+    if not given.refined or not np.any(main["code"] == "done") or all(axis.values for axis in given.axes):
         return []
     designs = np.column_stack([main[a.name] for a in given.axes])
     moving = [k for k, a in enumerate(given.axes) if not a.values]
     shares = np.column_stack([given.axes[k].share(designs[:, k]) for k in moving])
-    pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
-    pool = pool[~np.isnan(costs[pool, 0])]
-    order = pool[np.argsort(costs[pool, 0], kind="stable")]
+    if kept.any():
+        pool = front if len(given.objectives) > 1 else np.flatnonzero(kept)
+        pool = pool[~np.isnan(costs[pool, 0])]
+        order, better = pool[np.argsort(costs[pool, 0], kind="stable")], refine
+    else:
+        pool = np.flatnonzero(main["code"] == "done")
+        order, better = pool[np.argsort(beyond(main, given.constraints)[pool], kind="stable")], rescue
     found = []
     for k, row in enumerate(starts(shares, order, given.refined)):
         progress.phase(f"refining design {int(main['design'][row])} ({k + 1})")
-        found.append(refine(study, given.axes, designs[row], given.objectives, given.constraints))
+        found.append(better(study, given.axes, designs[row], given.objectives, given.constraints))
     return found
 
 
@@ -276,4 +301,5 @@ def _refined_entry(given: SweepFile, one: Refined) -> dict[str, Any]:
         "metrics": {n: figure(v) for n, v in one.metrics.items()},
         "simulations": one.simulations,
         "better": one.better,
+        "rescued": one.rescued,
     }

@@ -31,6 +31,7 @@ from smajax.parameters import parameter
 
 _LONGEST = 600.0  # s
 
+
 class SoftBar(eqx.Module):
     """The silicone bar, clamped at one end."""
 
@@ -133,9 +134,7 @@ class SoftBending(AbstractMachine):
         """The bar's cross-section: silicone in its outer layers, too, each a quarter of what the wires leave of the thickness."""
         bar, wires, cooling = self.bar, self.wires, self.cooling
         outer = 0.25 * (bar.thickness - wires.diameter)
-        layers = [
-            Layer(thickness, bar.density, bar.heat_capacity, bar.conductivity) for thickness in (outer, bar.thickness - 2.0 * outer)
-        ]
+        layers = [Layer(thickness, bar.density, bar.heat_capacity, bar.conductivity) for thickness in (outer, bar.thickness - 2.0 * outer)]
         wire = SectionWire(wires.diameter, wires.density, wires.heat_capacity, wires.conductivity)
         air = Cooling(cooling.convection, cooling.ambient, cooling.wire_start, cooling.silicone_start)
         return CrossSection(*layers, wire, EvenWires(wires.count), air, bar.width)
@@ -172,9 +171,9 @@ class SoftBending(AbstractMachine):
 
         ``rod_angle`` (2 alpha) and ``rod_share`` (lambda) are the pseudo-rigid body's, ``rod_stiffness`` that of its hinge's spring: what
         wires and cable turn it with over its angle (eq. 25 holds for M = F L / 3 alone). ``blocking_force`` is the cable's that holds the
-        tip where it was, at small slopes, and ``force`` the same by the name that rigs have; ``cold_strain`` is that at the surface of a wire that lies straight. Of a bar that nothing
-        bends, the rod is that of the smallest moment; figures of a bend that there is not (``bend``) are NaN, and so are all of wires that
-        do not fit into the bar.
+        tip where it was, at small slopes, and ``force`` its size, by the name that rigs have; ``cold_strain`` is that at the surface of a
+        wire that lies straight. Of a bar that nothing bends, the rod is that of the smallest moment; figures of a bend that there is not
+        (``bend``) are NaN, and so are all of wires that do not fit into the bar.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wires(self.wires.modulus_austenite) * self.wires.memory_curvature

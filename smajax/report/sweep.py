@@ -38,6 +38,12 @@ def shown(value: float | str | None, unit: str) -> str:
     return f"{size:.4g}" + ("" if unit == "1" else f" {shown_unit(unit)}")
 
 
+def in_unit(value: float, unit: str, written: str) -> str:
+    """A value in an internal ``unit``, shown in the unit in which a file has it."""
+    size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
+    return f"{size:.4g}" + ("" if written == "1" else f" {written}")
+
+
 def sentences(doc: Mapping[str, Any]) -> str:
     """What came of it, in words."""
     told = f"{doc['designs']:,} designs of {doc['rig']}"
@@ -53,6 +59,8 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += f", with design {best['design']}"
         told += f"; {doc['on_front']:,} designs are beaten by no other" if len(doc["objectives"]) > 1 else ""
         told += _gained(doc, name, way, best)
+    elif any(one["better"] for one in doc["refined"]):
+        told += _rescued(doc)
     told += "." + _unsettled(doc.get("settling", {}))
     return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
 
@@ -68,6 +76,16 @@ def _gained(doc: Mapping[str, Any], name: str, way: str, best: Mapping[str, Any]
     top = _top(better, name, way)
     told = f". Refined along its gradients it is {shown(top['metrics'][name], doc['metrics'][name]['unit'])}, {spent}"
     return told + ("" if _top([best, top], name, way) is top else ", which is not better")
+
+
+def _rescued(doc: Mapping[str, Any]) -> str:
+    """What to say if none of the drawn designs keeps the constraints, and refined ones do."""
+    name, way = next(iter(doc["objectives"].items()))
+    better = [one for one in doc["refined"] if one["better"]]
+    top = _top(better, name, way)["metrics"][name]
+    told = f", so the nearest ones were refined: {len(better)} of {len(doc['refined'])} came to keep them"
+    spent = f"in {sum(one['simulations'] for one in doc['refined']):,} simulations"
+    return f"{told}, with a {name} of {shown(top, doc['metrics'][name]['unit'])} at best, {spent}"
 
 
 def _unsettled(found: Mapping[str, Any]) -> str:

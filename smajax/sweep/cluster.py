@@ -33,6 +33,8 @@ def connected(address: str) -> Iterator[Any]:
 
     InputError if there is none, if it has no workers, or if one of them has no smajax or another version of it.
     """
+    if not address.strip():
+        raise InputError(f"--scheduler is empty: give a Dask scheduler's address, like tcp://host:8786, or {LOCAL}, or leave it out")
     try:
         import distributed
     except ImportError:

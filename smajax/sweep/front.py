@@ -15,6 +15,19 @@ def feasible(columns: Mapping[str, np.ndarray], constraints: Mapping[str, tuple[
     return kept
 
 
+def beyond(values: Mapping[str, float] | Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """How far metrics are beyond their constraints, summed over these in sizes of the end that is passed; 0 where all are kept.
+
+    A metric without a number, or infinitely far, counts as a million.
+    """
+    total = np.zeros(())
+    for name, (lower, upper) in constraints.items():
+        size = max(abs(end) for end in (lower, upper) if np.isfinite(end)) or 1.0
+        over = np.maximum(np.maximum(lower - values[name], values[name] - upper), 0.0) / size
+        total = total + np.where(np.isfinite(over), over, 1e6)
+    return total
+
+
 def pareto(costs: Floats) -> np.ndarray:
     """Rows of costs ``(m, k)``, smaller being better, that no other row dominates, in order.
 

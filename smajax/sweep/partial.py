@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,8 @@ def begun(out: Path) -> bool:
 def partial_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> Iterator[Path]:
     """The folder of chunks beside ``out``, made if it is not there, and this run's own within.
 
-    InputError if there is one that may not be gone on with, or if another run is at work on it.
+    InputError if there is one that may not be gone on with, or if another run is at work on it. What fails before its first chunk leaves
+    none.
     """
     folder = _beside(out)
     if folder.exists() and not (folder.is_dir() and ((folder / _OWN).is_file() or all(map(_unfinished, folder.iterdir())))):
@@ -50,8 +52,13 @@ def partial_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> Ite
     try:
         _lock(lock, folder)
         _check(folder, header, resume=resume)
-        write_text(folder / _OWN, json.dumps(_of(header)) + "\n")
-        yield folder
+        try:
+            write_text(folder / _OWN, json.dumps(_of(header)) + "\n")
+            yield folder
+        except Exception:
+            if not any(folder.glob("chunk-*.parquet")):
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
     finally:
         os.close(lock)
 

@@ -1,7 +1,7 @@
 """The best designs of a sweep, made better along the metrics' gradients, within the space and the constraints.
 
-A design's place in the space is scaled to 0..1 an axis; metrics and their derivatives come from one simulation with its tangents, which
-counts as 1 + axes simulations; the search is SciPy's sequential quadratic programming (SLSQP).
+A design's place in the space is scaled to 0..1 an axis (``look``); the search is SciPy's sequential quadratic programming (SLSQP). From a
+design that breaks constraints it first moves to where they hold (``reach``).
 
 A search goes on steps that resolve its start. What it finds may be faster: then it goes on from there, on finer ones, until they resolve
 what it has found. So whatever is called better is so on steps that resolve it.
@@ -11,29 +11,31 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
-from smajax.jax_options import on_processor
 from smajax.recording import Floats
+from smajax.sweep.look import Look
+from smajax.sweep.reach import reach
+from smajax.sweep.room import FAR, as_constraints
 from smajax.sweep.space import Axis
-from smajax.sweep.study import AbstractStudy, differentiate_batch
+from smajax.sweep.study import AbstractStudy
 
-_INSIDE = 1e-6
 _STEPS = 60
-# What stands for an infinite cost or room in the search, in sizes of the start's.
-_FAR = 1e6
 
 
 class Refined(NamedTuple):
-    """A refined design: its values, its metrics, those it started from, and the simulations that it took. ``better`` if it is."""
+    """A refined design: its values, its metrics, those it started from, and the simulations that it took.
+
+    ``better`` if it is, as one that keeps the constraints is better than one that does not; ``rescued`` if its start did not.
+    """
 
     design: Floats
     metrics: dict[str, float]
     before: dict[str, float]
     simulations: int
     better: bool
+    rescued: bool = False
 
 
 class _Asked(NamedTuple):
@@ -96,6 +98,24 @@ def refine(
     return best._replace(before=stays.before, simulations=spent, better=ahead or stays.better)
 
 
+def rescue(
+    study: AbstractStudy,
+    axes: Sequence[Axis],
+    start: Floats,
+    objectives: Mapping[str, str],
+    limits: Mapping[str, tuple[float, float]],
+) -> Refined:
+    """As ``refine``, from a design that breaks ``limits``: it moves to where they hold, and goes on from there.
+
+    Where it finds no such place, the design is the one that comes nearest, and is not ``better``.
+    """
+    there = reach(study, axes, start, limits)
+    if there.beyond > 0.0:
+        return Refined(there.design, there.metrics, there.before, there.simulations, False, True)
+    one = refine(study, axes, there.design, objectives, limits)
+    return one._replace(before=there.before, simulations=there.simulations + one.simulations, better=True, rescued=True)
+
+
 def _resolved(asked: _Asked, axes: Sequence[Axis], start: Floats, before: Mapping[str, float] | None = None) -> Refined:
     """Searches on finer steps, each from where the last one ended, until they resolve that place.
 
@@ -115,62 +135,29 @@ def _search(
     asked: _Asked, axes: Sequence[Axis], start: Floats, begin: Floats, steps: int, given: Mapping[str, float] | None
 ) -> Refined:  # fmt: skip
     """One search on ``steps`` that begins at a design; ``start`` is what it has to be better than."""
-    moving = [k for k, axis in enumerate(axes) if not axis.values]
-    study, name, sign = asked.study, asked.name, asked.sign
-    known: dict[bytes, tuple[dict[str, float], dict[str, Floats]]] = {}
-
-    def design_of(share: Floats) -> Floats:
-        design = np.array(start, dtype=np.float64)
-        for k, s in zip(moving, np.clip(share, 0.0, 1.0), strict=True):
-            design[k] = axes[k].at(np.asarray([s]))[0]
-        return design
-
-    def at(share: Floats) -> tuple[dict[str, float], dict[str, Floats]]:
-        key = np.asarray(share).tobytes()
-        if key not in known:
-            design = design_of(share)
-            with on_processor():
-                found, slopes, _ = differentiate_batch(study, jnp.asarray(design)[None], steps)
-            per_share = np.array([_slope(axes[k], design[k]) for k in moving])
-            values = {n: float(found[n][0]) for n in study.units}
-            known[key] = values, {n: np.asarray(slopes[n][0])[moving] * per_share for n in study.units}
-        return known[key]
-
-    def share_of(design: Floats) -> Floats:
-        return np.array([float(np.clip(axes[k].share(design[k]), 0.0, 1.0)) for k in moving])
-
-    origin, first = share_of(start), share_of(begin)
-    before = dict(at(origin)[0])
+    name, sign = asked.name, asked.sign
+    look = Look(asked.study, axes, start, steps)
+    origin, first = look.share(start), look.share(begin)
+    before = dict(look.at(origin)[0])
     if not np.isfinite(before[name]):
-        return Refined(design_of(origin), before, before, 1 + len(axes), False)
+        return Refined(look.design(origin), before, before, look.simulations, False)
     limits = asked.within(before if given is None else given)
     scales = {n: max(abs(v), 1e-300) if np.isfinite(v) else 1.0 for n, v in before.items()}
-    bounds = [(n, end, way) for n, ends in limits.items() for end, way in zip(ends, (1.0, -1.0), strict=True) if np.isfinite(end)]
 
     def cost(share: Floats) -> tuple[float, Floats]:
-        values, slopes = at(share)
+        values, slopes = look.at(share)
         if not np.isfinite(values[name]) or not np.all(np.isfinite(slopes[name])):
-            return (-_FAR if sign * values[name] == -np.inf else _FAR), np.zeros(len(moving))
+            return (-FAR if sign * values[name] == -np.inf else FAR), np.zeros(len(look.moving))
         return sign * values[name] / scales[name], sign * slopes[name] / scales[name]
 
-    def room(share: Floats) -> Floats:
-        values = at(share)[0]
-        left = np.array([way * (values[n] - end) / _scale(end, scales[n]) - _INSIDE for n, end, way in bounds])
-        return np.nan_to_num(left, nan=-_FAR, posinf=_FAR, neginf=-_FAR)
-
-    def room_slope(share: Floats) -> Floats:
-        slopes = at(share)[1]
-        rows = np.array([way * slopes[n] / _scale(end, scales[n]) for n, end, way in bounds])
-        return np.where(np.isfinite(rows), rows, 0.0)
-
-    kept = [{"type": "ineq", "fun": room, "jac": room_slope}] if bounds else []
-    if moving:
-        box, options = [(0.0, 1.0)] * len(moving), {"maxiter": _STEPS, "ftol": 1e-8}
+    if look.moving:
+        box, options = [(0.0, 1.0)] * len(look.moving), {"maxiter": _STEPS, "ftol": 1e-8}
+        kept = as_constraints(look, limits, scales)
         minimize(cost, first, jac=True, method="SLSQP", bounds=box, constraints=kept, options=options)
-    good = {key: sign * values[name] for key, (values, _) in known.items() if not np.isnan(values[name]) and _keeps(limits, values)}
+    good = {key: sign * values[name] for key, (values, _) in look.known.items() if not np.isnan(values[name]) and _keeps(limits, values)}
     best = min(good, key=lambda key: good[key]) if good else origin.tobytes()
-    better = bool(good) and sign * known[best][0][name] < sign * before[name]
-    return Refined(design_of(np.frombuffer(best)), known[best][0], before, len(known) * (1 + len(axes)), better)
+    better = bool(good) and sign * look.known[best][0][name] < sign * before[name]
+    return Refined(look.design(np.frombuffer(best)), look.known[best][0], before, look.simulations, better)
 
 
 def starts(shares: Floats, order: Iterable[int], count: int, apart: float = 0.15) -> list[int]:
@@ -182,12 +169,3 @@ def starts(shares: Floats, order: Iterable[int], count: int, apart: float = 0.15
         if len(chosen) == count:
             break
     return chosen
-
-
-def _slope(axis: Axis, value: float) -> float:
-    """d value / d share."""
-    return value * float(np.log(axis.upper / axis.lower)) if axis.log else axis.upper - axis.lower
-
-
-def _scale(end: float, size: float) -> float:
-    return max(abs(end), 1e-3 * size)
