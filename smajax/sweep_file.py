@@ -41,7 +41,7 @@ from smajax.sweep.chunks import CHUNK
 from smajax.sweep.space import SAMPLINGS, Axis
 from smajax.sweep.study import AbstractStudy
 from smajax.sweep.table import read_header
-from smajax.sweep_subject import Subject, again, read_subject
+from smajax.sweep_subject import NAMES, Subject, again, read_subject
 from smajax.toml_file import STRICT, advice, check_schema, parse, quantity_at, read_text, show, validate
 from smajax.units import unit_of
 from smajax.versions import versions
@@ -210,8 +210,15 @@ def _sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> S
 def _known(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequence[str]:
     for name in names:
         if name not in units:
-            raise InputError(f"{place}: {show(name)} is not a metric{advice(name, units, 'the metrics are')}")
+            raise InputError(f"{place}: {show(name)} is not a metric{_no_metric(name, units)}")
     return names
+
+
+def _no_metric(name: str, units: Mapping[str, str]) -> str:
+    """The end of a sentence about a metric that what is swept does not have: why, where others have it, and those that it has."""
+    if name in NAMES:
+        return f" of this machine, but of rigs with wires: its metrics are {', '.join(units)}"
+    return advice(name, units, "the metrics are")
 
 
 def _axes(data: Mapping[str, Any], table: Mapping[str, Declaration], sampling: str) -> tuple[Axis, ...]:
@@ -287,7 +294,7 @@ def _objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, 
         raise InputError('[objectives] is a section, not a value: write lines like stroke = "max" below it')
     for name, way in content.items():
         if name not in units:
-            raise InputError(f"objectives.{name} is not a metric{advice(name, units, 'the metrics are')}")
+            raise InputError(f"objectives.{name} is not a metric{_no_metric(name, units)}")
         if way not in WAYS:
             raise InputError(f'objectives.{name} = {show(way)} is not known: it is "max" or "min"')
     return dict(content)
@@ -301,7 +308,7 @@ def _constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]
     found = {}
     for name, value in content.items():
         if name not in units:
-            raise InputError(f"constraints.{name} is not a metric{advice(name, units, 'the metrics are')}")
+            raise InputError(f"constraints.{name} is not a metric{_no_metric(name, units)}")
         given = validate(_Limit, value, f"constraints.{name}")
         ends = []
         for key, open_end in (("at_least", -math.inf), ("at_most", math.inf)):

@@ -22,7 +22,7 @@ from smajax.report.document import number, to_json
 from smajax.report.sweep import SCHEMA, figure, in_unit, sentences, shown, sweep_page
 from smajax.results import check_out, read_json, write_folder
 from smajax.sweep import cluster
-from smajax.sweep.chunks import Submit, check_room, gather, here, run_chunks, slope_name, split
+from smajax.sweep.chunks import Chunk, Submit, check_room, gather, here, run_chunks, slope_name, split
 from smajax.sweep.front import beyond, cheapest, feasible, pareto, thinned
 from smajax.sweep.metrics import SETTLED
 from smajax.sweep.partial import begun, digest, partial_folder
@@ -35,6 +35,8 @@ from smajax.sweep_file import SweepFile, read_sweep
 from smajax.tables.parquet import pyarrow_parquet
 
 _FRONT_SHOWN = 200
+# A metric so near to an end of its constraint, in sizes of that, is at it.
+_AT = 1e-3
 
 
 class SweepJob(NamedTuple):
@@ -80,17 +82,17 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
             progress.phase("looking for workers")
         submit = workers.enter_context(_workers(given, study, header, job.scheduler))
         with partial_folder(out, header, resume=job.resume) as partial:
-            progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {len(chunks)} chunks")
+            progress.phase(f"compiling, then {len(designs) + len(beside):,} designs in {_counted(chunks)}")
             with clock.time("simulate"), stopping(progress) as asked:
 
                 def done(count: int) -> None:
-                    progress.step(f"{count} of {len(chunks)} chunks")
+                    progress.step(f"{count} of {_counted(chunks)}")
 
                 complete = run_chunks(chunks, study.names, partial, submit, done, lambda: asked.requested)
             workers.close()
             if not complete:
                 have = sum((partial / chunk.file).is_file() for chunk in chunks)
-                told = f"stopped after {have} of {len(chunks)} chunks; run it again with --resume to go on"
+                told = f"stopped after {have} of {_counted(chunks)}; run it again with --resume to go on"
                 return Outcome(partial, {"chunks": have}, INTERRUPTED, told)
             progress.phase("looking for the best")
             columns = gather(chunks, partial)
@@ -125,6 +127,11 @@ def _fill(
             (folder / f"rig-refined-{k + 1}.toml").write_text(given.subject.to_toml(values), "utf-8")
     (folder / "sweep.json").write_text(to_json(document), "utf-8")
     (folder / "report.html").write_text(sweep_page(document, main, run, given.subject.to_toml()), "utf-8")
+
+
+def _counted(chunks: Sequence[Chunk]) -> str:
+    """How many there are, in words."""
+    return f"{len(chunks):,} chunk{'' if len(chunks) == 1 else 's'}"
 
 
 @contextlib.contextmanager
@@ -212,7 +219,11 @@ def _nearest(given: SweepFile, main: Mapping[str, np.ndarray], refined: Sequence
         return told
     last = min(refined, key=lambda one: float(beyond(one.metrics, given.constraints)))
     where = ", ".join(f"{a.name} {shown(float(v), a.unit)}" for a, v in zip(given.axes, last.design, strict=True))
-    return f"{told}; refining from the nearest kept none either, and came to {', '.join(_broken(given, last.metrics))} at {where}"
+    told += f"; refining from the nearest kept none either, and came to {', '.join(_broken(given, last.metrics))}"
+    ends = [(n, end) for n, both in given.constraints.items() for end in both if np.isfinite(end)]
+    if binding := [n for n, end in ends if abs(last.metrics[n] - end) <= _AT * abs(end)]:
+        told += f" with {' and '.join(binding)} at the limit,"
+    return f"{told} at {where}"
 
 
 def _broken(given: SweepFile, values: Mapping[str, float]) -> list[str]:

@@ -50,14 +50,15 @@ def sentences(doc: Mapping[str, Any]) -> str:
     failed = {code: n for code, n in doc["codes"].items() if code != "done"}
     told += f", of which {sum(failed.values()):,} could not be simulated ({', '.join(failed)})" if failed else ""
     if doc["constraints"]:
-        told += f"; {doc['feasible']:,} keep all constraints"
+        told += f"; {doc['feasible']:,} keep{'s' if doc['feasible'] == 1 else ''} all constraints"
     if doc["objectives"] and doc["front"]:
         name, way = next(iter(doc["objectives"].items()))
         best = _top(doc["front"], name, way)
         unit = doc["metrics"][name]["unit"]
         told += f". The {'largest' if way == 'max' else 'smallest'} {name} of these is {shown(best['metrics'][name], unit)}"
         told += f", with design {best['design']}"
-        told += f"; {doc['on_front']:,} designs are beaten by no other" if len(doc["objectives"]) > 1 else ""
+        many = f"{doc['on_front']:,} designs are" if doc["on_front"] > 1 else "1 design is"
+        told += f"; {many} beaten by no other" if len(doc["objectives"]) > 1 else ""
         told += _gained(doc, name, way, best)
     elif any(one["better"] for one in doc["refined"]):
         told += _rescued(doc)

@@ -57,6 +57,7 @@ def parallel_picture(
     whole = np.all(np.isfinite(table), axis=1)
     data = []
     for name, rows, style in (
+        ("beyond a constraint", _some(np.flatnonzero(~kept & whole), _LINES if not kept.any() else 0), {"color": MEASURED, "width": 0.7}),
         ("keeps all constraints", _some(np.flatnonzero(kept & whole), _LINES), {"color": RESIDUAL, "width": 0.7}),
         ("best", _some(front[whole[front]], _LINES) if len(front) else front, {"color": MODEL, "width": 1.6}),
     ):
@@ -108,4 +109,4 @@ def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], num
 
 def _some(rows: np.ndarray, most: int) -> np.ndarray:
     """At most so many rows, evenly taken."""
-    return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+    return rows[:most] if len(rows) <= most or not most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]

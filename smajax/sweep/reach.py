@@ -1,4 +1,8 @@
-"""From a design that breaks constraints to one that keeps them: the nearest place in the space where they hold, by their gradients."""
+"""From a design that breaks constraints to one that keeps them, by their gradients.
+
+Each end of a constraint may lack some room, in sizes of that end; sought is where the least is lacking in all, and of such places the
+nearest. So there always is an answer: where nothing lacks the constraints hold, and elsewhere some of them stand in each other's way.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +19,8 @@ from smajax.sweep.space import Axis
 from smajax.sweep.study import AbstractStudy
 
 _STEPS = 60
+# What a move across the whole space costs beside a constraint that is passed by its own size.
+_NEAR = 1e-3
 
 
 class Reached(NamedTuple):
@@ -28,7 +34,7 @@ class Reached(NamedTuple):
 
 
 def reach(study: AbstractStudy, axes: Sequence[Axis], start: Floats, limits: Mapping[str, tuple[float, float]]) -> Reached:
-    """Moves a design, shape ``(axes,)``, to where all ``limits`` hold, as few shares of the axes as it can; ``beyond`` is then 0.
+    """Moves a design, shape ``(axes,)``, that breaks ``limits`` to where all of them hold; ``beyond`` is then 0.
 
     Where it finds no such place, it is the one it met that is least beyond. Whole axes are moved as if they were not, then rounded and
     held while the others are moved again.
@@ -59,15 +65,30 @@ def _search(study: AbstractStudy, axes: Sequence[Axis], start: Floats, steps: in
     origin = look.share(start)
     before = dict(look.at(origin)[0])
     sizes = {n: abs(v) if np.isfinite(v) and v else 1.0 for n, v in before.items()}
-    if look.moving:
+    count = len(look.moving)
+    (kept,) = as_constraints(look, limits, sizes)
+
+    def cost(point: Floats) -> tuple[float, Floats]:
+        moved, lacking = point[:count] - origin, point[count:]
+        return float(np.sum(lacking) + 0.5 * _NEAR * np.sum(moved**2)), np.concatenate([_NEAR * moved, np.ones(len(lacking))])
+
+    def room(point: Floats) -> Floats:
+        return kept["fun"](point[:count]) + point[count:]
+
+    def slope(point: Floats) -> Floats:
+        rows = kept["jac"](point[:count])
+        return np.hstack([rows, np.eye(len(rows))])
+
+    if count:
+        lacking = np.maximum(-kept["fun"](origin), 0.0)
         minimize(
-            lambda share: (0.5 * float(np.sum((share - origin) ** 2)), share - origin),
-            origin,
+            cost,
+            np.concatenate([origin, lacking]),
             jac=True,
             method="SLSQP",
-            bounds=[(0.0, 1.0)] * len(look.moving),
-            constraints=as_constraints(look, limits, sizes),
-            options={"maxiter": _STEPS, "ftol": 1e-6},
+            bounds=[(0.0, 1.0)] * count + [(0.0, None)] * len(lacking),
+            constraints=[{"type": "ineq", "fun": room, "jac": slope}],
+            options={"maxiter": _STEPS, "ftol": 1e-9},
         )
     # Of several that keep the constraints the last one met is the nearest that they allow.
     far = {key: float(beyond(values, limits)) for key, (values, _) in look.known.items()}
