@@ -134,10 +134,18 @@ class SoftBending(AbstractMachine):
         """The bar's cross-section: silicone in its outer layers, too, each a quarter of what the wires leave of the thickness."""
         bar, wires, cooling = self.bar, self.wires, self.cooling
         outer = 0.25 * (bar.thickness - wires.diameter)
-        layers = [Layer(thickness, bar.density, bar.heat_capacity, bar.conductivity) for thickness in (outer, bar.thickness - 2.0 * outer)]
-        wire = SectionWire(wires.diameter, wires.density, wires.heat_capacity, wires.conductivity)
-        air = Cooling(cooling.convection, cooling.ambient, cooling.wire_start, cooling.silicone_start)
-        return CrossSection(*layers, wire, EvenWires(wires.count), air, bar.width)
+
+        def layer(thickness: jax.Array) -> Layer:
+            return Layer(thickness, bar.density, bar.heat_capacity, bar.conductivity)
+
+        return CrossSection(
+            tape=layer(outer),
+            silicone=layer(bar.thickness - 2.0 * outer),
+            wire=SectionWire(wires.diameter, wires.density, wires.heat_capacity, wires.conductivity),
+            placement=EvenWires(wires.count),
+            cooling=Cooling(cooling.convection, cooling.ambient, cooling.wire_start, cooling.silicone_start),
+            width=bar.width,
+        )
 
     def cycle(self, hot: Bent) -> dict[str, jax.Array]:
         """The figures of a cycle in which the tip goes from where the cable holds the cold bar to ``hot``, and back.
