@@ -218,6 +218,9 @@ def test_refined_designs_in_words():
     none = told([refined(2e-3, False)])
     assert none.endswith("with design 3. Refining along its gradients found none better than those it began from, in 30 simulations.")
     assert told([]).endswith("with design 3.")
+    still = {"designs": 9, "rig": "rig.toml", "codes": {"done": 9}, "constraints": {}, "objectives": {"stroke": "max"}, "refined": []}
+    still |= {"front": [], "metrics": {"stroke": {"unit": "m", "lowest": 0.0, "highest": 0.0}}, "problems": []}
+    assert sentences(still).endswith("What varies does not change stroke, so that none is the best in that.")
     moving = {"limit": 0.01, "unsettled": 0, "unsettled_on_front": 0, "unsettled_refined": 1}
     assert " 1 refined one has not settled: the last cycle ends more than 1 %" in told([refined(3e-3, True)], moving)
     both = told([], moving | {"unsettled": 5, "unsettled_on_front": 1, "unsettled_refined": 2})
@@ -769,6 +772,11 @@ def test_shipped_sweeps_and_a_machine(tmp_path):
     single = machines.read(ROOT / "data" / "machines" / "flexural" / "rig.toml")
     one = eqx.filter_jit(type(single).metrics)(parameters.replace(single, {n: columns[n][3] for n in ("wire.diameter", "body.count")}))
     assert columns["blocking_force"][3] == pytest.approx(float(one["blocking_force"]), rel=1e-12)
+    (tmp_path / "sweep.toml").write_text(machine.replace("blocking_force =", "peak_stress ="), "utf-8")
+    with pytest.raises(
+        InputError, match="objectives.peak_stress is not a metric of this machine, but of rigs with wires: its metrics are mo"
+    ):
+        read_sweep(tmp_path / "sweep.toml")
     (tmp_path / "sweep.toml").write_text(machine + '[input]\nwave = "square"\n', "utf-8")
     with pytest.raises(InputError, match=r"\[input\] has no place with a machine"):
         read_sweep(tmp_path / "sweep.toml")

@@ -62,7 +62,7 @@ def sentences(doc: Mapping[str, Any]) -> str:
         told += _gained(doc, name, way, best)
     elif any(one["better"] for one in doc["refined"]):
         told += _rescued(doc)
-    told += "." + _unsettled(doc.get("settling", {}))
+    told += "." + _idle(doc) + _unsettled(doc.get("settling", {}))
     return told + (" But " + "; ".join(doc["problems"]) + "." if doc["problems"] else "")
 
 
@@ -87,6 +87,13 @@ def _rescued(doc: Mapping[str, Any]) -> str:
     told = f", so the nearest ones were refined: {len(better)} of {len(doc['refined'])} came to keep them"
     spent = f"in {sum(one['simulations'] for one in doc['refined']):,} simulations"
     return f"{told}, with a {name} of {shown(top, doc['metrics'][name]['unit'])} at best, {spent}"
+
+
+def _idle(doc: Mapping[str, Any]) -> str:
+    """What to say of objectives that no design changes, among which none is the best."""
+    spans = {n: (doc["metrics"][n].get("lowest"), doc["metrics"][n].get("highest")) for n in doc["objectives"]}
+    same = [n for n, (low, high) in spans.items() if low is not None and low == high and doc["designs"] > 1]
+    return f" What varies does not change {' and '.join(same)}, so that none is the best in that." if same else ""
 
 
 def _unsettled(found: Mapping[str, Any]) -> str:
