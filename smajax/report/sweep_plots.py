@@ -33,6 +33,7 @@ def trade_picture(
         ends = [_shown(np.array([one["metrics"][name] for one in better], float), unit, shown) for name, unit, shown in axes]
         data.append(_points("refined", ends[0], ends[1], {"color": "#22272e", "size": 11, "symbol": "star"}, np.arange(1, len(better) + 1)))
     layout["xaxis"], layout["yaxis"] = (axis_style(_title(name, shown)) for name, _, shown in axes)
+    layout["showlegend"] = True
     caption = "Each point is a design. The best ones are those that no other one beats in all objectives."
     if not (np.isfinite(x[kept]).all() and np.isfinite(y[kept]).all()):
         caption += " Designs with an infinite figure, or with none, have no point."
@@ -69,9 +70,10 @@ def parallel_picture(
             data.append({"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style, "hoverinfo": "skip"})
     labels = [_title(name, shown).replace(" [", "<br>[").replace(".", ".<br>", 1) for name, _, shown, _ in axes]
     layout["xaxis"] = {"tickvals": list(range(len(axes))), "ticktext": labels, "range": [-0.4, len(axes) - 0.6], "fixedrange": True}
-    layout["xaxis"] |= {"showgrid": True, "gridcolor": "#9aa4b0", "zeroline": False, "automargin": True}
+    # To the lower left, where the last one has room, too.
+    layout["xaxis"] |= {"showgrid": True, "gridcolor": "#9aa4b0", "zeroline": False, "automargin": True, "tickangle": -35}
     layout["yaxis"] = {"visible": False, "range": [-0.12, 1.12], "fixedrange": True}
-    layout["annotations"] = marks
+    layout["annotations"], layout["showlegend"] = marks, True
     caption = f"Each line is a design, each upright an axis from its lowest to its highest value; up to {_LINES} designs of each colour."
     return Picture("Designs across all axes", caption, {"data": data, "layout": layout}, 420)
 
