@@ -5,7 +5,7 @@ sample. Commands have the shape ``(wires,)``.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from smajax.control.allocation import pulsed
 from smajax.errors import InputError
 from smajax.kinks import larger
 from smajax.plant.plant import Plant
-from smajax.plant.step import land
+from smajax.plant.step import follow, land
 from smajax.simulate import default_step
 
 
@@ -51,6 +51,10 @@ class AbstractDriven(eqx.Module):
 
     def land(self, state: Any, command: jax.Array, way: Any) -> Any:
         """The state a period on, differentiable, without searching for it: ``way`` is known from ``advance``."""
+        raise NotImplementedError
+
+    def follow(self, state: Any, command: jax.Array, way: Any) -> Any:
+        """As ``land``, and differentiable twice."""
         raise NotImplementedError
 
     def read(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
@@ -137,11 +141,18 @@ class DrivenPlant(AbstractDriven):
 
     def land(self, state: Any, command: jax.Array, way: jax.Array) -> Any:
         """See ``AbstractDriven.land``."""
+        return self._along(land, state, command, way)
+
+    def follow(self, state: Any, command: jax.Array, way: jax.Array) -> Any:
+        """See ``AbstractDriven.follow``."""
+        return self._along(follow, state, command, way)
+
+    def _along(self, step: Callable, state: Any, command: jax.Array, way: jax.Array) -> Any:
         duration = jnp.asarray(self.period / self.pieces)
 
         def single(carry: tuple, end: jax.Array) -> tuple[tuple, None]:
             state, time = carry
-            return (land(self.plant, state, self._signal(command, time), duration, end), time + duration), None
+            return (step(self.plant, state, self._signal(command, time), duration, end), time + duration), None
 
         return jax.lax.scan(single, state, way)[0]
 
@@ -205,6 +216,10 @@ class DrivenTransferFunction(AbstractDriven):
             kept, entering = self.function.held(duration)
             inner = kept @ inner + entering * ring[(place - age) % size]
         return inner, ring, (place + 1) % size
+
+    def follow(self, state: Any, command: jax.Array, way: Any) -> Any:
+        """See ``AbstractDriven.follow``."""
+        return self.land(state, command, way)
 
     def read(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
         """See ``AbstractDriven.read``."""

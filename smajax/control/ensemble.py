@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from smajax import parameters
 from smajax.control.driven import DrivenPlant
 from smajax.control.meters import probed
-from smajax.control.observers import AbstractThermometer
+from smajax.control.observers import AbstractThermometer, Estimate
 from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
@@ -39,15 +39,6 @@ class Ensemble(NamedTuple):
     unknown: jax.Array
     command: jax.Array
     count: jax.Array
-
-
-class Estimate(NamedTuple):
-    """Mean and standard deviation over the members: channels by name, scalars, and the ``martensite`` fraction of each wire."""
-
-    mean: dict[str, jax.Array]
-    spread: dict[str, jax.Array]
-    martensite: jax.Array
-    martensite_spread: jax.Array
 
 
 class EnsembleFilter(AbstractThermometer):

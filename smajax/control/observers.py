@@ -35,6 +35,17 @@ class AbstractThermometer(eqx.Module):
         raise NotImplementedError
 
 
+class Estimate(NamedTuple):
+    """What a filter of the whole plant knows, and how well: means and standard deviations of the channels by name, scalars, and of the
+    ``martensite`` fraction of each wire, shape ``(wires,)``.
+    """
+
+    mean: dict[str, jax.Array]
+    spread: dict[str, jax.Array]
+    martensite: jax.Array
+    martensite_spread: jax.Array
+
+
 def each(heard: dict[str, jax.Array], name: str) -> jax.Array:
     """A channel of every wire, shape ``(wires,)``."""
     return jnp.stack([heard[n] for n in numbered(name, 1 if name in heard else 2)])

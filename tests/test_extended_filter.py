@@ -1,0 +1,275 @@
+"""The extended Kalman filter against the exact one, against finite differences, and on wires that differ from its own plant."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+from smajax.blackbox.transfer_function import TransferFunction
+from smajax.control.driven import DrivenPlant, DrivenTransferFunction
+from smajax.control.extended import ExtendedFilter
+from smajax.control.guard import TemperatureGuard
+from smajax.control.meters import Meters
+from smajax.control.rollout import Scenario, rollout
+from smajax.control.sensing import Sensing
+from smajax.rig import read_rig
+from tests.conftest import ROOT
+from tests.test_control import loop_of, pid
+
+RECORDINGS = ROOT / "data" / "recordings"
+PERIOD = 0.05
+AIR = {"heat.h0": 25.0, "environment.ambient": 4.0}
+
+
+def meters_of(lag=0.0, **each) -> Meters:
+    """Each meter by its noise, quantum and delay in samples."""
+    return Meters({n: Sensing(*map(jnp.asarray, m[:2]), *m[2:]) for n, m in each.items()}, PERIOD, jnp.asarray(lag))
+
+
+def plant_of(kind: str) -> DrivenPlant:
+    return DrivenPlant.of(read_rig(RECORDINGS / kind / "rig.toml").plant, PERIOD)
+
+
+@eqx.filter_jit
+def followed(one: ExtendedFilter, commands, measured):
+    """The beliefs and estimates at the samples after the first, under commands of shape (n, wires)."""
+
+    def step(belief, row):
+        belief = one.step(one.under(belief, row[0]), row[1])
+        return belief, (belief, one.estimate(belief))
+
+    return jax.lax.scan(step, one.reset(), (commands, measured))[1]
+
+
+def levels(rng, low: float, high: float, count: int, hold: int) -> np.ndarray:
+    """Commands held for ``hold`` samples each, a pause in every fourth, shape (count, 1)."""
+    drawn = rng.uniform(low, high, -(-count // hold))
+    drawn[::4] = 0.1 * low
+    return np.repeat(drawn, hold)[:count, None]
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_on_a_linear_plant_it_is_the_exact_kalman_filter(late):
+    """Written again in numpy, with the states of the last samples stacked for a measurement that is late, and one that falls out."""
+    numbers, count = (1.5, 0.2, 0.4, 0.7, 0.3, 2 * PERIOD, 0.0), 80
+    driven = DrivenTransferFunction.of(TransferFunction(*map(jnp.asarray, numbers), structure="underdamped-and-pole"), "angle", PERIOD)
+    noise, quantum, spread, walk = 0.02, 0.01, np.array([0.3, 0.5, 0.1]), np.array([0.05, 0.2, 0.02])
+    still = jax.tree.map(jnp.zeros_like, driven.start()[1:])
+    one = ExtendedFilter(
+        driven, meters_of(angle=(noise, quantum, late)), {}, (jnp.asarray(spread), *still), (jnp.asarray(walk), *still), trust=1e9
+    )
+    rng = np.random.default_rng(1)
+    commands, angles = rng.standard_normal(count), 0.5 * rng.standard_normal(count)
+    angles[30:35] = np.nan
+    beliefs, told = followed(one, jnp.asarray(commands)[:, None], {"angle": jnp.asarray(angles)})
+
+    tau, damping, rest = 0.4, 0.3, 0.7
+    rates = np.array([[0.0, 1.0, 0.0], [-(tau**-2), -2.0 * damping / tau, tau**-2], [0.0, 0.0, -1.0 / rest]])
+    held = scipy.linalg.expm(np.block([[rates, np.array([[0.0], [0.0], [1.0 / rest]])], [np.zeros((1, 4))]]) * PERIOD)
+    size = 3 * (late + 1)
+    moves = np.zeros((size, size))
+    moves[:3, :3], moves[3:, :-3] = held[:3, :3], np.eye(size - 3)
+    mean, covariance = np.zeros(size), np.tile(np.diag(spread**2), (late + 1, late + 1))
+    row = np.zeros(size)
+    row[size - 3] = 1.5
+    for k in range(count):
+        mean, covariance = moves @ mean, moves @ covariance @ moves.T
+        covariance[:3, :3] += PERIOD * held[:3, :3] @ np.diag(walk**2) @ held[:3, :3].T
+        mean[:3] += held[:3, 3] * (commands[k - 2] if k > 1 else 0.0)
+        if np.isfinite(angles[k]):
+            gain = covariance @ row / (row @ covariance @ row + noise**2 + quantum**2 / 12.0)
+            mean = mean + gain * (angles[k] - 0.2 - row @ mean)
+            covariance = covariance - np.outer(gain, row @ covariance)
+        np.testing.assert_allclose(beliefs.state[0][k], mean[:3], rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(beliefs.covariance[k][:3, :3], covariance[:3, :3], rtol=0.0, atol=1e-9)
+        assert float(told.mean["angle"][k]) == pytest.approx(0.2 + 1.5 * mean[0], abs=1e-9)
+        assert float(told.spread["angle"][k]) == pytest.approx(1.5 * np.sqrt(covariance[0, 0]), abs=1e-9)
+
+
+def flat_of(one: ExtendedFilter, belief):
+    return one._core(belief)[0]
+
+
+@pytest.mark.parametrize("kind, command", [("dead-weight", [0.3]), ("bias-spring", [3.7]), ("rotary", [0.4, 0.1])])
+@pytest.mark.parametrize("cooling", [False, True])
+def test_its_jacobian_is_that_of_differences(kind, command, cooling):
+    """While wires transform, hanging or against a spring or each other: by all that is estimated, with latent heat or without."""
+    driven = plant_of(kind)
+    one = ExtendedFilter.of(driven, meters_of(0.3, voltage=(1e-3, 0.0), current=(1e-3, 0.0, 1), temperature=(0.5, 0.0)), AIR)
+    carried = eqx.filter_jit(lambda one, b, c: one._carry(one.under(b, c)))
+    belief, command = one.reset(), jnp.asarray(command)
+
+    def share(b):
+        return float(b.state[0].fractions.martensite[0])
+
+    first = share(belief)
+    for _ in range(600):
+        belief = carried(one, belief, command)
+        if share(belief) < (0.3 if cooling else 0.6) * first:
+            break
+    else:
+        pytest.fail("the wire never transforms")
+    if cooling:
+        hot = share(belief)
+        for _ in range(600):
+            belief = carried(one, belief, 0.0 * command)
+            if share(belief) > hot + 0.15:
+                break
+        else:
+            pytest.fail("the wire never transforms back")
+    belief = one.under(belief, jnp.zeros_like(command) if cooling else command)
+    slope, _ = eqx.filter_jit(ExtendedFilter.linearised)(one, belief)
+    core, whole = one._core(belief)
+
+    @eqx.filter_jit
+    def moved(core):
+        state, probes, unknown = whole(core)
+        _, later = one.linearised(belief._replace(state=state, probes=probes, unknown=unknown))
+        return jnp.concatenate([flat_of(one, later), later.shown[0]])
+
+    for i in range(len(core)):
+        h = 1e-6 * max(1.0, abs(float(core[i])))
+        central = np.asarray(moved(core.at[i].add(h)) - moved(core.at[i].add(-h))) / (2.0 * h)
+        found = np.asarray(slope[: len(central), i])
+        np.testing.assert_allclose(found, central, rtol=2e-4, atol=1e-6 * max(1.0, np.max(np.abs(central))), err_msg=str(i))
+    assert float(slope[0, 0]) != 0.0 and np.all(np.isfinite(slope))
+
+
+def benches(meters: Meters, commands, starts):
+    """Exact wires in airs drawn as the filter expects them, warmer at the start by ``starts`` K, and what their meters tell: batches."""
+    driven = plant_of("bias-spring")
+    heat, air = driven.plant.heat.h0, driven.plant.environment.ambient
+
+    def single(h0, ambient, warmer, draws):
+        around = air + ambient
+        truth = driven.changed({"heat.h0": heat + h0, "environment.ambient": around, "initial.temperature": around + warmer})
+        state = truth.start()
+
+        def sample(carry, row):
+            state, heard = carry
+            command, draw = row
+            state = truth.advance(state, command)[0]
+            heard, told = meters.step(heard, truth.read(state, command), draw)
+            return (state, heard), ({n: told[n] for n in meters.each}, state[0].temperature[0])
+
+        return jax.lax.scan(sample, (state, meters.reset(truth.read(state, jnp.zeros(1)))), (commands, draws))[1]
+
+    rng = np.random.default_rng(7)
+    drawn = rng.standard_normal((2, len(starts))) * np.array([[AIR["heat.h0"]], [AIR["environment.ambient"]]])
+    draws = rng.standard_normal((len(starts), len(commands)))
+    measured, warm = eqx.filter_jit(jax.vmap(single))(*map(jnp.asarray, drawn), jnp.asarray(starts), jnp.asarray(draws))
+    return measured, np.asarray(warm)
+
+
+def test_temperature_from_current_voltage_and_position():
+    """Noisy, coarse and late meters on wires in other air, warmer or colder at the start: better than the plant, and as sure as it may be."""
+    meters = meters_of(current=(2e-3, 1e-3, 1), voltage=(10e-3, 5e-3, 1), displacement=(2e-5, 1e-5, 2))
+    rng = np.random.default_rng(3)
+    commands, starts = jnp.asarray(levels(rng, 2.5, 4.2, 800, 40)), 6.0 * rng.standard_normal(40)
+    measured, warm = benches(meters, commands, starts)
+    one = ExtendedFilter.of(plant_of("bias-spring"), meters, AIR, start=6.0)
+    batch = eqx.filter_jit(lambda one, m: eqx.filter_vmap(lambda m: followed(one, commands, m))(m))
+
+    def judged(one, measured):
+        beliefs, found = batch(one, measured)
+        return beliefs, np.asarray(found.mean["temperature"]) - warm, np.asarray(found.spread["temperature"])
+
+    beliefs, error, spread = judged(one, measured)
+    _, plant, unsure = judged(one, jax.tree.map(lambda v: jnp.full_like(v, jnp.nan), measured))
+    both = [np.sqrt(np.mean(e**2, axis=1)) for e in (error, plant)]
+    assert np.sqrt(np.mean(both[0] ** 2)) < 0.5 * np.sqrt(np.mean(both[1] ** 2)) and np.median(both[0] / both[1]) < 0.4
+    assert np.median(np.abs(error)) < 0.5 and np.median(np.abs(plant)) > 4.0
+    # It is as far off as it says, and so is the plant by itself, whose spread comes from the air and the start alone.
+    assert 0.92 < np.mean(np.abs(error) < 1.96 * spread) < 0.99 and 0.5 < np.mean((error / spread) ** 2) < 2.0
+    assert 0.90 < np.mean(np.abs(plant) < 1.96 * unsure) < 0.99 and np.mean(spread) < 0.5 * np.mean(unsure)
+    whole = np.asarray(beliefs.covariance)
+    assert np.array_equal(whole, np.swapaxes(whole, -1, -2))
+    sizes = np.sqrt(np.einsum("...ii->...i", whole)) + 1e-12
+    assert np.min(np.linalg.eigvalsh(whole / sizes[..., None] / sizes[..., None, :])) > -1e-9
+    # Of meters that are late it would be wrong not to know so.
+    punctual = eqx.tree_at(lambda one: one.meters, one, meters_of(current=(2e-3, 1e-3), voltage=(10e-3, 5e-3), displacement=(2e-5, 1e-5)))
+    _, hasty, _ = judged(punctual, measured)
+    assert np.median(np.abs(hasty)) > 1.2 * np.median(np.abs(error))
+
+
+def test_a_measurement_that_falls_out_is_none():
+    """Without any the belief is only carried on; without one it is that of a filter that has no such meter."""
+    driven = plant_of("bias-spring")
+    one = ExtendedFilter.of(driven, meters_of(current=(2e-3, 0.0), displacement=(2e-5, 0.0)), AIR)
+    alone = ExtendedFilter.of(driven, meters_of(current=(2e-3, 0.0)), AIR)
+    commands = jnp.asarray(levels(np.random.default_rng(0), 2.5, 4.2, 80, 20))
+    current, none = 0.25 + 0.01 * jnp.sin(jnp.arange(80.0)), jnp.full(80, jnp.nan)
+    deaf, found = followed(one, commands, {"current": current, "displacement": none})
+    _, expected = followed(alone, commands, {"current": current})
+    for name in ("temperature", "displacement"):
+        np.testing.assert_allclose(found.mean[name], expected.mean[name], rtol=1e-9)
+        np.testing.assert_allclose(found.spread[name], expected.spread[name], rtol=1e-7, atol=1e-12)
+    _, moved = followed(one, commands, {"current": current, "displacement": none.at[50].set(4e-3)})
+    np.testing.assert_array_equal(moved.mean["temperature"][:50], found.mean["temperature"][:50])
+    assert np.all(np.abs(moved.mean["temperature"][50:60] - found.mean["temperature"][50:60]) > 1e-3)
+    last = jax.tree.map(lambda v: v[-1], deaf)
+    carried, kept = one._carry(last), one.step(last, {"current": jnp.asarray(jnp.nan), "displacement": jnp.asarray(jnp.nan)})
+    for a, b in zip(jax.tree.leaves(carried), jax.tree.leaves(kept), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-15)
+
+
+def test_it_learns_what_it_was_not_told():
+    """The convection and the ambient of another air, by a thermocouple with a lag, to within what it says of them."""
+    driven, lag = plant_of("dead-weight"), 0.6
+    meters = meters_of(lag, temperature=(0.5, 0.25, 1), voltage=(2e-3, 0.0))
+    truth = driven.changed({"heat.h0": driven.plant.heat.h0 + 20.0, "environment.ambient": jnp.asarray(24.0)})
+    commands = jnp.asarray(levels(np.random.default_rng(2), 0.15, 0.36, 1200, 30))
+
+    def sample(carry, row):
+        state, heard = carry
+        state = truth.advance(state, row[0])[0]
+        heard, told = meters.step(heard, truth.read(state, row[0]), row[1])
+        return (state, heard), {n: told[n] for n in meters.each}
+
+    start = truth.start()
+    draws = jnp.asarray(np.random.default_rng(4).standard_normal(1200))
+    first = start, meters.reset(truth.read(start, jnp.zeros(1)))
+    _, measured = eqx.filter_jit(lambda: jax.lax.scan(sample, first, (commands, draws)))()
+    beliefs, _ = followed(ExtendedFilter.of(driven, meters, AIR), commands, measured)
+    known = np.asarray(beliefs.unknown[-1]), np.asarray(beliefs.covariance[-1])
+    sure = np.sqrt(np.diag(known[1]))[6:8]  # after temperature, fractions, stress, motion and thermocouple
+    np.testing.assert_array_less(np.abs(known[0] - [24.0, float(driven.plant.heat.h0) + 20.0]), 2.5 * sure)
+    assert sure[0] < 3.0 and sure[1] < 12.0 and abs(known[0][1] - float(driven.plant.heat.h0)) > 10.0
+
+
+def test_a_guard_by_the_filter_in_a_rollout():
+    """The wire cools worse than the filter's plant says; a thermocouple with its lag would be late. The derivatives are those of differences."""
+    period = PERIOD
+    meters = meters_of(0.6, voltage=(2e-3, 1e-3, 1), temperature=(0.5, 0.0))
+    one = ExtendedFilter.of(plant_of("dead-weight"), meters, AIR)
+    driven = one.driven.changed({"heat.h0": 0.8 * one.driven.plant.heat.h0})
+    guard = TemperatureGuard(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=period), jnp.asarray(84.0))
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal(200))
+    scenario = dataclasses.replace(Scenario.quiet(np.full(200, 8e-3)), draws=draws)
+    loop = loop_of(pid(60.0, 10.0, 0.5, tf=0.05, low=0.0, high=0.5, dt=period), "displacement", guard=guard, upper=0.5)
+
+    def warm(observer, meters, kp=60.0, drift=2.0):
+        if observer is not None:
+            observer = eqx.tree_at(lambda o: o.process[0].temperature, observer, jnp.asarray(drift)[None])
+        steered = eqx.tree_at(lambda l: l.controller.kp, dataclasses.replace(loop, observer=observer, meters=meters), jnp.asarray(kp))
+        return rollout(driven, steered, scenario).channels["temperature"]
+
+    found, late = eqx.filter_jit(warm)(one, meters), eqx.filter_jit(warm)(None, meters)
+    assert 80.0 < float(jnp.max(found)) < 87.0 and float(found[-1]) == pytest.approx(84.0, abs=1.5)
+    assert float(jnp.max(late)) > float(jnp.max(found)) + 3.0
+    fine = eqx.tree_at(lambda m: m.each["voltage"].quantum, meters, jnp.zeros(()))
+    tuned = eqx.tree_at(lambda o: o.meters, one, fine)
+    run = eqx.filter_jit(lambda kp, drift: warm(tuned, fine, kp, drift)[:60])
+    at = jnp.asarray(60.0), jnp.asarray(2.0)
+    slopes = eqx.filter_jit(jax.jacfwd(run, argnums=(0, 1)))(*at)
+    for i, h in enumerate((1e-4, 1e-5)):
+        ends = [run(*(v + s * h * (j == i) for j, v in enumerate(at))) for s in (1, -1)]
+        central = np.asarray(ends[0] - ends[1]) / (2.0 * h)
+        np.testing.assert_allclose(slopes[i], central, atol=1e-3 * np.max(np.abs(central)))
+        assert np.max(np.abs(central)) > 1e-3
+    total = eqx.filter_jit(jax.grad(lambda drift: jnp.sum(run(at[0], drift))))(at[1])
+    assert float(total) == pytest.approx(float(np.sum(slopes[1])), rel=1e-6)
