@@ -18,7 +18,7 @@
     [guard]                           # optional: what keeps the wire below a temperature whatever the controller wants
     limit = "115 degC"
     kp = "0.05 A/K"
-    [observer]                        # optional: the guard knows the temperature from the wire's power
+    [observer]                        # optional: the guard knows the temperature from the wire's power; or kind = "extended"
     trust = "0.2 1/s"                 # and corrects it by a thermocouple
     [meters]                          # optional: what guard and observer hear
     temperature = { noise = "0.5 K", lag = "1 s" }

@@ -6,7 +6,9 @@ noise = "5 um"
 limit = "115 degC"
 kp = "0.05 A/K"
 [observer]                        # the guard knows the temperature from the wire's power
-trust = "0.2 1/s"                 # and corrects it by a thermocouple
+trust = "0.2 1/s"                 # and corrects it by a thermocouple; or, from all meters, by a Kalman filter on the plant:
+kind = "extended"
+unknown = { "environment.ambient" = "4 K" }
 [meters]
 temperature = { noise = "0.5 K", lag = "1 s" }
 """
@@ -14,22 +16,27 @@ temperature = { noise = "0.5 K", lag = "1 s" }
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from pydantic import BaseModel, Field
 
+from smajax import parameters
+from smajax.control.driven import DrivenPlant
+from smajax.control.extended import ExtendedFilter
 from smajax.control.guard import TemperatureGuard
 from smajax.control.meters import Meters
-from smajax.control.observers import ThermalObserver
+from smajax.control.observers import AbstractThermometer, ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.sensing import Sensing
 from smajax.errors import InputError
 from smajax.rig import Rig
-from smajax.rig_schema import as_text
+from smajax.rig_schema import as_text, one_of
 from smajax.toml_file import STRICT, quantity_at, show, validate
 
 _LATEST = 10_000  # periods of delay
+_LATEST_FILTERED = 100  # of a meter that an extended filter hears: it carries as many past values along
+_THERMAL, _EXTENDED = ("a1", "a2", "exponent", "trust"), ("unknown", "start", "drift", "walk")
 
 
 class _Sensor(BaseModel):
@@ -48,10 +55,15 @@ class _Guard(BaseModel):
 
 class _Observer(BaseModel):
     model_config = STRICT
+    kind: Annotated[str, one_of(("thermal", "extended"))] = "thermal"
     a1: Any = Field(None, examples=['"12 K/J"'])
     a2: Any = Field(None, examples=['"-0.8 1/s"'])
     exponent: int = Field(1, ge=1, le=6, examples=["2"])
     trust: Any = Field(None, examples=['"0.2 1/s"'])
+    unknown: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = "4 K" }'])
+    start: Any = Field("0 K", examples=['"5 K"'])
+    drift: Any = Field("2 K", examples=['"2 K"'])
+    walk: Any = Field("10 %", examples=['"10 %"'])
 
 
 class _Thermocouple(_Sensor):
@@ -63,6 +75,8 @@ class _Meters(BaseModel):
     voltage: Any = Field(None, examples=['{ noise = "10 mV", quantum = "5 mV" }'])
     current: Any = Field(None, examples=['{ noise = "2 mA", delay = "20 ms" }'])
     temperature: Any = Field(None, examples=['{ noise = "0.5 K", lag = "1 s" }'])
+    displacement: Any = Field(None, examples=['{ noise = "20 um" }'])
+    angle: Any = Field(None, examples=['{ noise = "0.1 deg" }'])
 
 
 class Heard(NamedTuple):
@@ -70,7 +84,7 @@ class Heard(NamedTuple):
 
     sensing: Sensing
     guard: TemperatureGuard | None
-    observer: ThermalObserver | None
+    observer: AbstractThermometer | None
     meters: Meters | None
 
 
@@ -82,8 +96,14 @@ def read_sensing(data: Mapping[str, Any], rig: Rig, units: tuple[str, str], peri
     command, difference = units
     sensing = _sensing(validate(_Sensor, data.get("sensor", {}), "sensor"), difference, period, "sensor")
     guard = _guard(data["guard"], rig, command, period, most) if "guard" in data else None
-    observer = _observer(data["observer"], rig, guard, period) if "observer" in data else None
-    return Heard(sensing, guard, observer, _meters(data["meters"], guard, observer, period) if "meters" in data else None)
+    given = _observer(data["observer"], guard) if "observer" in data else None
+    if given is None or guard is None or given.kind == "thermal":
+        observer = None if given is None or guard is None else _thermal(given, rig, guard, period)
+        return Heard(sensing, guard, observer, _meters(data["meters"], rig, guard, observer, period) if "meters" in data else None)
+    if "meters" not in data:
+        raise InputError('an extended filter knows what it hears by [meters]: add it, with a line like voltage = { noise = "2 mV" }')
+    meters = _meters(data["meters"], rig, guard, given, period)
+    return Heard(sensing, guard, _extended(given, rig, meters, period), meters)
 
 
 def _guard(data: Any, rig: Rig, command: str, period: float, most: float) -> TemperatureGuard:
@@ -107,13 +127,35 @@ def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
     return Sensing(jnp.asarray(noise), jnp.asarray(quantum), round(wait))
 
 
-def _observer(data: Any, rig: Rig, guard: TemperatureGuard | None, period: float) -> ThermalObserver:
-    """What tells the guard the temperature; what is not given is what the rig's convection and capacity say at the guard's limit."""
+def _observer(data: Any, guard: TemperatureGuard | None) -> _Observer:
     given = validate(_Observer, data, "observer")
     if guard is None:
         raise InputError(
             "[observer] tells a guard the wire's temperature, and there is none: add a section [guard], or take [observer] out"
         )
+    for key in _EXTENDED if given.kind == "thermal" else _THERMAL:
+        if key in given.model_fields_set:
+            other = "extended" if given.kind == "thermal" else "thermal"
+            raise InputError(f'observer.{key} belongs to kind = "{other}": take it out, or change the kind')
+    return given
+
+
+def _extended(given: _Observer, rig: Rig, meters: Meters, period: float) -> ExtendedFilter:
+    """The filter on the rig's own plant, which takes the meters for what they are; of a carrier it knows the mean."""
+    unknown = {}
+    for name, value in given.unknown.items():
+        try:
+            declared = parameters.declaration(rig.plant, name)
+        except InputError as error:
+            raise InputError(f"observer.unknown: {error}") from None
+        unknown[name] = quantity_at(value, "K" if declared.unit == "degC" else declared.unit, f"observer.unknown.{name}", least=0.0)
+    start, drift = (_positive(v, "K", f"observer.{k}") for v, k in ((given.start, "start"), (given.drift, "drift")))
+    walk = _positive(given.walk, "1", "observer.walk")
+    return ExtendedFilter.of(DrivenPlant.of(rig.plant, period), meters, unknown, start=start, drift=drift, walk=walk)
+
+
+def _thermal(given: _Observer, rig: Rig, guard: TemperatureGuard, period: float) -> ThermalObserver:
+    """What tells the guard the temperature; what is not given is what the rig's convection and capacity say at the guard's limit."""
     if (given.a1 is None) != (given.a2 is None):
         raise InputError(f"observer.{'a1' if given.a1 is None else 'a2'} is missing: give both a1 and a2, or neither for those of the rig")
     own = ThermalObserver.of(rig.plant, float(guard.limit), period, _positive(given.trust, "1/s", "observer.trust"))
@@ -142,21 +184,29 @@ def _steady(observer: ThermalObserver, guard: TemperatureGuard, given: _Observer
     return observer
 
 
-def _meters(data: Any, guard: TemperatureGuard | None, observer: ThermalObserver | None, period: float) -> Meters:
+def _meters(data: Any, rig: Rig, guard: TemperatureGuard | None, observer: ThermalObserver | _Observer | None, period: float) -> Meters:
+    """What guard and observer hear, the observer being a thermal one or, by its section, a filter."""
     given = validate(_Meters, data, "meters")
     if guard is None:
         raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
-    each, lag = {}, 0.0
-    for kind, unit in (("voltage", "V"), ("current", "A"), ("temperature", "K")):
+    each, lag, filtered = {}, 0.0, isinstance(observer, _Observer)
+    for kind, unit in (("voltage", "V"), ("current", "A"), ("temperature", "K"), ("displacement", "m"), ("angle", "rad")):
         told = getattr(given, kind)
         if told is None:
             continue
+        if kind in ("displacement", "angle") and (kind != rig.plant.mechanism.coordinate or not filtered):
+            why = "only an extended filter hears it" if kind == rig.plant.mechanism.coordinate else f"this rig has no {kind}"
+            raise InputError(f"meters.{kind}: {why}: take it out" + (', or add an [observer] of kind = "extended"' if not filtered else ""))
         if kind != "temperature" and observer is None:
             raise InputError(f"meters.{kind}: nothing hears it without an observer: add a section [observer], or take it out")
-        if kind == "temperature" and observer is not None and not float(observer.gain) > 0.0:
+        if kind == "temperature" and isinstance(observer, ThermalObserver) and not float(observer.gain) > 0.0:
             raise InputError("meters.temperature: the observer trusts no thermocouple: give observer.trust a value, or take it out")
         one = validate(_Thermocouple if kind == "temperature" else _Sensor, told, f"meters.{kind}")
         each[kind] = _sensing(one, unit, period, f"meters.{kind}")
+        if filtered and not float(each[kind].noise) + float(each[kind].quantum) > 0.0:
+            raise InputError(f"meters.{kind}: an extended filter would trust it without bounds: give it a noise or a quantum")
+        if filtered and each[kind].delay > _LATEST_FILTERED:
+            raise InputError(f"meters.{kind}.delay is too long for an extended filter: give {_LATEST_FILTERED * period:g} s or less")
         if isinstance(one, _Thermocouple):
             lag = _positive(one.lag, "s", "meters.temperature.lag")
     if not each:

@@ -17,6 +17,9 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
+from smajax.control.export import as_document
+from smajax.control.extended import ExtendedFilter
+from smajax.control.gains import gains
 from smajax.control.limited import _evolved
 from smajax.control.objective import wanted_of
 from smajax.control.observers import ThermalObserver
@@ -29,6 +32,7 @@ from smajax.control.tuning import Tuning, look, noises
 from smajax.controller_file import read_controller
 from smajax.errors import InputError, NumericsError
 from smajax.fit.operator_problem import Series
+from smajax.fmu.models import controller_model
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs import gain_search
 from smajax.jobs.behaviour import Checked
@@ -60,6 +64,10 @@ starts = 1
 """
 SINE = 'kind = "sine"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nfrequency = "0.5 Hz"\n'
 GUARD = '[guard]\nlimit = "90 degC"\nkp = "0.05 A/K"\n'
+EXTENDED = (
+    '[observer]\nkind = "extended"\nunknown = { "environment.ambient" = "4 K" }\ndrift = "3 K"\n'
+    '[meters]\nvoltage = { noise = "2 mV", quantum = "1 mV" }\n'
+)
 STEP = 'kind = "step"\nduration = "15 s"\nlow = "1 mm"\nhigh = "3 mm"\nat = "2 s"\n'
 
 
@@ -577,6 +585,19 @@ BAD = {
     ("[tune]", GUARD + '[observer]\ntrust = "50 1/s"\n[tune]'): "observer.trust = '50 1/s' acts faster than controller.period",
     ("[tune]", GUARD + '[meters]\nvoltage = { noise = "10 mV" }\n[tune]'): "meters.voltage: nothing hears it without an observer",
     ("[tune]", GUARD + '[observer]\n[meters]\ntemperature = { noise = "1 K" }\n[tune]'): "the observer trusts no thermocouple",
+    ("[tune]", GUARD + '[observer]\nkind = "kalman"\n[tune]'): "observer.kind",
+    ("[tune]", GUARD + '[observer]\nkind = "extended"\n[tune]'): "an extended filter knows what it hears by [meters]",
+    ("[tune]", GUARD + EXTENDED.replace('drift = "3 K"', 'trust = "1 1/s"') + "[tune]"): 'observer.trust belongs to kind = "thermal"',
+    ("[tune]", GUARD + '[observer]\ndrift = "1 K"\n[tune]'): 'observer.drift belongs to kind = "extended"',
+    ("[tune]", GUARD + EXTENDED.replace("ambient", "ambeint") + "[tune]"): "observer.unknown: there is no parameter 'environment.ambeint'",
+    ("[tune]", GUARD + EXTENDED.replace('"4 K"', '"-4 K"') + "[tune]"): "observer.unknown.environment.ambient = '-4 K' is too small",
+    (
+        "[tune]",
+        GUARD + EXTENDED.replace('noise = "2 mV", quantum = "1 mV"', 'delay = "50 ms"') + "[tune]",
+    ): "meters.voltage: an extended filter would trust it",
+    ("[tune]", GUARD + EXTENDED.replace('quantum = "1 mV"', 'delay = "50 s"') + "[tune]"): "meters.voltage.delay is too long",
+    ("[tune]", GUARD + EXTENDED + 'angle = { noise = "1 deg" }\n[tune]'): "meters.angle: this rig has no angle",
+    ("[tune]", GUARD + '[observer]\n[meters]\ndisplacement = { noise = "20 um" }\n[tune]'): "meters.displacement: only an extended filter",
     ("[tune]", '[sensor]\ndelay = "1 h"\n[tune]'): "sensor.delay = '1 h' is too long: give 500 s or less",
     ("[tune]", GUARD + "[observer]\nexponent = 2\n[tune]"): "observer.exponent = 2 goes with an a1 and an a2 of its own",
     ("[tune]", '[[change]]\nparameter = "initial.temperature"\nat = "3 s"\nvalue = "30 degC"\n[tune]'): "is how a run begins",
@@ -637,6 +658,18 @@ def test_what_a_file_can_ask_for(tmp_path):
     volume = float(rig.plant.wire.area * rig.plant.wire.length)
     lost = 4.0 / float(rig.plant.wire.diameter) * float(own.convection(jnp.asarray(90.0))) * 70.0 * volume
     assert float(eye.step(jnp.asarray(90.0), jnp.asarray(lost))) == pytest.approx(90.0, abs=1e-9)
+    filtered = of(FILE + GUARD + EXTENDED + 'displacement = { noise = "20 um", delay = "100 ms" }\n').loop
+    eye = filtered.observer
+    assert (
+        isinstance(eye, ExtendedFilter)
+        and eqx.tree_equal(eye.meters, filtered.meters)
+        and sorted(eye.meters.each) == ["displacement", "voltage"]
+    )
+    assert float(eye.unknown["environment.ambient"]) == 4.0 and float(eye.spread[0].temperature[0]) == 0.0
+    assert float(eye.process[0].temperature[0]) == 3.0 and float(eye.process[0].fractions.detwinned[0]) == 0.1
+    with pytest.raises(InputError, match="an ExtendedFilter cannot leave for another program yet"):
+        controller_model(filtered, ("A", "m"), dict.fromkeys(gains(filtered), "-"), "it")
+    assert as_document(filtered, dict.fromkeys(gains(filtered), "-"))["observer"] == {"kind": "ExtendedFilter"}
     cubic = of(FILE + GUARD + '[observer]\na1 = "12 K/J"\na2 = "-1e-4 K^-2/s"\nexponent = 3\n').loop.observer
     assert [float(v) for v in (cubic.a1, cubic.a2, cubic.exponent)] == [12.0, -1e-4, 3.0]
     changes = [

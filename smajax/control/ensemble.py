@@ -2,8 +2,9 @@
 
 ``members`` plants, which differ in what is not known of the rig (its convection, its ambient), are carried along under the same commands.
 At each sample what they would show is compared with what is measured, and each state is moved along the ensemble's covariances (square
-root filter, one measurement after another: Whitaker, Hamill, Mon. Weather Rev. 130 (2002) 1913). A filter that linearises the plant at one
-state is blind in a hysteresis, where the next kelvin does nothing and the fifth does all; members on both sides of it see both.
+root filter, one measurement after another: Whitaker, Hamill, Mon. Weather Rev. 130 (2002) 1913). In a hysteresis the next kelvin may do
+nothing and the fifth all; members on both sides of it see both. ``extended`` linearises the plant at one state, and has to be told by a
+walk of the fractions that it may be on the wrong side.
 
 The drive's own channels are measurements: under a current, the voltage tells the resistance, and that the phases. A thermocouple follows
 its wire with a first-order lag, which is part of what is estimated. What is not known wanders within its spread: of the ambient, that is

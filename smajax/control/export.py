@@ -393,7 +393,8 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
     if isinstance(owner, Loop) and owner.guard is not None:
         document["guard"] = guard_document(owner.guard)
         if owner.observer is not None:
-            document["observer"] = observer_document(owner.observer)
+            thermal = isinstance(owner.observer, ThermalObserver)
+            document["observer"] = observer_document(owner.observer) if thermal else {"kind": type(owner.observer).__name__}
     return document
 
 

@@ -9,6 +9,7 @@ keeps P symmetric and free of negative variances whatever is rounded (Bucy, Jose
 
     K = P h / (h^T P h + r)     x += K (y - h^T x)     P = (1 - K h^T) P (1 - K h^T)^T + r K K^T
 
+where r grows if the measurement is further off than ``trust`` says, so that no single one throws x on another branch (Huber's weight).
 x holds the plant's integrator state (temperatures, fractions, stresses, unknowns and motion of the mechanism), what its thermocouples show,
 the parameters that are not known, and what the meters see now and saw before, as far back as the slowest one is late. So a late
 measurement corrects the state now by what it says of then, and h only picks a number. Steps of a meter count as noise, quantum^2 / 12.
@@ -16,8 +17,8 @@ measurement corrects the state now by what it says of then, and h only picks a n
 What effects remember (marks where a branch began, how far friction is engaged, how long something has lasted) is carried by the mean and is
 not in P: at a reversal it is set anew, so that its derivative jumps between 0 and 1 with the branch that the mean happens to be on, and a
 correction along it could leave a mark on a side of the present state where no history leads. The phase fractions need no such marks (see
-``plant.material.brinson``), so they are in P. But the mean is still on one branch: that the wire may be on another one, P does not know.
-``ensemble`` does, whose members are on both, at the price of as many plants.
+``plant.material.brinson``), so they are in P. But the mean is still on one branch: that the wire may be on another one, P knows only as far
+as ``process`` lets the fraction walk. ``ensemble`` has members on both, at the price of as many plants.
 """
 
 from collections.abc import Mapping
@@ -39,9 +40,9 @@ from smajax.units import channel_of
 
 
 class Belief(NamedTuple):
-    """The means: the plant's ``state``, the ``probes`` by channel (degC), the ``unknown`` parameters, shape ``(p,)``, and what the meters have
-    ``shown``, newest first, shape ``(latest + 1, meters)``; the ``covariance`` of all that is estimated of them, in that order; and the
-    command that acts since the last sample, shape ``(wires,)``.
+    """The means: the plant's ``state``, the ``probes`` by channel (degC), the ``unknown`` parameters, shape ``(p,)``, and what the meters
+    have ``shown``, newest first, shape ``(latest + 1, meters)``; the ``covariance`` of all that is estimated of them, in that order; and
+    the command that acts since the last sample, shape ``(wires,)``.
     """
 
     state: Any
@@ -55,10 +56,10 @@ class Belief(NamedTuple):
 class ExtendedFilter(AbstractThermometer):
     """The filter of the module's text, sampled at the period of ``driven``, which is the plant as far as it is known.
 
-    ``meters`` are what is measured, by kind of channel: noise, steps and delay of each, and the thermocouples' lag. ``unknown`` are standard
-    deviations of named parameters about the plant's, within which they wander with the time constant ``memory``. ``spread`` and ``process``
-    are of the structure of the plant's state: standard deviations of its numbers at the start, and of their random walk in one second (its
-    unit is theirs per root second). All may be learnt by derivatives through the filter. See ``of`` for those of a wire.
+    ``meters`` are what is measured, by kind of channel: noise, steps and delay of each, and the thermocouples' lag. ``unknown`` are
+    standard deviations of named parameters about the plant's, within which they wander with the time constant ``memory``. ``spread`` and
+    ``process`` have the structure of the plant's state: standard deviations of its numbers at the start, and of their random walk in one
+    second, in their unit per root second. See ``of`` for those of a wire. All are leaves that derivatives may go by.
     """
 
     driven: AbstractDriven
@@ -67,7 +68,7 @@ class ExtendedFilter(AbstractThermometer):
     spread: Any
     process: Any
     memory: jax.Array = parameter("s", "time after which what is unknown is another", 0.0, default=30.0)
-    trust: jax.Array = parameter("1", "standard deviations by which a measurement may surprise; more is laid to its noise", 0.0, default=1.0)
+    trust: jax.Array = parameter("1", "deviations by which a measurement may surprise; more is laid to its noise", 0.0, default=1.0)
 
     @classmethod
     def of(
@@ -82,8 +83,9 @@ class ExtendedFilter(AbstractThermometer):
     ) -> "ExtendedFilter":
         """For wires whose temperatures are known to ``start`` K at the start, beside what is unknown of the surroundings.
 
-        In one second a temperature walks at random by ``drift`` K, and a detwinned fraction by ``walk``. Both stand for what the filter's one
-        branch does not see: with the defaults the intervals of wires in other air than thought hold (``tests/test_extended_filter.py``).
+        In one second a temperature walks at random by ``drift`` K, and a detwinned fraction by ``walk``: both stand for what the filter
+        does not see on its one branch. With the defaults the intervals of wires in other air than thought hold; without a walk of the
+        fraction the filter takes its branch for certain, and loses the wire (``tests/test_extended_filter.py`` has both).
         """
         nothing, time = jax.tree.map(jnp.zeros_like, driven.start())
 
@@ -119,7 +121,7 @@ class ExtendedFilter(AbstractThermometer):
         core, whole = self._core(later)
         mean, covariance = jnp.concatenate([core, jnp.ravel(later.shown)]), later.covariance
         for k, name in enumerate(self._names):
-            meter = self.meters.each[channel_of(name)]
+            meter = self.meters.each[str(channel_of(name))]
             at, noise = len(core) + meter.delay * len(self._names) + k, meter.noise**2 + meter.quantum**2 / 12.0
             own = covariance[at, at]
             heard = jnp.isfinite(measured[name]) & (own + noise > 0.0)
@@ -167,7 +169,7 @@ class ExtendedFilter(AbstractThermometer):
 
     def linearised(self, belief: Belief) -> tuple[jax.Array, Belief]:
         """The Jacobian of a period by all that is estimated, shape as the covariance's, and the means then."""
-        stays, middle = jnp.exp(-self.driven.period / self.memory), self._middle()
+        stays, middle = jnp.exp(-self.meters.period / self.memory), self._middle()
         core, whole = self._core(belief)
 
         def moved(core: jax.Array) -> tuple[jax.Array, Belief]:
@@ -176,7 +178,7 @@ class ExtendedFilter(AbstractThermometer):
             one = self._as(unknown)
             state = one.follow(state, belief.command, way)
             seen = one.read(state, belief.command)
-            probes = {n: probed(p, seen[n], self.meters.lag, self.driven.period) for n, p in probes.items()}
+            probes = {n: probed(p, seen[n], self.meters.lag, self.meters.period) for n, p in probes.items()}
             now = self._shown(seen, probes)
             later = belief._replace(state=state, probes=probes, unknown=unknown)
             later = later._replace(shown=jnp.concatenate([now[None], belief.shown[:-1]]))
@@ -194,16 +196,14 @@ class ExtendedFilter(AbstractThermometer):
     def _carry(self, belief: Belief) -> Belief:
         """A period on, before anything is heard. What wanders does so at its beginning."""
         slope, later = self.linearised(belief)
-        walk, back = self._numbers(self.process)[0], jnp.expm1(2.0 * self.driven.period / self.memory)
+        walk, back = self._numbers(self.process)[0], jnp.expm1(2.0 * self.meters.period / self.memory)
         known = jnp.zeros(len(slope) - len(walk) - len(self.unknown))
         probes = len(later.probes)
-        wander = jnp.concatenate(
-            [self.driven.period * walk**2, known[:probes], back * self._deviations() ** 2, known[probes:]]
-        )  # fmt: skip
+        wander = jnp.concatenate([self.meters.period * walk**2, known[:probes], back * self._deviations() ** 2, known[probes:]])
         return later._replace(covariance=slope @ (belief.covariance + jnp.diag(wander)) @ slope.T)
 
     def _numbers(self, state: Any) -> tuple[jax.Array, Any]:
-        """The numbers of a state of the plant that are estimated, shape ``(k,)``, and what makes such a state of them with the rest of this."""
+        """The numbers of a state that are estimated, shape ``(k,)``, and what makes a state of others with the rest of this one."""
         estimated = jax.tree.map(eqx.is_inexact_array, state)
         if isinstance(self.driven, DrivenPlant):
             remembered = jax.tree.map(lambda _: False, state[0].memory)
@@ -242,7 +242,8 @@ class ExtendedFilter(AbstractThermometer):
         return sorted(self.unknown)  # the order in which a compiled function sees a dictionary
 
     def _middle(self) -> jax.Array:
-        return jnp.asarray([parameters.get(self.driven.plant, n) for n in self._unknown], jnp.float64)
+        plant = self.driven.plant if isinstance(self.driven, DrivenPlant) else None
+        return jnp.asarray([parameters.get(plant, n) for n in self._unknown], jnp.float64)
 
     def _deviations(self) -> jax.Array:
         return jnp.asarray([self.unknown[n] for n in self._unknown], jnp.float64)

@@ -3,8 +3,8 @@
     thermal    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)            (hip paper's estimator; L = 0 without a thermocouple)
     angle      theta' = rate - bias, bias' = 0, corrected by a tilt                   (Kalman's filter on two states)
 
-Both are sampled; ``reset`` and ``step`` are pure functions. In a rollout they hear what the loop's ``meters`` tell. A filter of the whole
-plant is in ``ensemble``.
+Both are sampled; ``reset`` and ``step`` are pure functions. In a rollout they hear what the loop's ``meters`` tell. Filters of the whole
+plant are in ``extended`` (the extended Kalman filter) and ``ensemble``.
 """
 
 import math

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax import parameters
+from smajax.control.export import observer_document
 from smajax.control.gains import gain, gains, with_gains
 from smajax.control.rollout import Loop
 from smajax.control.sensing import perfect
@@ -94,7 +95,10 @@ def controller_model(loop: Loop, units: tuple[str, str], gain_units: Mapping[str
     What the loop's sensor and meters do to a measurement is the world's and is left out. A guard listens to ``temperature`` too, and with
     an observer to ``power``. What is measured or wanted and is no number is taken for the last one that was, and the loop begins when
     there has been one of both; what happens to a channel, a temperature or a power that stays away is in ``Loop``, guard and observer.
+    Raises ``InputError`` for an observer that is not thermal.
     """
+    if loop.observer is not None:
+        observer_document(loop.observer)
     loop = dataclasses.replace(loop, sensing=perfect(), meters=None, gaps=True)
     listens = () if loop.guard is None else ("temperature",) if loop.observer is None else ("temperature", "power")
     heard = [n for c in listens for n in numbered(c, loop.allocation.wires) if n != loop.channel]

@@ -98,7 +98,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     units = (CHANNELS[given.driven.plant.drive.control].unit, CHANNELS[given.loop.channel].unit)
     progress.phase("exporting")
     with clock.time("export"):
-        fmus, left_out = _fmus(given, rig, last, units)
+        exports, left_out = _exports(given, rig, last, units)
     told = {when: one.document for when, one in checks.items()}
     document: dict[str, Any] = _document(given, rig, found, (first, last), told, beyond, far, seed) | {"left_out": left_out}
     if fed is not None:
@@ -120,8 +120,7 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         (folder / "controller.toml").write_text(controller_text, "utf-8", newline="")
         (folder / "tune.json").write_text(to_json(document), "utf-8")
         (folder / "controller.json").write_text(to_json(as_document(last.loop, dict(given.units))), "utf-8")
-        (folder / "controller.h").write_text(c_header(last.loop, units, __version__), "utf-8")
-        for name, content in fmus.items():
+        for name, content in exports.items():
             (folder / name).write_bytes(content)
         prediction.write(folder / "prediction.csv", series)
         page = tuning_page(document, prediction.read(folder / "prediction.csv"), run, text)
@@ -131,17 +130,18 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     return Outcome(out, document, code, reason)
 
 
-def _fmus(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:
-    """The FMUs of plant and controller by the name of their file, and of those that could not be made, why."""
+def _exports(given: ControllerFile, rig: Rig, last: Behaviour, units: tuple[str, str]) -> tuple[dict[str, bytes], dict[str, str]]:
+    """C header and FMUs of plant and controller by the name of their file, and of those that could not be made, why."""
     loop = last.loop
     made: dict[str, bytes] = {}
     left_out: dict[str, str] = {}
-    for name, model in (
-        ("plant.fmu", lambda: plant_model(given.driven.plant, rig.name)),
-        ("controller.fmu", lambda: controller_model(loop, units, given.units, given.name)),
+    for name, content in (
+        ("controller.h", lambda: c_header(loop, units, __version__).encode()),
+        ("plant.fmu", lambda: fmu(plant_model(given.driven.plant, rig.name))),
+        ("controller.fmu", lambda: fmu(controller_model(loop, units, given.units, given.name))),
     ):
         try:
-            made[name] = fmu(model())
+            made[name] = content()
         except InputError as error:
             left_out[name] = str(error)
     return made, left_out

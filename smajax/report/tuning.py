@@ -117,7 +117,8 @@ def text(doc: Mapping[str, Any], folder: str) -> str:
     """What the command prints."""
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
     lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
-    files = ["controller.h", "controller.json", *(name for name in ("plant.fmu", "controller.fmu") if name not in doc.get("left_out", {}))]
+    every = ("controller.h", "controller.json", "plant.fmu", "controller.fmu")
+    files = [name for name in every if name not in doc.get("left_out", {})]
     lines += left_out(doc)
     return "\n".join([*lines, f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"])
 
