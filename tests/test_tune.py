@@ -19,8 +19,9 @@ from smajax.control import members
 from smajax.control.driven import DrivenPlant
 from smajax.control.export import as_document
 from smajax.control.extended import ExtendedFilter
-from smajax.control.gains import gains
+from smajax.control.gains import gain, gains
 from smajax.control.limited import _evolved
+from smajax.control.margins import Margins, of_draws, worst
 from smajax.control.objective import wanted_of
 from smajax.control.observers import ThermalObserver
 from smajax.control.reach import Reach, cut, reach
@@ -35,7 +36,8 @@ from smajax.fit.operator_problem import Series
 from smajax.fmu.models import controller_model
 from smajax.hysteresis.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.jobs import gain_search
-from smajax.jobs.behaviour import Checked
+from smajax.jobs.behaviour import Checked, behave, check
+from smajax.jobs.tune import _document
 from smajax.report.tuning import sentences as tuning_text
 from smajax.report.tuning import text
 from smajax.rig import read_rig
@@ -271,7 +273,10 @@ def test_the_command_leaves_a_whole_folder(tmp_path, monkeypatch):
     assert doc["gains"]["kp"]["usual_unit"] == "A/mm" and doc["gains"]["ki"]["usual_unit"] == "A/mm/s"
     row = next(line.split() for line in done.output.splitlines() if line.startswith("kp"))
     assert row == ["kp", "0.03", f"{doc['gains']['kp']['tuned'] / 1e3:.5g}", "A/mm"]
-    assert doc["robust"]["tuned"]["draws"] == 8 and doc["robust"]["tuned"]["unstable"] == 0
+    checked = doc["robust"]["tuned"]
+    assert checked["draws"] == 8 and checked["unstable"] == 0 and checked["unstable_linearised"] == 0
+    assert 1.0 < checked["worst_margins"]["gain"] < math.inf and 0.0 < checked["worst_margins"]["phase"] < 180.0
+    assert "the worst of the 8 draws has a gain margin of" in doc["summary"] and " at worst" in done.output
     assert json.loads((folder / "controller.json").read_text())["gains"]["kp"]["value"] == doc["gains"]["kp"]["tuned"]
     assert f"SMAJAX_KP ((smajax_real){doc['gains']['kp']['tuned']!r})" in (folder / "controller.h").read_text()
     page = (folder / "report.html").read_text()
@@ -510,10 +515,40 @@ def test_margins_of_which_one_is_none_are_told():
     assert "has a phase margin of 3 degrees: a rig" in tuning_text(doc | {"margins": {"tuned": {"gain": None, "phase": 3.0}}})
 
 
+def test_the_worst_draw_counts_by_its_margins():
+    """A linear plant of twice the gain has half the gain margin; of three times the gain, none."""
+    tuning = hip_tuning()
+    loop, gain = tuning.steered({}), float(tuning.driven.function.gain)
+    each = of_draws(tuning.driven, loop, tuning.scenario, {"gain": gain * np.array([2.0, 1.0, 3.0])})
+    first = each[1].gain
+    np.testing.assert_allclose([m.gain for m in each], [first / 2.0, first, first / 3.0], rtol=1e-3)
+    assert [m.unstable for m in each] == [False, False, True] and 2.0 < first < 3.0
+    assert worst(each) == (each[2].gain, each[2].phase, max(m.sensitivity for m in each)) and worst(each).unstable
+
+
+def test_a_draw_without_margins_is_a_problem(tmp_path, monkeypatch):
+    """It comes to rest, as limits of its command may let it; it is told, tuned for, and not feasible, as the rig's own plant would be."""
+    (tmp_path / "c.toml").write_text(FILE + '[robust]\ncheck = 8\nvary = { "load.mass" = ["150 g", "250 g"] }\n')
+    rig = read_rig(RIG)
+    given, drawn = read_controller(tmp_path / "c.toml", rig), {"load.mass": np.linspace(0.15, 0.25, 3)}
+    own = {name: float(gain(given.loop, name)) for name in given.bounds}
+    plain = check(given, own, drawn)
+    assert not plain.failing and plain.document["unstable_linearised"] == 0 and plain.document["worst_margins"]["gain"] > 1.0
+    some = [Margins(2.0, 40.0, 2.0), Margins(0.8, 30.0, 3.0), Margins(math.inf, 50.0, 1.5)]
+    monkeypatch.setattr("smajax.jobs.behaviour.of_draws", lambda *_: some)
+    found = check(given, own, drawn)
+    assert found.failing == (1,) and found.document["unstable"] == 0 and found.document["unstable_linearised"] == 1
+    assert found.document["worst_margins"] == {"gain": 0.8, "phase": 30.0, "sensitivity": 3.0}
+    kept = Tuned(np.zeros(1), own, {}, {}, True, np.inf, 1, ())
+    one, far = behave(given, own), reach(given.driven, given.loop, given.scenario, given.limits)
+    doc = _document(given, rig, kept, (one, one), {"start": found.document, "tuned": found.document}, "", far, 0)
+    assert not doc["feasible"] and any("of 3 draws 1 are unstable, linearised along their rollouts" in p for p in doc["problems"])
+
+
 def test_what_pulses_do_beside_their_mean_is_told(tmp_path, monkeypatch):
     kept = Tuned(np.zeros(1), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.jobs.gain_search.tune", lambda *_, **__: kept)
-    monkeypatch.setattr("smajax.jobs.tune._fmus", lambda *_: ({}, {}))  # which takes longer than all else here
+    monkeypatch.setattr("smajax.jobs.tune._exports", lambda *_: ({}, {}))  # which takes longer than all else here
     (tmp_path / "rig.toml").write_text(RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n')
     content = re.sub(r'"([0-9.]+) A/m', r'"\1 1/m', FILE).replace('["0 A", "0.5 A"]', '["0", "0.5"]')
     done = run(tmp_path, content.replace('kind = "pid"', 'kind = "pid"\ncarrier = "50 Hz"'), rig=tmp_path / "rig.toml")

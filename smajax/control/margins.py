@@ -9,7 +9,7 @@ period is over.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -22,6 +22,7 @@ from smajax.control.driven import AbstractDriven
 from smajax.control.rollout import Loop, Scenario, march
 
 _FREQUENCIES = 400
+_OF_A_DRAW = 60  # samples
 _RESTLESS = 0.02
 _HOLD = 10  # samples
 _SWING = 0.05  # of what the reference spans: less is as good as rest
@@ -97,6 +98,22 @@ def margins(driven: AbstractDriven, loop: Loop, scenario: Scenario, *, samples: 
         gains = np.asarray(_along(driven, loop, carries[at], scenario.reference[at], scenario.draws[at], z, first))
         gains = gains[(np.real(gains[:, -1]) > 0.0) & np.all(np.isfinite(gains), axis=1)]  # by the first answer to a command
     return _margins(gains[:, :-1], frequencies)
+
+
+def of_draws(driven: AbstractDriven, loop: Loop, scenario: Scenario, drawn: Mapping[str, np.ndarray]) -> list[Margins]:
+    """The margins of a loop around each of so many plants, which differ in named parameters: arrays of shape ``(count,)``, internal units.
+
+    One program serves all; each at fewer samples of its own rollout, the median over the samples being what counts.
+    """
+    count = len(next(iter(drawn.values())))
+    plants = (driven.changed({name: jnp.asarray(values[k], jnp.float64) for name, values in drawn.items()}) for k in range(count))
+    return [margins(plant, loop, scenario, samples=_OF_A_DRAW) for plant in plants]
+
+
+def worst(of: Sequence[Margins]) -> Margins:
+    """The least gain and phase margins and the largest sensitivity of some, each by itself."""
+    gain, phase, sensitivity = zip(*of, strict=True)
+    return Margins(min(gain), min(phase), max(sensitivity))
 
 
 @eqx.filter_jit

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.control import metrics
-from smajax.control.margins import Margins, margins, restless
+from smajax.control.margins import Margins, margins, of_draws, restless, worst
 from smajax.control.reach import Reach
 from smajax.control.rollout import Loop, Rollout
 from smajax.control.tuning import Tuning, roll
@@ -88,27 +88,35 @@ def at_rest(given: ControllerFile, name: str) -> float:
 
 
 def check(given: ControllerFile, gains: Mapping[str, float], drawn: Mapping[str, np.ndarray]) -> Checked:
-    """Metrics of every draw: median and 5 to 95 %, and how many are stable (without noise) and within the limits."""
+    """Metrics of every draw: median and 5 to 95 %, and how many are stable (without noise) and within the limits.
+
+    A draw that comes to rest is judged by its margins, too, as the rig's own plant is: by the median along its rollout.
+    """
     count = len(next(iter(drawn.values())))
     size = min(_BATCH, count)
     told: list[dict[str, float]] = []
-    unstable = broken = 0
+    calm = given.scenario.calm()
+    linear = of_draws(given.driven, Tuning.of(given.driven, given.loop, calm, {}).steered(gains), calm, drawn)
+    unstable = broken = swinging = 0
     failing: list[int] = []
     for first in range(0, count, size):
         rows = np.minimum(np.arange(first, first + size), count - 1)  # the last batch is filled up: one program serves all
         some = {n: v[rows] for n, v in drawn.items()}
-        done, still = (roll(Tuning.of(given.driven, given.loop, s, {}, some), gains) for s in (given.scenario, given.scenario.calm()))
+        done, still = (roll(Tuning.of(given.driven, given.loop, s, {}, some), gains) for s in (given.scenario, calm))
         channels = {n: np.asarray(v) for n, v in done.channels.items()}
         for k in range(min(size, count - first)):
             numbers = _numbers(given, {n: v[k] for n, v in channels.items()}, np.asarray(done.command[k]))
             told.append(numbers)
             restless, beyond = bool(_unstable(given, still, k)), bool(broken_limits(given.limits, numbers))
-            unstable, broken = unstable + restless, broken + beyond
-            failing += [first + k] * (restless or beyond)
+            swings = not restless and linear[first + k].unstable
+            unstable, broken, swinging = unstable + restless, broken + beyond, swinging + swings
+            failing += [first + k] * (restless or beyond or swings)
     table = {n: np.array([t[n] for t in told]) for n in told[0]}
     spread = {n: [number(float(q)) for q in _quantiles(v)] for n, v in table.items()}
-    worst = {n: number(float(np.max(v))) for n, v in table.items()}
-    return Checked({"draws": count, "unstable": unstable, "beyond_a_limit": broken, "spread": spread, "worst": worst}, tuple(failing))
+    largest = {n: number(float(np.max(v))) for n, v in table.items()}
+    counts = {"draws": count, "unstable": unstable, "unstable_linearised": swinging, "beyond_a_limit": broken}
+    margin = {n: number(v) for n, v in worst(linear)._asdict().items()}
+    return Checked(counts | {"spread": spread, "worst": largest, "worst_margins": margin}, tuple(failing))
 
 
 def _quantiles(values: np.ndarray) -> np.ndarray:

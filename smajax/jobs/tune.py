@@ -219,9 +219,14 @@ def _document(
         ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle_error(given))]
         told = f"the best gains found give the reference up: they leave an error of {ends[0]}, a rig that is left alone one of {ends[1]}"
         problems.append(f"{told}; try more starts, other start gains or wider limits")
-    few = {k: checks["tuned"][k] for k in ("unstable", "beyond_a_limit") if checks and checks["tuned"][k]}
+    kinds = {
+        "unstable": "are unstable",
+        "unstable_linearised": "are unstable, linearised along their rollouts",
+        "beyond_a_limit": "are beyond a limit",
+    }
+    few = {k: checks["tuned"][k] for k in kinds if checks and checks["tuned"][k]}
     if few:
-        told = " and ".join(f"{count} {'are unstable' if k == 'unstable' else 'are beyond a limit'}" for k, count in few.items())
+        told = " and ".join(f"{count} {kinds[k]}" for k, count in few.items())
         problems.append(f"of {checks['tuned']['draws']} draws {told} with the best gains found: narrow what varies, or raise robust.draws")
     document: dict[str, Any] = {
         "schema": SCHEMA,

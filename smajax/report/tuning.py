@@ -70,6 +70,10 @@ def sentences(doc: Mapping[str, Any]) -> str:
     if doc["robust"]:
         one = doc["robust"]["tuned"]
         told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit."
+        margin = one["worst_margins"]
+        ends = [] if margin["gain"] is None else [f"a gain margin of {margin['gain']:.2g}"]
+        ends += [] if margin["phase"] is None else [f"a phase margin of {margin['phase']:.2g} degrees"]
+        told += f" Linearised, the worst of the {one['draws']} draws has {' and '.join(ends)}." if ends else ""
     return told
 
 
@@ -97,7 +101,10 @@ def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     for name, label in (("gain", "gain margin"), ("phase", "phase margin [deg]"), ("sensitivity", "largest sensitivity")):
         cells = [doc["margins"][when][name] for when in ("start", "tuned")]
         row = [label, *("-" if v is None else f"{v:.3g}" for v in cells)]
-        rows.append((*row, "") if doc["robust"] else tuple(row))
+        if doc["robust"]:
+            least = doc["robust"]["tuned"]["worst_margins"][name]
+            row.append("-" if least is None else f"{least:.3g} at worst")
+        rows.append(tuple(row))
     return rows
 
 
