@@ -66,6 +66,7 @@ LONGEST = [
     "machines",
     "recording",
     "ensemble",
+    "extended_filter",
 ]
 
 
