@@ -29,7 +29,8 @@ _DRAWN, _BESIDE = 0.05, 0.005  # of the room between the bounds: how far from th
 _FOLDS = 4
 _ALIKE = 1.1  # ridges whose errors are within this factor serve alike
 _STRETCHES = (1, 5, 25, 125)  # rows that a network runs on its own before it does to the end
-_ON_THE_WAY, _AT_THE_END = 1e-3, 1e-6  # the relative fall of the cost at which a stretch is fitted
+_ON_THE_WAY, _AT_THE_END = 1e-3, 1e-6  # the relative fall of the cost at which a search ends
+_SHORTER = 4  # times fewer steps on the way
 _ONE, _RIVAL = 1.001, 1.25  # ends within the first factor of each other's costs are one; those beyond the second of the least are dropped
 _ENDS = 3
 
@@ -84,13 +85,14 @@ def fit_network(problem: OperatorProblem, weights: jax.Array, starts: int, seed:
 
     parts, rows = parted(problem), problem.data.time.shape[1]
     fitted = [problem, *(seen for seen, _ in parts)]
-    first = _trained(_ridged(problem, weights, _RIDGES[0]), beside(problem.nominal, _DRAWN, starts), (*_STRETCHES, rows), max_steps)
+    begun, on_the_way = beside(problem.nominal, _DRAWN, starts), (max_steps // _SHORTER, _ON_THE_WAY)
+    first = _trained(_ridged(problem, weights, _RIDGES[0]), begun, (*_STRETCHES, rows), *on_the_way)
     ends, simulations, errors, best = [first] * len(fitted), first.simulations, [], []
     for ridge in _RIDGES:
         points = [np.vstack([one.vectors, beside(one.vectors[0], _BESIDE, _ENDS - len(one.vectors))]) for one in ends]
         held = [_ridged(part, weights, ridge) for part in fitted]
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # a search of one start is one thread
-            ends = list(pool.map(lambda part, begun: _trained(part, begun, (rows,), max_steps), held, points))
+            ends = list(pool.map(lambda part, begun: _trained(part, begun, (rows,), *on_the_way), held, points))
         simulations += sum(one.simulations for one in ends)
         unseen = [np.max(_mean(hidden, one.vectors)) for (_, hidden), one in zip(parts, ends[1:], strict=True)]
         errors.append(float(np.sqrt(np.mean(np.square(unseen)))))
@@ -98,8 +100,9 @@ def fit_network(problem: OperatorProblem, weights: jax.Array, starts: int, seed:
         if len(errors) > 2 and min(errors[-2:]) >= min(errors[:-2]):
             break
     chosen = int(np.argmax(np.array(errors) <= _ALIKE * min(errors)))
-    vector = best[chosen].vectors[0] if best[chosen].costs[0] < math.inf else None
-    return Network(vector, simulations * problem.data.measured.shape[0], _RIDGES[chosen])
+    last = _trained(_ridged(problem, weights, _RIDGES[chosen]), best[chosen].vectors, (rows,), max_steps, _AT_THE_END)
+    vector = last.vectors[0] if last.costs[0] < math.inf else None
+    return Network(vector, (simulations + last.simulations) * problem.data.measured.shape[0], _RIDGES[chosen])
 
 
 def _mean(problem: OperatorProblem, vectors: np.ndarray) -> np.ndarray:
@@ -132,7 +135,7 @@ class _Trained(NamedTuple):
     simulations: int
 
 
-def _trained(ridged: Ridged, points: np.ndarray, stretches: tuple[int, ...], max_steps: int) -> _Trained:
+def _trained(ridged: Ridged, points: np.ndarray, stretches: tuple[int, ...], max_steps: int, rtol: float) -> _Trained:
     """From each point over each stretch by Levenberg-Marquardt, which is closed loop over the last; then by BFGS in reverse mode.
 
     One after another: a batch takes as long per start, and goes on until the last has ended.
@@ -142,9 +145,8 @@ def _trained(ridged: Ridged, points: np.ndarray, stretches: tuple[int, ...], max
     for point in points:
         for every in stretches:
             stage = dataclasses.replace(ridged, problem=dataclasses.replace(problem, ahead=True, every=jnp.asarray(every)))
-            steps, rtol = (max_steps, _AT_THE_END) if every == stretches[-1] else (max_steps // 4, _ON_THE_WAY)
             search = least_squares.Search(residual, stage, point[None], lower, upper, size=stage.size, rtol=rtol)
-            solved = search.advance(steps).result()
+            solved = search.advance(max_steps).result()
             simulations += solved.simulations
             point = solved.points[0]
         vector, taken = _closed(jnp.asarray(point), ridged, (jnp.asarray(lower), jnp.asarray(upper)))
