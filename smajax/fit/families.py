@@ -42,6 +42,10 @@ def _way(series: Sequence[Series]) -> float:
     return -1.0 if float(np.cov(values[seen], outputs[seen])[0, 1]) < 0.0 else 1.0
 
 
+def _step(series: Sequence[Series]) -> float:
+    return float(np.median(np.diff(series[0].time)))
+
+
 def _duration(series: Sequence[Series]) -> float:
     return max(float(s.time[-1] - s.time[0]) for s in series)
 
@@ -174,7 +178,7 @@ def transfer_function(series: Sequence[Series], structure: Structure = "underdam
     constant = all(np.ptp(s.input) == 0.0 for s in series)
     if constant and low != 0.0:
         span = abs(low)
-    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
+    step, duration = _step(series), _duration(series)
     names = ("gain", "rest", "first", "second", "damping", "delay", "settled")
     on = 1.0 if not constant and any(abs(s.input[0]) > 1e-9 * span for s in series) else 0.0
     nearest = min(float(np.min(np.abs(s.input))) for s in series)
@@ -235,7 +239,7 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
     ``settled`` is free where a recording begins with the input on.
     """
     low, span, bottom, swing = _ranges(series)
-    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
+    step, duration = _step(series), _duration(series)
     places, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
     edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
     lower = {
@@ -293,7 +297,10 @@ def _network(series: Sequence[Series], hidden: int, order: int) -> tuple[dict, d
     known = {"rest": rest, "scale": scale}
     lower, upper = ({k: np.full(shape, end) for k, shape in shapes.items()} | known for end in (-5.0, 5.0))
     start = {k: np.zeros(shape) for k, shape in shapes.items()} | known
-    start["straight"] = np.r_[1.8, -0.8, np.zeros(order - 2)] if order > 1 else np.ones(1)
+    # Left alone it goes back to rest: a guess that holds an output for ever makes networks that run away of a ridge that pulls to it.
+    slow = math.exp(-_step(series) * 50 / _duration(series))
+    start["straight"] = np.r_[slow + 0.8, -0.8 * slow, np.zeros(order - 2)] if order > 1 else np.array([slow])
+    start["constant"] = (1.0 - np.sum(start["straight"])) * (rest - scale[2]) / scale[3]
     return lower, upper, start
 
 
@@ -319,7 +326,7 @@ def heating_cooling(series: Sequence[Series], hidden: int = 10, order: int = 2) 
     The slow time lies ``beyond`` the fast one, by a share of the way to the longest: the recording's length.
     """
     low, span, bottom, swing = _ranges(series)
-    step, duration = float(np.median(np.diff(series[0].time))), _duration(series)
+    step, duration = _step(series), _duration(series)
     network = _network(series, hidden, order)
     known = {"off": low + 0.05 * span, "longest": duration}
     ends = (
