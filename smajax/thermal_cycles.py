@@ -35,6 +35,7 @@ NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_
 VALUES = (*NAMES, "transformation_strain", "actuation_strain", "width", "span")
 _TURN = 0.35  # share of the temperature's range by which it has to turn back to begin another branch
 _FEWEST = 12  # rows on a branch
+_MOST = 2000  # of more rows on a branch, means of neighbours tell as much
 _DRAWS = 60
 _INSIDE = 0.95 * (_DRAWS + 1) / _DRAWS  # the quantile of so many draws below which one more lies in 95 % of all cases
 _FREE = 6  # numbers in the three lines
@@ -200,6 +201,8 @@ def _branch(
     temperature: np.ndarray, strain: np.ndarray, kind: str, smooth: int, tangent: Tangent, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """A branch's corners and strains (1, 4), and how far redrawings (draws, 4) lie from what they are drawn of."""
+    each = -(-len(strain) // _MOST)
+    temperature, strain, smooth = _averaged(temperature, each), _averaged(strain, each), smooth // each | 1
     warm = median_filter(temperature, smooth, mode="nearest")[None]
     lines = lay(warm, strain[None])
     _refuse_unseen(warm[0], strain, lines, kind)
@@ -221,6 +224,12 @@ def _branch(
             raise InputError(f"{told} {why}; give the part of the branch in which one step happens")
         raise InputError(f"{told} the transformation is hidden in the noise; load more, or measure with less noise")
     return _measured(warm, strain[None], lines, tangent), away
+
+
+def _averaged(values: np.ndarray, each: int) -> np.ndarray:
+    """Means of ``each`` neighbours among values (n,), of fewer at the end."""
+    starts = np.arange(0, len(values), each)
+    return np.asarray(np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values))))
 
 
 def _redrawn(line: np.ndarray, distance: np.ndarray, free: int, rng: np.random.Generator) -> np.ndarray:

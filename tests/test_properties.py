@@ -151,6 +151,20 @@ def test_the_steepest_tangent_of_noisy_temperatures():
         assert len(found) == 8 and means[name].value == pytest.approx(true, abs=2.0), name
 
 
+@pytest.mark.parametrize(("rows", "warm_noise", "smooth"), [(30_001, 0.0, 1), (30_001, 0.4, 1), (30_001, 1.0, 99)])
+def test_a_branch_of_very_many_rows_is_read_by_their_means(rows, warm_noise, smooth):
+    """Its sharpness is that of all rows: a 95 % interval of 160 rows as noisy is ten times as wide."""
+    truth, held = TRUE | {"width": 42.5, "span": 70.0}, []
+    for seed in range(4):
+        (cycle,), refused = analyse("long", *made(1, noise=4e-4, warm_noise=warm_noise, seed=seed, rows=rows), smooth=smooth, seed=seed)
+        assert not refused
+        held += [cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in truth.items()]
+        assert all(
+            abs(cycle.values[n].value - true) < 0.1 and cycle.values[n].upper95 - cycle.values[n].lower95 < 0.3 for n, true in truth.items()
+        )
+    assert np.mean(held) >= 0.8
+
+
 def test_too_few_rows_to_say_where_it_is_steepest(tmp_path):
     path = write(tmp_path / "few.csv", *rounded(1e-6, rows=31), 50.0)
     assert CliRunner().invoke(app, ["properties", str(path)]).exit_code == 0
