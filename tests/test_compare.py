@@ -165,7 +165,7 @@ def test_a_law_without_the_constant_of_the_others_says_so(short, tmp_path):
 def test_what_holds_a_network_is_said(short, tmp_path):
     done = run(short, "narx", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    assert "chosen by quarters of train.csv that fits did not see, holds its weights" in done.output
+    assert "chosen by quarters of train.csv that its fits do not see, holds its weights" in done.output
     (found,) = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
     assert found["fit_percent_holdout"] > 0.0  # better than the mean
 

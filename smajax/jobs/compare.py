@@ -228,7 +228,7 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     found = [result.respond(s) for s in series]
     notes.append(_beyond(series))
     if result.ridge:
-        notes.append(f"a ridge of {result.ridge:g}, chosen by quarters of {recordings[0].name} that fits did not see, holds its weights")
+        notes.append(f"a ridge of {result.ridge:g}, chosen by quarters of {recordings[0].name} that its fits do not see, holds its weights")
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     told = "; ".join(one for one in notes if one)
     return Compared(
