@@ -18,6 +18,8 @@ import numpy as np
 from smajax.parameters import parameter
 
 LANES = 8
+# Up to where cells shrink freely towards a gap's end, by the logarithm of the last over the first, and how much further at most.
+_SHRUNK, _MORE = -7.0, 2.0
 
 
 class Columns(NamedTuple):
@@ -79,7 +81,8 @@ class SpacedWires(AbstractPlacement):
 def graded(first: jax.Array, length: jax.Array, cells: int) -> jax.Array:
     """Widths of so many cells that fill a length, in m: ``first`` q, ``first`` q^2, ..., shape ``(cells,)``; NaN for a negative length.
 
-    q is found by Newton's method on a convex function, and differentiated by one step of it from there.
+    q is found by Newton's method on a convex function, and differentiated by one step of it from there. In a gap of few cells' size q stays
+    so near to 1 that no cell vanishes, which rounding would turn into heat, and the first one gives way.
     """
     wanted = jnp.log(length / first)
     powers = jnp.arange(1.0, cells + 1.0)
@@ -92,8 +95,9 @@ def graded(first: jax.Array, length: jax.Array, cells: int) -> jax.Array:
     fixed = jax.lax.stop_gradient(found)
     slope = jax.lax.stop_gradient(jnp.sum(powers * jax.nn.softmax(fixed * powers)))
     growth = fixed + (wanted - jax.lax.stop_gradient(jax.nn.logsumexp(fixed * powers))) / slope
-    shares = jax.nn.softmax(growth * powers)
-    return length * shares
+    over = growth * cells - _SHRUNK
+    growth = jnp.where(over < 0.0, (_SHRUNK + _MORE * jnp.tanh(over / _MORE)) / cells, growth)
+    return length * jax.nn.softmax(growth * powers)
 
 
 class Shares(NamedTuple):
