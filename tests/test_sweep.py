@@ -546,7 +546,7 @@ def test_what_has_ended_is_not_resumed(folder, monkeypatch):
     (folder / "out" / "report.html").unlink()
     assert "from the start" in run(folder, resume=True).note and (folder / "out" / "report.html").is_file()
     (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 21"), "utf-8")
-    assert "from the start" in run(folder, resume=True).note and run(folder).note == ""
+    assert "from the start, and the result that was there" in run(folder, resume=True).note and run(folder).note == ""
 
 
 def _command(folder, *more):

@@ -65,6 +65,8 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
         if (finished := _finished(out, header)) is not None:
             return finished
         note = "there was nothing to resume, so all designs were simulated from the start"
+        if (out / "run.json").is_file():
+            note += ", and the result that was there, of another sweep or not whole, was replaced"
     study = given.study()
     progress.phase("drawing designs")
     with clock.time("draw"):
