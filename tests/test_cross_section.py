@@ -121,14 +121,15 @@ def test_heat_is_neither_made_nor_lost():
 def test_narrow_gaps_keep_the_heat():
     """Wires that nearly touch each other or the tape: no cell is so small that rounding makes heat of it, and what the wires do goes on."""
     times = []
-    for one in [section(placement=SpacedWires(5, pitch)) for pitch in (0.33e-3, 0.31e-3, 0.302e-3)] + [
+    for one in [section(placement=SpacedWires(5, pitch)) for pitch in (0.33e-3, 0.31e-3, 0.3001e-3)] + [
         section(diameter=5.5e-4, placement=EvenWires(39.0)),
         section(diameter=5.99e-4),
     ]:
         course, cooled, _ = cool(one, 60.0)
         held = np.array(course.stored + course.lost)
-        assert np.max(np.abs(held / held[0] - 1.0)) < 1e-6
+        assert np.max(np.abs(held / held[0] - 1.0)) < 1e-7
         times.append(cooled)
+    assert np.isnan(cool(section(placement=SpacedWires(5, 0.1 * 3e-3)), 60.0)[1])  # 5e-20 m more than the diameter
     np.testing.assert_allclose(times[1:3], times[0], rtol=0.02)
 
     def gap(length: jax.Array) -> jax.Array:
@@ -136,7 +137,7 @@ def test_narrow_gaps_keep_the_heat():
 
     for length in (3e-5, 1e-6):
         widths, slopes = (np.array(f(jnp.asarray(length))) for f in (gap, jax.jacfwd(gap)))
-        assert widths.sum() == pytest.approx(length, rel=1e-14) and widths.min() > 1e-5 * length
+        assert widths.sum() == pytest.approx(length, rel=1e-14) and widths.min() > 1e-4 * length
         above, below = (np.array(gap(jnp.asarray(length * (1.0 + s)))) for s in (1e-6, -1e-6))
         np.testing.assert_allclose(slopes, (above - below) / (2e-6 * length), rtol=1e-6)
 

@@ -18,8 +18,10 @@ import numpy as np
 from smajax.parameters import parameter
 
 LANES = 8
-# Up to where cells shrink freely towards a gap's end, by the logarithm of the last over the first, and how much further at most.
-_SHRUNK, _MORE = -7.0, 2.0
+# Up to where cells shrink freely towards a gap's end, by the logarithm of the last over the first; over how much of it they then get even.
+_SHRUNK, _EVENED = -7.0, 4.0
+# A gap narrower than this share of a cell beside it is none: rounding would fill it.
+_LEAST = 1e-3
 
 
 class Columns(NamedTuple):
@@ -79,10 +81,10 @@ class SpacedWires(AbstractPlacement):
 
 
 def graded(first: jax.Array, length: jax.Array, cells: int) -> jax.Array:
-    """Widths of so many cells that fill a length, in m: ``first`` q, ``first`` q^2, ..., shape ``(cells,)``; NaN for a negative length.
+    """Widths of so many cells that fill a length, in m: ``first`` q, ``first`` q^2, ..., shape ``(cells,)``; NaN for a length of none.
 
-    q is found by Newton's method on a convex function, and differentiated by one step of it from there. In a gap of few cells' size q stays
-    so near to 1 that no cell vanishes, which rounding would turn into heat, and the first one gives way.
+    q is found by Newton's method on a convex function, and differentiated by one step of it from there. In a gap of few cells' size q goes
+    back to 1, smoothly, so that no cell vanishes, which rounding would turn into heat, and the first one gives way.
     """
     wanted = jnp.log(length / first)
     powers = jnp.arange(1.0, cells + 1.0)
@@ -96,8 +98,8 @@ def graded(first: jax.Array, length: jax.Array, cells: int) -> jax.Array:
     slope = jax.lax.stop_gradient(jnp.sum(powers * jax.nn.softmax(fixed * powers)))
     growth = fixed + (wanted - jax.lax.stop_gradient(jax.nn.logsumexp(fixed * powers))) / slope
     over = growth * cells - _SHRUNK
-    growth = jnp.where(over < 0.0, (_SHRUNK + _MORE * jnp.tanh(over / _MORE)) / cells, growth)
-    return length * jax.nn.softmax(growth * powers)
+    growth = jnp.where(over < 0.0, growth * jnp.exp(-((over / _EVENED) ** 4)), growth)
+    return jnp.where(length > _LEAST * first, length, jnp.nan) * jax.nn.softmax(growth * powers)
 
 
 class Shares(NamedTuple):
