@@ -633,6 +633,14 @@ def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
     assert not (folder / "out.partial").exists()
 
 
+def test_a_table_that_says_nothing_of_a_sweep(tmp_path):
+    path = tmp_path / "table.parquet"
+    for header in (None, {}, {"sweep": "", "rig": ""}):
+        write_table(path, {"design": np.arange(3)}, header)
+        with pytest.raises(InputError, match="not a table that smajax sweep wrote"):
+            read_sweep(path)
+
+
 def test_constraints_that_nothing_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)

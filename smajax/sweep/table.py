@@ -12,6 +12,7 @@ from smajax.errors import InputError
 from smajax.tables.parquet import pyarrow_parquet
 
 KEY = b"smajax.sweep"
+_HEADER = ("name", "recording", "rig", "rig_name", "sweep")
 
 
 def write_table(
@@ -58,6 +59,7 @@ def read_header(path: Path) -> dict[str, Any]:
     parquet = pyarrow_parquet(path)
     try:
         held = parquet.read_schema(path).metadata or {}
-        return json.loads(held[KEY])
+        header = json.loads(held[KEY])
+        return {name: header[name] for name in _HEADER} | header
     except Exception:  # as above; or the header is missing
         raise InputError(f"{path}: this is not a table that smajax sweep wrote: name it, or a SWEEP.toml") from None
