@@ -287,15 +287,18 @@ def properties(
         str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' and 'space' by name.")
     ] = ",",
     decimal: Annotated[str, typer.Option("--decimal", metavar="SIGN", help="The decimal sign of text files and cells: '.' or ','.")] = ".",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
     as_json: Json = False,
 ) -> None:
     """Read the ASTM E3097 temperatures and strains off thermal cycles, by tangents, with intervals."""
-    from smajax.jobs.properties import PropertiesJob, run_properties, text
-    from smajax.report.document import to_json
-
     names = [name.strip() for name in columns.split(",")] if columns else None
     between = {"tab": "\t", "\\t": "\t", "space": " "}.get(delimiter, delimiter)
-    document = run_properties(PropertiesJob(recordings, smooth, write_set, model.value, names, between, decimal, tangent.value))
+    with _progress(quiet) as progress:
+        from smajax.jobs.properties import PropertiesJob, run_properties, text
+        from smajax.report.document import to_json
+
+        job = PropertiesJob(recordings, smooth, write_set, model.value, names, between, decimal, tangent.value)
+        document = run_properties(job, progress.step)
     typer.echo(to_json(document).rstrip() if as_json else text(document))
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [material] set = "{write_set.name}".')

@@ -14,7 +14,7 @@ measured NiTiHf begins sharply on cooling and ends slowly, and its M_f lies some
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -140,10 +140,12 @@ def analyse(
     smooth: int = 1,
     seed: int = 0,
     tangent: Tangent = "lines",
+    progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[list[Cycle], list[str]]:
     """The properties of every cycle of a recording (arrays ``(n,)``: degC, fraction), and a sentence for each that cannot be read.
 
     With ``tangent`` the transformation's line is that of three laid by least squares ("lines"), or the tangent where it is "steepest".
+    ``progress`` is told which cycle is read.
 
     Raises ``InputError`` if the rows are not in the order in which they were recorded, or if there is no cycle at all.
     """
@@ -151,6 +153,7 @@ def analyse(
     pairs = _in_order(name, temperature, strain, smooth)
     for number, (cooling, heating) in enumerate(pairs, 1):
         rows = (int(min(cooling[0], heating[0])), int(max(cooling[-1], heating[-1])))
+        progress(f"{name}: cycle {number} of {len(pairs)}")
         try:
             loops = [loop for branch in (cooling, heating) for loop in inner_loops(temperature, branch)]
             inner = np.concatenate([np.arange(first, last + 1) for first, last in loops]) if loops else np.zeros(0, int)

@@ -179,7 +179,7 @@ def test_the_command_says_by_which_tangent(tmp_path):
     for tangent, told in (("lines", "three straight lines meet"), ("steepest", "the tangent at the transformation's steepest place meets")):
         options = ["properties", str(path), "--tangent", tangent]
         assert told in CliRunner().invoke(app, options).output
-        document = json.loads(CliRunner().invoke(app, [*options, "--json"]).output)
+        document = json.loads(CliRunner().invoke(app, [*options, "--json"]).stdout)
         assert document["tangent"] == tangent and told in document["definition"]
         starts[tangent] = document["recordings"][0]["mean"]["martensite_start"]
     assert "--tangent steepest" in CliRunner().invoke(app, ["properties", str(path)]).output
@@ -338,7 +338,7 @@ def test_the_command(tmp_path, law):
     assert "Brinson (1993)" in read_parameters(tmp_path / "set.toml")["material.modulus_martensite"].source
     assert float(material.martensite_start) == pytest.approx(70.0, abs=0.5)
     assert float(material.clausius_clapeyron_martensite) == pytest.approx(7e6, rel=0.02)
-    document = json.loads(CliRunner().invoke(app, ["properties", str(paths[0]), "--json"]).output)
+    document = json.loads(CliRunner().invoke(app, ["properties", str(paths[0]), "--json"]).stdout)
     assert document["schema"] == "smajax.properties/1" and len(document["recordings"][0]["cycles"]) == 2
 
 
@@ -362,7 +362,7 @@ def test_what_is_said_of_many_cycles_is_said_once(tmp_path):
     assert told.count("Not read") == 2 and told.count("no transformation is seen") == 1
     assert "some.csv, 3 cycles (1 to 3), the first of them (rows 1 to 320): on cooling the strain moves by" in told
     assert "some.csv, 7 cycles (6, 8, 10, 12, 14, 16 and 1 more), the first of them (rows 1600 to 1920): on cooling" in told
-    assert len(json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).output)["refused"]) == 10
+    assert len(json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).stdout)["refused"]) == 10
     cold = t > 62.0
     done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "all.csv", t[cold], e[cold]))])
     assert done.exit_code == 2 and done.output.count("its end was not reached") == 1 and "all.csv, 20 cycles (1 to 20), the" in done.output
@@ -407,7 +407,7 @@ def test_loops_within_a_cycle_are_left_out_and_said_to_be(tmp_path, warm_noise):
         for name, true in TRUE.items():
             assert cycle.values[name].value == pytest.approx(true, abs=1.5 if warm_noise else 0.4), name
     path, options = write(tmp_path / "loops.csv", *noisy), ["--smooth", str(smooth)]
-    told = json.loads(CliRunner().invoke(app, ["properties", str(path), *options, "--json"]).output)
+    told = json.loads(CliRunner().invoke(app, ["properties", str(path), *options, "--json"]).stdout)
     first, last = told["recordings"][0]["cycles"][0]["loops_left_out"][0]
     assert (
         f"Left out of cycle 1: rows {first} to {last}, a loop within it."
@@ -450,7 +450,7 @@ def test_branches_that_are_in_no_cycle_are_said(tmp_path):
     assert "cold.csv: 1 cycle" in told
     assert "Left out: rows 1 to 160, a heating without a cooling before it in the file." in told
     assert "Left out: rows 480 to 640, a cooling without a heating after it in the file." in told
-    document = json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).output)
+    document = json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).stdout)
     assert document["recordings"][0]["in_no_cycle"][1] == {"rows": [480, 640], "branch": "cooling"}
     whole = CliRunner().invoke(app, ["properties", str(write(tmp_path / "whole.csv", t, e))]).output
     assert "3 cycles" in whole and "Left out" not in whole
@@ -648,7 +648,9 @@ def test_the_command_says_what_it_guessed(tmp_path):
     for name, shift in (("rises", 15.0), ("falls", -5.0), ("steep", 1.0)):
         paths = [str(write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k)) for k in range(2)]
         for case, some in ((name, paths), ("one", paths[:1])):
-            told[case] = CliRunner().invoke(app, ["properties", *some, "--write-set", str(tmp_path / "set.toml"), "--json"]).stderr
+            told[case] = (
+                CliRunner().invoke(app, ["properties", *some, "--write-set", str(tmp_path / "set.toml"), "--json", "--quiet"]).stderr
+            )
     assert all(said.startswith("smajax: set.toml: not read off the cycles: ") and said.count("\n") == 1 for said in told.values())
     assert all("modulus_austenite = 67000 MPa" in said and "Brinson (1993)" in said for said in told.values())
     assert "clausius" not in told["rises"]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,8 +106,8 @@ class Read:
     alone: Sequence[tuple[int, int, bool]] = ()
 
 
-def run_properties(job: PropertiesJob) -> dict[str, Any]:
-    """Reads all recordings and gives the document that is printed.
+def run_properties(job: PropertiesJob, progress: Callable[[str], None] = lambda text: None) -> dict[str, Any]:
+    """Reads all recordings and gives the document that is printed; ``progress`` is told which cycle is read.
 
     Raises ``InputError`` if no cycle of any of them can be read, or for a file that is given twice.
     """
@@ -115,7 +115,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     for k, path in enumerate(job.paths):
         if files[k] in files[:k]:
             raise InputError(f"{path}: this file is given twice, so its cycles would count twice: give each file once")
-    read = [one for path in job.paths for one in _read(path, job)]
+    read = [one for path in job.paths for one in _read(path, job, progress)]
     refused = [sentence for one in read for sentence in one.refused]
     if not any(one.cycles for one in read):
         raise InputError("; ".join(_once(refused)))
@@ -135,7 +135,7 @@ def run_properties(job: PropertiesJob) -> dict[str, Any]:
     return document
 
 
-def _read(path: Path, job: PropertiesJob) -> list[Read]:
+def _read(path: Path, job: PropertiesJob, progress: Callable[[str], None]) -> list[Read]:
     wanted = {"required": ("temperature",), "observed": ("strain",), "clock": False, "ignore": (_LEFT_OUT,)}
     try:
         one = recording.read(path, **wanted, headers=job.columns, delimiter=job.delimiter, decimal=job.decimal)
@@ -144,7 +144,7 @@ def _read(path: Path, job: PropertiesJob) -> list[Read]:
     warm = one.channels["temperature"]
     rows = job.smooth if job.smooth is not None else _ROWS if unsteadiness(warm) > _NOISY else 1
     try:
-        found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows, tangent=job.tangent)
+        found, refused = analyse(one.name, warm, one.channels["strain"], smooth=rows, tangent=job.tangent, progress=progress)
         alone = unpaired(one.name, warm, smooth=rows)
     except InputError as error:
         return [Read(one, rows, [], [str(error)], None)]
