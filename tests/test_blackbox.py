@@ -16,7 +16,7 @@ from smajax.blackbox.switched import Switched
 from smajax.blackbox.transfer_function import STRUCTURES, TransferFunction
 from smajax.errors import InputError
 from smajax.fit.families import FAMILIES, bouc_wen, hammerstein_wiener, heating_cooling, narx, prandtl_ishlinskii, transfer_function
-from smajax.fit.networks import parted
+from smajax.fit.networks import parted, runs_away
 from smajax.fit.operator_problem import Series, build_operator
 from smajax.fit.operators import fit_operator
 from smajax.hysteresis.bouc_wen import BoucWen
@@ -284,6 +284,15 @@ def test_networks_that_seldom_run_away_on_known_inputs_in_other_orders_come_firs
     short = [Series(r.name, r.time[:1200:2], r.channels["current"][:1200:2], r.channels["displacement"][:1200:2]) for r in read]
     found = fit_operator(narx(short[:1]), short[:1], starts=4, seed=seed)
     assert np.sqrt(np.mean((found.respond(short[1]) - short[1].output) ** 2)) < 0.35 * np.ptp(short[1].output)
+
+
+def test_what_runs_away_is_told_from_what_stays(wire):
+    """A law that doubles in some rows leaves on every order of the inputs, one that goes back to rest on none."""
+    family = narx(wire[:1])
+    problem = build_operator(family, wire[:1])
+    unstable = {**family.start, "straight": jnp.array([1.3, 0.0]), "constant": jnp.asarray(0.01)}
+    points = np.stack([problem.point(parameters) for parameters in (family.start, unstable)])
+    np.testing.assert_array_equal(runs_away(problem, points), [0.0, 1.0])
 
 
 def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):

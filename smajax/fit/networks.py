@@ -68,11 +68,14 @@ class Ridged(Searchable):
 
 
 class Network(NamedTuple):
-    """Where a fit ended, shape ``(p,)``, or ``None`` where nothing gives numbers; the simulations it took; the ridge that it ended with."""
+    """Where a fit ended, shape ``(p,)``, or ``None`` where nothing gives numbers; the simulations it took; the ridge that it ended with;
+    and on which share of the known inputs in other orders it runs away.
+    """
 
     vector: np.ndarray | None
     simulations: int
     ridge: float
+    away: float
 
 
 def fit_network(problem: OperatorProblem, weights: jax.Array, starts: int, seed: int, max_steps: int) -> Network:
@@ -101,7 +104,7 @@ def fit_network(problem: OperatorProblem, weights: jax.Array, starts: int, seed:
             ends = list(pool.map(lambda part, begun: _trained(part, begun, (rows,), *on_the_way), held, points))
         simulations += sum(one.simulations for one in ends)
         unseen = [np.max(_mean(hidden, one.vectors)) for (_, hidden), one in zip(parts, ends[1:], strict=True)]
-        away = _away(problem, ends[0].vectors)
+        away = runs_away(problem, ends[0].vectors)
         errors.append((float(np.min(away)), float(np.sqrt(np.mean(np.square(unseen))))))
         best.append(ends[0].vectors[[np.argmin(away)]])
         if len(errors) > 2 and min(errors[-2:]) >= min(errors[:-2]) and min(errors)[0] == 0.0:
@@ -110,11 +113,12 @@ def fit_network(problem: OperatorProblem, weights: jax.Array, starts: int, seed:
     chosen = next(k for k, error in enumerate(errors) if error <= (seldom, _ALIKE * least))
     last = _trained(_ridged(problem, weights, _RIDGES[chosen]), best[chosen], (rows,), max_steps, _AT_THE_END)
     ended = np.vstack([last.vectors, best[chosen]])
-    vector = ended[np.argmin(_away(problem, ended))] if last.costs[0] < math.inf else None
-    return Network(vector, (simulations + last.simulations) * problem.data.measured.shape[0], _RIDGES[chosen])
+    away = runs_away(problem, ended)
+    vector = ended[np.argmin(away)] if last.costs[0] < math.inf else None
+    return Network(vector, (simulations + last.simulations) * problem.data.measured.shape[0], _RIDGES[chosen], float(np.min(away)))
 
 
-def _away(problem: OperatorProblem, vectors: np.ndarray) -> np.ndarray:
+def runs_away(problem: OperatorProblem, vectors: np.ndarray) -> np.ndarray:
     """On which share of the known inputs with their pieces in other orders, both ways, each point runs away; shape ``(s,)``."""
     data, rng = problem.data, np.random.default_rng(0)
     pieces, seen = np.array_split(np.arange(data.input.shape[1]), _PIECES), np.asarray(data.measured)[np.asarray(data.weight) > 0]

@@ -36,7 +36,8 @@ _AT = 1e-6  # a parameter this share of its room away from a bound is at it
 class OperatorFit:
     """A fitted law; ``rmse`` of the training series in the output's unit, pooled, and what it took (s of wall, compiling included).
 
-    ``step`` is the time between the rows that it was fitted to, s; ``ridge`` what held a network's weights, 0 of other laws. ``half`` are
+    ``step`` is the time between the rows that it was fitted to, s; ``ridge`` what held a network's weights, and ``away`` on which share of
+    its inputs in other orders it runs away, 0 of other laws. ``half`` are
     the half-widths of the 95 % intervals, alike: infinite where the recording does not tell, NaN of what is held or at a bound, ``None`` of
     networks, whose weights have none.
     """
@@ -50,6 +51,7 @@ class OperatorFit:
     wall: float
     step: float
     ridge: float = 0.0
+    away: float = 0.0
     half: Any = None
 
     def _leaves(self) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
@@ -115,7 +117,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     A network has more weights than a recording can tell; what holds them is in ``smajax.fit.networks``.
     """
     began = time.perf_counter()
-    problem, ridge, slopes = build_operator(family, series), 0.0, None
+    problem, ridge, away, slopes = build_operator(family, series), 0.0, 0.0, None
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
     if family.weights is None:
@@ -124,7 +126,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
         vector, simulations, slopes = _by_forward(problem, family, known, starts, seed, max_steps)
         simulations += sum(one.simulations for one, _ in simpler)
     else:
-        vector, simulations, ridge = fit_network(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
+        vector, simulations, ridge, away = fit_network(problem, ravel_pytree(family.weights)[0], starts, seed, max_steps)
     if vector is None:
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
     left = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
@@ -132,7 +134,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     maker: Any = problem.make
     return OperatorFit(
         family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
-        time.perf_counter() - began, float(np.median(np.diff(series[0].time))), ridge,
+        time.perf_counter() - began, float(np.median(np.diff(series[0].time))), ridge, away,
         None if slopes is None else maker.unravel(jnp.asarray(_half_widths(problem, vector, slopes))),
     )  # fmt: skip
 

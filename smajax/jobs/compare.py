@@ -229,6 +229,9 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     notes.append(_beyond(series))
     if result.ridge:
         notes.append(f"a ridge of {result.ridge:g}, chosen by quarters of {recordings[0].name} that its fits do not see, holds its weights")
+    if result.away:
+        told = f"with the pieces of its input in other orders it leaves the output's range far behind {100 * result.away:.0f} times of 100"
+        notes.append(f"{told}: do not trust it with another input before it has seen more")
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     told = "; ".join(one for one in notes if one)
     return Compared(
