@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -577,3 +578,24 @@ def test_uneven_rows_are_refused():
         InputError, match="uneven.csv: its rows are 0.1 to 3.1 s apart, and transfer-function-one-pole needs rows every 0.1 s"
     ):
         fit_operator(transfer_function(series, "one-pole"), series)
+
+
+@pytest.mark.parametrize("name", laws())
+def test_memory_fades_and_does_not_know_the_hour(name):
+    """After the same last minute of input two pasts are one; a response that begins later is the same, later."""
+    law, rng = laws()[name], np.random.default_rng(5)
+    time = jnp.asarray(np.arange(900) * 0.1)
+    last = np.where(np.arange(600) % 100 < 60, np.repeat(rng.uniform(0.2, 1.0, 30), 20), 0.0)
+    ends = [np.asarray(respond(law, time, jnp.asarray(np.append(past, last))))[-100:] for past in rng.uniform(0.2, 1.0, (2, 300))]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-6 * np.ptp(ends[0]))
+    if hasattr(law, "settled"):  # where what came before the first row is a parameter, that row may stand for ever before
+        law, held = eqx.tree_at(lambda one: one.settled, law, jnp.asarray(1.0)), np.full(300, last[0])
+        soon, late = (np.asarray(respond(law, time, jnp.asarray(u))) for u in (np.append(last, held), np.append(held, last)))
+        np.testing.assert_allclose(late[300:], soon[:600], atol=1e-9 * np.ptp(soon))
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_transfer_functions_superpose(structure):
+    law, (one, other) = function(structure, delay=0.37), np.random.default_rng(6).uniform(-1.0, 1.0, (2, 400))
+    alone, beside, both = (np.asarray(respond(law, jnp.asarray(TIME), jnp.asarray(u))) - 0.5 for u in (one, other, 2.0 * one - 3.0 * other))
+    np.testing.assert_allclose(both, 2.0 * alone - 3.0 * beside, atol=1e-12 * np.ptp(both) + 1e-12)
