@@ -481,6 +481,7 @@ def test_the_dead_time_of_a_hammerstein_wiener_model_is_found(late):
         series.append(Series(str(seed), TIME, u, y + 0.004 * np.random.default_rng(seed + 5).standard_normal(len(y))))
     found = fit_operator(hammerstein_wiener(series[:1]), series[:1], starts=6)
     assert float(found.law.delay) == pytest.approx(late, abs=0.12)
+    assert ("delay" in found.values) is (late > 0.0)  # one that the recording does not tell is no parameter
     assert fit_percent(series[1].output, found.respond(series[1])) > 95.0
 
 

@@ -91,12 +91,9 @@ def test_a_model_that_runs_away_is_left_out_and_the_others_are_ranked(short, tmp
     assert "Left out: bouc-wen" in done.output
 
 
-@pytest.mark.parametrize(("law", "near"), [("transfer-function-two-poles", 0.1), ("hammerstein-wiener", 0.15)])
-def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, tmp_path, law, near):
-    """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, and told.
-
-    A Hammerstein-Wiener law with a dead time answers more to single rows, by the two weights of its input.
-    """
+@pytest.mark.parametrize("law", ["transfer-function-two-poles", "hammerstein-wiener"])
+def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, tmp_path, law):
+    """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, and told."""
     rig, rng = read_rig(short / "rig.toml"), np.random.default_rng(0)
     r = rig.read(short / "holdout.csv")
     time = (r.time + 0.1 * np.median(np.diff(r.time)) * rng.uniform(-1.0, 1.0, len(r)))[::2]
@@ -112,7 +109,7 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
         errors.append(model["rmse_holdout"])
         assert bool(model["note"]) is (folder is tmp_path)
     assert "holdout.csv resampled for it" in done.output
-    assert errors[1] == pytest.approx(errors[0], rel=near)
+    assert errors[1] == pytest.approx(errors[0], rel=0.1)
 
 
 def test_what_few_rows_do_not_tell_is_said(short, tmp_path):

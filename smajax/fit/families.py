@@ -234,7 +234,7 @@ def _wiener(parameters: dict) -> HammersteinWiener:
 
 
 def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
-    """Ten knots in each curve, two poles and a delay of at most half the recording, looked for from several.
+    """Ten knots in each curve, two poles and, where it tells, a delay of at most half the recording, looked for from several.
 
     ``settled`` is free where a recording begins with the input on.
     """
@@ -275,8 +275,14 @@ def hammerstein_wiener(series: Sequence[Series], knots: int = 10) -> Family:
         for slow in (duration / 50, duration / 12)
     ]
     lower, upper, start, *others = ({**side, "reflections": np.array(side["reflections"])} for side in (lower, upper, start, *others))
-    ends = map(_arrays, (lower, upper, start))
-    return Family("hammerstein-wiener", _wiener, *ends, even=True, others=tuple(map(_arrays, others)))
+    ends = [_arrays(side) for side in (lower, upper, start)]
+    prompt = Family("hammerstein-wiener", _wiener, *({k: v for k, v in side.items() if k != "delay"} for side in ends), even=True)
+    late, held = tuple(map(_arrays, others)), ((prompt, _at_once),)
+    return Family("hammerstein-wiener", _wiener, *ends, even=True, others=late, holds=held, frugal=True)
+
+
+def _at_once(prompt: dict) -> dict:
+    return prompt | {"delay": jnp.zeros(())}
 
 
 def _slow_pair(step: float, slow: float) -> tuple[float, float]:

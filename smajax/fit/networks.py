@@ -4,7 +4,7 @@ The cost, the mean square over the output's variance, has ``ridge``^2 times the 
 guess. Ridges are tried from the strongest on. Under the strongest, which leaves a network little more than a linear law, each start is
 trained in open loop, over longer and longer stretches, and in closed loop; under each further one in closed loop alone, from where the ones
 before ended and from a little beside. Most starts become one on the way, and where neurons that were alike part, those beside go the other
-ways. Networks begun anywhere under a weak ridge often run away in closed loop; these seldom do, and take a fifth of the simulations.
+ways. Networks begun anywhere under a weak ridge often run away in closed loop; these seldom do.
 
 What fits one order of inputs best may still run away on another. So each end is tried on the training recordings' inputs in other orders,
 and those are taken that leave the outputs' range far behind on the fewest.

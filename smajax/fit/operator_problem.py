@@ -37,7 +37,8 @@ class Family:
     """A kind of law: ``make`` gives the law of parameters that lie between ``lower`` and ``upper``, pytrees of arrays alike.
 
     ``start`` is a first guess, ``others`` are further ones, for a forward search. ``holds`` lists simpler families, each with what writes
-    its parameters as ones of this law that do the same: a search begins at their fits, too.
+    its parameters as ones of this law that do the same: a search begins at their fits, too. A ``frugal`` law is left for the last of these
+    where the rest of its parameters lower the error by no more than Schwarz's criterion (BIC) asks.
     ``even`` laws need rows that are equally far apart. ``kinked`` laws leave the cost kinks, as plays do where they begin to move, and
     shallow minima beside them: their search goes on from a little beside its best end for as long as that ends lower. ``weights``, alike,
     says by 1 which parameters are weights of a network and by 0 which are not: such a law has so many that it is fitted by BFGS with
@@ -52,6 +53,7 @@ class Family:
     start: Any
     even: bool = False
     kinked: bool = False
+    frugal: bool = False
     weights: Any = None
     others: tuple[Any, ...] = ()
     holds: tuple[tuple["Family", Callable[[Any], Any]], ...] = ()

@@ -120,6 +120,7 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
     problem, ridge, away, slopes = build_operator(family, series), 0.0, 0.0, None
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, family.size, family.name)
+    simpler = []
     if family.weights is None:
         simpler = [(fit_operator(one, series, starts=starts, seed=seed, max_steps=max_steps), write) for one, write in family.holds]
         known = [problem.point(write(one.parameters)) for one, write in simpler]
@@ -131,9 +132,14 @@ def fit_operator(family: Family, series: Sequence[Series], *, starts: int = 8, s
         raise NumericsError(f"{family.name}: no point between its bounds gives numbers: check the recordings' units")
     left = np.asarray(_weighted(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
     flat = problem.lower + jnp.asarray(vector) * problem.width
+    rmse = float(np.sqrt(np.sum(left**2) / samples))
+    if family.frugal:
+        fewer = simpler[-1][0]
+        if 2.0 * samples * math.log(fewer.rmse / rmse) < (family.size - fewer.family.size) * math.log(samples):
+            return dataclasses.replace(fewer, simulations=simulations, wall=time.perf_counter() - began)
     maker: Any = problem.make
     return OperatorFit(
-        family, problem.make(flat), maker.unravel(flat), float(np.sqrt(np.sum(left**2) / samples)), samples, simulations,
+        family, problem.make(flat), maker.unravel(flat), rmse, samples, simulations,
         time.perf_counter() - began, float(np.median(np.diff(series[0].time))), ridge, away,
         None if slopes is None else maker.unravel(jnp.asarray(_half_widths(problem, vector, slopes))),
     )  # fmt: skip

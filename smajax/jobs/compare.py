@@ -235,7 +235,7 @@ def _operator(rig: Rig, name: str, recordings: Sequence[Recording], channel: str
     at_rows = (y if there is r else np.interp(r.time, there.time, y) for r, there, y in zip(recordings, laid, found, strict=True))
     told = "; ".join(one for one in notes if one)
     return Compared(
-        name, "input-output", family.size, tuple(at_rows), note=told, at_bound=result.at_bound, undetermined=result.undetermined,
+        name, "input-output", result.family.size, tuple(at_rows), note=told, at_bound=result.at_bound, undetermined=result.undetermined,
         fitted=result.values,
     )  # fmt: skip
 
