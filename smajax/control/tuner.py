@@ -6,7 +6,6 @@ noise are rolled out as one batch and count alike; a search may ask one of these
 """
 
 import contextlib
-import functools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -188,16 +187,18 @@ class Tuner:
     def quadratics(self, start: np.ndarray, tuning: Tuning, radius: float, least: float, looks: int) -> Candidate:
         """The best that SciPy's COBYQA finds from a point, within the limits if there are any, with looks by the members in ``tuning``."""
         free = np.asarray(tuning.upper > tuning.lower)
+        limited = np.isfinite(np.asarray(self.wanted.limits))
         best = self.candidates(start[None], tuning)[0]
         most = _ABOVE * min(best.cost, _UNUSABLE)
-        limited = np.isfinite(np.asarray(self.wanted.limits))
+        looked = {start[free].tobytes(): best}  # COBYQA asks for terms and limits one after the other
 
-        @functools.cache  # COBYQA asks for terms and limits one after the other
         def at(packed: bytes) -> Candidate:
             nonlocal best
+            if packed in looked:
+                return looked[packed]
             point = start.copy()
             point[free] = np.clip(np.frombuffer(packed), 0.0, 1.0)
-            now = self.candidates(point[None], tuning)[0]
+            now = looked[packed] = self.candidates(point[None], tuning)[0]
             if order(now) < order(best):
                 best = now
                 if now.worst == 0.0 and not self.plain and tuning.count == self.tuning.count:

@@ -85,14 +85,17 @@ class Tuning(eqx.Module):
         return self.draws.shape[0]
 
     def alone(self, member: int = 0) -> "Tuning":
-        """The same with one member only."""
-        own = slice(member, member + 1)
-        return dataclasses.replace(
-            self,
-            members={name: values[own] for name, values in self.members.items()},
-            draws=self.draws[own],
-            offsets=0.0 * self.offsets[own],
-        )
+        """The same with one member only, which judges gains that are not off."""
+        one = self._of(slice(member, member + 1))
+        return dataclasses.replace(one, offsets=0.0 * one.offsets)
+
+    def first(self, count: int) -> "Tuning":
+        """The same with the first members only."""
+        return self._of(slice(count))
+
+    def _of(self, own: slice) -> "Tuning":
+        members = {name: values[own] for name, values in self.members.items()}
+        return dataclasses.replace(self, members=members, draws=self.draws[own], offsets=self.offsets[own])
 
     @property
     def jumps(self) -> metrics.Jumps:

@@ -3,7 +3,8 @@
 Gradients are followed by one member first, since all go the same way from afar, and by all of them then. They end where a wire's loop is
 rough: some gains let it hunt through small loops of its hysteresis or chatter between its limits, and there what a change of the gains
 does at once tells nothing of what it does in the end. If more than one start is asked for, quadratics through looks that lie a good way
-apart, to which roughness is little, lead on from there: SciPy's COBYQA, by one member and then by all.
+apart, to which roughness is little, lead on from there: SciPy's COBYQA, by one member and then by all. Where one member's gains suit its
+own noise only, a few members lead between these two.
 """
 
 import math
@@ -17,7 +18,9 @@ _REGION, _CLOSE = 0.1, 0.03  # of the box: the trust region to begin with, and t
 _ALONE, _ALL, _FEW = 20, 30, 12  # steps at most: of one member, of all from the start, and of all from there
 _COARSE, _FINE = 0.01, 1e-3  # of the box, a region that ends a search: of one member, of all
 # Of quadratics, of the box: how far looks lie apart at first and in the end, and how many there are at most.
-_BY_ONE, BY_ALL = (0.15, 0.01, 80), (0.04, 0.004, 40)
+_BY_ONE, _BY_SOME, BY_ALL = (0.15, 0.01, 80), (0.08, 0.008, 30), (0.04, 0.004, 40)
+_SOME = 3  # members
+_ASTRAY = 1.5  # times one member's cost: what all make of gains that one has led astray
 
 
 def unlimited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
@@ -36,7 +39,10 @@ def unlimited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
     for point in points:
         place = tuner.follow(Place(point, math.inf, None, _REGION), alone, *((_FINE, _ALL) if single else (_COARSE, _ALONE)))
         ended.append(tuner.quadratics(place.point, alone, *_BY_ONE))
-    tuner.quadratics(min(ended, key=order).point, tuner.tuning, *BY_ALL)
+    best = min(ended, key=order)
+    if tuner.tuning.count > _SOME and tuner.candidates(best.point[None])[0].cost > _ASTRAY * best.cost:
+        best = tuner.quadratics(best.point, tuner.tuning.first(_SOME), *_BY_SOME)
+    tuner.quadratics(best.point, tuner.tuning, *BY_ALL)
     if single:
         tuner.follow(Place(tuner.known().point, math.inf, None, _CLOSE), alone, _FINE, _ALL)
     return tuner.known().point
