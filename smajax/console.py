@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 the numbers failed, 130 
 """
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
+_OBJECTS = 200_000
 
 
 class Progress:
@@ -140,12 +142,14 @@ def prepare_jax(accelerator: bool = False) -> None:
     are many times as slow on a GPU, which pays where thousands of designs go side by side.
 
     Equinox's run-time checks are switched off first: they bring calls from the compiled program into Python, with which it could not be
-    kept, and smajax's simulations carry result codes instead. Where no folder can be written, nothing is kept, and all else works. Raises
+    kept, and smajax's simulations carry result codes instead. Where no folder can be written, nothing is kept, and all else works. Garbage
+    is collected more seldom, since a program that is being written down is a great many small objects, none of which is garbage. Raises
     ``RuntimeError`` if Equinox has been loaded before, since the checks are then there to stay.
     """
     if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
         raise RuntimeError("prepare_jax has to be called before anything imports equinox")
     os.environ.setdefault("EQX_ON_ERROR", "off")
+    gc.set_threshold(_OBJECTS, 20, 50)
     import jax
 
     from smajax import jax_options  # noqa: F401
