@@ -193,7 +193,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     loop = Loop(
         _controller(head, period, (lower, upper)),
         Allocation(*arrays(upper, 0.0), wires=driven.wires, second=jnp.asarray(-lower) if driven.wires == 2 else None),
-        *heard,
+        **heard._asdict(),
         channel=channel,
     )
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))

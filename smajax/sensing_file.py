@@ -1,4 +1,4 @@
-"""The part of a controller file that says what is heard of the rig: [sensor] by the controller, [meters] by the guard and its observer.
+"""The part of a controller file that says what is heard of the rig: [sensor] by the controller, [meters] by guard and observer.
 
 [sensor]                          # what the controller sees of its channel
 noise = "5 um"
@@ -9,6 +9,7 @@ kp = "0.05 A/K"
 trust = "0.2 1/s"                 # and corrects it by a thermocouple; or, from all meters, by a Kalman filter on the plant:
 kind = "extended"
 unknown = { "environment.ambient" = "4 K" }
+steers = true                     # the controller, too, goes by the filter, and not by a sensor of its channel
 [meters]
 temperature = { noise = "0.5 K", lag = "1 s" }
 """
@@ -36,7 +37,7 @@ from smajax.toml_file import STRICT, quantity_at, show, validate
 
 _LATEST = 10_000  # periods of delay
 _LATEST_FILTERED = 100  # of a meter that an extended filter hears: it carries as many past values along
-_THERMAL, _EXTENDED = ("a1", "a2", "exponent", "trust"), ("unknown", "start", "drift", "walk")
+_THERMAL, _EXTENDED = ("a1", "a2", "exponent", "trust"), ("unknown", "start", "drift", "walk", "steers")
 
 
 class _Sensor(BaseModel):
@@ -64,6 +65,7 @@ class _Observer(BaseModel):
     start: Any = Field("0 K", examples=['"5 K"'])
     drift: Any = Field("2 K", examples=['"2 K"'])
     walk: Any = Field("10 %", examples=['"10 %"'])
+    steers: bool = Field(False, examples=["true"])
 
 
 class _Thermocouple(_Sensor):
@@ -80,12 +82,13 @@ class _Meters(BaseModel):
 
 
 class Heard(NamedTuple):
-    """What in a loop hears the rig, in the order in which a ``Loop`` takes it."""
+    """What in a loop hears the rig, by the names by which a ``Loop`` takes it."""
 
     sensing: Sensing
     guard: TemperatureGuard | None
     observer: AbstractThermometer | None
     meters: Meters | None
+    believes: bool = False
 
 
 def read_sensing(data: Mapping[str, Any], rig: Rig, units: tuple[str, str], period: float, most: float) -> Heard:
@@ -97,13 +100,18 @@ def read_sensing(data: Mapping[str, Any], rig: Rig, units: tuple[str, str], peri
     sensing = _sensing(validate(_Sensor, data.get("sensor", {}), "sensor"), difference, period, "sensor")
     guard = _guard(data["guard"], rig, command, period, most) if "guard" in data else None
     given = _observer(data["observer"], guard) if "observer" in data else None
-    if given is None or guard is None or given.kind == "thermal":
+    if given is None or given.kind == "thermal":
         observer = None if given is None or guard is None else _thermal(given, rig, guard, period)
         return Heard(sensing, guard, observer, _meters(data["meters"], rig, guard, observer, period) if "meters" in data else None)
     if "meters" not in data:
         raise InputError('an extended filter knows what it hears by [meters]: add it, with a line like voltage = { noise = "2 mV" }')
+    if given.steers and "sensor" in data:
+        raise InputError(
+            "[sensor] is what a controller hears, and by observer.steers this one goes by the filter, which hears [meters]: move it to "
+            f"meters.{rig.plant.mechanism.coordinate}, or take it out"
+        )
     meters = _meters(data["meters"], rig, guard, given, period)
-    return Heard(sensing, guard, _extended(given, rig, meters, period), meters)
+    return Heard(sensing, guard, _extended(given, rig, meters, period), meters, given.steers)
 
 
 def _guard(data: Any, rig: Rig, command: str, period: float, most: float) -> TemperatureGuard:
@@ -129,9 +137,10 @@ def _sensing(given: _Sensor, unit: str, period: float, place: str) -> Sensing:
 
 def _observer(data: Any, guard: TemperatureGuard | None) -> _Observer:
     given = validate(_Observer, data, "observer")
-    if guard is None:
+    if guard is None and not (given.kind == "extended" and given.steers):
         raise InputError(
             "[observer] tells a guard the wire's temperature, and there is none: add a section [guard], or take [observer] out"
+            + (", or let the controller go by it: steers = true" if given.kind == "extended" else "")
         )
     for key in _EXTENDED if given.kind == "thermal" else _THERMAL:
         if key in given.model_fields_set:
@@ -187,9 +196,9 @@ def _steady(observer: ThermalObserver, guard: TemperatureGuard, given: _Observer
 def _meters(data: Any, rig: Rig, guard: TemperatureGuard | None, observer: ThermalObserver | _Observer | None, period: float) -> Meters:
     """What guard and observer hear, the observer being a thermal one or, by its section, a filter."""
     given = validate(_Meters, data, "meters")
-    if guard is None:
-        raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
     each, lag, filtered = {}, 0.0, isinstance(observer, _Observer)
+    if guard is None and not filtered:
+        raise InputError("[meters] are what a guard and its observer hear, and there is none: add a section [guard], or take [meters] out")
     for kind, unit in (("voltage", "V"), ("current", "A"), ("temperature", "K"), ("displacement", "m"), ("angle", "rad")):
         told = getattr(given, kind)
         if told is None:

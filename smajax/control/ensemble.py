@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from smajax import parameters
 from smajax.control.driven import DrivenPlant
 from smajax.control.meters import probed
-from smajax.control.observers import AbstractThermometer, Estimate
+from smajax.control.observers import AbstractFilter, Estimate
 from smajax.kinks import within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
@@ -42,7 +42,7 @@ class Ensemble(NamedTuple):
     count: jax.Array
 
 
-class EnsembleFilter(AbstractThermometer):
+class EnsembleFilter(AbstractFilter):
     """The filter of the module's text, sampled at the period of ``driven``, which is the plant as far as it is known.
 
     ``noise`` are standard deviations of the measured channels by name (infinite: not measured), ``temperature`` being that of the
@@ -110,6 +110,11 @@ class EnsembleFilter(AbstractThermometer):
     def under(self, state: Ensemble, command: jax.Array) -> Ensemble:
         """See ``AbstractThermometer``."""
         return state._replace(command=command)
+
+    def believed(self, state: Ensemble, channel: str) -> jax.Array:
+        """See ``AbstractFilter``: the members' mean."""
+        each = jax.vmap(lambda one, values: self._as(values).read(one, state.command)[channel])
+        return jnp.mean(each(state.states, state.unknown))
 
     @property
     def _unknown(self) -> list[str]:

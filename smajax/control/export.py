@@ -286,9 +286,10 @@ def inverse_of(controller: AbstractController) -> InversePrandtlIshlinskii | Non
 def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: str) -> str:
     """The header of a controller, or of a loop's controller and its wires; ``units`` are those of command and channel.
 
-    Raises ``InputError`` for a kind that has none.
+    Raises ``InputError`` for a kind that has none, and for an observer that is not thermal.
     """
     controller = owner.controller if isinstance(owner, Loop) else owner
+    told = observer_document(owner.observer) if isinstance(owner, Loop) and owner.observer is not None else None
     parts: dict[str, Any] = {"more": "", "reset": "", "functions": "", "include": ""}
     extra: dict[str, float] = {}
     inverse = inverse_of(controller)
@@ -312,9 +313,9 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     else:
         raise InputError(f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID and adaptive PID can")
     if inverse is not None:
-        told = inverse_document(inverse)
-        listed = {k: ", ".join(f"(smajax_real){v!r}" for v in told[k]) for k in ("thresholds", "densities")}
-        extra |= told["envelope"] | {"direct": told["direct"], "edge": EDGE}
+        numbers = inverse_document(inverse)
+        listed = {k: ", ".join(f"(smajax_real){v!r}" for v in numbers[k]) for k in ("thresholds", "densities")}
+        extra |= numbers["envelope"] | {"direct": numbers["direct"], "edge": EDGE}
         parts |= {"functions": _INVERSE.format(**listed), "include": _MATH.format(name="ATANH", function="atanh")}
         parts["more"] += "\n    smajax_real plays[SMAJAX_PLAYS];"
         parts["reset"] += _PLAYS_BEGIN
@@ -327,8 +328,7 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     if isinstance(owner, Loop) and owner.guard is not None:
         use = _GUARDED_PAIR_USE if two else _GUARD_USE
         guard = _GUARD.format(**guard_document(owner.guard)) + (_GUARDED_PAIR if two else _GUARDED)
-        if owner.observer is not None:
-            told = observer_document(owner.observer)
+        if told is not None:
             linear = told["exponent"] == 1.0
             use += _OBSERVER_USE
             guard += _OBSERVER.format(**told, lost="excess" if linear else _POWER.format(**told))
@@ -372,7 +372,7 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
     ``law`` and ``growth`` are those of an adaptive PID; ``leave`` is how many bands away a PPID that rests leaves its rest; ``least`` is
     the least 1 + kb y of a BPID; ``blind_s`` is how long the channel, or a temperature, may be no number before the command is 0.
     Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does, by
-    ``observer``, if it is by one.
+    ``observer``, if it is by one; the controller, too, goes by one that ``steers``.
     """
     controller = owner.controller if isinstance(owner, Loop) else owner
     pid, inverse = controller.inner, inverse_of(controller)
@@ -392,9 +392,10 @@ def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict
         document["wires"] = [float(most) for most in owner.allocation.most]
     if isinstance(owner, Loop) and owner.guard is not None:
         document["guard"] = guard_document(owner.guard)
-        if owner.observer is not None:
-            thermal = isinstance(owner.observer, ThermalObserver)
-            document["observer"] = observer_document(owner.observer) if thermal else {"kind": type(owner.observer).__name__}
+    if isinstance(owner, Loop) and owner.observer is not None:
+        thermal = isinstance(owner.observer, ThermalObserver)
+        document["observer"] = observer_document(owner.observer) if thermal else {"kind": type(owner.observer).__name__}
+        document["observer"] |= {"steers": True} if owner.believes else {}
     return document
 
 

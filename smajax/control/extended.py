@@ -32,7 +32,7 @@ from jax.flatten_util import ravel_pytree
 from smajax import parameters
 from smajax.control.driven import AbstractDriven, DrivenPlant
 from smajax.control.meters import Meters, probed
-from smajax.control.observers import AbstractThermometer, Estimate
+from smajax.control.observers import AbstractFilter, Estimate
 from smajax.kinks import larger, within
 from smajax.parameters import parameter
 from smajax.plant.material.base import Fractions
@@ -53,7 +53,7 @@ class Belief(NamedTuple):
     command: jax.Array
 
 
-class ExtendedFilter(AbstractThermometer):
+class ExtendedFilter(AbstractFilter):
     """The filter of the module's text, sampled at the period of ``driven``, which is the plant as far as it is known.
 
     ``meters`` are what is measured, by kind of channel: noise, steps and delay of each, and the thermocouples' lag. ``unknown`` are
@@ -166,6 +166,10 @@ class ExtendedFilter(AbstractThermometer):
     def under(self, state: Belief, command: jax.Array) -> Belief:
         """See ``AbstractThermometer``."""
         return state._replace(command=command)
+
+    def believed(self, state: Belief, channel: str) -> jax.Array:
+        """See ``AbstractFilter``: a channel of the mean."""
+        return self._as(state.unknown).read(state.state, state.command)[channel]
 
     def linearised(self, belief: Belief) -> tuple[jax.Array, Belief]:
         """The Jacobian of a period by all that is estimated, shape as the covariance's, and the means then."""

@@ -4,7 +4,7 @@ The loop is cut at the controller's output. At a sample of a rollout, plant and 
 frequency responses multiplied: L = -K P. A shape-memory wire is another plant while it warms than while it cools, so that margins are taken
 at many samples. Where it does not transform, its expansion moves it a little the wrong way; a loop has no margin there, and needs none,
 since it leaves again: such samples do not count, nor do frequencies far below the crossover, at which the states have moved on before a
-period is over.
+period is over. A filter that the controller goes by counts as if it told the channel as it is; what it does to the loop shows in rollouts.
 """
 
 import itertools
@@ -59,9 +59,9 @@ def _loop_gain(driven: AbstractDriven, loop: Loop, carry: Any, reference: jax.Ar
     """L(z) at a sample, linearised; complex, of the shape of ``z``."""
     state, inner, before = carry
     seen = driven.read(state, before)
-    held, heard, guards, _ = inner
-    _, value = loop.sensing.step(heard, seen[loop.channel], draw)
-    controller, _, _ = loop.limited(guards, seen, draw)
+    held, states, guards, _ = inner
+    value, warm, _ = loop.hear(states, seen, draw)
+    controller, _, _ = loop.limited(guards, warm)
     flat, unflatten = ravel_pytree(held)
 
     def decide(flat: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -76,7 +76,7 @@ def _loop_gain(driven: AbstractDriven, loop: Loop, carry: Any, reference: jax.Ar
     def controls(z: jax.Array) -> jax.Array:
         return out @ jnp.linalg.solve(z * jnp.eye(len(flat)) - rates, drive.astype(z.dtype)) + direct
 
-    return -jax.vmap(controls)(z) * plant * z ** (-loop.sensing.delay)
+    return -jax.vmap(controls)(z) * plant * z ** (0 if loop.believes else -loop.sensing.delay)
 
 
 def margins(driven: AbstractDriven, loop: Loop, scenario: Scenario, *, samples: int = 300) -> Margins:

@@ -35,6 +35,14 @@ class AbstractThermometer(eqx.Module):
         raise NotImplementedError
 
 
+class AbstractFilter(AbstractThermometer):
+    """Base class of filters of the whole plant, by which a controller may go, too."""
+
+    def believed(self, state: Any, channel: str) -> jax.Array:
+        """What is believed of a channel at a sample, a scalar."""
+        raise NotImplementedError
+
+
 class Estimate(NamedTuple):
     """What a filter of the whole plant knows, and how well: means and standard deviations of the channels by name, scalars, and of the
     ``martensite`` fraction of each wire, shape ``(wires,)``.

@@ -21,7 +21,7 @@ from smajax.control.driven import AbstractDriven
 from smajax.control.guard import TemperatureGuard
 from smajax.control.last_known import LastKnown
 from smajax.control.meters import Meters
-from smajax.control.observers import AbstractThermometer, Inertial, each
+from smajax.control.observers import AbstractFilter, AbstractThermometer, Inertial, each
 from smajax.control.sensing import Sensing
 from smajax.kinks import larger, smaller, within
 from smajax.plant.step import push
@@ -29,13 +29,24 @@ from smajax.plant.step import push
 _ELECTRICAL = ("current", "voltage", "power")
 
 
+class Heard(NamedTuple):
+    """What a loop hears at a sample: the ``value`` of its channel, and the wires' temperatures, shape ``(wires,)``, if a guard or an
+    observer wants them. ``states`` are those of sensor, observer and meters afterwards.
+    """
+
+    value: jax.Array
+    warm: jax.Array | None
+    states: Any
+
+
 class Loop(eqx.Module):
     """All that stands between the reference and the wires; ``channel`` is the one that is steered.
 
     With ``meters``, the guard, or the ``observer`` from which it knows the wires' temperatures if there is one, hears what those tell. What
     the guard leaves of a wire's command is the controller's limit for the sample, lest its integral winds up while the guard holds it back.
-    With ``gaps`` a channel may be no number, as a rig's may and a simulated one may not, and counts as where it was; once it is lost the
-    command is 0, or the least one, until the controller begins anew with the next number.
+    With ``believes`` the controller, too, goes by the observer, a filter of the whole plant: by what it believes of the channel, not by
+    ``sensing``. With ``gaps`` a channel may be no number, as a rig's may and a simulated one may not, and counts as where it was; once it
+    is lost the command is 0, or the least one, until the controller begins anew with the next number.
     """
 
     controller: AbstractController
@@ -45,55 +56,70 @@ class Loop(eqx.Module):
     observer: AbstractThermometer | None = None
     meters: Meters | None = None
     channel: str = eqx.field(static=True, kw_only=True)
+    believes: bool = eqx.field(static=True, kw_only=True, default=False)
     gaps: bool = eqx.field(static=True, kw_only=True, default=False)
+
+    def __check_init__(self) -> None:
+        if self.believes and not isinstance(self.observer, AbstractFilter):
+            raise ValueError("a loop that believes needs a filter of the whole plant as its observer")
+        if self.believes and self.gaps:
+            raise ValueError("a filter takes a measurement that is no number for none: leave gaps out")
 
     def reset(self, reference: jax.Array, seen: dict[str, jax.Array]) -> Any:
         """The state at rest."""
-        guards: tuple = ()
-        if self.guard is not None:
-            watched = () if self.observer is None else self.observer.begin(seen)
-            metered = () if self.meters is None else self.meters.reset(seen)
-            guards = tuple(self.guard.reset(t) for t in each(seen, "temperature")), watched, metered
+        guards = () if self.guard is None else tuple(self.guard.reset(t) for t in each(seen, "temperature"))
+        watched = () if self.observer is None else self.observer.begin(seen)
+        metered = () if self.meters is None else self.meters.reset(seen)
         known = LastKnown.begin(seen[self.channel]) if self.gaps else None
         value = seen[self.channel] if known is None else known.value
-        return self.controller.reset(reference, value), self.sensing.reset(value), guards, known
+        return self.controller.reset(reference, value), (self.sensing.reset(value), watched, metered), guards, known
 
     def step(self, state: Any, reference: jax.Array, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[Any, jax.Array]:
         """The state after a sample and the wires' commands, shape ``(wires,)``."""
-        inner, heard, guards, before = state
+        inner, states, guards, before = state
         known = None if before is None else before.after(seen[self.channel], self.controller.inner.period)
         if known is not None:
             seen = seen | {self.channel: known.value}
-        heard, value = self.sensing.step(heard, seen[self.channel], draw)
-        controller, guards, most = self.limited(guards, seen, draw)
+        heard = self.hear(states, seen, draw)
+        controller, guards, most = self.limited(guards, heard.warm)
         if before is not None:
-            inner = jax.tree.map(lambda a, b: jnp.where(before.lost, a, b), controller.reset(reference, value), inner)
-        inner, command = controller.step(inner, reference, value)
+            inner = jax.tree.map(lambda a, b: jnp.where(before.lost, a, b), controller.reset(reference, heard.value), inner)
+        inner, command = controller.step(inner, reference, heard.value)
         if known is not None:
             command = jnp.where(known.lost, within(jnp.zeros(()), controller.inner.lower, controller.inner.upper), command)
         commands = self.allocation(command)
         if self.guard is not None:
             commands = smaller(commands, most)
-            states, watched, metered = guards
-            guards = states, watched if self.observer is None else self.observer.under(watched, commands), metered
-        return (inner, heard, guards, known), commands
+        sensed, watched, metered = heard.states
+        if self.observer is not None:
+            watched = self.observer.under(watched, commands)
+        return (inner, (sensed, watched, metered), guards, known), commands
 
-    def limited(self, guards: Any, seen: dict[str, jax.Array], draw: jax.Array) -> tuple[AbstractController, Any, jax.Array]:
-        """The controller within what the guard leaves it at a sample, the guards' state then, and the most that each wire may get."""
-        if self.guard is None:
-            return self.controller, guards, jnp.full(self.allocation.wires, jnp.inf)
-        states, watched, metered = guards
+    def hear(self, states: Any, seen: dict[str, jax.Array], draw: jax.Array) -> Heard:
+        """What is heard of the channels at a sample."""
+        sensed, watched, metered = states
+        sensed, value = self.sensing.step(sensed, seen[self.channel], draw)
+        if self.guard is None and self.observer is None:
+            return Heard(value, None, (sensed, watched, metered))
         if self.meters is not None:
             metered, seen = self.meters.step(metered, seen, draw)
         warm = each(seen, "temperature")
         if self.observer is not None:
             watched, warm = self.observer.watch(watched, seen)
-        cut = [self.guard.step(s, t, c) for s, t, c in zip(states, warm, self.allocation.most, strict=True)]
+        if self.believes and isinstance(self.observer, AbstractFilter):
+            value = self.observer.believed(watched, self.channel)
+        return Heard(value, warm, (sensed, watched, metered))
+
+    def limited(self, guards: Any, warm: jax.Array | None) -> tuple[AbstractController, Any, jax.Array]:
+        """The controller within what the guard leaves it at a sample, the guards' states then, and the most that each wire may get."""
+        if self.guard is None or warm is None:
+            return self.controller, guards, jnp.full(self.allocation.wires, jnp.inf)
+        cut = [self.guard.step(s, t, c) for s, t, c in zip(guards, warm, self.allocation.most, strict=True)]
         states, most = tuple(s for s, _ in cut), jnp.stack([c for _, c in cut])
         own = self.controller.inner
         least, largest = self.allocation.ends(most)
         upper = smaller(own.upper, largest)
-        return self.controller.limited(smaller(larger(own.lower, least), upper), upper), (states, watched, metered), most
+        return self.controller.limited(smaller(larger(own.lower, least), upper), upper), states, most
 
 
 class Scenario(eqx.Module):

@@ -102,7 +102,7 @@ class Tuner:
         n = tuning.task.reference.shape[0]
         self.plain = not (settle or np.any(np.isfinite(np.asarray(wanted.limits))))  # the terms are all there is
         self.none = jnp.zeros((tuning.count, len(LIMITS), n))
-        self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full(len(LIMITS), jnp.inf))
+        self.unlimited = eqx.tree_at(lambda w: w.limits, wanted, jnp.full_like(wanted.limits, jnp.inf))
         self.keep(self._candidate(tuning.start, terms[0], violated[0]))
 
     def look(self, points: np.ndarray, tuning: Tuning | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -142,7 +142,7 @@ class Tuning(eqx.Module):
 
 def noises(loop: Loop, scenario: Scenario, count: int = NOISES, seed: int = 0) -> jax.Array:
     """The scenario's noise and ``count - 1`` other draws of it, shape ``(count, n)``; only the one if no sensor has noise."""
-    metered = () if loop.guard is None or loop.meters is None else loop.meters.each.values()
+    metered = () if loop.meters is None or (loop.guard is None and loop.observer is None) else loop.meters.each.values()
     count = count if any(float(one.noise) > 0.0 for one in (loop.sensing, *metered)) else 1
     more = np.random.default_rng([seed, 11]).standard_normal((count - 1, scenario.draws.shape[0]))
     return jnp.concatenate([scenario.draws[None], jnp.asarray(more)])
