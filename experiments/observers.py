@@ -6,6 +6,10 @@ Truth is the exact simulator's (tests/reference), in air that cools 15 to 20 % m
 warmer or colder; a minute of partial loops, pauses and saturation each. Both filters are told that convection and ambient are uncertain by
 25 W/m^2/K and 4 K, and both are judged from the sixth second on: the temperature's error (RMS), and how often it is within 1.96 standard
 deviations. The time is that of one filter and one sample, alone and in a batch.
+
+Then the same wires are steered over three steps by a PID: by an encoder without fault, by one that is 0.1 mm noisy and 0.1 s late, by the
+extended filter that hears the latter and the voltage, and by the filter without any sensor of position. The gains for the first are those
+of the filter, too; for the second they are tuned anew.
 """
 
 from __future__ import annotations
@@ -19,14 +23,20 @@ import jax.numpy as jnp
 import numpy as np
 from _common import ROOT, Row, arguments, finish
 
+from smajax.control.allocation import Allocation
 from smajax.control.driven import DrivenPlant
 from smajax.control.ensemble import EnsembleFilter
 from smajax.control.extended import ExtendedFilter
 from smajax.control.meters import Meters
+from smajax.control.pid import PID
+from smajax.control.rollout import Loop, Scenario
 from smajax.control.sensing import Sensing
+from smajax.control.tune import tune
+from smajax.control.tuning import SPREAD, Tuning, noises
 from smajax.rig import read_rig
+from tests.reference.closed_loop import Pid, lift
+from tests.reference.rig_file import RigFile, simulate
 from tests.reference.rig_file import read_rig as read_reference
-from tests.reference.rig_file import simulate
 
 RIG = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
 PERIOD, ROWS, SETTLED, LAG = 0.05, 1200, 120, 0.6
@@ -35,12 +45,20 @@ AIR = {"heat.h0": 25.0, "environment.ambient": 4.0}
 BENCHES = ((1.2, 24.0), (0.8, 16.0), (1.2, 18.0), (0.85, 25.0))  # convection as a factor, ambient in degC
 HEARD = (("voltage",), ("voltage", "displacement"), ("temperature",), ("voltage", "temperature"))
 BATCH = 32
+NOISY, LATE = 1e-4, 2  # m, samples
+START, LARGEST = {"kp": 30.0, "ki": 10.0, "kd": 0.5, "filter_time": 0.05}, 0.5
+STEPS = np.repeat([4e-3, 6e-3, 2e-3], 400)  # m
+
+
+def truth_of(convection: float, ambient: float) -> RigFile:
+    """A wire that differs from the rig file's, in other air."""
+    truth = read_reference(RIG).changed(h0=convection, h2=convection, austenite_shift=0.5)
+    return dataclasses.replace(truth, wire=truth.wire._replace(ambient=ambient))
 
 
 def bench(convection: float, ambient: float, seed: int) -> tuple[jax.Array, dict[str, jax.Array], np.ndarray]:
     """Current, what meters tell, and the wire's temperature."""
-    truth = read_reference(RIG).changed(h0=convection, h2=convection, austenite_shift=0.5)
-    truth = dataclasses.replace(truth, wire=truth.wire._replace(ambient=ambient))
+    truth = truth_of(convection, ambient)
     rng = np.random.default_rng(seed)
     levels = rng.uniform(0.15, 0.36, 41) * np.sqrt(convection)
     levels[::4] = 0.03
@@ -87,6 +105,83 @@ def seconds(one: Any, current: jax.Array, measured: dict[str, jax.Array], count:
     return least / count / ROWS
 
 
+def tuned(sensing: Sensing) -> dict[str, float]:
+    """Gains for the rig file's plant and a sensor of its position."""
+    pid = PID(*(jnp.asarray(v) for v in (*START.values(), 0.0, LARGEST)), period=PERIOD)
+    loop = Loop(pid, Allocation(jnp.asarray(LARGEST), jnp.asarray(0.0), 1), sensing, channel="displacement")
+    draws = np.random.default_rng(1).standard_normal(len(STEPS))
+    scenario = dataclasses.replace(Scenario.quiet(STEPS), draws=jnp.asarray(draws))
+    bounds = {name: (value / 100.0, value * 100.0) for name, value in START.items()}
+    driven = DrivenPlant.of(read_rig(RIG).plant, PERIOD)
+    tuning = Tuning.of(driven, loop, scenario, bounds, draws=noises(loop, scenario), spread=SPREAD)
+    return tune(tuning, {"tracking": 1.0, "effort": 0.01}, {}, starts=4).gains
+
+
+class Sensor:
+    """What the controller hears: a late and noisy encoder, or an extended filter of that (``encoder``) and the voltage."""
+
+    def __init__(self, seed: int, late: int, noise: float, filtered: bool = False, encoder: bool = True) -> None:
+        self.rng, self.noise, self.waiting, self.filtered, self.encoder = (
+            np.random.default_rng(seed),
+            noise,
+            [0.0] * late,
+            filtered,
+            encoder,
+        )
+        zero, each = jnp.zeros(()), {"voltage": Sensing(jnp.asarray(NOISE["voltage"]), jnp.zeros(()))}
+        if encoder:
+            each["displacement"] = Sensing(jnp.asarray(noise), zero, late)
+        self.one = ExtendedFilter.of(DrivenPlant.of(read_rig(RIG).plant, PERIOD), Meters(each, PERIOD, zero), AIR)
+        self.belief = self.one.reset()
+
+    def __call__(self, position: float, ohms: float, command: float) -> float:
+        """The displacement as the controller hears it."""
+        self.waiting.append(position + self.noise * self.rng.standard_normal())
+        told = self.waiting.pop(0)
+        if not self.filtered:
+            return told
+        heard = {"voltage": ohms * command + NOISE["voltage"] * self.rng.standard_normal()} | (
+            {"displacement": told} if self.encoder else {}
+        )
+        self.belief, value = hear(self.one, self.belief, jnp.asarray([command]), jax.tree.map(jnp.asarray, heard))
+        return float(value)
+
+
+@jax.jit
+def hear(one: ExtendedFilter, belief: Any, command: jax.Array, heard: dict[str, jax.Array]) -> tuple[Any, jax.Array]:
+    """The belief a sample later, and its displacement."""
+    belief = one.step(one.under(belief, command), heard)
+    return belief, one.believed(belief, "displacement")
+
+
+def steered(gains: dict[str, float], sensor: Any) -> list[float]:
+    """RMS errors (m) of each wire, steered over the steps on the exact simulator by what ``sensor(seed)`` tells."""
+    errors = []
+    for seed, where in enumerate(BENCHES):
+        pid = Pid(*(gains[n] for n in START), 0.0, LARGEST, PERIOD)
+        value = lift(truth_of(*where), pid, STEPS, np.zeros(len(STEPS)), sense=sensor(seed))[0]
+        errors.append(float(np.sqrt(np.mean((value - STEPS) ** 2))))
+    return errors
+
+
+def steering() -> list[Row]:
+    """One row for each way to hear the position."""
+    zero = jnp.zeros(())
+    clean, poor = tuned(Sensing(jnp.asarray(NOISE["displacement"]), zero)), tuned(Sensing(jnp.asarray(NOISY), zero, LATE))
+    ways = {
+        "an encoder of 20 um": (clean, lambda seed: Sensor(seed, 0, NOISE["displacement"])),
+        "an encoder of 0.1 mm, 0.1 s late": (poor, lambda seed: Sensor(seed, LATE, NOISY)),
+        "the same, gains of the first": (clean, lambda seed: Sensor(seed, LATE, NOISY)),
+        "a filter of that and voltage": (clean, lambda seed: Sensor(seed, LATE, NOISY, filtered=True)),
+        "a filter of voltage alone": (clean, lambda seed: Sensor(seed, LATE, NOISY, filtered=True, encoder=False)),
+    }
+    rows = []
+    for name, (gains, sensor) in ways.items():
+        errors = steered(gains, sensor)
+        rows.append(Row(f"steered by {name}", "-", f"{', '.join(f'{1e3 * e:.3f}' for e in errors)} mm", None, {"rmse_m": errors}))
+    return rows
+
+
 def main() -> None:
     """Prints the table."""
     args = arguments(__doc__, quick="voltage alone, and fewer timings")
@@ -114,7 +209,7 @@ def main() -> None:
         ratio = spent["extended"] / spent["ensemble of 32"]
         text = "; ".join(f"{name} {1e6 * s:.1f} us" for name, s in spent.items()) + f": {ratio:.2f}x"
         rows.append(Row(f"a sample, {'alone' if count == 1 else f'in a batch of {count}'}", "-", text, None, spent))
-    finish("observers", rows, args)
+    finish("observers", rows + steering(), args)
 
 
 if __name__ == "__main__":

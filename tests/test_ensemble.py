@@ -97,7 +97,9 @@ def test_a_hidden_temperature_is_found_and_the_spread_is_honest():
 def test_it_learns_what_it_was_not_told():
     """From a wire in other air: the convection and the ambient themselves, and a displacement finer than its sensor."""
     current, measured, _, _ = bench(1.2, 24.0, 3)
-    end, found = followed(filter_of("voltage", "temperature", "displacement"), current, measured)
+    one = filter_of("voltage", "temperature", "displacement")
+    end, found = followed(one, current, measured)
+    assert float(one.believed(end, "displacement")) == pytest.approx(float(found.mean["displacement"][-1]), rel=1e-12)
     ambient, convection = np.mean(np.asarray(end.unknown), axis=0)
     assert ambient == pytest.approx(24.0, abs=3.0) and convection == pytest.approx(120.7, rel=0.12)
     assert bool(jnp.all((found.martensite >= 0.0) & (found.martensite <= 1.0)))

@@ -230,6 +230,29 @@ def test_it_learns_what_it_was_not_told():
     assert sure[0] < 3.0 and sure[1] < 12.0 and abs(known[0][1] - float(driven.plant.heat.h0)) > 10.0
 
 
+def test_a_controller_by_the_filter_in_a_rollout():
+    """In air that its plant does not know: nearly as good as an encoder without fault, which a late and coarse one is not, nor wanted."""
+    meters = meters_of(voltage=(2e-3, 0.0), displacement=(1e-4, 0.0, 2))
+    one = ExtendedFilter.of(plant_of("dead-weight"), meters, AIR)
+    driven = one.driven.changed({"heat.h0": 0.85 * one.driven.plant.heat.h0, "environment.ambient": jnp.asarray(23.0)})
+    reference = np.repeat([4e-3, 2e-3], 200)
+    draws = jnp.asarray(np.random.default_rng(0).standard_normal(400))
+    scenario = dataclasses.replace(Scenario.quiet(reference), draws=draws)
+    loop = loop_of(pid(60.0, 100.0, 0.5, tf=0.05, low=0.0, high=0.5, dt=PERIOD), "displacement", upper=0.5)
+
+    def error(sensing, **hears):
+        done = eqx.filter_jit(rollout)(driven, dataclasses.replace(loop, sensing=sensing, **hears), scenario)
+        return float(np.sqrt(np.mean((np.asarray(done.channels["displacement"]) - reference) ** 2)))
+
+    exact, late = (error(Sensing(jnp.asarray(noise), jnp.zeros(()), wait)) for noise, wait in ((0.0, 0), (1e-4, 2)))
+    believed = error(Sensing(jnp.asarray(1e9), jnp.zeros(())), observer=one, meters=meters, believes=True)  # what it does not go by
+    assert believed < 1.2 * exact < 0.5 * late
+    with pytest.raises(ValueError, match="needs a filter of the whole plant"):
+        dataclasses.replace(loop, believes=True)
+    with pytest.raises(ValueError, match="leave gaps out"):
+        dataclasses.replace(loop, observer=one, meters=meters, believes=True, gaps=True)
+
+
 def test_a_guard_by_the_filter_in_a_rollout():
     """The wire cools worse than the filter's plant says; a thermocouple with its lag would be late. The derivatives are those of differences."""
     meters = meters_of(0.6, voltage=(2e-3, 1e-3, 1), temperature=(0.5, 0.0))
@@ -243,7 +266,8 @@ def test_a_guard_by_the_filter_in_a_rollout():
     def warm(kp, drift, observer, meters):
         if observer is not None:
             observer = eqx.tree_at(lambda o: (o.meters, o.process[0].temperature), observer, (meters, drift[None]))
-        steered = eqx.tree_at(lambda one: one.controller.kp, dataclasses.replace(loop, observer=observer, meters=meters), kp)
+        hears = dataclasses.replace(loop, observer=observer, meters=meters, believes=observer is not None)
+        steered = eqx.tree_at(lambda one: one.controller.kp, hears, kp)
         return rollout(driven, steered, scenario).channels["temperature"]
 
     at, way = (jnp.asarray(60.0), jnp.asarray(2.0)), (jnp.asarray(1.0), jnp.asarray(0.1))

@@ -17,7 +17,7 @@ from smajax.cli import app
 from smajax.console import Progress
 from smajax.control import members
 from smajax.control.driven import DrivenPlant
-from smajax.control.export import as_document
+from smajax.control.export import as_document, c_header
 from smajax.control.extended import ExtendedFilter
 from smajax.control.gains import gain, gains
 from smajax.control.limited import _evolved
@@ -512,6 +512,8 @@ def test_margins_of_which_one_is_none_are_told():
     doc |= {"metrics": metrics, "objective": {"settle": False}}
     told = tuning_text(doc)
     assert "has a gain margin of 1.2: a rig that is a little different may swing" in told and "start gains, which are kept" in told
+    told = tuning_text(doc | {"believes": ["displacement", "voltage"]})
+    assert "goes by a filter that hears displacement and voltage" in told and "[robust] tries it on others" in told
     assert "has a phase margin of 3 degrees: a rig" in tuning_text(doc | {"margins": {"tuned": {"gain": None, "phase": 3.0}}})
 
 
@@ -623,6 +625,13 @@ BAD = {
     ("[tune]", GUARD + '[observer]\nkind = "kalman"\n[tune]'): "observer.kind",
     ("[tune]", GUARD + '[observer]\nkind = "extended"\n[tune]'): "an extended filter knows what it hears by [meters]",
     ("[tune]", GUARD + EXTENDED.replace('drift = "3 K"', 'trust = "1 1/s"') + "[tune]"): 'observer.trust belongs to kind = "thermal"',
+    ("[tune]", EXTENDED + "[tune]"): "or take [observer] out, or let the controller go by it: steers = true",
+    ("[tune]", GUARD + "[observer]\nsteers = true\n[tune]"): 'observer.steers belongs to kind = "extended"',
+    ("[tune]", EXTENDED.replace("drift", "steers = 1\ndrift") + "[tune]"): "observer.steers",
+    (
+        "[tune]",
+        '[sensor]\nnoise = "5 um"\n' + EXTENDED.replace("drift", "steers = true\ndrift") + "[tune]",
+    ): "by observer.steers this one goes by the filter, which hears [meters]: move it to meters.displacement, or take it out",
     ("[tune]", GUARD + '[observer]\ndrift = "1 K"\n[tune]'): 'observer.drift belongs to kind = "extended"',
     ("[tune]", GUARD + EXTENDED.replace("ambient", "ambeint") + "[tune]"): "observer.unknown: there is no parameter 'environment.ambeint'",
     ("[tune]", GUARD + EXTENDED.replace('"4 K"', '"-4 K"') + "[tune]"): "observer.unknown.environment.ambient = '-4 K' is too small",
@@ -705,6 +714,13 @@ def test_what_a_file_can_ask_for(tmp_path):
     with pytest.raises(InputError, match="an ExtendedFilter cannot leave for another program yet"):
         controller_model(filtered, ("A", "m"), dict.fromkeys(gains(filtered), "-"), "it")
     assert as_document(filtered, dict.fromkeys(gains(filtered), "-"))["observer"] == {"kind": "ExtendedFilter"}
+    steered = of(FILE + EXTENDED.replace("drift", "steers = true\ndrift"))
+    assert steered.loop.believes and steered.loop.guard is None and not filtered.believes
+    assert as_document(steered.loop, dict.fromkeys(gains(filtered), "-"))["observer"] == {"kind": "ExtendedFilter", "steers": True}
+    assert len(noises(steered.loop, steered.scenario)) == 8  # its meters' noise is drawn several times, too
+    for write in (c_header, lambda loop, units, name: controller_model(loop, units, dict.fromkeys(gains(loop), "-"), name)):
+        with pytest.raises(InputError, match="an ExtendedFilter cannot leave for another program yet"):
+            write(steered.loop, ("A", "m"), "it")
     cubic = of(FILE + GUARD + '[observer]\na1 = "12 K/J"\na2 = "-1e-4 K^-2/s"\nexponent = 3\n').loop.observer
     assert [float(v) for v in (cubic.a1, cubic.a2, cubic.exponent)] == [12.0, -1e-4, 3.0]
     changes = [

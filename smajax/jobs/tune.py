@@ -106,6 +106,8 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     if isinstance(given.driven, DrivenPlant) and given.driven.carrier is not None:
         even = behave(replace(given, driven=given.driven.averaged()), found.gains)
         document["pulses"] = {"carrier": given.driven.carrier, "rmse_of_mean": number(even.numbers["rmse"])}
+    if last.loop.believes and last.loop.meters is not None:
+        document["believes"] = sorted(last.loop.meters.each)
     if weights is not asked:
         document["objective"]["asked"] = dict(asked)
     document["summary"] = sentences(document)

@@ -65,6 +65,11 @@ def sentences(doc: Mapping[str, Any]) -> str:
         have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
         told += f" Linearised along its rollout, the loop has {' and '.join(have)}: a rig that is a little different may swing, so give"
         told += " effort more weight."
+    if "believes" in doc:
+        told += f" The controller goes by a filter that hears {' and '.join(doc['believes'])}: the margins are those of a loop that hears"
+        told += f" {channel} as it is."
+        if not doc["robust"]:
+            told += " The filter's plant is that of the rig file, and so is this rollout's: [robust] tries it on others."
     if doc.get("start_kept"):
         told += " Of the gains found none does better on the draws than the start gains, which are kept: try more starts, or more draws."
     if doc["robust"]:

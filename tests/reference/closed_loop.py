@@ -1,6 +1,7 @@
 """Closed loops on the exact simulators of a dead weight and of two wires on a pulley: a PID written down once more, in plain Python,
 sampled and held."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,17 +41,29 @@ class Pid:
         return min(max(u, self.lower), self.upper)
 
 
-def lift(rig: RigFile, pid: Pid, reference: Floats, noise: Floats, substeps: int = 20) -> tuple[Floats, Floats, Floats]:
-    """Displacement in m, temperature in degC and command at the samples, all (n,), of a wire that lifts a mass, from rest."""
+def lift(
+    rig: RigFile,
+    pid: Pid,
+    reference: Floats,
+    noise: Floats,
+    substeps: int = 20,
+    sense: Callable[[float, float, float], float] | None = None,
+) -> tuple[Floats, Floats, Floats]:
+    """Displacement in m, temperature in degC and command at the samples, all (n,), of a wire that lifts a mass, from rest.
+
+    The controller sees the displacement with its ``noise``, or what ``sense`` makes of displacement, resistance and the command until then.
+    """
     parts = (rig.material, rig.heat, rig.wire, rig.mechanism["mass"])
-    span, position = np.array([0.0, pid.period]), 0.0
+    span, position, command = np.array([0.0, pid.period]), 0.0, 0.0
     start = State(rig.wire.ambient, rig.mechanism["mass"] * rigs.GRAVITY / (0.25 * np.pi * rig.wire.diameter**2), 1.0, 0.0)
+    drive = {"control": rig.control, "interpolation": "hold", "substeps": substeps}
+    ohms = float(rigs.dead_weight(*parts, span, np.zeros(2), **drive, start=start).resistance[0, 0])
     found = np.empty((3, len(reference)))
     for k, r in enumerate(reference):
-        command = pid(r, position + noise[k])
+        command = pid(r, sense(position, ohms, command) if sense else position + noise[k])
         found[:, k] = position, start.temperature, command
-        run = rigs.dead_weight(*parts, span, np.full(2, command), control=rig.control, interpolation="hold", substeps=substeps, start=start)
-        position += run.position[-1] - run.position[0]
+        run = rigs.dead_weight(*parts, span, np.full(2, command), **drive, start=start)
+        position, ohms = position + run.position[-1] - run.position[0], float(run.resistance[-1, 0])
         start = State(run.temperature[-1, 0], run.stress[-1, 0], run.detwinned[-1, 0], run.twinned[-1, 0])
     return found[0], found[1], found[2]
 
