@@ -16,6 +16,7 @@ way), with a limit on the wire's temperature that the fitted plant keeps by itse
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -134,17 +135,20 @@ def rmse(wire: Wire, value: np.ndarray) -> float:
 def gradient_rows(one: Tuning) -> list[Row]:
     """A minute at 50 Hz: the gradient of the objective against central differences, and what it costs."""
     cost = jax.jit(lambda x: jnp.sum(one.parts(x, wanted_of({"tracking": 1.0}, {})).terms[:, 0] ** 2))
-    slope = jax.jit(jax.grad(lambda x: jnp.sum(one.parts(x, wanted_of({"tracking": 1.0}, {})).terms[:, 0] ** 2)))
+    slope, forward = (jax.jit(mode(cost)) for mode in (jax.grad, jax.jacfwd))
     at = jnp.asarray(one.start)
     found = np.asarray(slope(at))
     central = np.array([float(cost(at.at[i].add(1e-4)) - cost(at.at[i].add(-1e-4))) / 2e-4 for i in range(len(at))])
     apart = float(np.max(np.abs(found - central)) / np.max(np.abs(central)))
-    spent = medians(15, {"cost": lambda: cost(at).block_until_ready(), "slope": lambda: slope(at).block_until_ready()})
+    np.testing.assert_allclose(forward(at), found, rtol=1e-9, atol=1e-9 * np.max(np.abs(found)))
+    each = {"cost": cost, "slope": slope, "forward": forward}
+    spent = medians(15, {name: functools.partial(lambda f: f(at).block_until_ready(), f) for name, f in each.items()})
     ratio = spent["slope"] / spent["cost"]
     steps = one.task.reference.shape[0]
     return [
         Row(f"gradient through {steps} samples against differences", "<= 1e-4", f"{apart:.1e}", apart <= 1e-4),
         Row("gradient for the gains over a rollout", "<= 3x", f"{ratio:.2f}x of {1e3 * spent['cost']:.2f} ms", ratio <= 3.0, spent),
+        Row("the same by forward mode", "-", f"{spent['forward'] / spent['cost']:.2f}x", None),
     ]
 
 
