@@ -199,6 +199,8 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     loop, units = _with_gains(loop, head.kind, data["gains"], (command, difference))
     rest = driven.read(driven.start(), jnp.zeros(driven.wires))
     scenario = read_scenario(data, path.parent, rig, (channel, unit, period), float(rest[channel]), tune.seed)
+    if not scenario.changes and not np.ptp(np.append(np.asarray(scenario.reference), float(rest[channel]))) > 0.0:
+        raise InputError("reference: it stays where the rig rests, so that there is nothing to follow: give it another level")
     weights, settle = _objective(tune.objective)
     limits = _limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", driven.wires)))
     if not metrics.jumps(np.asarray(scenario.reference), float(scenario.before), period).rows:
@@ -245,7 +247,7 @@ def _with_gains(loop: Loop, kind: str, given: Any, units: tuple[str, str]) -> tu
     values = {}
     for name, value in given.items():
         if name not in declared:
-            raise InputError(f"gains.{name} is not known{advice(name, declared, f'the gains of a {kind} are')}")
+            raise InputError(f"gains.{name} is not known{advice(name, declared, f'those of {kind} are')}")
         try:
             values[name] = quantity(value, replace(declared[name], unit=named[name]))
         except InputError as error:

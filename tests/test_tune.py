@@ -127,6 +127,13 @@ def test_within_a_limit_nothing_on_a_grid_is_better(tmp_path, high, gains, limit
     assert tune(tuning, {"tracking": 1.0}, {}).terms["tracking"] < 0.98 * found.terms["tracking"]  # the limit costs something
 
 
+def test_several_starts_look_elsewhere_though_limits_are_kept(monkeypatch):
+    """Where the search without limits ended badly, and within them."""
+    monkeypatch.setattr("smajax.control.limited.unlimited", lambda tuner, points: points[0])
+    one, four = (tune(hip_tuning(), {"itae": 1.0}, {"overshoot": 0.5}, starts=starts) for starts in (1, 4))
+    assert one.terms["itae"] == 1.0 and four.terms["itae"] < 0.66 and four.feasible
+
+
 def _wanted(overshoot):
     return wanted_of({"itae": 1.0}, {"overshoot": overshoot})
 
@@ -507,11 +514,15 @@ def test_a_measured_loop_gives_back_its_operator():
 
 def test_margins_of_which_one_is_none_are_told():
     margins = {"tuned": {"gain": 1.2, "phase": None}}
-    metrics = {when: {"rmse": 1e-3} for when in ("start", "tuned")}
+    metrics = {when: {"rmse": 1e-3, "settling": 2.0} for when in ("start", "tuned")}
     doc = {"margins": margins, "robust": {}, "problems": [], "start_kept": True, "rollouts": 10, "channel": "displacement"}
     doc |= {"metrics": metrics, "objective": {"settle": False}}
     told = tuning_text(doc)
     assert "has a gain margin of 1.2: a rig that is a little different may swing" in told and "start gains, which are kept" in told
+    ended = {"kp": 2.0, "ki": 40.0, "kd": 5.0, "co_contraction": 2.0}
+    table = {n: {"tuned": v, "bounds": [2.0, 40.0], "free": n != "co_contraction"} for n, v in ended.items()}
+    assert "with the smallest kp that tune.bounds allows. The search ended with the largest ki that" in tuning_text(doc | {"gains": table})
+    assert "instead of settling" in tuning_text(doc | {"objective": {"settle": True}})
     told = tuning_text(doc | {"believes": ["displacement", "voltage"]})
     assert "goes by a filter that hears displacement and voltage" in told and "[robust] tries it on others" in told
     assert "has a phase margin of 3 degrees: a rig" in tuning_text(doc | {"margins": {"tuned": {"gain": None, "phase": 3.0}}})
@@ -545,6 +556,10 @@ def test_a_draw_without_margins_is_a_problem(tmp_path, monkeypatch):
     one, far = behave(given, own), reach(given.driven, given.loop, given.scenario, given.limits)
     doc = _document(given, rig, kept, (one, one), {"start": found.document, "tuned": found.document}, "", far, 0)
     assert not doc["feasible"] and any("of 3 draws 1 are unstable, linearised along their rollouts" in p for p in doc["problems"])
+    shaky = dataclasses.replace(one, margins=Margins(0.9, -1.0, 9.0))
+    doc = _document(given, rig, kept, (shaky, one), {}, "", far, 0)
+    told = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin (degrees) of -1"
+    assert doc["problems"] == [told] and doc["feasible"]
 
 
 def test_what_pulses_do_beside_their_mean_is_told(tmp_path, monkeypatch):
@@ -655,6 +670,7 @@ BAD = {
     ('hold = "8 s"', 'hold = "15 s"'): "2 levels of '15 s' do not fit into '15 s'",
     ('hold = "8 s"', 'hold = "8 s"\nhigh = "1 mm"'): "reference.high has no place with a staircase",
     (STAIRS, SINE.replace("0.5 Hz", "10 Hz")): "reference.frequency = '10 Hz' is not below half a cycle",
+    (STAIRS, STEP.replace("1 mm", "0 mm").replace("3 mm", "0 mm")): "reference: it stays where the rig rests",
     (STAIRS, STEP.replace('at = "2 s"', 'at = "15 s"')): "reference.at = '15 s' is not within reference.duration",
     (STAIRS + "[tune]", SINE + '[limits]\novershoot = "2 %"\n[tune]'): "limits.overshoot: the reference never jumps and holds",
     (STAIRS + "[tune]", SINE + '[tune]\nobjective = "settling"'): "so that nothing settles",

@@ -26,7 +26,7 @@ from smajax.control.rollout import Loop
 from smajax.errors import InputError
 from smajax.hysteresis.prandtl_ishlinskii import EDGE, InversePrandtlIshlinskii
 
-_TOP = """/* A {kind} controller tuned by smajax {version}: include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
+_TOP = """/* {kind} controller tuned by smajax {version}: include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
  *
  *     smajax_state s;
  *     smajax_reset(&s, reference, value);

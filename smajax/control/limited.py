@@ -17,6 +17,7 @@ _REACH = 0.06  # of the box: how far gains go between two looks at what limits c
 _SPREAD = 64  # points looked at by one member, where limits keep the search from where the terms are small
 _POPULATION, _GENERATIONS = 32, 15
 _NEAR = 0.15  # of the box
+_PROMISES = 1.5  # times the best terms: a place elsewhere from which it is worth going on
 _FAR, _OUTSIDE = 1e6, 1e3  # a cost at most; what any broken limit costs, in logarithms
 _LIMITED = (0.15, 0.004, 80)  # of quadratics by one member: see ``unlimited``
 
@@ -50,12 +51,16 @@ def limited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
         multipliers = jnp.maximum(multipliers + mu * violations(tuner.tuning, jnp.asarray(point), tuner.wanted), 0.0)
         tuner.rollouts += tuner.tuning.count
         point = tuner.descend(point, tuner.wanted, multipliers, mu, _STEPS, _SMALL_STEP, _REACH).point
-    if tried[0].worst > 0.0:
-        # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
-        alone = tuner.tuning.alone(_hardest(tuner, points[0]))
-        spread = scipy.stats.qmc.Sobol(len(point), scramble=False).random(_SPREAD) + 0.5 / _SPREAD  # amid cells, none on an edge
-        seen = [one for k in range(0, _SPREAD, BATCH) for one in tuner.candidates(spread[k : k + BATCH], alone)]
-        begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], min(seen, key=order).point)}.values()
+    free_enough = tried[0].worst == 0.0  # where the terms are small without limits, limits are kept
+    if free_enough and len(points) == 1:
+        return best.point
+    # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
+    alone = tuner.tuning.alone(_hardest(tuner, points[0]))
+    spread = scipy.stats.qmc.Sobol(len(point), scramble=False).random(_SPREAD) + 0.5 / _SPREAD  # amid cells, none on an edge
+    seen = [one for k in range(0, _SPREAD, BATCH) for one in tuner.candidates(spread[k : k + BATCH], alone)]
+    other = min(seen, key=order)
+    if not free_enough or order(other) < (0.0, _PROMISES * best.cost):
+        begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], other.point)}.values()
         led = min((tuner.quadratics(p, alone, *_LIMITED) for p in begun), key=order)
         best = min(best, tuner.quadratics(led.point, tuner.tuning, *BY_ALL), key=order)
         if tuner.tuning.count > 1:

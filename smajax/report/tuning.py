@@ -10,6 +10,7 @@ from smajax.report.summary import table
 from smajax.units import CHANNELS, from_si
 
 SCHEMA = "smajax.tune/1"
+_AT = 1e-3  # of the way from one bound to the other
 _GAIN, _PHASE = 1.5, 20.0  # margins (degrees) below which a warning is due
 _METRICS = {
     "rmse": "RMSE", "max_error": "largest error", "itae": "ITAE", "rise": "rise 10 to 90 %", "settling": "settling",
@@ -26,6 +27,7 @@ def shown(value: float | None, name: str, channel: str) -> str:
     if name in ("rmse", "max_error", "itae", channel):
         unit = usual_unit(channel)
         number = from_si(value, unit, CHANNELS[channel].unit) if unit != "degC" else value
+        unit = "K" if unit == "degC" and name != channel else unit  # a difference
         return f"{number:.4g} {unit}" + (" s\N{SUPERSCRIPT TWO}" if name == "itae" else "")
     if name == "overshoot":
         return f"{100 * value:.2f} %"
@@ -63,8 +65,9 @@ def sentences(doc: Mapping[str, Any]) -> str:
     if not none and ((gain is not None and gain < _GAIN) or (phase is not None and phase < _PHASE)):
         have = [] if gain is None else [f"a gain margin of {gain:.2g}"]
         have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
-        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: a rig that is a little different may swing, so give"
-        told += " effort more weight."
+        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: a rig that is a little different may swing, so "
+        told += calmer(doc["objective"]["settle"]) + "."
+    told += _at_bounds(doc.get("gains", {}))
     if "believes" in doc:
         told += f" The controller goes by a filter that hears {' and '.join(doc['believes'])}: the margins are those of a loop that hears"
         told += f" {channel} as it is."
@@ -80,6 +83,21 @@ def sentences(doc: Mapping[str, Any]) -> str:
         ends += [] if margin["phase"] is None else [f"a phase margin of {margin['phase']:.2g} degrees"]
         told += f" Linearised, the worst of the {one['draws']} draws has {' and '.join(ends)}." if ends else ""
     return told
+
+
+def calmer(settle: bool) -> str:
+    """What to do about gains that are near swinging."""
+    return "ask for tracking, with a weight of effort, instead of settling" if settle else "give effort more weight"
+
+
+def _at_bounds(gains: Mapping[str, Any]) -> str:
+    """Which gains ended where they may go no further."""
+    free = {name: entry for name, entry in gains.items() if entry["free"] and entry["bounds"][0] < entry["bounds"][1]}
+    place = {n: math.log(e["tuned"] / e["bounds"][0]) / math.log(e["bounds"][1] / e["bounds"][0]) for n, e in free.items()}
+    ends = {"smallest": [n for n, at in place.items() if at < _AT], "largest": [n for n, at in place.items() if at > 1.0 - _AT]}
+    return "".join(
+        f" The search ended with the {end} {' and '.join(names)} that tune.bounds allows." for end, names in ends.items() if names
+    )
 
 
 def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
