@@ -202,7 +202,7 @@ def test_a_measurement_that_falls_out_is_none():
     silent, _ = followed(one, commands, {"voltage": none, "displacement": none})
     state, _ = jax.lax.scan(eqx.filter_jit(lambda state, command: (driven.advance(state, command)[0],) * 2), driven.start(), commands)
     for alone, carried in zip(jax.tree.leaves(state), jax.tree.leaves(silent.state), strict=True):
-        np.testing.assert_allclose(carried[-1], alone, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(carried[-1], alone, rtol=1e-12, atol=1e-15)  # the plant's own way, and nothing else
     np.testing.assert_array_equal(silent.unknown, np.broadcast_to(one.reset().unknown, silent.unknown.shape))
 
 

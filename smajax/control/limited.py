@@ -27,7 +27,8 @@ def limited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
 
     If that breaks a limit, by an augmented Lagrangian, or from the best point known if it breaks it by far; then by quadratics of the terms
     and of the limits: a limit of a loop that turns unstable, or rests, near it has no slope that leads anywhere. Several members that do
-    not go the same way at a limit are led by a population, too.
+    not go the same way at a limit are led by a population, too. If that breaks none, several starts go on all the same where another place
+    of the box promises more.
     """
     spent = tuner.rollouts
     free = Tuner(tuner.tuning.alone(), tuner.unlimited, lambda count, cost: tuner.progress(spent + count, cost))
@@ -51,15 +52,15 @@ def limited(tuner: Tuner, points: np.ndarray) -> np.ndarray:
         multipliers = jnp.maximum(multipliers + mu * violations(tuner.tuning, jnp.asarray(point), tuner.wanted), 0.0)
         tuner.rollouts += tuner.tuning.count
         point = tuner.descend(point, tuner.wanted, multipliers, mu, _STEPS, _SMALL_STEP, _REACH).point
-    free_enough = tried[0].worst == 0.0  # where the terms are small without limits, limits are kept
-    if free_enough and len(points) == 1:
+    kept = tried[0].worst == 0.0  # where the terms are small without limits
+    if kept and len(points) == 1:
         return best.point
     # From elsewhere, too: the best point within the limits may be a loop that does nothing, from which no way leads on.
     alone = tuner.tuning.alone(_hardest(tuner, points[0]))
     spread = scipy.stats.qmc.Sobol(len(point), scramble=False).random(_SPREAD) + 0.5 / _SPREAD  # amid cells, none on an edge
     seen = [one for k in range(0, _SPREAD, BATCH) for one in tuner.candidates(spread[k : k + BATCH], alone)]
     other = min(seen, key=order)
-    if not free_enough or order(other) < (0.0, _PROMISES * best.cost):
+    if not kept or order(other) < (0.0, _PROMISES * best.cost):
         begun = {p.tobytes(): p for p in (best.point, tried[0].point, points[0], other.point)}.values()
         led = min((tuner.quadratics(p, alone, *_LIMITED) for p in begun), key=order)
         best = min(best, tuner.quadratics(led.point, tuner.tuning, *BY_ALL), key=order)
