@@ -17,9 +17,10 @@ from smajax.control import metrics
 from smajax.control.adaptive import AdaptivePID
 from smajax.control.allocation import Allocation, pulsed
 from smajax.control.bpid import BPID
+from smajax.control.c_header import c_header
+from smajax.control.document import as_document
 from smajax.control.driven import DrivenPlant, DrivenTransferFunction
 from smajax.control.ensemble import EnsembleFilter
-from smajax.control.export import as_document, c_header
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains, unit_of, with_gains
 from smajax.control.guard import TemperatureGuard

@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 from smajax.cli import app
 from smajax.console import Progress
 from smajax.control import members
+from smajax.control.c_header import c_header
+from smajax.control.document import as_document
 from smajax.control.driven import DrivenPlant
-from smajax.control.export import as_document, c_header
 from smajax.control.extended import ExtendedFilter
 from smajax.control.gains import gain, gains
 from smajax.control.limited import _evolved

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from smajax import parameters
-from smajax.control.export import observer_document
+from smajax.control.document import observer_document
 from smajax.control.gains import gain, gains, with_gains
 from smajax.control.rollout import Loop
 from smajax.control.sensing import perfect

@@ -12,8 +12,9 @@ import numpy as np
 from smajax import __version__, parameters
 from smajax.console import Progress
 from smajax.control import members
+from smajax.control.c_header import c_header
+from smajax.control.document import as_document
 from smajax.control.driven import DrivenPlant
-from smajax.control.export import as_document, c_header
 from smajax.control.gains import gain, gains, unit_of
 from smajax.control.margins import Margins
 from smajax.control.reach import Reach, cut, falls, reach

@@ -1,4 +1,4 @@
-"""Tuned controllers for other programs: a C header for a microcontroller, and the same numbers as JSON.
+"""Tuned controllers as a C header for a microcontroller.
 
 The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset`` and ``smajax_step``,
 which do what ``reset`` and ``step`` do here, operation by operation. It needs no heap, and no library but for the ``atanh`` of a
@@ -13,18 +13,17 @@ of the largest commands and is called in the place of ``smajax_step``. Where an 
 from typing import Any
 
 from smajax.control.adaptive import AdaptivePID
-from smajax.control.bpid import BPID, LEAST
+from smajax.control.bpid import BPID
 from smajax.control.controller import AbstractController
+from smajax.control.document import fixed, guard_document, inverse_document, inverse_of, observer_document
 from smajax.control.feedforward import FeedforwardPID
 from smajax.control.gains import gain, gains
-from smajax.control.guard import TemperatureGuard
 from smajax.control.last_known import BLIND
-from smajax.control.observers import AbstractThermometer, ThermalObserver
 from smajax.control.pid import PID
 from smajax.control.ppid import PPID
 from smajax.control.rollout import Loop
 from smajax.errors import InputError
-from smajax.hysteresis.prandtl_ishlinskii import EDGE, InversePrandtlIshlinskii
+from smajax.hysteresis.prandtl_ishlinskii import EDGE
 
 _TOP = """/* {kind} controller tuned by smajax {version}: include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.
  *
@@ -217,7 +216,6 @@ static inline smajax_real smajax_guard(smajax_guard_state *g, smajax_real temper
     return smajax_guard_cut(g, smajax_known(temperature, &g->temperature), command);
 }}
 """
-_KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
 _PLAIN = "    return smajax_pid(s, reference, value, SMAJAX_KP, SMAJAX_KI, SMAJAX_KD, lower, upper);"
 _BILINEAR = """    smajax_real point = 1 + SMAJAX_KB * SMAJAX_TUNING_POINT, here = 1 + SMAJAX_KB * value, factor;
     if (point < SMAJAX_LEAST) point = SMAJAX_LEAST;
@@ -275,14 +273,6 @@ _PLAYS_BEGIN = """
     }"""
 
 
-def inverse_of(controller: AbstractController) -> InversePrandtlIshlinskii | None:
-    """The inverse operator of a controller's feedforward, if it has one. Raises ``InputError`` for an operator of another kind."""
-    inverse = getattr(controller, "inverse", None)
-    if inverse is not None and not isinstance(inverse, InversePrandtlIshlinskii):
-        raise InputError("only the inverse of a Prandtl-Ishlinskii operator with one envelope can be written as a feedforward")
-    return inverse
-
-
 def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: str) -> str:
     """The header of a controller, or of a loop's controller and its wires; ``units`` are those of command and channel.
 
@@ -296,12 +286,12 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
     if isinstance(controller, PID):
         kind, step = "PID", _PLAIN
     elif isinstance(controller, BPID):
-        kind, step, extra = "BPID", _BILINEAR, _fixed(controller)
+        kind, step, extra = "BPID", _BILINEAR, fixed(controller)
     elif isinstance(controller, FeedforwardPID):
         kind, step = "PID with feedforward", _FED
     elif isinstance(controller, PPID):
         ahead = "0" if inverse is None else "smajax_ahead(s, reference, lower, upper)"
-        kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), _fixed(controller)
+        kind, step, extra = "PPID" + " with feedforward" * (inverse is not None), _SWITCHED.format(ahead=ahead), fixed(controller)
         size = "(reference - value < 0 ? value - reference : reference - value)"
         parts |= {"more": "\n    int rested;", "reset": f"\n    s->rested = {size} <= SMAJAX_BAND;"}
     elif isinstance(controller, AdaptivePID):
@@ -353,80 +343,3 @@ def c_header(owner: AbstractController | Loop, units: tuple[str, str], version: 
         use=use,
         **parts,
     )
-
-
-def _fixed(controller: AbstractController) -> dict[str, Any]:
-    """What a kind of controller has beside its gains, as its C header has it."""
-    if isinstance(controller, BPID):
-        return {"least": LEAST}
-    if isinstance(controller, PPID):
-        return {"leave": controller.leave}
-    if isinstance(controller, AdaptivePID):
-        return {"law": controller.law, "growth": controller.growth}
-    return {}
-
-
-def as_document(owner: AbstractController | Loop, units: dict[str, str]) -> dict[str, Any]:
-    """The controller (or a loop's) as a JSON document: kind, period, limits, gains with their units, and what it has of a feedforward.
-
-    ``law`` and ``growth`` are those of an adaptive PID; ``leave`` is how many bands away a PPID that rests leaves its rest; ``least`` is
-    the least 1 + kb y of a BPID; ``blind_s`` is how long the channel, or a temperature, may be no number before the command is 0.
-    Of two wires ``wires`` is the largest command of each, and ``guard`` what keeps a wire below a temperature, if something does, by
-    ``observer``, if it is by one; the controller, too, goes by one that ``steers``.
-    """
-    controller = owner.controller if isinstance(owner, Loop) else owner
-    pid, inverse = controller.inner, inverse_of(controller)
-    document = {
-        "schema": "smajax.controller/1",
-        "kind": _KINDS[type(controller)],
-        "period_s": pid.period,
-        "output": [float(pid.lower), float(pid.upper)],
-        "blind_s": BLIND,
-        "derivative_on": pid.derivative_on,
-        "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
-        **_fixed(controller),
-    }
-    if inverse is not None:
-        document["feedforward"] = inverse_document(inverse)
-    if isinstance(owner, Loop) and owner.allocation.wires > 1:
-        document["wires"] = [float(most) for most in owner.allocation.most]
-    if isinstance(owner, Loop) and owner.guard is not None:
-        document["guard"] = guard_document(owner.guard)
-    if isinstance(owner, Loop) and owner.observer is not None:
-        thermal = isinstance(owner.observer, ThermalObserver)
-        document["observer"] = observer_document(owner.observer) if thermal else {"kind": type(owner.observer).__name__}
-        document["observer"] |= {"steers": True} if owner.believes else {}
-    return document
-
-
-def guard_document(guard: TemperatureGuard) -> dict[str, float]:
-    """A guard's numbers: the temperature that it keeps (degC), its gains, and the largest command."""
-    return {"limit": float(guard.limit), "kp": float(guard.pid.kp), "ki": float(guard.pid.ki), "upper": float(guard.pid.upper)}
-
-
-def observer_document(observer: AbstractThermometer) -> dict[str, float]:
-    """An observer's numbers in SI, with the surroundings' temperature in degC. Raises ``InputError`` for one that is not thermal."""
-    if not isinstance(observer, ThermalObserver):
-        raise InputError(f"an {type(observer).__name__} cannot leave for another program yet: a ThermalObserver can")
-    return {n: float(getattr(observer, n)) for n in ("a1", "a2", "exponent", "ambient", "gain")}
-
-
-def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:
-    """The numbers of an inverse operator, from the channel's internal unit to the command's: see ``smajax.hysteresis``.
-
-    ``direct`` and ``densities`` are plain numbers, ``thresholds`` in the channel's unit; so are the envelope's height and middle, its
-    steepness is per unit of the command.
-    """
-    envelope = inverse.envelope
-    return {
-        "kind": "inverse-prandtl-ishlinskii",
-        "direct": float(inverse.direct),
-        "thresholds": [float(v) for v in inverse.thresholds],
-        "densities": [float(v) for v in inverse.densities],
-        "envelope": {
-            "height": float(envelope.height),
-            "steepness": float(envelope.slope),
-            "shift": float(envelope.shift),
-            "middle": float(envelope.middle),
-        },
-    }
