@@ -121,13 +121,8 @@ class Sensor:
     """What the controller hears: a late and noisy encoder, or an extended filter of that (``encoder``) and the voltage."""
 
     def __init__(self, seed: int, late: int, noise: float, filtered: bool = False, encoder: bool = True) -> None:
-        self.rng, self.noise, self.waiting, self.filtered, self.encoder = (
-            np.random.default_rng(seed),
-            noise,
-            [0.0] * late,
-            filtered,
-            encoder,
-        )
+        self.rng, self.noise, self.waiting = np.random.default_rng(seed), noise, [0.0] * late
+        self.filtered, self.encoder = filtered, encoder
         zero, each = jnp.zeros(()), {"voltage": Sensing(jnp.asarray(NOISE["voltage"]), jnp.zeros(()))}
         if encoder:
             each["displacement"] = Sensing(jnp.asarray(noise), zero, late)
@@ -140,9 +135,9 @@ class Sensor:
         told = self.waiting.pop(0)
         if not self.filtered:
             return told
-        heard = {"voltage": ohms * command + NOISE["voltage"] * self.rng.standard_normal()} | (
-            {"displacement": told} if self.encoder else {}
-        )
+        heard = {"voltage": ohms * command + NOISE["voltage"] * self.rng.standard_normal()}
+        if self.encoder:
+            heard["displacement"] = told
         self.belief, value = hear(self.one, self.belief, jnp.asarray([command]), jax.tree.map(jnp.asarray, heard))
         return float(value)
 
