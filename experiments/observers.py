@@ -7,9 +7,9 @@ warmer or colder; a minute of partial loops, pauses and saturation each. Both fi
 25 W/m^2/K and 4 K, and both are judged from the sixth second on: the temperature's error (RMS), and how often it is within 1.96 standard
 deviations. The time is that of one filter and one sample, alone and in a batch.
 
-Then the same wires are steered over three steps by a PID: by an encoder without fault, by one that is 0.1 mm noisy and 0.1 s late, by the
-extended filter that hears the latter and the voltage, and by the filter without any sensor of position. The gains for the first are those
-of the filter, too; for the second they are tuned anew.
+Then the same wires are steered over three steps by a PID: by an encoder as fine as before, by one that is 0.1 mm noisy and 0.1 s late, by
+the extended filter that hears the latter and the voltage, and by the filter without any sensor of position. The gains for the first are
+those of the filter, too; for the second they are tuned anew.
 """
 
 from __future__ import annotations
@@ -123,7 +123,8 @@ class Sensor:
     def __init__(self, seed: int, late: int, noise: float, filtered: bool = False, encoder: bool = True) -> None:
         self.rng, self.noise, self.waiting = np.random.default_rng(seed), noise, [0.0] * late
         self.filtered, self.encoder = filtered, encoder
-        zero, each = jnp.zeros(()), {"voltage": Sensing(jnp.asarray(NOISE["voltage"]), jnp.zeros(()))}
+        zero = jnp.zeros(())
+        each = {"voltage": Sensing(jnp.asarray(NOISE["voltage"]), zero)}
         if encoder:
             each["displacement"] = Sensing(jnp.asarray(noise), zero, late)
         self.one = ExtendedFilter.of(DrivenPlant.of(read_rig(RIG).plant, PERIOD), Meters(each, PERIOD, zero), AIR)

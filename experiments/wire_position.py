@@ -16,7 +16,6 @@ way), with a limit on the wire's temperature that the fitted plant keeps by itse
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -142,7 +141,7 @@ def gradient_rows(one: Tuning) -> list[Row]:
     apart = float(np.max(np.abs(found - central)) / np.max(np.abs(central)))
     np.testing.assert_allclose(forward(at), found, rtol=1e-9, atol=1e-9 * np.max(np.abs(found)))
     each = {"cost": cost, "slope": slope, "forward": forward}
-    spent = medians(15, {name: functools.partial(lambda f: f(at).block_until_ready(), f) for name, f in each.items()})
+    spent = medians(15, {name: lambda f=f: f(at).block_until_ready() for name, f in each.items()})
     ratio = spent["slope"] / spent["cost"]
     steps = one.task.reference.shape[0]
     return [

@@ -21,7 +21,7 @@ from smajax.errors import InputError, NumericsError
 
 FAULT, INTERRUPTED = 1, 130
 _EVERY = 2.0
-_OBJECTS = 200_000
+_OBJECTS = 200_000  # made before garbage is looked for
 
 
 class Progress:

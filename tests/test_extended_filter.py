@@ -203,6 +203,17 @@ def test_a_measurement_that_falls_out_is_none():
     state, _ = jax.lax.scan(eqx.filter_jit(lambda state, command: (driven.advance(state, command)[0],) * 2), driven.start(), commands)
     for alone, carried in zip(jax.tree.leaves(state), jax.tree.leaves(silent.state), strict=True):
         np.testing.assert_allclose(carried[-1], alone, rtol=1e-12, atol=1e-15)  # the plant's own way, and nothing else
+    # Nor does silence do anything else to what has been heard before: a period on from there.
+    heard, _ = followed(one, commands, {"voltage": voltage.at[45:].set(jnp.nan), "displacement": none})
+    before, after = (jax.tree.map(lambda v, k=k: np.asarray(v[k]), heard) for k in (44, 45))
+    middle = one.reset().unknown
+    np.testing.assert_allclose(after.unknown, middle + np.exp(-PERIOD / float(one.memory)) * (before.unknown - middle), rtol=1e-12)
+    assert np.all(np.abs(before.unknown - middle) > 1e-3)
+    known = driven.changed(dict(zip(sorted(AIR), jnp.asarray(after.unknown), strict=True)))
+    expected = eqx.filter_jit(lambda: (state := known.advance(before.state, commands[45])[0], known.read(state, commands[45])))()
+    for alone, carried in zip(jax.tree.leaves(expected[0]), jax.tree.leaves(after.state), strict=True):
+        np.testing.assert_allclose(carried, alone, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(after.shown[0], [expected[1][n] for n in ("displacement", "voltage")], rtol=1e-12)
     np.testing.assert_array_equal(silent.unknown, np.broadcast_to(one.reset().unknown, silent.unknown.shape))
 
 
@@ -254,7 +265,7 @@ def test_a_controller_by_the_filter_in_a_rollout():
 
 
 def test_a_guard_by_the_filter_in_a_rollout():
-    """The wire cools worse than the filter's plant says; a thermocouple with its lag would be late. The derivatives are those of differences."""
+    """And a controller by it. The wire cools worse than the filter's plant says; a thermocouple with its lag would be late. The derivatives are those of differences."""
     meters = meters_of(0.6, voltage=(2e-3, 1e-3, 1), temperature=(0.5, 0.0))
     one = ExtendedFilter.of(plant_of("dead-weight"), meters, AIR)
     driven = one.driven.changed({"heat.h0": 0.8 * one.driven.plant.heat.h0})

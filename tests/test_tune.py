@@ -559,7 +559,7 @@ def test_a_draw_without_margins_is_a_problem(tmp_path, monkeypatch):
     assert not doc["feasible"] and any("of 3 draws 1 are unstable, linearised along their rollouts" in p for p in doc["problems"])
     shaky = dataclasses.replace(one, margins=Margins(0.9, -1.0, 9.0))
     doc = _document(given, rig, kept, (shaky, one), {}, "", far, 0)
-    told = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin (degrees) of -1"
+    told = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin of -1 degrees"
     assert doc["problems"] == [told] and doc["feasible"]
 
 

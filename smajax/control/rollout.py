@@ -29,8 +29,8 @@ from smajax.plant.step import push
 _ELECTRICAL = ("current", "voltage", "power")
 
 
-class Heard(NamedTuple):
-    """What a loop hears at a sample: the ``value`` of its channel, and the wires' temperatures, shape ``(wires,)``, if a guard or an
+class Told(NamedTuple):
+    """What a loop is told at a sample: the ``value`` of its channel, and the wires' temperatures, shape ``(wires,)``, if a guard or an
     observer wants them. ``states`` are those of sensor, observer and meters afterwards.
     """
 
@@ -95,12 +95,12 @@ class Loop(eqx.Module):
             watched = self.observer.under(watched, commands)
         return (inner, (sensed, watched, metered), guards, known), commands
 
-    def hear(self, states: Any, seen: dict[str, jax.Array], draw: jax.Array) -> Heard:
+    def hear(self, states: Any, seen: dict[str, jax.Array], draw: jax.Array) -> Told:
         """What is heard of the channels at a sample."""
         sensed, watched, metered = states
         sensed, value = self.sensing.step(sensed, seen[self.channel], draw)
         if self.guard is None and self.observer is None:
-            return Heard(value, None, (sensed, watched, metered))
+            return Told(value, None, (sensed, watched, metered))
         if self.meters is not None:
             metered, seen = self.meters.step(metered, seen, draw)
         warm = each(seen, "temperature")
@@ -108,7 +108,7 @@ class Loop(eqx.Module):
             watched, warm = self.observer.watch(watched, seen)
         if self.believes and isinstance(self.observer, AbstractFilter):
             value = self.observer.believed(watched, self.channel)
-        return Heard(value, warm, (sensed, watched, metered))
+        return Told(value, warm, (sensed, watched, metered))
 
     def limited(self, guards: Any, warm: jax.Array | None) -> tuple[AbstractController, Any, jax.Array]:
         """The controller within what the guard leaves it at a sample, the guards' states then, and the most that each wire may get."""

@@ -16,7 +16,6 @@ from smajax.control.c_header import c_header
 from smajax.control.document import as_document
 from smajax.control.driven import DrivenPlant
 from smajax.control.gains import gain, gains, unit_of
-from smajax.control.margins import Margins
 from smajax.control.reach import Reach, cut, falls, reach
 from smajax.control.slow_loop import Identified, identify, with_inverse
 from smajax.control.tune import Tuned
@@ -30,7 +29,7 @@ from smajax.jobs.gain_search import harder, searched
 from smajax.jobs.record import Clock, Outcome, rig_text, run_record
 from smajax.report import prediction
 from smajax.report.document import number, to_json
-from smajax.report.tuning import SCHEMA, calmer, sentences, shown, tuning_page
+from smajax.report.tuning import SCHEMA, calmer, margin_words, sentences, shown, tuning_page
 from smajax.results import check_out, read_json, write_folder
 from smajax.rig import Rig, read_rig
 from smajax.units import CHANNELS
@@ -207,7 +206,7 @@ def _document(
     }
     problems = [f"the start gains are unstable: {first.unstable}"] if first.unstable else []
     if not first.unstable and first.margins.unstable:
-        problems.append(f"the start gains are unstable, linearised along their rollout, with {_have(first.margins)}")
+        problems.append(f"the start gains are unstable, linearised along their rollout, with {margin_words(*first.margins[:2])}")
     problems += [beyond] if beyond else []
     broken = broken_limits(given.limits, last.numbers)
     for name in broken:
@@ -218,7 +217,7 @@ def _document(
     if last.unstable:
         problems.append(f"the best gains found are unstable: {last.unstable}")
     elif last.margins.unstable:
-        told = f"{_have(last.margins)}: {calmer(given.settle)}"
+        told = f"{margin_words(*last.margins[:2])}: {calmer(given.settle)}"
         problems.append(f"the best gains found are unstable, linearised along their rollout, with {told}")
     if given_up(given, last, far):
         ends = [shown(v, "rmse", given.loop.channel) for v in (last.numbers["rmse"], idle_error(given))]
@@ -258,11 +257,6 @@ def _document(
         "smajax": __version__,
     }  # fmt: skip
     return document
-
-
-def _have(margins: Margins) -> str:
-    have = {"gain margin": margins.gain, "phase margin (degrees)": margins.phase}
-    return " and ".join(f"a {name} of {value:.2g}" for name, value in have.items() if math.isfinite(value))
 
 
 def _fed(given: ControllerFile, fed: Identified) -> dict[str, Any]:

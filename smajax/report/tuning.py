@@ -63,9 +63,7 @@ def sentences(doc: Mapping[str, Any]) -> str:
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
     none = (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0)  # which is a problem, and told as one
     if not none and ((gain is not None and gain < _GAIN) or (phase is not None and phase < _PHASE)):
-        have = [] if gain is None else [f"a gain margin of {gain:.2g}"]
-        have += [] if phase is None else [f"a phase margin of {phase:.2g} degrees"]
-        told += f" Linearised along its rollout, the loop has {' and '.join(have)}: a rig that is a little different may swing, so "
+        told += f" Linearised along its rollout, the loop has {margin_words(gain, phase)}: a rig that is a little different may swing, so "
         told += calmer(doc["objective"]["settle"]) + "."
     told += _at_bounds(doc.get("gains", {}))
     if "believes" in doc:
@@ -79,10 +77,15 @@ def sentences(doc: Mapping[str, Any]) -> str:
         one = doc["robust"]["tuned"]
         told += f" Of {one['draws']} draws of what is not known, {one['unstable']} are unstable and {one['beyond_a_limit']} beyond a limit."
         margin = one["worst_margins"]
-        ends = [] if margin["gain"] is None else [f"a gain margin of {margin['gain']:.2g}"]
-        ends += [] if margin["phase"] is None else [f"a phase margin of {margin['phase']:.2g} degrees"]
-        told += f" Linearised, the worst of the {one['draws']} draws has {' and '.join(ends)}." if ends else ""
+        have = margin_words(margin["gain"], margin["phase"])
+        told += f" Linearised, the worst of the {one['draws']} draws has {have}." if have else ""
     return told
+
+
+def margin_words(gain: float | None, phase: float | None) -> str:
+    """Margins (a factor; degrees) in words; ``None`` and infinity: there is none."""
+    words = {"a gain margin of {:.2g}": gain, "a phase margin of {:.2g} degrees": phase}
+    return " and ".join(told.format(value) for told, value in words.items() if value is not None and math.isfinite(value))
 
 
 def calmer(settle: bool) -> str:
