@@ -1,3 +1,3 @@
-"""smajax: differentiable models of shape-memory-alloy actuators, fitted, questioned and steered by their own gradients."""
+"""smajax: differentiable models of shape-memory-alloy actuators for estimation, diagnosis and control."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

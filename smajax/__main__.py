@@ -1,5 +1,5 @@
-"""``python -m smajax`` is the ``smajax`` command."""
+"""Run the command line as ``python -m smajax``."""
 
-from smajax.cli import main
+from smajax.app.cli import main
 
 main()

@@ -1,11 +1,16 @@
-"""The two ways in which smajax refuses to go on.
+"""Errors that smajax raises on purpose, and the suggestion for a misspelt name.
 
-``InputError`` is a mistake in what was handed in: one sentence that names the file, row, column or key, and the cure (exit code 2).
-``NumericsError`` is a calculation that failed: a code, the parameters that caused it, and what was saved before (exit code 3).
+``InputError`` reports a mistake in the input: one sentence that names the file, row, column or key, and the cure (exit
+code 2). ``NumericsError`` reports a failed calculation: a code, the parameters that caused it, and what was saved
+before (exit code 3).
 """
 
 import difflib
 from collections.abc import Iterable, Mapping
+
+# Similarity (difflib's ratio, 0 to 1) from which a name is suggested; chosen by trial,
+# tests/unit/files/test_bad_rigs.py holds it.
+_MIN_SIMILARITY = 0.5
 
 
 class InputError(ValueError):
@@ -15,9 +20,10 @@ class InputError(ValueError):
 
 
 class NumericsError(ArithmeticError):
-    """A calculation that failed; the message names the result code, the parameters and the cure.
+    """A failed calculation; the message names the result code, the parameters and the cure.
 
-    ``state`` holds the last good values by parameter name, in internal units, where there are any.
+    Attributes:
+        state: Last valid parameter values by name, in internal units; empty if there are none.
     """
 
     exit_code = 3
@@ -27,7 +33,7 @@ class NumericsError(ArithmeticError):
         self.state = dict(state or {})
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """`` (did you mean 'x'?)`` for the known word nearest to ``word``, or an empty string if none is near."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f" (did you mean '{near[0]}'?)" if near else ""
+def suggestion(word: str, candidates: Iterable[str]) -> str:
+    """Return `` (did you mean 'x'?)`` for the candidate most similar to a word, or an empty string."""
+    matches = difflib.get_close_matches(word, list(candidates), n=1, cutoff=_MIN_SIMILARITY)
+    return f" (did you mean '{matches[0]}'?)" if matches else ""

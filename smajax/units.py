@@ -1,68 +1,32 @@
-"""Quantities as text (``"0.15 mm"``) and columns with units (``current [mA]``) on one side, SI floats on the other.
+"""Conversion of quantities as text (``"0.15 mm"``) and of columns with units (``current [mA]``) to and from SI floats.
 
-Inside smajax everything is SI, except that temperatures are degC (their differences K). The unit that a quantity has inside is named by
-its *canonical* text: ``"m"``, ``"Pa"``, ``"rad"``, ``"1"`` for a fraction, ``"degC"`` for a temperature, ``"K"`` for a difference of two.
+Inside smajax everything is SI, except that temperatures are degC (their differences K). The internal unit of a quantity
+is named by its *canonical* text: ``"m"``, ``"Pa"``, ``"rad"``, ``"1"`` for a fraction, ``"degC"`` for a temperature,
+``"K"`` for a difference.
 
-What a user writes is never evaluated. A small grammar (names, ``* / ^``, whole exponents, brackets) takes the text apart and pint is asked
-about single names only. Factors are exact fractions, so that ``"0.15 mm"`` is the float nearest to 0.00015 and every float can be
-written and read back without loss. pint is loaded at the first conversion, not at import.
+What a user writes is never evaluated. A small grammar (names, ``* / ^``, whole exponents, brackets) parses the text,
+and pint is asked about single names only. Factors are exact fractions, so that ``"0.15 mm"`` is the float nearest to
+0.00015 and every float can be written and read back without loss. pint is loaded at the first conversion, not at
+import.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from fractions import Fraction
 from functools import cache, lru_cache
-from types import MappingProxyType
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smajax.errors import InputError, nearest
+from smajax.channels import CHANNELS
+from smajax.errors import InputError, suggestion
 
 Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
-
-@dataclass(frozen=True)
-class Channel:
-    """What a recorded channel is, and what values a bench with shape-memory alloys can give.
-
-    ``plausible`` bounds every value (canonical unit), ``faint`` is the smallest that the largest magnitude of a recording can be without
-    being a mistake of unit (0: any). ``units`` are tried when the values are outside, to say what they look like. A ``commanded`` channel
-    may jump by any factor from row to row, as an input does; beyond ``usual`` such a jump is a change of unit all the same.
-    """
-
-    unit: str
-    description: str
-    units: tuple[str, ...]
-    plausible: tuple[float, float] = (-np.inf, np.inf)
-    faint: float = 0.0
-    commanded: bool = False
-    usual: float = 0.0
-
-
-CHANNELS: Mapping[str, Channel] = MappingProxyType(
-    {
-        "time": Channel("s", "time of the row, strictly increasing", ("s", "ms", "min")),
-        "current": Channel("A", "current through the wire", ("A", "mA", "uA"), (-50.0, 50.0), 1e-3, commanded=True, usual=10.0),
-        "voltage": Channel("V", "voltage across the wire", ("V", "mV", "uV"), (-400.0, 400.0), commanded=True, usual=100.0),
-        "power": Channel("W", "electrical power into the wire", ("W", "mW", "uW"), (-10.0, 2000.0), commanded=True, usual=500.0),
-        "duty": Channel("1", "fraction of the time in which the drive is on, 0 to 1", ("1", "%"), (0.0, 1.0), commanded=True, usual=1.0),
-        "temperature": Channel("degC", "temperature of the wire", ("degC", "K", "mK", "degF"), (-200.0, 900.0)),
-        "ambient": Channel("degC", "temperature of the surroundings", ("degC", "K", "mK", "degF"), (-200.0, 500.0)),
-        "displacement": Channel("m", "displacement of the load, positive when the wire shortens", ("m", "mm", "um", "nm"), (-1.0, 1.0)),
-        "angle": Channel("rad", "angle of the pulley, positive when wire 1 is heated", ("rad", "deg", "mrad"), (-20.0, 20.0)),
-        "rate": Channel("rad/s", "rate of the angle", ("deg/s", "rad/s", "mrad/s"), (-500.0, 500.0)),
-        "force": Channel("N", "force along the wire, tension positive", ("N", "mN", "uN", "kN"), (-1e5, 1e5)),
-        "torque": Channel("N m", "torque on the pulley", ("N m", "N mm", "uN m"), (-1000.0, 1000.0)),
-        "stress": Channel("Pa", "stress in the wire, tension positive", ("MPa", "Pa", "kPa", "GPa"), (-5e9, 5e9), faint=1e4),
-        "strain": Channel("1", "strain of the wire, elongation positive", ("1", "%", "ppm"), (-0.5, 0.5)),
-        "resistance": Channel("ohm", "electrical resistance of the wire", ("ohm", "mohm", "uohm"), (-1.0, 1000.0)),
-    }
-)
-
+# How a quantity is written by users, by its internal unit; also the unit in which it is shown.
 _EXAMPLES = {
     "1": "4.1 %",
     "m": "0.15 mm",
@@ -91,14 +55,51 @@ _EXAMPLES = {
     "m/s": "2 mm/s",
     "m/s^2": "9.81 m/s^2",
 }
-# Names that a misspelt unit is compared with first; the rest of pint's thousand names only if none of these is near.
-_COMMON = (*(unit for channel in CHANNELS.values() for unit in channel.units if " " not in unit), "kg", "g", "cm", "us", "h", "Hz", "J")
-# Names that pint reads as something nobody at a bench means: number-metres, attometres per second.
-_ALIASES = {"Nm": "N m", "mNm": "mN m", "uNm": "uN m", "Nmm": "N mm", "Ncm": "N cm", "amps": "A", "℃": "degC", "℉": "degF"}
-_MEANT = {"C": "degC", "F": "degF", "Celsius": "degC", "Kelvin": "K", "Amp": "A", "Amps": "A", "Volt": "V", "Watt": "W", "Ohm": "ohm"}
-_LONGEST = 60
+# Names that a misspelt unit is compared with first; the rest of pint's thousand names only if none of these is similar.
+_COMMON_UNITS = [unit for channel in CHANNELS.values() for unit in channel.units if " " not in unit]
+_COMMON_UNITS += ["kg", "g", "cm", "us", "h", "Hz", "J"]
+# Names that pint reads as something that is never meant on a bench: number-metres, attometres per second.
+_ALIASES = {
+    "Nm": "N m",
+    "mNm": "mN m",
+    "uNm": "uN m",
+    "Nmm": "N mm",
+    "Ncm": "N cm",
+    "amps": "A",
+    "℃": "degC",
+    "℉": "degF",
+}
+# Frequent wrong spellings that pint does not know, or knows as another unit, and what is meant; used for suggestions
+# only.
+_MISSPELLINGS = {
+    "C": "degC",
+    "F": "degF",
+    "Celsius": "degC",
+    "Kelvin": "K",
+    "Amp": "A",
+    "Amps": "A",
+    "Volt": "V",
+    "Watt": "W",
+    "Ohm": "ohm",
+}
+# Longest text of a quantity or unit: bounds the work for hostile input. Above any unit with the digits of a float.
+_MAX_LENGTH = 60
+# Digits that are tried when a float is written: the longest text less room for the unit.
+_MAX_DIGITS = _MAX_LENGTH - 21
+# Magnitudes that are written without an exponent.
+_PLAIN_FROM = 1e-5
+_PLAIN_BELOW = 1e7
+# Floats that ``from_si`` tries on either side, so that ``to_si`` returns the original value. Rounding
+# leads a few places away; tests/unit/test_units.py (random columns in all units) holds the number.
+_NEIGHBOURS = 12
+# Largest whole number up to which all are floats: larger factors are converted to the nearest float.
+_EXACT_BELOW = 2**53
+_CACHED_UNITS = 4096
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
-_TOKEN = re.compile(r"\s*(?:(?P<name>[A-Za-zµμεΩΩ°℃℉_]+|[%‰])|(?P<power>\^|\*\*)\s*(?P<exponent>[+-]?\d)|(?P<sign>[*/()·1]))", re.ASCII)
+_TOKEN = re.compile(
+    r"\s*(?:(?P<name>[A-Za-zµμεΩΩ°℃℉_]+|[%‰])|(?P<power>\^|\*\*)\s*(?P<exponent>[+-]?\d)|(?P<sign>[*/()·1]))", re.ASCII
+)
+_MINUS = "\N{MINUS SIGN}"
 _SUPERSCRIPT = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _ZERO_CELSIUS = Fraction("273.15")
 _ANGLE = (("radian", Fraction(1)),)
@@ -106,7 +107,7 @@ _ANGLE = (("radian", Fraction(1)),)
 
 @dataclass(frozen=True)
 class _Scale:
-    """A unit as ``factor`` times the product of SI base units in ``dimension``; ``offset`` (K) is where a thermometer's scale begins."""
+    """A unit: ``factor`` times base units with the powers ``dimension``; a thermometer's zero is at ``offset`` K."""
 
     factor: Fraction
     dimension: tuple[tuple[str, Fraction], ...]
@@ -117,59 +118,83 @@ class _UnknownUnit(InputError):
     """A name that pint does not know."""
 
     def __init__(self, name: str):
-        super().__init__(f"the unit '{name}' is not known: units are written like 'mm', 'mA', 'MPa', 'degC' or 'W/m^2/K'")
+        examples = "'mm', 'mA', 'MPa', 'degC' or 'W/m^2/K'"
+        super().__init__(f"the unit '{name}' is not known: units are written like {examples}")
         self.name = name
 
 
-def channel_of(name: str) -> str | None:
-    """The known channel behind ``name``: ``current`` for ``current`` and ``current_2``, None for an unknown name."""
-    base = re.sub(r"_[1-9][0-9]*$", "", name, flags=re.ASCII)
-    return base if base in CHANNELS else None
-
-
-def numbered(name: str, wires: int) -> tuple[str, ...]:
-    """The channels of a kind that ``wires`` wires have: ``name`` itself for one, else ``name_1``, ``name_2``."""
-    return (name,) if wires == 1 else tuple(f"{name}_{i + 1}" for i in range(wires))
-
-
 def to_si(value: Numbers, unit: str, canonical: str) -> Numbers:
-    """``value`` (float or array of any shape) in ``unit``, converted to the canonical unit; an InputError if the two do not convert."""
+    """Convert a value to its internal unit.
+
+    Args:
+        value: A float or an array of any shape in ``unit``.
+        unit: Unit as a user writes it.
+        canonical: Internal unit.
+
+    Raises:
+        InputError: if the two units do not convert.
+    """
     factor, offset = conversion(unit, canonical)
     return _affine(value, factor, offset)
 
 
 def from_si(value: Numbers, unit: str, canonical: str) -> Numbers:
-    """``value`` (float or array) in the canonical unit, converted to ``unit``.
+    """Convert a value from its internal unit, so that ``to_si`` converts it back to the same float wherever possible.
 
-    Of the floats next to the result it is the one that ``to_si`` takes back to ``value``, wherever there is one.
+    Args:
+        value: A float or an array of any shape in the internal unit.
+        unit: Unit of the result.
+        canonical: Internal unit.
+
+    Raises:
+        InputError: if the two units do not convert.
     """
     factor, offset = conversion(unit, canonical)
-    wanted = np.asarray(value, float)
-    first = np.array(_affine(wanted, 1 / factor, -offset / factor), ndmin=1)
-    best, wanted = first.copy(), wanted.reshape(first.shape)
-    wrong = np.flatnonzero(_affine(best, factor, offset) != wanted)
-    # Rounding has led at most a few places astray, of the result or, where an offset cancels, of the much coarser value.
-    place = np.maximum(np.spacing(abs(first.flat[wrong])), 0.25 * np.spacing(abs(wanted.flat[wrong])) / float(factor))
-    for steps in sorted(range(-12, 13), key=abs):
-        trial = first.flat[wrong] + steps * place
-        found = _affine(trial, factor, offset) == wanted.flat[wrong]
-        best.flat[wrong[found]] = trial[found]
-        wrong, place = wrong[~found], place[~found]
+    target = np.asarray(value, float)
+    rounded = np.array(_affine(target, 1 / factor, -offset / factor), ndmin=1)
+    best, target = rounded.copy(), target.reshape(rounded.shape)
+    wrong = np.flatnonzero(_affine(best, factor, offset) != target)
+    # The spacing of floats is that of the result or, where an offset cancels, that of the much coarser value.
+    value_spacing = np.spacing(abs(target.flat[wrong])) / float(factor)
+    spacing = np.maximum(np.spacing(abs(rounded.flat[wrong])), 0.25 * value_spacing)
+    for steps in sorted(range(-_NEIGHBOURS, _NEIGHBOURS + 1), key=abs):
+        trial = rounded.flat[wrong] + steps * spacing
+        exact = _affine(trial, factor, offset) == target.flat[wrong]
+        best.flat[wrong[exact]] = trial[exact]
+        wrong, spacing = wrong[~exact], spacing[~exact]
     return cast(Numbers, best.reshape(value.shape) if isinstance(value, np.ndarray) else float(best[0]))
 
 
-def parse(text: str | float, canonical: str) -> float:
-    """A quantity as text (``"0.15 mm"``, ``"80 uohm cm"``, ``"20 degC"``, ``"4.1 %"``) as a float in the canonical unit.
+def parse_quantity(text: str | float, canonical: str) -> float:
+    """Parse a quantity such as ``"0.15 mm"``, ``"80 uohm cm"`` or ``"4.1 %"`` into a float in the internal unit.
 
-    A bare number is a fraction (canonical ``"1"``) and nothing else. Raises InputError with the cure; the caller adds file and key.
+    Args:
+        text: Number and unit; a bare number is a fraction (canonical ``"1"``) and nothing else.
+        canonical: Internal unit.
+
+    Raises:
+        InputError: with the cure; the caller adds file and key.
     """
     example = f"write it like '{example_of(canonical)}'"
     if isinstance(text, bool) or not isinstance(text, str | int | float):
         raise InputError(f"{text!r} is not a quantity: {example}")
     text = repr(text) if isinstance(text, int | float) else text.strip()
-    if len(text) > _LONGEST:
+    number, unit = _split_quantity(text, canonical, example)
+    try:
+        factor, offset = conversion(unit or "1", canonical)
+    except InputError as error:
+        raise InputError(f"'{text.replace(_MINUS, '-')}': {error}") from None
+    try:
+        return float(Fraction(number) * factor + offset)
+    except OverflowError:
+        raise InputError(f"'{text.replace(_MINUS, '-')}' is too large for a number: {example}") from None
+
+
+def _split_quantity(text: str, canonical: str, example: str) -> tuple[str, str]:
+    """Split a quantity into number and unit; refuse what is not one number with one unit."""
+    if len(text) > _MAX_LENGTH:
         raise InputError(f"a quantity of {len(text)} characters ('{text[:12]}...') is too long: {example}")
-    text = text.replace("\N{MINUS SIGN}", "-")
+    text = text.replace(_MINUS, "-")
     number = _NUMBER.match(text)
     if number is None:
         raise InputError(f"'{text}' does not begin with a number: {example}")
@@ -180,27 +205,25 @@ def parse(text: str | float, canonical: str) -> float:
         raise InputError(f"'{text}' is not one number with one unit: {example}")
     if not unit and canonical != "1":
         raise InputError(f"'{text}' has no unit, and {canonical} is expected: {example}")
-    try:
-        factor, offset = conversion(unit or "1", canonical)
-    except InputError as error:
-        raise InputError(f"'{text}': {error}") from None
-    try:
-        return float(Fraction(number.group()) * factor + offset)
-    except OverflowError:
-        raise InputError(f"'{text}' is too large for a number: {example}") from None
+    return number.group(), unit
 
 
 def unit_of(text: str | float) -> str:
-    """The unit in which a quantity that ``parse`` reads is written: ``"mm"`` of ``"5 mm"``, ``"1"`` of a bare number."""
-    number = _NUMBER.match(str(text).strip().replace("\N{MINUS SIGN}", "-"))
+    """Return the unit in which a quantity is written: ``"mm"`` of ``"5 mm"``, ``"1"`` of a bare number."""
+    number = _NUMBER.match(str(text).strip().replace(_MINUS, "-"))
     return (str(text).strip()[number.end() :].strip() if number else "") or "1"
 
 
 def format_quantity(value_si: float, unit: str, canonical: str | None = None) -> str:
-    """Text such as ``"0.15 mm"``, as short as can be, that ``parse`` takes back to exactly the same finite float.
+    """Format a quantity as the shortest text, such as ``"0.15 mm"``, that is parsed to exactly the same float.
 
-    (Exactly, but for temperatures within 1e-15 K of zero that are wanted in another scale: these take more digits than a quantity has.)
-    Without ``canonical`` the value is taken in the SI unit of its kind, a temperature (degC, degF) in degC, and K as a difference.
+    Temperatures within 1e-15 K of zero in another scale are the exception: these take more digits than a quantity has.
+
+    Args:
+        value_si: A finite value in the internal unit.
+        unit: Unit of the text.
+        canonical: Internal unit. By default the SI unit of the same kind: a temperature (degC, degF) is taken in degC,
+            and K is taken as a difference.
     """
     factor, offset = conversion(unit, canonical) if canonical is not None else _to_own_si(unit)
     exact = (Fraction(value_si) - offset) / factor
@@ -208,57 +231,74 @@ def format_quantity(value_si: float, unit: str, canonical: str | None = None) ->
         number = "-0" if np.signbit(value_si) else "0"
     else:
         parts = Decimal(exact.numerator), Decimal(exact.denominator)
-        rounded = [Context(digits).divide(*parts) for digits in range(1, _LONGEST - 20)]
-        shortest = next((digits for digits in rounded if float(Fraction(digits) * factor + offset) == value_si), rounded[-1])
-        number = f"{shortest:f}" if 1e-5 <= abs(exact) < 1e7 else f"{shortest.normalize():e}".replace("e+", "e")
+        rounded = [Context(digits).divide(*parts) for digits in range(1, _MAX_DIGITS + 1)]
+        same = (digits for digits in rounded if float(Fraction(digits) * factor + offset) == value_si)
+        shortest = next(same, rounded[-1])
+        plain = _PLAIN_FROM <= abs(exact) < _PLAIN_BELOW
+        number = f"{shortest:f}" if plain else f"{shortest.normalize():e}".replace("e+", "e")
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
+def as_text(value: float, unit: str) -> str:
+    """Format a value in an internal unit as a user would write it; read back it is the same float."""
+    return format_quantity(value, display_unit(unit), unit)
+
+
+def display_unit(unit: str) -> str:
+    """Return the unit in which quantities of an internal unit are shown: mm for m, MPa for Pa."""
+    return "1" if unit == "1" else example_of(unit).split(maxsplit=1)[1]
+
+
 def example_of(canonical: str) -> str:
-    """A quantity in the canonical unit's kind, as a user would write it."""
+    """Return a quantity of the canonical unit's kind, as a user would write it."""
     return _EXAMPLES.get(canonical, f"1 {canonical}")
 
 
 def base_units(unit: str) -> tuple[float, float, dict[str, int]]:
-    """``(factor, offset, powers)`` of a unit: its value in SI base units, whose powers are given by name, is factor x value + offset."""
-    scale = _scale(unit)
+    """Return ``(factor, offset, powers)``: factor x value + offset is in SI base units with these powers."""
+    scale = _parse_unit(unit)
     return float(scale.factor), float(scale.offset), {base: int(power) for base, power in scale.dimension}
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=_CACHED_UNITS)
 def conversion(unit: str, canonical: str) -> tuple[Fraction, Fraction]:
-    """Exact ``(factor, offset)`` with canonical = factor x value + offset; InputError for an unknown unit or one of another kind."""
-    target = _scale(canonical)
+    """Return the exact ``(factor, offset)`` with canonical = factor x value + offset.
+
+    Raises:
+        InputError: for an unknown unit or one of another kind.
+    """
+    target = _parse_unit(canonical)
     try:
-        scale = _scale(unit)
+        scale = _parse_unit(unit)
     except _UnknownUnit as unknown:
-        alike = [common for common in _COMMON if unknown.name == unit and _same_kind(_scale(common), target)]
-        hint = _near_unit(unknown.name, alike)
-        raise InputError(f"the unit '{unknown.name}' is not known{hint}: write one as in '{example_of(canonical)}'") from None
+        whole = unknown.name == unit
+        alike = [common for common in _COMMON_UNITS if whole and _same_kind(_parse_unit(common), target)]
+        name = f"'{unknown.name}' is not known{_unit_suggestion(unknown.name, alike)}"
+        raise InputError(f"the unit {name}: write one as in '{example_of(canonical)}'") from None
     absolute = canonical == "degC"
     if not _same_kind(scale, target) or (absolute and scale.dimension != target.dimension):
-        hint = f" (did you mean '{_MEANT[unit]}'?)" if absolute and unit in _MEANT else ""
+        hint = f" (did you mean '{_MISSPELLINGS[unit]}'?)" if absolute and unit in _MISSPELLINGS else ""
         what = "a fraction or '%'" if canonical == "1" else f"a unit that converts to {canonical}"
         raise InputError(f"the unit '{unit}' does not fit{hint}: {what} is expected, as in '{example_of(canonical)}'")
     return scale.factor / target.factor, scale.offset - _ZERO_CELSIUS if absolute else Fraction(0)
 
 
 def _to_own_si(unit: str) -> tuple[Fraction, Fraction]:
-    scale = _scale(unit)
+    scale = _parse_unit(unit)
     return scale.factor, scale.offset - _ZERO_CELSIUS if scale.offset else Fraction(0)
 
 
 def _same_kind(a: _Scale, b: _Scale) -> bool:
-    """Equal dimensions; rad is optional inside a product (``N m/rad``), but an angle is not a fraction."""
+    """Whether dimensions are equal; rad is optional in a product (``N m/rad``), but an angle is not a fraction."""
     if {a.dimension, b.dimension} == {(), _ANGLE}:
         return False
     return [d for d in a.dimension if d[0] != "radian"] == [d for d in b.dimension if d[0] != "radian"]
 
 
 def _affine(value: Any, factor: Fraction, offset: Fraction) -> Any:
-    """factor x value + offset, with as few roundings as floats allow: 0.001 x is x / 1000."""
+    """Return factor x value + offset, with as few roundings as floats allow: 0.001 x is x / 1000."""
     top, bottom = factor.numerator, factor.denominator
-    if max(top, bottom) > 2**53:
+    if max(top, bottom) > _EXACT_BELOW:
         value = value * float(factor)
     else:
         value = value * float(top) if top != 1 else value
@@ -266,30 +306,32 @@ def _affine(value: Any, factor: Fraction, offset: Fraction) -> Any:
     return value + float(offset) if offset else value
 
 
-@lru_cache(maxsize=4096)
-def _scale(unit: str) -> _Scale:
-    """The unit's text, taken apart: products and quotients from left to right, powers first."""
-    if len(unit) > _LONGEST:
-        raise InputError(f"a unit of {len(unit)} characters ('{unit[:12]}...') is too long: write it like 'mm' or 'W/m^2/K'")
+@lru_cache(maxsize=_CACHED_UNITS)
+def _parse_unit(unit: str) -> _Scale:
+    """Parse the text of a unit: products and quotients from left to right, powers first."""
+    if len(unit) > _MAX_LENGTH:
+        long = f"a unit of {len(unit)} characters ('{unit[:12]}...') is too long"
+        raise InputError(f"{long}: write it like 'mm' or 'W/m^2/K'")
     text = re.sub(r"(?:\bdeg|°) ([CF])$", r"deg\1", unit.strip().replace("º", "°"))
-    text = re.sub("[⁻⁰¹²³⁴-⁹]+", lambda found: "^" + found.group().translate(_SUPERSCRIPT), text)
+    text = re.sub("[⁻⁰¹²³⁴-⁹]+", lambda match: "^" + match.group().translate(_SUPERSCRIPT), text)
     if text in _ALIASES or re.fullmatch(r"[^\W\d]+|°[CF]|1", text):
-        return _scale(_ALIASES[text]) if text in _ALIASES else _atom(text)
+        return _parse_unit(_ALIASES[text]) if text in _ALIASES else _unit_of_name(text)
     tokens, end = [], 0
     while end < len(text):
         token = _TOKEN.match(text, end)
         if token is None or token.end() == end:
-            raise InputError(f"the unit '{unit}' is not understood at '{text[end:].strip()}': write it like 'mm', 'N m' or 'W/m^2/K'")
+            where = f"'{unit}' is not understood at '{text[end:].strip()}'"
+            raise InputError(f"the unit {where}: write it like 'mm', 'N m' or 'W/m^2/K'")
         tokens.append(token)
         end = token.end()
-    scale, rest = _product(tokens, unit)
-    if rest:
+    scale, remaining_tokens = _parse_product(tokens, unit)
+    if remaining_tokens:
         raise InputError(f"the unit '{unit}' has a bracket that was never opened: write it like 'W/(m^2 K)'")
     return scale
 
 
-def _product(tokens: list[re.Match[str]], unit: str) -> tuple[_Scale, list[re.Match[str]]]:
-    """The product at the beginning of ``tokens``, up to a closing bracket, and the tokens after it."""
+def _parse_product(tokens: list[re.Match[str]], unit: str) -> tuple[_Scale, list[re.Match[str]]]:
+    """Parse the product at the beginning of the tokens, up to a closing bracket; return it with the tokens after it."""
     total, sign = _Scale(Fraction(1), ()), 1
     malformed = InputError(f"the unit '{unit}' is incomplete: write it like 'mm', 'N m' or 'W/m^2/K'")
     operand_due = True
@@ -303,13 +345,13 @@ def _product(tokens: list[re.Match[str]], unit: str) -> tuple[_Scale, list[re.Ma
         if token["power"]:
             raise malformed
         if token["sign"] == "(":
-            factor, tokens = _product(tokens, unit)
+            factor, tokens = _parse_product(tokens, unit)
             if not tokens:
                 raise InputError(f"the unit '{unit}' has a bracket that is never closed: write it like 'W/(m^2 K)'")
             tokens = tokens[1:]
         else:
             name = token["name"] or "1"
-            factor = _scale(_ALIASES[name]) if name in _ALIASES else _atom(name)
+            factor = _parse_unit(_ALIASES[name]) if name in _ALIASES else _unit_of_name(name)
         exponent = 1
         if tokens and tokens[0]["power"]:
             exponent, tokens = int(tokens[0]["exponent"]), tokens[1:]
@@ -323,12 +365,13 @@ def _times(a: _Scale, b: _Scale, exponent: int) -> _Scale:
     powers = dict(a.dimension)
     for base, power in b.dimension:
         powers[base] = powers.get(base, Fraction(0)) + power * exponent
-    return _Scale(a.factor * b.factor**exponent, tuple(sorted((base, power) for base, power in powers.items() if power)))
+    dimension = tuple(sorted((base, power) for base, power in powers.items() if power))
+    return _Scale(a.factor * b.factor**exponent, dimension)
 
 
-@lru_cache(maxsize=4096)
-def _atom(name: str) -> _Scale:
-    """One name (``mm``, ``uohm``, ``degC``), asked of pint."""
+@lru_cache(maxsize=_CACHED_UNITS)
+def _unit_of_name(name: str) -> _Scale:
+    """Return the unit of a single name (``mm``, ``uohm``, ``degC``), as pint knows it."""
     if name == "1":
         return _Scale(Fraction(1), ())
     registry = _registry()
@@ -337,16 +380,16 @@ def _atom(name: str) -> _Scale:
         at_0, at_1 = (registry.Quantity(Fraction(reading), unit).to_base_units() for reading in (0, 1))
         dimension = tuple(sorted((base, Fraction(power)) for base, power in at_1.unit_items()))
         return _Scale(at_1.magnitude - at_0.magnitude, dimension, at_0.magnitude)
-    except Exception:  # whatever pint makes of a single word (it raises many kinds, AttributeError and AssertionError too): no unit
+    except Exception:  # pint raises many kinds for an unknown word, AttributeError and AssertionError too
         raise _UnknownUnit(name) from None
 
 
-def _near_unit(name: str, alike: Sequence[str]) -> str:
-    """The unit that may have been meant: one of the right kind rather than one that only looks similar."""
-    if name in _MEANT:
-        return f" (did you mean '{_MEANT[name]}'?)"
+def _unit_suggestion(name: str, alike: Sequence[str]) -> str:
+    """Return the suggestion for an unknown unit: one of the right kind rather than one that only looks similar."""
+    if name in _MISSPELLINGS:
+        return f" (did you mean '{_MISSPELLINGS[name]}'?)"
     names = [other for other in dir(_registry()) if other.isalpha() and other != name]
-    return nearest(name, alike) or nearest(name, _COMMON) or nearest(name, names)
+    return suggestion(name, alike) or suggestion(name, _COMMON_UNITS) or suggestion(name, names)
 
 
 @cache

@@ -6,7 +6,7 @@ import pathlib
 
 import pytest
 
-from smajax.console import prepare_jax
+from smajax.numerics.process import prepare_jax
 
 ROOT = pathlib.Path(__file__).parent.parent
 SHARED = ROOT.parent / "shared"
@@ -20,7 +20,22 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-install_import_hook(["smajax.plant", "smajax.simulate", "smajax.fit"], "beartype.beartype")
+install_import_hook(
+    [
+        "smajax.numerics",
+        "smajax.plant",
+        "smajax.laws",
+        "smajax.actuators",
+        "smajax.simulation",
+        "smajax.fitting",
+        "smajax.diagnosis.screening",
+        "smajax.diagnosis.residual_checks",
+        "smajax.diagnosis.nonparametric",
+        "smajax.sweeps.metrics",
+        "smajax.sweeps.excitation",
+    ],
+    "beartype.beartype",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -41,19 +56,19 @@ def shared() -> pathlib.Path:
 
 # What takes longest begins first, so that no process waits for another's last file.
 LONGEST = [
-    "tune",
-    "sweep",
+    "tuning",
+    "sweeps",
     "control",
-    "simulate",
+    "simulation",
     "effects",
     "lagoudas",
     "measured",
-    "blackbox",
-    "diagnose",
+    "input_output_models",
+    "diagnosis",
     "fit",
     "coil",
-    "compare",
-    "tanaka",
+    "comparison",
+    "one_fraction",
     "cli",
     "reference",
     "knee",
@@ -63,10 +78,10 @@ LONGEST = [
     "fmu",
     "limb",
     "hysteresis",
-    "machines",
+    "actuator_file",
     "recording",
-    "ensemble",
-    "extended_filter",
+    "ensemble_kalman_filter",
+    "extended_kalman_filter",
 ]
 
 

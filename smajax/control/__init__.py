@@ -1,3 +1,12 @@
-"""Controllers, observers, closed-loop rollouts, and the tuning of gains through them."""
+"""Sampled controllers of SMA actuators: closed-loop rollouts, state estimation, analysis, tuning and export.
 
-from smajax import jax_options  # noqa: F401
+- ``controllers``: PID with anti-windup, BPID, PPID, adaptive PID, PID with hysteresis feedforward.
+- ``sensors``, ``estimators``: sensor models, dropouts; thermal observer, extended and ensemble Kalman filter.
+- ``sampled_plant``, ``pulse_width``: the plant from one sample to the next, and its pulse-width modulator.
+- ``loop``: allocation to the wires, temperature limiter, the closed loop and its rollout.
+- ``controller_file``: the reader of controller.toml.
+- ``analysis``, ``tuning``: step response, margins, reachable range; the search for gains.
+- ``export``: a controller as C header, JSON document or FMU.
+"""
+
+from smajax.numerics import jax_setup as jax_setup

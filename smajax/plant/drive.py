@@ -1,13 +1,17 @@
-"""Drives: from the electrical input to the heat that it makes in the wire.
+"""Drives: from the electrical input to the Joule heat in the wire.
 
-``control`` names the recorded input. ``joule`` gives watts per cubic metre of wire, ``current`` the amperes that a meter would read. The
-resistance of the wire follows the resistivity of its phases; its length and diameter are those of the rig file (4 % of strain change it by
-less than a resistivity is known).
+    joule heat per volume = rho_e(xi) (I / A)^2
+
+with the resistivity rho_e of the material, which depends on the martensite fraction, the current I and the
+cross-section A. ``control`` names the recorded input: current, voltage, power, or the duty of a pulsed supply. The
+resistance follows the resistivity; length and diameter are those of the rig file (4 % of strain change the resistance
+by less than the uncertainty of a resistivity).
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 from smajax.plant.wire import AbstractWire
@@ -18,27 +22,47 @@ class AbstractDrive(eqx.Module):
 
     control: eqx.AbstractClassVar[str]
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """Heat per volume in W/m^3 for an input ``signal`` in SI."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the Joule heat per volume of wire in W/m^3.
+
+        Args:
+            signal: The input that ``control`` names, in SI.
+            resistivity: Resistivity of the wire in ohm m.
+            wire: The wire.
+        """
         raise NotImplementedError
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """Current in A; for a pulsed supply its mean."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the current in A; for a pulsed supply its mean.
+
+        Args:
+            signal: The input that ``control`` names, in SI.
+            resistivity: Resistivity of the wire in ohm m.
+            wire: The wire.
+        """
         raise NotImplementedError
 
 
 class CurrentDrive(AbstractDrive):
-    """A current source: rho (I / A)^2."""
+    """A current source: rho_e (gain I / A)^2."""
 
     gain: jax.Array = parameter("1", "current in the wire over current in the file", 0.0, 100.0, 1.0)
     control = "current"
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the Joule heat of a current in W/m^3."""
         return resistivity * (self.gain * signal / wire.area) ** 2
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the current in A: the input times the gain."""
         return self.gain * signal
 
 
@@ -46,48 +70,62 @@ class VoltageDrive(AbstractDrive):
     """A voltage source behind leads of a fixed resistance: the wire takes V R / (R + R_lead)."""
 
     gain: jax.Array = parameter("1", "voltage at the terminals over voltage in the file", 0.0, 100.0, 1.0)
-    lead_resistance: jax.Array = parameter("ohm", "resistance of leads and contacts in series with the wire", 0.0, 1e3, 0.0)
+    lead_resistance: jax.Array = parameter(
+        "ohm", "resistance of leads and contacts in series with the wire", 0.0, 1e3, 0.0
+    )
     control = "voltage"
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the current in A through wire and leads: V / (R + R_lead)."""
         return self.gain * signal / (resistance(resistivity, wire) + self.lead_resistance)
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the Joule heat of that current in the wire alone, in W/m^3."""
         return resistivity * (self.current(signal, resistivity, wire) / wire.area) ** 2
 
 
 class PowerDrive(AbstractDrive):
-    """A known electrical power, all of it turned into heat in the wire."""
+    """A measured electrical power, all of it turned into heat in the wire."""
 
     gain: jax.Array = parameter("1", "heat in the wire over power in the file", 0.0, 1e6, 1.0)
     control = "power"
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the power per volume of wire in W/m^3."""
         return self.gain * signal / (wire.area * wire.length)
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``; NaN-safe at zero power."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the current sqrt(P / R) in A, with a derivative of 0 at zero power instead of NaN."""
         square = self.gain * signal / resistance(resistivity, wire)
         positive = square > 0
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 
 
 class DutyDrive(AbstractDrive):
-    """A supply of fixed voltage, pulsed fast against the wire's warming: the mean heat is linear in the duty, not in its square."""
+    """A supply of fixed voltage, pulsed fast compared with the warming: the mean heat is linear in the duty."""
 
     supply: jax.Array = parameter("V", "supply voltage while the switch is on", 0.0, 1e3)
     lead_resistance: jax.Array = parameter("ohm", "resistance of leads, switch and contacts", 0.0, 1e3, 0.0)
     control = "duty"
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the mean current in A: the duty times that of the closed switch."""
         return signal * self.supply / (resistance(resistivity, wire) + self.lead_resistance)
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """See ``AbstractDrive``."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Compute the mean Joule heat in W/m^3: the duty times that of the closed switch."""
         on = self.supply / (resistance(resistivity, wire) + self.lead_resistance)
         return signal * resistivity * (on / wire.area) ** 2
 
@@ -97,17 +135,21 @@ class NoDrive(AbstractDrive):
 
     control = ""
 
-    def joule(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """Nothing."""
+    def joule(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Return zero heat."""
         return jnp.zeros_like(resistivity)
 
-    def current(self, signal: jax.Array, resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-        """Nothing."""
+    def current(
+        self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
+    ) -> Float[Array, "..."]:
+        """Return zero current."""
         return jnp.zeros_like(resistivity)
 
 
-def resistance(resistivity: jax.Array, wire: AbstractWire) -> jax.Array:
-    """Resistance of the wire in ohm."""
+def resistance(resistivity: Float[Array, "..."], wire: AbstractWire) -> Float[Array, "..."]:
+    """Compute the resistance of the wire in ohm: rho_e L / A."""
     return resistivity * wire.length / wire.area
 
 

@@ -1,8 +1,9 @@
-"""``prediction.csv``: what was measured and what the model gives, row by row and recording by recording.
+"""``prediction.csv``: measured and modelled channels, row by row and recording by recording.
 
-Columns: ``recording, role, time [s]`` (``row`` if the recordings have no clock), then each recorded channel as ``name [unit]`` in the unit
-of its column, with the model's as ``name_model [unit]`` beside it where the model gives that channel. A cell is empty where a recording
-lacks the channel, and where a simulation failed.
+Columns: ``recording, role, time [s]`` (``row`` if the recordings have no clock), then each recorded channel as
+    ``name [unit]`` in the unit
+of its column, followed by the model's as ``name_model [unit]`` where the model gives that channel. A cell is empty
+where a recording lacks the channel, and where a simulation failed.
 """
 
 import csv
@@ -15,19 +16,30 @@ from pathlib import Path
 
 import numpy as np
 
+from smajax.channels import CHANNELS, channel_of, channel_unit
 from smajax.errors import InputError
-from smajax.recording import Floats, canonical_of
-from smajax.units import CHANNELS, channel_of, from_si, to_si
+from smajax.recordings.recording import Floats, Recording
+from smajax.units import from_si, to_si
 
-_MODEL = "_model"
+_MODEL_SUFFIX = "_model"
 _HEADER = re.compile(r"(?P<name>[^\[\]]+?) \[(?P<unit>[^\[\]]*)\]")
-# Of what the model gives beyond the recorded channels, these say most about it.
-_TELLING = ("temperature", "stress", "strain")
+# Of the channels that only the model gives, these say most about it.
+_INTERNAL_CHANNELS = ("temperature", "stress", "strain")
+_USUAL_UNITS = {"strain": "%", "displacement": "mm", "angle": "deg", "temperature": "degC"}
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One recording with its model: arrays ``(n,)`` in ``units``, by channel; ``time`` has its unit there too, or is the row number."""
+    """One recording with its model.
+
+    Attributes:
+        name: The recording.
+        role: Its role, as "train" or "holdout".
+        time: Times (n,), or row numbers where there is no clock.
+        units: Units by channel, of ``time`` as well where there is a clock.
+        measured: Measured channels (n,), in their units.
+        model: Modelled channels (n,), in their units.
+    """
 
     name: str
     role: str
@@ -37,67 +49,100 @@ class Series:
     model: Mapping[str, Floats]
 
     @property
-    def clock(self) -> bool:
-        """Whether ``time`` is a time."""
+    def has_clock(self) -> bool:
+        """Whether ``time`` is a time, not a row number."""
         return "time" in self.units
 
     def residual(self, channel: str) -> Floats:
-        """Measured minus model."""
+        """Return measured minus model (n,)."""
         return self.measured[channel] - self.model[channel]
 
 
 def modelled_channels(observable: Iterable[str], signals: Iterable[str], recorded: Iterable[str]) -> list[str]:
-    """The channels of the model that go into the table: all that were recorded, and temperature, stress and strain."""
-    driving, there = set(signals), set(recorded)
-    return [c for c in observable if c not in driving and (c in there or channel_of(c) in _TELLING)]
+    """List the model's channels of the table: all that were recorded, and temperature, stress and strain.
+
+    Args:
+        observable: Channels that the plant gives.
+        signals: Its inputs, which are left out.
+        recorded: Channels of the recording.
+    """
+    inputs, measured = set(signals), set(recorded)
+    return [c for c in observable if c not in inputs and (c in measured or channel_of(c) in _INTERNAL_CHANNELS)]
 
 
-def to_series(name: str, role: str, time: Floats, measured: Mapping, model: Mapping, units: Mapping[str, str], *, clock: bool) -> Series:
-    """A series from arrays in SI and degC; ``units`` are those of the file's columns, other channels get a usual one."""
+def make_series(
+    name: str, role: str, time: Floats, measured: Mapping, model: Mapping, units: Mapping[str, str], *, has_clock: bool
+) -> Series:
+    """Make a series of arrays in SI units and degC.
+
+    Args:
+        name: The recording.
+        role: Its role.
+        time: Times (n,) in s, or row numbers.
+        measured: Measured channels (n,).
+        model: Modelled channels (n,).
+        units: Units of the file's columns; other channels get a usual one.
+        has_clock: Whether ``time`` is a time.
+    """
     shown = {channel: units.get(channel) or usual_unit(channel) for channel in [*measured, *model]}
-    if clock:
+    if has_clock:
         shown = {"time": units.get("time", "s")} | shown
         time = from_si(time, shown["time"], "s")
-    converted = [{c: _in_unit(np.asarray(v, float), shown[c], c) for c, v in side.items()} for side in (measured, model)]
+    converted = [
+        {c: _in_unit(np.asarray(v, float), shown[c], c) for c, v in side.items()} for side in (measured, model)
+    ]
     return Series(name, role, time, shown, *converted)
 
 
+def recording_series(recording: Recording, role: str, model: Mapping) -> Series:
+    """Make the series of a recording, with all its channels, and modelled channels (n,) in SI units and degC."""
+    return make_series(
+        recording.name,
+        role,
+        recording.time,
+        recording.channels,
+        model,
+        recording.units,
+        has_clock=recording.has_clock,
+    )
+
+
 def usual_unit(channel: str) -> str:
-    """The unit in which a channel is shown that no recording has."""
+    """Return the unit in which a channel is shown that no recording has."""
     kind = channel_of(channel) or channel
-    return {"strain": "%", "displacement": "mm", "angle": "deg", "temperature": "degC"}.get(kind, CHANNELS[kind].units[0])
+    return _USUAL_UNITS.get(kind, CHANNELS[kind].units[0])
 
 
-def write(path: Path, series: Sequence[Series]) -> None:
-    """Writes the table. All series have a clock, or none; the first one's units hold for all of a channel's column."""
-    clock = series[0].clock
+def write_predictions(path: Path, series: Sequence[Series]) -> None:
+    """Write the table.
+
+    Args:
+        path: The file.
+        series: The recordings, all with a clock or none; the first unit of a channel holds for its whole column.
+    """
+    has_clock = series[0].has_clock
     units: dict[str, str] = {}
-    for one in series:
-        for channel, unit in one.units.items():
+    for recording in series:
+        for channel, unit in recording.units.items():
             units.setdefault(channel, unit)
-    channels = [c for c in units if c != "time"]
-    recorded = [c for c in channels if any(c in s.measured for s in series)]
-    modelled = [c for c in channels if any(c in s.model for s in series)]
-    columns = []
-    for channel in channels:
-        columns += [(channel, False)] if channel in recorded else []
-        columns += [(channel, True)] if channel in modelled else []
-    head = ["recording", "role", f"time [{units['time']}]" if clock else "row"]
-    head += [f"{c}{_MODEL if model else ''} [{units[c]}]" for c, model in columns]
+    columns = _columns([c for c in units if c != "time"], series)
+    head = ["recording", "role", f"time [{units['time']}]" if has_clock else "row"]
+    head += [f"{c}{_MODEL_SUFFIX if of_model else ''} [{units[c]}]" for c, of_model in columns]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerow(head)
-        for one in series:
-            prefix = io.StringIO()
-            csv.writer(prefix, lineterminator="").writerow([one.name, one.role])
-            cells = [list(map(repr, one.time.tolist())) if clock else list(map(str, range(len(one.time))))]
-            for channel, model in columns:
-                values = (one.model if model else one.measured).get(channel)
-                cells.append([""] * len(one.time) if values is None else _texts(values, one.units[channel], units[channel], channel, model))
-            file.writelines(f"{prefix.getvalue()},{','.join(row)}\n" for row in zip(*cells, strict=True))
+        for recording in series:
+            file.writelines(_rows(recording, columns, units))
 
 
-def read(path: Path) -> list[Series]:
-    """The series of a table that ``write`` wrote, in order. InputError if it is not one."""
+def read_predictions(path: Path) -> list[Series]:
+    """Read the table that ``write_predictions`` wrote.
+
+    Returns:
+        The series in the order of the table.
+
+    Raises:
+        InputError: If the file is not such a table.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
@@ -108,38 +153,71 @@ def read(path: Path) -> list[Series]:
             raise ValueError
         columns = [(m["name"], m["unit"]) for m in matches if m]
         clock = _HEADER.fullmatch(head[2])
-        names = [tuple(row[:2]) for row in body]
+        names = [(row[0], row[1]) for row in body]
         starts = [0, *(i for i in range(1, len(names)) if names[i] != names[i - 1]), len(names)]
         numbers = np.array([[float(cell) if cell else np.nan for cell in row[2:]] for row in body])
     except OSError as error:
-        raise InputError(f"{path}: the file cannot be read ({error.strerror or error}): check the result folder") from None
+        raise InputError(
+            f"{path}: the file cannot be read ({error.strerror or error}): check the result folder"
+        ) from None
     except (ValueError, StopIteration, IndexError, csv.Error):
         raise InputError(f"{path}: this is not a table of predictions as smajax writes it: run the fit again") from None
-    found = []
-    for first, last in pairwise(starts):
-        units = {"time": clock["unit"]} if clock else {}
-        measured, model = {}, {}
-        for k, (name, unit) in enumerate(columns):
-            values = numbers[first:last, k + 1]
-            if np.all(np.isnan(values)):
-                continue
-            channel = name.removesuffix(_MODEL)
-            units[channel] = unit
-            (model if name.endswith(_MODEL) else measured)[channel] = values
-        found.append(Series(names[first][0], names[first][1], numbers[first:last, 0], units, measured, model))
-    return found
+    units = {"time": clock["unit"]} if clock else {}
+    return [_series_of(names[first], numbers[first:last], columns, units) for first, last in pairwise(starts)]
 
 
-def _texts(values: Floats, unit: str, wanted: str, channel: str, model: bool) -> list[str]:
+def _columns(channels: Sequence[str], series: Sequence[Series]) -> list[tuple[str, bool]]:
+    """Channel and whether it is the model's, of each column: measured first, then the model."""
+    columns = []
+    for channel in channels:
+        if any(channel in s.measured for s in series):
+            columns.append((channel, False))
+        if any(channel in s.model for s in series):
+            columns.append((channel, True))
+    return columns
+
+
+def _rows(series: Series, columns: Sequence[tuple[str, bool]], units: Mapping[str, str]) -> Iterable[str]:
+    """Lines of the table for one recording."""
+    prefix = io.StringIO()
+    csv.writer(prefix, lineterminator="").writerow([series.name, series.role])
+    rows = len(series.time)
+    cells = [list(map(repr, series.time.tolist())) if series.has_clock else list(map(str, range(rows)))]
+    for channel, of_model in columns:
+        values = (series.model if of_model else series.measured).get(channel)
+        if values is None:
+            cells.append([""] * rows)
+        else:
+            cells.append(_format_cells(values, series.units[channel], units[channel], channel, of_model))
+    return (f"{prefix.getvalue()},{','.join(row)}\n" for row in zip(*cells, strict=True))
+
+
+def _series_of(
+    name_and_role: tuple[str, str], numbers: Floats, columns: Sequence[tuple[str, str]], units: Mapping[str, str]
+) -> Series:
+    """One series of the rows (n, 1 + columns) that belong to it; columns without a number are left out."""
+    series_units = dict(units)
+    measured, model = {}, {}
+    for k, (name, unit) in enumerate(columns):
+        values = numbers[:, k + 1]
+        if np.all(np.isnan(values)):
+            continue
+        channel = name.removesuffix(_MODEL_SUFFIX)
+        series_units[channel] = unit
+        (model if name.endswith(_MODEL_SUFFIX) else measured)[channel] = values
+    return Series(*name_and_role, numbers[:, 0], series_units, measured, model)
+
+
+def _format_cells(values: Floats, unit: str, column_unit: str, channel: str, of_model: bool) -> list[str]:
     """Cells of a column: measurements as the shortest text of the same float, the model's to ten digits."""
-    if unit != wanted:
-        values = _in_unit(to_si(values, unit, canonical_of(channel)), wanted, channel)
-    return ["" if v != v else f"{v:.10g}" if model else repr(v) for v in values.tolist()]
+    if unit != column_unit:
+        values = _in_unit(to_si(values, unit, channel_unit(channel)), column_unit, channel)
+    return ["" if v != v else f"{v:.10g}" if of_model else repr(v) for v in values.tolist()]
 
 
 def _in_unit(values: Floats, unit: str, channel: str) -> Floats:
     """Values in SI or degC in another unit; what is not finite becomes NaN."""
     result = np.full(values.shape, np.nan)
-    good = np.isfinite(values)
-    result[good] = from_si(values[good], unit, canonical_of(channel))
+    finite = np.isfinite(values)
+    result[finite] = from_si(values[finite], unit, channel_unit(channel))
     return result

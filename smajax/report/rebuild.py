@@ -1,41 +1,63 @@
-"""The report of a finished run, made anew from the files in its folder; nothing is simulated."""
+"""The report of a finished run, made again from the files in its folder; nothing is simulated."""
 
 from pathlib import Path
+from typing import Any
 
 from smajax.errors import InputError
-from smajax.report import html, prediction
+from smajax.files.result_folder import read_json, replace_file
 from smajax.report.comparison import comparison_page
-from smajax.report.diagnosis import diagnosis_page
+from smajax.report.diagnosis_page import diagnosis_page
+from smajax.report.prediction import read_predictions
+from smajax.report.run_pages import fit_page, simulation_page
 from smajax.report.sweep import sweep_page
 from smajax.report.tuning import tuning_page
-from smajax.results import read_json, replace_file
-from smajax.sweep.table import read_table
+from smajax.sweeps.table import read_table
 
 
 def rebuild_report(folder: Path) -> Path:
-    """Makes report.html anew and returns its path. InputError if the folder's files are not there or not whole."""
+    """Make report.html of a result folder again.
+
+    Folders of earlier versions of smajax are read as well: their documents have the same keys.
+
+    Args:
+        folder: The result folder.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        InputError: If a file of the folder is missing or damaged.
+    """
     run = read_json(folder, "run.json")
-    sweep = run.get("command") == "sweep"
-    series = [] if sweep else prediction.read(folder / "prediction.csv")
     try:
-        rig = (folder / "rig.toml").read_text("utf-8")
-        if run["command"] == "simulate":
-            page = html.simulation_page(series[0], run, rig)
-        elif run["command"] == "diagnose":
-            page = diagnosis_page(read_json(folder, "diagnosis.json"), series, run["inputs"], run, rig)
-        elif run["command"] == "tune":
-            page = tuning_page(read_json(folder, "tune.json"), series, run, rig)
-        elif sweep:
-            page = sweep_page(read_json(folder, "sweep.json"), read_table(folder / "sweep.parquet"), run, rig)
-        elif run["command"] == "compare":
-            page = comparison_page(read_json(folder, "compare.json"), series, run, rig)
-        else:
-            page = html.fit_page(read_json(folder, "fit.json"), series, run, rig)
+        page = _build_page(folder, run)
     except OSError as error:
-        raise InputError(f"{folder / 'rig.toml'}: the file cannot be read ({error.strerror or error}): run the command again") from None
+        raise InputError(
+            f"{folder / 'rig.toml'}: the file cannot be read ({error.strerror or error}): run the command again"
+        ) from None
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{folder}: its files are not as this version of smajax writes them ({error}): run the command again") from None
+        raise InputError(
+            f"{folder}: its files are not as this version of smajax writes them ({error}): run the command again"
+        ) from None
     replace_file(folder / "report.html", page)
     return folder / "report.html"
+
+
+def _build_page(folder: Path, run: dict[str, Any]) -> str:
+    command = run.get("command")
+    if command == "sweep":
+        rig = (folder / "rig.toml").read_text("utf-8")
+        return sweep_page(read_json(folder, "sweep.json"), read_table(folder / "sweep.parquet"), run, rig)
+    series = read_predictions(folder / "prediction.csv")
+    rig = (folder / "rig.toml").read_text("utf-8")
+    if command == "simulate":
+        return simulation_page(series[0], run, rig)
+    if command == "diagnose":
+        return diagnosis_page(read_json(folder, "diagnosis.json"), series, run["inputs"], run, rig)
+    if command == "tune":
+        return tuning_page(read_json(folder, "tune.json"), series, run, rig)
+    if command == "compare":
+        return comparison_page(read_json(folder, "compare.json"), series, run, rig)
+    return fit_page(read_json(folder, "fit.json"), series, run, rig)

@@ -1,4 +1,4 @@
-"""Pictures of a sweep: what it costs to have more of one thing, the best designs across all axes, and what matters."""
+"""Pictures of a sweep: the trade-off between two metrics, all designs across all axes, and sensitivities."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -6,97 +6,161 @@ from typing import Any
 
 import numpy as np
 
-from smajax.report.plots import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base, rounded
+from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, round_for_json
 from smajax.units import from_si
 
-_CLOUD, _LINES = 4000, 150
+# Points of each kind, and lines of each kind, in a picture: more only make it slow to draw; chosen by trial.
+_MAX_POINTS = 4000
+_MAX_LINES = 150
+_REFINED_COLOUR = "#22272e"
 
 
-def trade_picture(
-    columns: Mapping[str, np.ndarray], kept: np.ndarray, axes: Sequence[tuple[str, str, str]], front: np.ndarray, refined: Sequence[Mapping]
+def trade_off_picture(
+    columns: Mapping[str, np.ndarray],
+    keeps: np.ndarray,
+    axes: Sequence[tuple[str, str, str]],
+    front: np.ndarray,
+    refined: Sequence[Mapping],
 ) -> Picture:
-    """Designs over two metrics, each ``(name, unit, shown unit)``: those that keep the constraints or not, the front, the refined ones."""
-    layout = base()
+    """Return the picture of all designs over two metrics.
+
+    Args:
+        columns: Columns of the sweep's table by name.
+        keeps: Which designs keep the constraints, shape ``(m,)``.
+        axes: The two metrics: name, internal unit, shown unit.
+        front: Rows of the Pareto front.
+        refined: Entries of the refined designs in sweep.json.
+    """
+    layout = base_layout()
     data: list[dict[str, Any]] = []
-    x, y = (_shown(columns[name], unit, shown) for name, unit, shown in axes)
-    groups = [("beyond a constraint", ~kept, MEASURED, 0.5), ("keeps all constraints", kept, RESIDUAL, 0.9)]
+    x, y = (_in_shown_unit(columns[name], unit, shown) for name, unit, shown in axes)
+    groups = [("violates a constraint", ~keeps, MEASURED, 0.5), ("keeps all constraints", keeps, RESIDUAL, 0.9)]
     for name, chosen, colour, opacity in groups:
-        rows = _some(np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y)), _CLOUD)
+        rows = _evenly_chosen(np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y)), _MAX_POINTS)
         if len(rows):
-            data.append(_points(name, x[rows], y[rows], {"color": colour, "size": 5, "opacity": opacity}, columns["design"][rows]))
+            marker = {"color": colour, "size": 5, "opacity": opacity}
+            data.append(_points(name, x[rows], y[rows], marker, columns["design"][rows]))
     if len(front):
         rows = front[np.argsort(x[front])]
         best = _points("best", x[rows], y[rows], {"color": MODEL, "size": 7}, columns["design"][rows])
-        data.append(best | {"mode": "lines+markers", "line": {"color": MODEL, "width": 1.2, "shape": "hv"} if len(rows) > 1 else {}})
-    better = [one for one in refined if one["better"]]
-    if better:
-        ends = [_shown(np.array([one["metrics"][name] for one in better], float), unit, shown) for name, unit, shown in axes]
-        data.append(_points("refined", ends[0], ends[1], {"color": "#22272e", "size": 11, "symbol": "star"}, np.arange(1, len(better) + 1)))
+        line = {"color": MODEL, "width": 1.2, "shape": "hv"} if len(rows) > 1 else {}
+        data.append(best | {"mode": "lines+markers", "line": line})
+    if better := [entry for entry in refined if entry["better"]]:
+        ends = [
+            _in_shown_unit(np.array([entry["metrics"][name] for entry in better], float), unit, shown)
+            for name, unit, shown in axes
+        ]
+        marker = {"color": _REFINED_COLOUR, "size": 11, "symbol": "star"}
+        data.append(_points("refined", ends[0], ends[1], marker, np.arange(1, len(better) + 1)))
     layout["xaxis"], layout["yaxis"] = (axis_style(_title(name, shown)) for name, _, shown in axes)
     layout["showlegend"] = True
-    caption = "Each point is a design. The best ones are those that no other one beats in all objectives."
-    if not (np.isfinite(x[kept]).all() and np.isfinite(y[kept]).all()):
-        caption += " Designs with an infinite figure, or with none, have no point."
-    return Picture("What it costs", caption, {"data": data, "layout": layout}, 480)
+    caption = (
+        "Each point is a design. The best ones form the Pareto front: no other design is better in all objectives."
+    )
+    if not (np.isfinite(x[keeps]).all() and np.isfinite(y[keeps]).all()):
+        caption += " Designs with an infinite metric, or without one, are left out."
+    return Picture("Trade-off", caption, {"data": data, "layout": layout}, 480)
 
 
 def parallel_picture(
-    columns: Mapping[str, np.ndarray], kept: np.ndarray, axes: Sequence[tuple[str, str, str, bool]], front: np.ndarray
+    columns: Mapping[str, np.ndarray], keeps: np.ndarray, axes: Sequence[tuple[str, str, str, bool]], front: np.ndarray
 ) -> Picture:
-    """Parallel coordinates: a line for each design across parameters and metrics, ``(name, unit, shown unit, log)`` each."""
-    layout = base()
+    """Return the picture in parallel coordinates: a line for each design across parameters and metrics.
+
+    Args:
+        columns: Columns of the sweep's table by name.
+        keeps: Which designs keep the constraints, shape ``(m,)``.
+        axes: The axes: name, internal unit, shown unit, whether the scale is logarithmic.
+        front: Rows of the Pareto front.
+    """
+    layout = base_layout()
     heights, marks = [], []
     for k, (name, unit, shown, log) in enumerate(axes):
-        values = _shown(columns[name], unit, shown)
-        good = values[np.isfinite(values)]
-        low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 1.0)
-        scaled = np.log(values / low) / np.log(high / low) if log and 0 < low < high else (values - low) / ((high - low) or 1.0)
-        heights.append(scaled)
-        for end, at, anchor in ((low, -0.02, "top"), (high, 1.02, "bottom")):
-            marks.append({"x": k, "y": at, "text": f"{end:.3g}", "showarrow": False, "yanchor": anchor, "font": {"size": 11}})
-    table = np.column_stack(heights)
-    whole = np.all(np.isfinite(table), axis=1)
-    data = []
-    for name, rows, style in (
-        ("beyond a constraint", _some(np.flatnonzero(~kept & whole), _LINES if not kept.any() else 0), {"color": MEASURED, "width": 0.7}),
-        ("keeps all constraints", _some(np.flatnonzero(kept & whole), _LINES), {"color": RESIDUAL, "width": 0.7}),
-        ("best", _some(front[whole[front]], _LINES) if len(front) else front, {"color": MODEL, "width": 1.6}),
-    ):
-        x, y = [], []
-        for row in rows:
-            x += [*range(len(axes)), None]
-            y += [*rounded(table[row]), None]
-        if len(rows):
-            data.append({"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style, "hoverinfo": "skip"})
+        height, (low, high) = _axis_heights(_in_shown_unit(columns[name], unit, shown), log)
+        heights.append(height)
+        for end, place, anchor in ((low, -0.02, "top"), (high, 1.02, "bottom")):
+            mark = {"x": k, "y": place, "text": f"{end:.3g}", "showarrow": False, "yanchor": anchor}
+            marks.append(mark | {"font": {"size": 11}})
+    data = _design_lines(np.column_stack(heights), keeps, front)
     labels = [_title(name, shown).replace(" [", "<br>[").replace(".", ".<br>", 1) for name, _, shown, _ in axes]
-    layout["xaxis"] = {"tickvals": list(range(len(axes))), "ticktext": labels, "range": [-0.4, len(axes) - 0.6], "fixedrange": True}
-    # To the lower left, where the last one has room, too.
-    layout["xaxis"] |= {"showgrid": True, "gridcolor": "#9aa4b0", "zeroline": False, "automargin": True, "tickangle": -35}
+    layout["xaxis"] = {
+        "tickvals": list(range(len(axes))),
+        "ticktext": labels,
+        "range": [-0.4, len(axes) - 0.6],
+        "fixedrange": True,
+        "showgrid": True,
+        "gridcolor": "#9aa4b0",
+        "zeroline": False,
+        "automargin": True,
+        # To the lower left, where the last label has room, too.
+        "tickangle": -35,
+    }
     layout["yaxis"] = {"visible": False, "range": [-0.12, 1.12], "fixedrange": True}
     layout["annotations"], layout["showlegend"] = marks, True
-    caption = f"Each line is a design, each upright an axis from its lowest to its highest value; up to {_LINES} designs of each colour."
+    caption = (
+        "Each line is a design, each vertical line an axis from its lowest to its highest value; "
+        f"up to {_MAX_LINES} designs of each colour."
+    )
     return Picture("Designs across all axes", caption, {"data": data, "layout": layout}, 420)
 
 
-def sensitivity_picture(found: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Picture:
-    """Total Sobol indices, parameters across and metrics down."""
-    metrics = [name for name, told in found.items() if told]
-    names = list(found[metrics[0]])
-    layout = base()
+def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[float, float]]:
+    """Values of an axis scaled to 0..1, and the axis' ends."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    if log and 0 < low < high:
+        return np.log(values / low) / np.log(high / low), (low, high)
+    return (values - low) / ((high - low) or 1.0), (low, high)
+
+
+def _design_lines(heights: np.ndarray, keeps: np.ndarray, front: np.ndarray) -> list[dict[str, Any]]:
+    """Lines of designs by kind; those that violate a constraint are drawn only where none keeps all."""
+    whole = np.all(np.isfinite(heights), axis=1)
+    violating = _evenly_chosen(np.flatnonzero(~keeps & whole), 0 if keeps.any() else _MAX_LINES)
+    keeping = _evenly_chosen(np.flatnonzero(keeps & whole), _MAX_LINES)
+    best = _evenly_chosen(front[whole[front]], _MAX_LINES) if len(front) else front
+    data = []
+    for name, rows, style in (
+        ("violates a constraint", violating, {"color": MEASURED, "width": 0.7}),
+        ("keeps all constraints", keeping, {"color": RESIDUAL, "width": 0.7}),
+        ("best", best, {"color": MODEL, "width": 1.6}),
+    ):
+        x, y = [], []
+        for row in rows:
+            x += [*range(heights.shape[1]), None]
+            y += [*round_for_json(heights[row]), None]
+        if len(rows):
+            line = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style}
+            data.append(line | {"hoverinfo": "skip"})
+    return data
+
+
+def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Picture:
+    """Return the picture of total Sobol indices, parameters across and metrics down."""
+    metrics = [name for name, indices in sensitivity.items() if indices]
+    names = list(sensitivity[metrics[0]])
+    layout = base_layout()
     layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -25}
     layout["yaxis"] = {"autorange": "reversed", "automargin": True}
-    z = [[found[metric][name]["total"] for name in names] for metric in metrics]
+    z = [[sensitivity[metric][name]["total"] for name in names] for metric in metrics]
     trace = {
-        "type": "heatmap", "x": [escape(n) for n in names], "y": metrics, "z": z, "zmin": 0, "zmax": 1,
-        "colorscale": [[0, "#ffffff"], [1, "#c8501e"]], "text": [["-" if v is None else f"{v:.2f}" for v in row] for row in z],
-        "texttemplate": "%{text}", "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
+        "type": "heatmap",
+        "x": [escape(n) for n in names],
+        "y": metrics,
+        "z": z,
+        "zmin": 0,
+        "zmax": 1,
+        "colorscale": [[0, "#ffffff"], [1, "#c8501e"]],
+        "text": [["-" if v is None else f"{v:.2f}" for v in row] for row in z],
+        "texttemplate": "%{text}",
+        "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
         "colorbar": {"thickness": 12, "outlinewidth": 0},
-    }  # fmt: skip
-    caption = "Total Sobol indices: the share of a metric's variance over the space that would go if the parameter were known."
-    return Picture("What matters", caption, {"data": [trace], "layout": layout}, 130 + 44 * len(metrics) + 60)
+    }
+    caption = "Total Sobol indices: the share of a metric's variance that would vanish if the parameter were fixed."
+    return Picture("Sensitivity", caption, {"data": [trace], "layout": layout}, 130 + 44 * len(metrics) + 60)
 
 
-def _shown(values: np.ndarray, unit: str, shown: str) -> np.ndarray:
+def _in_shown_unit(values: np.ndarray, unit: str, shown: str) -> np.ndarray:
     return np.asarray(from_si(np.asarray(values, float), shown, unit)) if shown != unit else np.asarray(values, float)
 
 
@@ -105,10 +169,18 @@ def _title(name: str, unit: str) -> str:
 
 
 def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], numbers: np.ndarray) -> dict[str, Any]:
-    told = {"text": [str(n) for n in numbers], "hovertemplate": "design %{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>"}
-    return {"type": "scatter", "mode": "markers", "name": name, "x": rounded(x), "y": rounded(y), "marker": marker} | told
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": round_for_json(x),
+        "y": round_for_json(y),
+        "marker": marker,
+        "text": [str(n) for n in numbers],
+        "hovertemplate": "design %{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
+    }
 
 
-def _some(rows: np.ndarray, most: int) -> np.ndarray:
+def _evenly_chosen(rows: np.ndarray, most: int) -> np.ndarray:
     """At most so many rows, evenly taken."""
     return rows[:most] if len(rows) <= most or not most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]

@@ -36,7 +36,7 @@ class Material(NamedTuple):
     resistivity_martensite: float
     detwinning_start_stress: float
     detwinning_finish_stress: float
-    max_strain: float
+    max_transformation_strain: float
     thermal_expansion_austenite: float
     thermal_expansion_martensite: float
 
@@ -141,14 +141,18 @@ def resistivity(m, fraction):
 def strain_of(m, temperature, stress, detwinned, twinned, reference):
     """Strain of a taut wire; thermal strain counts from the temperature ``reference``."""
     fraction = detwinned + twinned
-    thermal = mixture(m.thermal_expansion_austenite, m.thermal_expansion_martensite, fraction) * (temperature - reference)
-    return stress / modulus(m, fraction) + m.max_strain * detwinned + thermal
+    thermal = mixture(m.thermal_expansion_austenite, m.thermal_expansion_martensite, fraction) * (
+        temperature - reference
+    )
+    return stress / modulus(m, fraction) + m.max_transformation_strain * detwinned + thermal
 
 
 @njit(cache=True)
 def stress_of(m, temperature, strain, detwinned, twinned, reference):
     """Stress of a wire at given fractions; a wire cannot push."""
-    return max(0.0, modulus(m, detwinned + twinned) * (strain - strain_of(m, temperature, 0.0, detwinned, twinned, reference)))
+    return max(
+        0.0, modulus(m, detwinned + twinned) * (strain - strain_of(m, temperature, 0.0, detwinned, twinned, reference))
+    )
 
 
 # The integrated forms below take the fractions at the start of the leg. They are for tests of the kinetics, not used by the simulators.
@@ -167,7 +171,9 @@ def _detwinned_at(m, temperature, stress, detwinned0):
         return 1.0
     if stress <= start:
         return detwinned0
-    return 0.5 * (1.0 - detwinned0) * math.cos(math.pi / (start - finish) * (stress - finish)) + 0.5 * (1.0 + detwinned0)
+    return 0.5 * (1.0 - detwinned0) * math.cos(math.pi / (start - finish) * (stress - finish)) + 0.5 * (
+        1.0 + detwinned0
+    )
 
 
 @njit(cache=True)
@@ -175,7 +181,11 @@ def chung_d(m, temperature, detwinned0, twinned0, cooling):
     """Twinned fraction that cooling alone would make: corrected D of eq. 5; complete below M_f."""
     if not cooling or temperature >= m.martensite_start:
         return twinned0
-    angle = math.pi * (max(temperature, m.martensite_finish) - m.martensite_finish) / (m.martensite_start - m.martensite_finish)
+    angle = (
+        math.pi
+        * (max(temperature, m.martensite_finish) - m.martensite_finish)
+        / (m.martensite_start - m.martensite_finish)
+    )
     return 0.5 * (1.0 - detwinned0 - twinned0) * math.cos(angle) + 0.5 * (1.0 - detwinned0 + twinned0)
 
 

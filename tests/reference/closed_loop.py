@@ -55,7 +55,9 @@ def lift(
     """
     parts = (rig.material, rig.heat, rig.wire, rig.mechanism["mass"])
     span, position, command = np.array([0.0, pid.period]), 0.0, 0.0
-    start = State(rig.wire.ambient, rig.mechanism["mass"] * rigs.GRAVITY / (0.25 * np.pi * rig.wire.diameter**2), 1.0, 0.0)
+    start = State(
+        rig.wire.ambient, rig.mechanism["mass"] * rigs.GRAVITY / (0.25 * np.pi * rig.wire.diameter**2), 1.0, 0.0
+    )
     drive = {"control": rig.control, "interpolation": "hold", "substeps": substeps}
     ohms = float(rigs.dead_weight(*parts, span, np.zeros(2), **drive, start=start).resistance[0, 0])
     found = np.empty((3, len(reference)))
@@ -69,7 +71,13 @@ def lift(
 
 
 def turn(
-    rig: RigFile, pid: Pid, co_contraction: float, reference: Floats, noise: Floats, quantum: float = 0.0, substeps: int = 20
+    rig: RigFile,
+    pid: Pid,
+    co_contraction: float,
+    reference: Floats,
+    noise: Floats,
+    quantum: float = 0.0,
+    substeps: int = 20,
 ) -> tuple[Floats, Floats, Floats]:
     """Angle in rad (n,), temperatures in degC and commands (n, 2) at the samples, of two wires that turn a light pulley, from rest.
 
@@ -79,15 +87,28 @@ def turn(
     parts = (rig.material, rig.heat, rig.wire, rig.mechanism["radius"])
     span, angle = np.array([0.0, pid.period]), 0.0
     start = (rigs.drawn_out(rig.material, rig.wire, rig.wire.prestrain),) * 2
-    angles, temperatures, commands = np.empty(len(reference)), np.empty((len(reference), 2)), np.empty((len(reference), 2))
+    angles, temperatures, commands = (
+        np.empty(len(reference)),
+        np.empty((len(reference), 2)),
+        np.empty((len(reference), 2)),
+    )
     for k, r in enumerate(reference):
         seen = angle + noise[k]
         command = pid(r, quantum * round(seen / quantum) if quantum else seen)
         each = [min(co_contraction + max(u, 0.0), pid.upper) for u in (command, -command)]
         angles[k], temperatures[k], commands[k] = angle, [s.temperature for s in start], each
         run = rigs.rotary(
-            *parts, span, np.tile(each, (2, 1)), control=rig.control, interpolation="hold", substeps=substeps, start=start, angle=angle
+            *parts,
+            span,
+            np.tile(each, (2, 1)),
+            control=rig.control,
+            interpolation="hold",
+            substeps=substeps,
+            start=start,
+            angle=angle,
         )
         angle = float(run.position[-1])
-        start = tuple(State(*(float(a[-1, i]) for a in (run.temperature, run.stress, run.detwinned, run.twinned))) for i in (0, 1))
+        start = tuple(
+            State(*(float(a[-1, i]) for a in (run.temperature, run.stress, run.detwinned, run.twinned))) for i in (0, 1)
+        )
     return angles, temperatures, commands

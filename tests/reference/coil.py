@@ -41,7 +41,7 @@ class Shear(NamedTuple):
     modulus_martensite: float
     start_stress: float
     finish_stress: float
-    max_strain: float
+    max_transformation_strain: float
 
 
 class Coil(NamedTuple):
@@ -72,7 +72,7 @@ def sheared(material: Material, poisson_ratio: float, law: str = "brinson") -> S
         LAWS[law], material.martensite_start, material.martensite_finish, material.austenite_start, material.austenite_finish,
         material.clausius_clapeyron_austenite / root, material.clausius_clapeyron_martensite / root,
         material.modulus_austenite * per_modulus, material.modulus_martensite * per_modulus,
-        material.detwinning_start_stress / root, material.detwinning_finish_stress / root, material.max_strain * root,
+        material.detwinning_start_stress / root, material.detwinning_finish_stress / root, material.max_transformation_strain * root,
     )  # fmt: skip
 
 
@@ -104,25 +104,33 @@ def evolve(m, spring, temperature, stress):
     s, t = spring.detwinned, spring.twinned
     if m.law == LAGOUDAS:
         compliance = 0.5 * (1.0 / m.modulus_martensite - 1.0 / m.modulus_austenite) * stress**2
-        entropy = -m.slope_austenite * m.max_strain
-        work = m.max_strain * stress + compliance
-        forward = (work + entropy * (temperature - m.martensite_start)) / (entropy * (m.martensite_finish - m.martensite_start))
+        entropy = -m.slope_austenite * m.max_transformation_strain
+        work = m.max_transformation_strain * stress + compliance
+        forward = (work + entropy * (temperature - m.martensite_start)) / (
+            entropy * (m.martensite_finish - m.martensite_start)
+        )
         if forward > s + t:
             return min(forward, 1.0) - t, t
-        taken = m.max_strain * s / (s + t) * stress + compliance if s + t > 0.0 else 0.0
-        reverse = 1.0 + (taken + entropy * (temperature - m.austenite_start)) / (entropy * (m.austenite_start - m.austenite_finish))
+        taken = m.max_transformation_strain * s / (s + t) * stress + compliance if s + t > 0.0 else 0.0
+        reverse = 1.0 + (taken + entropy * (temperature - m.austenite_start)) / (
+            entropy * (m.austenite_start - m.austenite_finish)
+        )
         if s + t > 0.0 and reverse < s + t:
             kept = max(reverse, 0.0) / (s + t)
             return s * kept, t * kept
         return s, t
-    before = (spring.temperature - m.austenite_start - spring.stress / m.slope_austenite) / (m.austenite_finish - m.austenite_start)
+    before = (spring.temperature - m.austenite_start - spring.stress / m.slope_austenite) / (
+        m.austenite_finish - m.austenite_start
+    )
     after = (temperature - m.austenite_start - stress / m.slope_austenite) / (m.austenite_finish - m.austenite_start)
     if after > before:
         kept = _over(_remains(m.law, after), _remains(m.law, before))
         s, t = s * kept, t * kept
     if m.law == BRINSON:
         band = m.finish_stress - m.start_stress
-        before = (spring.stress - m.slope_martensite * max(spring.temperature - m.martensite_start, 0.0) - m.start_stress) / band
+        before = (
+            spring.stress - m.slope_martensite * max(spring.temperature - m.martensite_start, 0.0) - m.start_stress
+        ) / band
         after = (stress - m.slope_martensite * max(temperature - m.martensite_start, 0.0) - m.start_stress) / band
         if after > before:
             left = _over(_cosine(after), _cosine(before))
@@ -132,8 +140,12 @@ def evolve(m, spring, temperature, stress):
             after = (m.martensite_start - temperature) / (m.martensite_start - m.martensite_finish)
             t = 1.0 - s - (1.0 - s - t) * _over(_cosine(after), _cosine(before))
         return s, t
-    before = (m.martensite_start + spring.stress / m.slope_martensite - spring.temperature) / (m.martensite_start - m.martensite_finish)
-    after = (m.martensite_start + stress / m.slope_martensite - temperature) / (m.martensite_start - m.martensite_finish)
+    before = (m.martensite_start + spring.stress / m.slope_martensite - spring.temperature) / (
+        m.martensite_start - m.martensite_finish
+    )
+    after = (m.martensite_start + stress / m.slope_martensite - temperature) / (
+        m.martensite_start - m.martensite_finish
+    )
     if after > before:
         s = 1.0 - t - (1.0 - s - t) * _over(_remains(m.law, after), _remains(m.law, before))
     return s, t
@@ -149,7 +161,7 @@ def shear_modulus(m, martensite):
 @njit(cache=True)
 def stretch(m, coil, stress, detwinned, twinned):
     """y in m."""
-    strain = stress / shear_modulus(m, detwinned + twinned) + m.max_strain * detwinned
+    strain = stress / shear_modulus(m, detwinned + twinned) + m.max_transformation_strain * detwinned
     return 2.0 * math.pi * coil.coil_radius**2 * coil.turns / coil.wire_radius * strain
 
 
@@ -173,7 +185,9 @@ def _heat_rate(heat, coil, power, temperature, martensite):
     h = heat.h0 + heat.h1 * temperature
     if heat.h2 != 0.0:
         h += heat.h2 * max(temperature, 0.0) ** heat.exponent
-    return (power - h * 2.0 * math.pi * r * length * (temperature - coil.ambient)) / (capacity * math.pi * r**2 * length)
+    return (power - h * 2.0 * math.pi * r * length * (temperature - coil.ambient)) / (
+        capacity * math.pi * r**2 * length
+    )
 
 
 @njit(cache=True)
@@ -231,7 +245,9 @@ def _single(m, heat, coil, machine, load, stiffness, voltage_driven, time, signa
             guess, new = spring.detwinned + spring.twinned, spring
             for _ in range(2):
                 temperature = _warmed(heat, coil, voltage_driven, signal[k], spring, step, guess)
-                new = _brought(m, spring, temperature, _one_stress(m, coil, spring, temperature, machine, load, stiffness, origin))
+                new = _brought(
+                    m, spring, temperature, _one_stress(m, coil, spring, temperature, machine, load, stiffness, origin)
+                )
                 guess = new.detwinned + new.twinned
             spring = new
     return out
@@ -304,7 +320,9 @@ def _turning(m, heat, coil, prestretch, joint, voltage_driven, time, signal, fir
         step = (time[k + 1] - time[k]) / substeps
         for _ in range(substeps):
             g1, g2 = first.detwinned + first.twinned, second.detwinned + second.twinned
-            now = (radius * pull(coil, first.stress - second.stress) - damping * speed - moment * math.sin(angle)) / inertia
+            now = (
+                radius * pull(coil, first.stress - second.stress) - damping * speed - moment * math.sin(angle)
+            ) / inertia
             there, turning, a, b = angle + step * speed + 0.5 * step**2 * now, speed + step * now, first, second
             for _ in range(3):  # the trapezoidal rule, by fixed point
                 t1 = _warmed(heat, coil, voltage_driven, signal[k, 0], first, step, g1)
@@ -312,7 +330,9 @@ def _turning(m, heat, coil, prestretch, joint, voltage_driven, time, signal, fir
                 a = _brought(m, first, t1, _stress_at(m, coil, first, t1, prestretch - radius * there))
                 b = _brought(m, second, t2, _stress_at(m, coil, second, t2, prestretch + radius * there))
                 g1, g2 = a.detwinned + a.twinned, b.detwinned + b.twinned
-                then = (radius * pull(coil, a.stress - b.stress) - damping * turning - moment * math.sin(there)) / inertia
+                then = (
+                    radius * pull(coil, a.stress - b.stress) - damping * turning - moment * math.sin(there)
+                ) / inertia
                 turning = speed + 0.5 * step * (now + then)
                 there = angle + 0.5 * step * (speed + turning)
             first, second, angle, speed = a, b, there, turning
@@ -342,11 +362,24 @@ def _drawn(material: Shear, coil: Coil, prestretch: float) -> Spring:
 
 
 def _floats(parts: NamedTuple) -> tuple:
-    return type(parts)(*(value if isinstance(value, int) and name == "law" else float(value) for name, value in parts._asdict().items()))
+    return type(parts)(
+        *(
+            value if isinstance(value, int) and name == "law" else float(value)
+            for name, value in parts._asdict().items()
+        )
+    )
 
 
 def dead_weight(
-    material: Shear, heat: Heat, coil: Coil, mass: float, time: Floats, signal: Floats, *, control: str, substeps: int = 20
+    material: Shear,
+    heat: Heat,
+    coil: Coil,
+    mass: float,
+    time: Floats,
+    signal: Floats,
+    *,
+    control: str,
+    substeps: int = 20,
 ) -> Run:
     """Springs side by side lifting a mass; all detwinned at ambient. Position: the contraction in m. Inputs are held from row to row."""
     stress = mass * GRAVITY / pull(coil, 1.0)
@@ -360,7 +393,15 @@ def bias_spring(
 ) -> Run:  # fmt: skip
     """A spring that stretches another one, F = preload + stiffness x; starts all detwinned at ambient under the preload."""
     start = Spring(coil.ambient, preload / pull(coil, 1.0), 1.0, 0.0)
-    given = (_floats(material), _floats(heat), _floats(coil), BIAS_SPRING, float(preload), float(stiffness), control == "voltage")
+    given = (
+        _floats(material),
+        _floats(heat),
+        _floats(coil),
+        BIAS_SPRING,
+        float(preload),
+        float(stiffness),
+        control == "voltage",
+    )
     return _run(_single(*given, np.asarray(time, float), np.asarray(signal, float), _floats(start), substeps), 1)
 
 
@@ -382,4 +423,6 @@ def joint(
     start = _floats(_drawn(material, coil, prestretch))
     turned = (float(radius), float(inertia), float(damping), float(moment))
     given = (_floats(material), _floats(heat), _floats(coil), float(prestretch), turned, control == "voltage")
-    return _run(_turning(*given, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2)
+    return _run(
+        _turning(*given, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2
+    )

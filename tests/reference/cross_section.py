@@ -11,7 +11,11 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 from scipy.spatial import Delaunay
 
-TAPE, SILICONE, WIRE = (2430.0, 1000.0, 2.2), (1070.0, 1050.0, 0.2), (6450.0, 837.4, 18.0)  # density, heat capacity, conductivity
+TAPE, SILICONE, WIRE = (
+    (2430.0, 1000.0, 2.2),
+    (1070.0, 1050.0, 0.2),
+    (6450.0, 837.4, 18.0),
+)  # density, heat capacity, conductivity
 
 
 @dataclass
@@ -65,12 +69,21 @@ def _points(section: Section, rings: int) -> tuple[np.ndarray, np.ndarray]:
     for place, _ in centres:
         turned = []
         for k, r in enumerate(radii[1:], 1):
-            angles = np.pi * 2 * (np.arange(min(6 * k, count) if k < rings else count)) / (min(6 * k, count) if k < rings else count)
+            angles = (
+                np.pi
+                * 2
+                * (np.arange(min(6 * k, count) if k < rings else count))
+                / (min(6 * k, count) if k < rings else count)
+            )
             turned.append(np.column_stack([place + r * np.cos(angles), level + r * np.sin(angles)]))
         ring = np.concatenate(turned)
         on_axis = np.abs(place) < 1e-12
         # A wire on the plane of symmetry is cut there.
-        ring = np.concatenate([ring[ring[:, 0] > 1e-9], [[0.0, level + s * r] for r in radii[1:] for s in (-1, 1)]]) if on_axis else ring
+        ring = (
+            np.concatenate([ring[ring[:, 0] > 1e-9], [[0.0, level + s * r] for r in radii[1:] for s in (-1, 1)]])
+            if on_axis
+            else ring
+        )
         nodes.append(ring)
     return np.concatenate([centres, *nodes]), np.arange(len(centres))
 
@@ -97,7 +110,9 @@ def cool(section: Section, duration: float, rings: int = 12, step: float = 2.5e-
     capacity = np.bincount(corners.ravel(), np.repeat(third, 3), n)
     warm = np.bincount(corners.ravel(), np.repeat(third * in_wire, 3), n)
     rigidity = conductivity[:, None, None] * np.einsum("eid,ejd->eij", edges, edges) / (4 * area)[:, None, None]
-    network = sp.coo_matrix((rigidity.ravel(), (np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel())), (n, n)).tocsc()
+    network = sp.coo_matrix(
+        (rigidity.ravel(), (np.repeat(corners, 3, axis=1).ravel(), np.tile(corners, (1, 3)).ravel())), (n, n)
+    ).tocsc()
     air = np.zeros(n)
     for axis, at, other in ((1, 0.0, 0), (1, height, 0), (0, section.width / 2, 1)):
         rim = np.flatnonzero(np.abs(nodes[:, axis] - at) < 1e-10)
@@ -106,7 +121,9 @@ def cool(section: Section, duration: float, rings: int = 12, step: float = 2.5e-
         air[rim[:-1]] += 0.5 * section.convection * length
         air[rim[1:]] += 0.5 * section.convection * length
     network = network + sp.diags(air)
-    excess = section.elastomer_start - section.ambient + (section.wire_start - section.elastomer_start) * warm / capacity
+    excess = (
+        section.elastomer_start - section.ambient + (section.wire_start - section.elastomer_start) * warm / capacity
+    )
     lu = splu((sp.diags(capacity) + 0.5 * step * network).tocsc())
     found = [excess[seen].max()]
     for i in range(round(duration / step)):

@@ -27,7 +27,7 @@ class Design(NamedTuple):
     resistivity_martensite: float
     detwinning_start_stress: float
     detwinning_finish_stress: float
-    max_strain: float
+    max_transformation_strain: float
     thermal_expansion: float
     h0: float
     h1: float
@@ -55,7 +55,10 @@ def _cosine(phase):
 def _constant_stress(p, stress, t0, t1, detwinned, twinned):
     """Fractions after a change of temperature at constant stress."""
     if t1 > t0:
-        start, per_kelvin = p.austenite_start + stress / p.clausius_clapeyron_austenite, 1.0 / (p.austenite_finish - p.austenite_start)
+        start, per_kelvin = (
+            p.austenite_start + stress / p.clausius_clapeyron_austenite,
+            1.0 / (p.austenite_finish - p.austenite_start),
+        )
         if t1 > start and detwinned + twinned > 0.0:
             before = _cosine((t0 - start) * per_kelvin)
             ratio = _cosine((t1 - start) * per_kelvin) / before if before > 0.0 else 0.0
@@ -65,7 +68,9 @@ def _constant_stress(p, stress, t0, t1, detwinned, twinned):
         above0, above1 = max(t0 - p.martensite_start, 0.0), max(t1 - p.martensite_start, 0.0)
         drive = stress - p.detwinning_start_stress - p.clausius_clapeyron_martensite * above1
         if above0 > 0.0 and drive > 0.0:
-            before = _cosine((stress - p.detwinning_start_stress - p.clausius_clapeyron_martensite * above0) * per_pascal)
+            before = _cosine(
+                (stress - p.detwinning_start_stress - p.clausius_clapeyron_martensite * above0) * per_pascal
+            )
             ratio = _cosine(drive * per_pascal) / before if before > 0.0 else 0.0
             detwinned, twinned = 1.0 - (1.0 - detwinned) * ratio, twinned * ratio
         if t1 < p.martensite_start and detwinned + twinned < 1.0:
@@ -88,7 +93,7 @@ def _dead_weight(p, time, current, linear, substeps, out):
     area = 0.25 * math.pi * p.diameter**2
     stress, per_square = p.mass * 9.81 / area, 1.0 / (area * area * p.capacity)
     t, detwinned, twinned = p.ambient, 1.0, 0.0
-    start = stress / p.modulus_martensite + p.max_strain
+    start = stress / p.modulus_martensite + p.max_transformation_strain
     out[0] = 0.0
     for k in range(time.size - 1):
         h = (time[k + 1] - time[k]) / substeps
@@ -103,7 +108,7 @@ def _dead_weight(p, time, current, linear, substeps, out):
             detwinned, twinned = _constant_stress(p, stress, t, t_new, detwinned, twinned)
             t = t_new
         modulus = p.modulus_austenite + (detwinned + twinned) * (p.modulus_martensite - p.modulus_austenite)
-        strain = stress / modulus + p.max_strain * detwinned + p.thermal_expansion * (t - p.ambient)
+        strain = stress / modulus + p.max_transformation_strain * detwinned + p.thermal_expansion * (t - p.ambient)
         out[k + 1] = p.length * (start - strain)
 
 
@@ -153,8 +158,13 @@ def _stretch(p, t0, s0, t1, s1, detwinned, twinned):
     detwinned, twinned, slope, slope_all = _leg(p, t0, s0, t1, s1, detwinned, twinned)
     change = p.modulus_martensite - p.modulus_austenite
     compliance = 1.0 / (p.modulus_austenite + (detwinned + twinned) * change)
-    strain = s1 * compliance + p.max_strain * detwinned + p.thermal_expansion * (t1 - p.ambient)
-    return strain, compliance - s1 * compliance * compliance * change * slope_all + p.max_strain * slope, detwinned, twinned
+    strain = s1 * compliance + p.max_transformation_strain * detwinned + p.thermal_expansion * (t1 - p.ambient)
+    return (
+        strain,
+        compliance - s1 * compliance * compliance * change * slope_all + p.max_transformation_strain * slope,
+        detwinned,
+        twinned,
+    )
 
 
 @njit(cache=True)
@@ -183,7 +193,7 @@ def _rotary(p, time, current, linear, substeps, out):
     area = 0.25 * math.pi * p.diameter**2
     per_square = 1.0 / (area * area * p.capacity)
     t1 = t2 = p.ambient
-    x1 = x2 = min(p.prestrain / p.max_strain, 1.0)
+    x1 = x2 = min(p.prestrain / p.max_transformation_strain, 1.0)
     y1 = y2 = 1.0 - x1
     s, lean = 0.0, 0.0
     out[0] = 0.0
@@ -225,28 +235,36 @@ def _rotaries(rows, time, current, linear, substeps, out):
         _rotary(_design(rows[i]), time, current, linear, substeps, out[i])
 
 
-def dead_weight(design: Design, time: np.ndarray, current: np.ndarray, *, linear: bool = True, substeps: int = 1) -> np.ndarray:
+def dead_weight(
+    design: Design, time: np.ndarray, current: np.ndarray, *, linear: bool = True, substeps: int = 1
+) -> np.ndarray:
     """Contraction in m, (n,), of one design; ``time`` and ``current`` are (n,)."""
     out = np.empty(time.size)
     _dead_weight(Design(*map(float, design)), time, current, linear, substeps, out)
     return out
 
 
-def rotary(design: Design, time: np.ndarray, current: np.ndarray, *, linear: bool = False, substeps: int = 8) -> np.ndarray:
+def rotary(
+    design: Design, time: np.ndarray, current: np.ndarray, *, linear: bool = False, substeps: int = 8
+) -> np.ndarray:
     """Angle in rad, (n,), of one design; ``current`` is (n, 2)."""
     out = np.empty(time.size)
     _rotary(Design(*map(float, design)), time, current, linear, substeps, out)
     return out
 
 
-def dead_weight_batch(rows: np.ndarray, time: np.ndarray, current: np.ndarray, *, linear: bool = True, substeps: int = 1) -> np.ndarray:
+def dead_weight_batch(
+    rows: np.ndarray, time: np.ndarray, current: np.ndarray, *, linear: bool = True, substeps: int = 1
+) -> np.ndarray:
     """Contractions (m, n) of the designs in ``rows`` (m, 24), the columns as in ``Design``, all on numba's threads."""
     out = np.empty((len(rows), time.size))
     _dead_weights(np.ascontiguousarray(rows, float), time, current, linear, substeps, out)
     return out
 
 
-def rotary_batch(rows: np.ndarray, time: np.ndarray, current: np.ndarray, *, linear: bool = False, substeps: int = 8) -> np.ndarray:
+def rotary_batch(
+    rows: np.ndarray, time: np.ndarray, current: np.ndarray, *, linear: bool = False, substeps: int = 8
+) -> np.ndarray:
     """Angles (m, n) of the designs in ``rows`` (m, 24)."""
     out = np.empty((len(rows), time.size))
     _rotaries(np.ascontiguousarray(rows, float), time, current, linear, substeps, out)

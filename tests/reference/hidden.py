@@ -109,7 +109,7 @@ def _r_share(m, hidden, xi, t, s):
 
 @njit(cache=True)
 def _strain(m, hidden, d, w, t, s, ambient, h):
-    strain = strain_of(m, t, s, d, w, ambient) - h * m.max_strain * d
+    strain = strain_of(m, t, s, d, w, ambient) - h * m.max_transformation_strain * d
     if hidden.r_strain != 0.0:
         strain += hidden.r_strain * _r_share(m, hidden, d + w, t, s)
     return strain
@@ -118,7 +118,7 @@ def _strain(m, hidden, d, w, t, s, ambient, h):
 @njit(cache=True)
 def _rho(m, hidden, d, w, t, s, ambient):
     """Resistivity in ohm m."""
-    more = hidden.resistivity_slope * (t - ambient) + 2.0 * hidden.resistivity_strain * m.max_strain * d
+    more = hidden.resistivity_slope * (t - ambient) + 2.0 * hidden.resistivity_strain * m.max_transformation_strain * d
     if hidden.r_hump != 0.0:
         more += hidden.r_hump * _r_share(m, hidden, d + w, t, s)
     return resistivity(m, d + w) * (1.0 + more)
@@ -200,7 +200,9 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
                 rho = _rho(m, hidden, 0.5 * (d + d1), 0.5 * (w + w1), half, stress, ambient)
                 through = min(i, hidden.ceiling / (rho * wire.length / section))
                 flow = rho * (through / section) ** 2 - cool * h * (half - air)
-                flow -= cool * base * (hidden.coating * (half - ambient - sleeve) + hidden.ends * (half - ambient - crimps))
+                flow -= (
+                    cool * base * (hidden.coating * (half - ambient - sleeve) + hidden.ends * (half - ambient - crimps))
+                )
                 missing = capacity * (middle - t) + hidden.latent_heat * (xi - d1 - w1) - step * flow
                 if missing > 0.0:
                     high = middle
@@ -254,7 +256,9 @@ def channels(rig: RigFile, hidden: Hidden, time: Floats, current: Floats, subste
     that is linear between samples."""
     weight = rig.mechanism["mass"] * 9.81
     hidden = Hidden(*map(float, hidden))
-    fine, x, warm, volts = _run(rig.material, rig.heat, rig.wire, hidden, weight, time, current, substeps, float(np.max(current)))
+    fine, x, warm, volts = _run(
+        rig.material, rig.heat, rig.wire, hidden, weight, time, current, substeps, float(np.max(current))
+    )
     y = _behind(fine, x, hidden)
     stroke = 0.04 * rig.wire.length
     read = np.interp(time - hidden.skew, fine, y)

@@ -51,7 +51,9 @@ def _missing(m, heat, hidden, x, added, stress, temperature):
 def _taken_up(m, heat, hidden, x, added, stress):
     """Temperature and fractions of a wire that has taken up ``added`` J/m^3 on the way to a stress."""
     if hidden.latent_heat == 0.0:
-        after = x.temperature + added / (heat.capacity_austenite * (1.0 + hidden.capacity_change * (x.detwinned + x.twinned)))
+        after = x.temperature + added / (
+            heat.capacity_austenite * (1.0 + hidden.capacity_change * (x.detwinned + x.twinned))
+        )
     else:
         low, high = x.temperature - 1e-9, x.temperature + 1e-9
         reach = 1e-9 + abs(added) / heat.capacity_austenite
@@ -82,7 +84,12 @@ def _taken_up(m, heat, hidden, x, added, stress):
 def _strain_after(m, heat, hidden, wire, x, added, stress):
     t, d, w = _taken_up(m, heat, hidden, x, added, stress)
     strain = _strain(m, hidden, d, w, t, stress, wire.ambient, hidden.fatigue * 0.5 * x.travel)
-    return strain + hidden.ratchet * x.travel + hidden.creep * (x.slow - d - w) + hidden.set_strain * (_left(x, d + w) - 1.0)
+    return (
+        strain
+        + hidden.ratchet * x.travel
+        + hidden.creep * (x.slow - d - w)
+        + hidden.set_strain * (_left(x, d + w) - 1.0)
+    )
 
 
 @njit(cache=True)
@@ -156,7 +163,9 @@ def _heating(m, heat, hidden, wire, x, other, current, air, instant, most):
         h *= 1.0 + hidden.draught
     lost = h * (x.temperature - air)
     lost += convection(heat, wire.ambient) * (
-        hidden.coating * (over - x.sleeve) + hidden.ends * (over - x.crimps) + hidden.crosstalk * (x.temperature - other.temperature)
+        hidden.coating * (over - x.sleeve)
+        + hidden.ends * (over - x.crimps)
+        + hidden.crosstalk * (x.temperature - other.temperature)
     )
     return rho * (i / section) ** 2 - 4.0 / wire.diameter * lost
 
@@ -179,7 +188,7 @@ def _moved(m, heat, hidden, wire, x, added, stress, step):
 def _run(m, heat, wire, hidden, time, current, substeps, most):
     count = (time.size - 1) * substeps + 1
     fine, leans = np.empty(count), np.empty(count)
-    drawn = min(wire.prestrain / m.max_strain, 1.0)
+    drawn = min(wire.prestrain / m.max_transformation_strain, 1.0)
     one = two = _Wire(wire.ambient, 0.0, drawn, 1.0 - drawn, 0.0, 0.0, 0.0, 1.0, 1.0)
     lean, n = 0.0, 0
     fine[0], leans[0] = time[0], 0.0
@@ -188,7 +197,10 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
         i1, i2 = current[k, 0], current[k, 1]
         for j in range(substeps):
             now = time[k] + j * step
-            air, later = wire.ambient + hidden.drift * (now - time[0]), wire.ambient + hidden.drift * (now + step - time[0])
+            air, later = (
+                wire.ambient + hidden.drift * (now - time[0]),
+                wire.ambient + hidden.drift * (now + step - time[0]),
+            )
             q1 = step * _heating(m, heat, hidden, wire, one, two, i1, air, now, most)
             q2 = step * _heating(m, heat, hidden, wire, two, one, i2, air, now, most)
             s1, s2, _ = _balanced(m, heat, hidden, wire, one, two, q1, q2, lean)
@@ -197,7 +209,10 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
             q1 = 0.5 * (q1 + step * _heating(m, heat, hidden, wire, there1, there2, i1, later, now, most))
             q2 = 0.5 * (q2 + step * _heating(m, heat, hidden, wire, there2, there1, i2, later, now, most))
             s1, s2, lean = _balanced(m, heat, hidden, wire, one, two, q1, q2, lean)
-            one, two = _moved(m, heat, hidden, wire, one, q1, s1, step), _moved(m, heat, hidden, wire, two, q2, s2, step)
+            one, two = (
+                _moved(m, heat, hidden, wire, one, q1, s1, step),
+                _moved(m, heat, hidden, wire, two, q2, s2, step),
+            )
             n += 1
             fine[n], leans[n] = time[k] + (j + 1) * step, lean
     return fine, leans
@@ -214,7 +229,9 @@ def _loose(x, play):
     return y
 
 
-def angle(rig: RigFile, hidden: Hidden, time: Floats, current: Floats, substeps: int = 20, rated: float = 0.47) -> Floats:
+def angle(
+    rig: RigFile, hidden: Hidden, time: Floats, current: Floats, substeps: int = 20, rated: float = 0.47
+) -> Floats:
     """Angle in rad at the samples, shape ``(n,)``, under currents in A, shape ``(n, 2)``, held between samples.
 
     ``play`` is in rad, as ``encoder_drift`` is in rad/s; ``friction`` the difference of the wires' stresses that moves the pulley;

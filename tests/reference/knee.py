@@ -32,7 +32,7 @@ class Knee:
         """F = k (y - y_t xi) with y_t = 2 pi R^2 N gamma_L / r, gamma_L = sqrt(3) H."""
         v = self.v
         r, R = v["wire.diameter"] / 2, v["wire.coil_diameter"] / 2
-        kept = 2 * math.pi * R**2 * v["wire.turns"] * ROOT3 * v["material.max_strain"] / r
+        kept = 2 * math.pi * R**2 * v["wire.turns"] * ROOT3 * v["material.max_transformation_strain"] / r
         return np.maximum(self.stiffness(xi) * (stretch - kept * xi), 0.0)
 
     def law(self, xi: Floats, temperature: Floats, force: Floats) -> Floats:
@@ -40,10 +40,14 @@ class Knee:
         v = self.v
         r, R = v["wire.diameter"] / 2, v["wire.coil_diameter"] / 2
         shear = 2 * force * R / (math.pi * r**3)
-        slack = 2 * (1 + v["wire.poisson_ratio"]) * (1 / v["material.modulus_martensite"] - 1 / v["material.modulus_austenite"])
+        slack = (
+            2
+            * (1 + v["wire.poisson_ratio"])
+            * (1 / v["material.modulus_martensite"] - 1 / v["material.modulus_austenite"])
+        )
         # Work of the transformation shear strain, and what the change of compliance stores.
-        drive = shear * ROOT3 * v["material.max_strain"] + 0.5 * slack * shear**2
-        entropy = -v["material.clausius_clapeyron_austenite"] * v["material.max_strain"]
+        drive = shear * ROOT3 * v["material.max_transformation_strain"] + 0.5 * slack * shear**2
+        entropy = -v["material.clausius_clapeyron_austenite"] * v["material.max_transformation_strain"]
         lines = []
         for start, finish in (("martensite_start", "martensite_finish"), ("austenite_finish", "austenite_start")):
             span = entropy * (v[f"material.{finish}"] - v[f"material.{start}"])
@@ -56,7 +60,9 @@ class Knee:
         temperature, xi, (angle, rate, shaft, current) = y[:2], y[2:4], y[4:]
         d, length = v["wire.diameter"], math.pi * v["wire.coil_diameter"] * v["wire.turns"]
         area = math.pi / 4 * d**2
-        rho = v["material.resistivity_austenite"] + xi * (v["material.resistivity_martensite"] - v["material.resistivity_austenite"])
+        rho = v["material.resistivity_austenite"] + xi * (
+            v["material.resistivity_martensite"] - v["material.resistivity_austenite"]
+        )
         power = np.array([command["first"], command["second"]]) ** 2 / (rho * length / area)
         lost = v["heat.h0"] * math.pi * d * length * (temperature - v["environment.ambient"])
         warming = (power - lost) / (v["heat.capacity_austenite"] * area * length)
@@ -64,21 +70,36 @@ class Knee:
         force = self.force(xi, v["wire.prestretch"] + arm * angle * np.array([1.0, -1.0]))
         on = min(command["clutch"] / v["clutch.current"], 1.0)
         slip = shaft - v["clutch.belt"] * rate
-        passed = v["clutch.torque"] * on * math.tanh(slip / v["clutch.slip"]) + (v["clutch.damping"] * slip if on > 0 else 0.0)
+        passed = v["clutch.torque"] * on * math.tanh(slip / v["clutch.slip"]) + (
+            v["clutch.damping"] * slip if on > 0 else 0.0
+        )
         weight = v["joint.mass"] * v["environment.gravity"] * v["joint.lever"] * math.sin(angle)
         held = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"]) + weight
         turning = arm * (force[1] - force[0]) + v["clutch.belt"] * passed - held
         rubbed = v["motor.damping"] * shaft + v["motor.friction"] * math.tanh(shaft / v["joint.slow"])
-        spin = (v["motor.torque_constant"] * current - rubbed - passed) / (v["motor.rotor_inertia"] * v["motor.reduction"] ** 2)
-        rise = (command["motor"] - v["motor.resistance"] * current - v["motor.back_voltage"] * shaft) / v["motor.inductance"]
+        spin = (v["motor.torque_constant"] * current - rubbed - passed) / (
+            v["motor.rotor_inertia"] * v["motor.reduction"] ** 2
+        )
+        rise = (command["motor"] - v["motor.resistance"] * current - v["motor.back_voltage"] * shaft) / v[
+            "motor.inductance"
+        ]
         return np.array(
-            [*warming, *((self.law(xi, temperature, force) - xi) / self.follows), rate, turning / v["joint.inertia"], spin, rise]
+            [
+                *warming,
+                *((self.law(xi, temperature, force) - xi) / self.follows),
+                rate,
+                turning / v["joint.inertia"],
+                spin,
+                rise,
+            ]
         )
 
     def roll(self, command: dict[str, float], time: Floats) -> Floats:
         """The state at the times, shape ``(8, n)``."""
         y0 = np.array([self.v["environment.ambient"]] * 2 + [1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-        found = solve_ivp(self.slope, (0.0, time[-1]), y0, "LSODA", t_eval=time, args=(command,), rtol=1e-9, atol=1e-11, max_step=0.05)
+        found = solve_ivp(
+            self.slope, (0.0, time[-1]), y0, "LSODA", t_eval=time, args=(command,), rtol=1e-9, atol=1e-11, max_step=0.05
+        )
         if not found.success:
             raise ArithmeticError(found.message)
         return found.y
@@ -96,7 +117,11 @@ class Knee:
             force = self.force(np.ones(2), v["wire.prestretch"] + v["joint.radius"] * angle * np.array([1.0, -1.0]))
             rubbed = v["motor.damping"] * shaft + v["motor.friction"] * math.tanh(shaft / v["joint.slow"])
             held = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"])
-            turning = belt * (v["motor.torque_constant"] * current - rubbed) - held + v["joint.radius"] * (force[1] - force[0])
+            turning = (
+                belt * (v["motor.torque_constant"] * current - rubbed)
+                - held
+                + v["joint.radius"] * (force[1] - force[0])
+            )
             rise = (voltage - v["motor.resistance"] * current - v["motor.back_voltage"] * shaft) / v["motor.inductance"]
             return np.array([rate, turning / inertia, rise])
 

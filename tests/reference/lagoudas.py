@@ -23,7 +23,7 @@ class Law(NamedTuple):
     clausius_clapeyron_martensite: float
     modulus_austenite: float
     modulus_martensite: float
-    max_strain: float
+    max_transformation_strain: float
     min_strain_share: float
     strain_saturation: float
     critical_stress: float
@@ -56,8 +56,10 @@ class State(NamedTuple):
 
 def current_strain(law: Law, stress: float) -> float:
     """H_cur."""
-    low = law.min_strain_share * law.max_strain
-    return low + (law.max_strain - low) * (1.0 - math.exp(-law.strain_saturation * max(stress - law.critical_stress, 0.0)))
+    low = law.min_strain_share * law.max_transformation_strain
+    return low + (law.max_transformation_strain - low) * (
+        1.0 - math.exp(-law.strain_saturation * max(stress - law.critical_stress, 0.0))
+    )
 
 
 def energy(law: Law) -> Energy:
@@ -80,14 +82,23 @@ def forward_force(law: Law, e: Energy, temperature: float, stress: float, marten
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     direction = current_strain(law, stress)
     f = 0.5 * e.a1 * (1 + martensite**law.n1 - (1 - martensite) ** law.n2) + e.a3
-    return stress * direction + 0.5 * softer * stress**2 + e.ds * temperature - e.du - f - (e.y0 + e.d * stress * direction)
+    return (
+        stress * direction
+        + 0.5 * softer * stress**2
+        + e.ds * temperature
+        - e.du
+        - f
+        - (e.y0 + e.d * stress * direction)
+    )
 
 
 def reverse_force(law: Law, e: Energy, temperature: float, stress: float, martensite: float, direction: float) -> float:
     """-pi - Y: reverse transformation goes on while this is positive."""
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     f = 0.5 * e.a2 * (1 + martensite**law.n3 - (1 - martensite) ** law.n4) - e.a3
-    return -(stress * direction + 0.5 * softer * stress**2 + e.ds * temperature - e.du - f) - (e.y0 + e.d * stress * direction)
+    return -(stress * direction + 0.5 * softer * stress**2 + e.ds * temperature - e.du - f) - (
+        e.y0 + e.d * stress * direction
+    )
 
 
 def advance(law: Law, state: State, temperature: float, stress: tuple[float, float], parts: int = 1) -> State:
@@ -100,7 +111,9 @@ def advance(law: Law, state: State, temperature: float, stress: tuple[float, flo
             if forward_force(law, e, temperature, after, high) < 0.0:
                 for _ in range(200):
                     middle = 0.5 * (low + high)
-                    low, high = (middle, high) if forward_force(law, e, temperature, after, middle) > 0.0 else (low, middle)
+                    low, high = (
+                        (middle, high) if forward_force(law, e, temperature, after, middle) > 0.0 else (low, middle)
+                    )
             else:
                 low = high
             mean = 0.5 * (current_strain(law, before) + current_strain(law, after))
@@ -112,7 +125,11 @@ def advance(law: Law, state: State, temperature: float, stress: tuple[float, flo
                 if reverse_force(law, e, temperature, after, low, direction) < 0.0:
                     for _ in range(1100):  # fractions of 1e-300 are reached, too
                         middle = 0.5 * (low + high)
-                        low, high = (low, middle) if reverse_force(law, e, temperature, after, middle, direction) > 0.0 else (middle, high)
+                        low, high = (
+                            (low, middle)
+                            if reverse_force(law, e, temperature, after, middle, direction) > 0.0
+                            else (middle, high)
+                        )
                         if high - low < 1e-16:
                             break
                 else:

@@ -33,8 +33,8 @@ class Limb(NamedTuple):
     count: float
     ratio: float
     friction: float
-    bend: float
-    conduction: float
+    wrap_angle: float
+    conductance_ratio: float
     time_constant: float
 
 
@@ -53,11 +53,14 @@ def _engaged(z, strain0, strain1):
 def _swing(rig, limb, linear, time, signal, start, substeps):
     wire, material, heat = rig.wire, rig.material, rig.heat
     rows, arm = time.size, limb.radius / limb.ratio
-    grip, lever = limb.friction * limb.bend, limb.count * area(wire) * arm
+    grip, lever = limb.friction * limb.wrap_angle, limb.count * area(wire) * arm
     steady = 4.0 / wire.diameter * convection(heat, wire.ambient)
     inner, outer, capacity = 0.0, steady, 1.0
-    if limb.conduction > 0.0:
-        inner, outer = steady * (1.0 + limb.conduction), steady * (1.0 + limb.conduction) / limb.conduction
+    if limb.conductance_ratio > 0.0:
+        inner, outer = (
+            steady * (1.0 + limb.conductance_ratio),
+            steady * (1.0 + limb.conductance_ratio) / limb.conductance_ratio,
+        )
         capacity = limb.time_constant * (inner + outer)
     out, angles = np.empty((rows, 2, 4)), np.empty(rows)
     here, angle, speed, liner, z = start, 0.0, 0.0, wire.ambient, 0.0
@@ -85,7 +88,7 @@ def _swing(rig, limb, linear, time, signal, start, substeps):
                 warm, turning = liner + h * r2, speed + h * r4
                 over = x.temperature - wire.ambient
                 r1, r2 = heating(rig, u, x), 0.0
-                if limb.conduction > 0.0:
+                if limb.conductance_ratio > 0.0:
                     # The direct way to the air is not there.
                     r1 += 4.0 / wire.diameter * convection(heat, x.temperature) * over - inner * (x.temperature - warm)
                     r2 = (inner * (x.temperature - warm) - outer * (warm - wire.ambient)) / capacity
@@ -115,7 +118,9 @@ def limb(
     material, heat, wire, parts = floats(material, heat, wire, parts)
     free = drawn_out(material, wire, wire.prestrain)
     stress = max(load(parts, 0.0), 0.0) * parts.ratio / (parts.radius * parts.count * area(wire))
-    start = State(wire.ambient, stress, *advance(material, free.detwinned, free.twinned, wire.ambient, 0.0, wire.ambient, stress))
+    start = State(
+        wire.ambient, stress, *advance(material, free.detwinned, free.twinned, wire.ambient, 0.0, wire.ambient, stress)
+    )
     linear = {"hold": False, "linear": True}[interpolation]
     rig = Rig(material, heat, wire, CONTROLS[control], 0.0, 1.0, 0.0)
     out, angle = _swing(rig, parts, linear, np.ascontiguousarray(time, float), signal, start, substeps)

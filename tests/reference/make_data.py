@@ -50,25 +50,25 @@ class Recipe:
 
 # Factors on nominal values; temperatures and shifts of both of a phase are moved by so many K. Only parameters that the rig file leaves free.
 TRUTHS: dict[str, dict[str, float]] = {
-    "dead-weight": {"h0": 1.06, "h2": 0.9, "capacity": 0.96, "max_strain": 1.02, "austenite_shift": 1.7, "martensite_shift": -1.2},
-    "rotary": {"h0": 0.95, "h2": 1.15, "capacity": 1.04, "max_strain": 0.985, "austenite_shift": -1.4, "martensite_shift": 0.8},
-    "bias-spring": {"h0": 1.03, "h2": 1.1, "capacity": 1.05, "max_strain": 0.975, "austenite_shift": 2.1, "martensite_shift": 1.3},
+    "dead-weight": {"h0": 1.06, "h2": 0.9, "capacity": 0.96, "max_transformation_strain": 1.02, "austenite_shift": 1.7, "martensite_shift": -1.2},
+    "rotary": {"h0": 0.95, "h2": 1.15, "capacity": 1.04, "max_transformation_strain": 0.985, "austenite_shift": -1.4, "martensite_shift": 0.8},
+    "bias-spring": {"h0": 1.03, "h2": 1.1, "capacity": 1.05, "max_transformation_strain": 0.975, "austenite_shift": 2.1, "martensite_shift": 1.3},
     "testing-machine": {
-        "h0": 0.96, "capacity": 1.03, "modulus_austenite": 1.04, "modulus_martensite": 0.95, "max_strain": 1.015,
+        "h0": 0.96, "capacity": 1.03, "modulus_austenite": 1.04, "modulus_martensite": 0.95, "max_transformation_strain": 1.015,
         "austenite_shift": 1.1, "martensite_shift": -1.8,
     },
-    "dead-weight-unexplained": {"h0": 0.96, "h2": 1.1, "capacity": 1.03, "max_strain": 0.985, "austenite_shift": -1.2, "martensite_shift": 1.4},
+    "dead-weight-unexplained": {"h0": 0.96, "h2": 1.1, "capacity": 1.03, "max_transformation_strain": 0.985, "austenite_shift": -1.2, "martensite_shift": 1.4},
     "isobaric": {
-        "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "detwinning_finish_stress": 1.06, "max_strain": 1.03,
+        "austenite_start": 2.9, "austenite_finish": 1.6, "martensite_start": -1.1, "detwinning_finish_stress": 1.06, "max_transformation_strain": 1.03,
         "clausius_clapeyron_austenite": 1.04, "clausius_clapeyron_martensite": 0.97,
     },
-    "coil-dead-weight": {"h0": 1.05, "capacity": 0.97, "max_strain": 1.02, "austenite_shift": 1.4, "martensite_shift": -1.1},
-    "coil-bias-spring": {"h0": 0.96, "capacity": 1.04, "max_strain": 0.98, "austenite_shift": -1.3, "martensite_shift": 1.6},
-    "coil-antagonistic": {"h0": 1.04, "capacity": 1.03, "max_strain": 0.985, "austenite_shift": 1.2, "martensite_shift": -0.9},
-    "hip": {"h0": 0.95, "capacity": 0.96, "max_strain": 1.025, "austenite_shift": -1.5, "martensite_shift": 1.1},
-    "elbow": {"h0": 1.05, "capacity": 0.96, "max_strain": 0.98, "austenite_shift": 1.5, "martensite_shift": -1.1, "friction": 1.25},
-    "wrist": {"h0": 0.95, "capacity": 1.04, "max_strain": 1.02, "austenite_shift": -1.3, "martensite_shift": 1.6, "friction": 0.8},
-    "glove-finger": {"h0": 1.04, "capacity": 1.03, "max_strain": 0.975, "austenite_shift": -1.8, "martensite_shift": -1.2, "friction": 1.2},
+    "coil-dead-weight": {"h0": 1.05, "capacity": 0.97, "max_transformation_strain": 1.02, "austenite_shift": 1.4, "martensite_shift": -1.1},
+    "coil-bias-spring": {"h0": 0.96, "capacity": 1.04, "max_transformation_strain": 0.98, "austenite_shift": -1.3, "martensite_shift": 1.6},
+    "coil-antagonistic": {"h0": 1.04, "capacity": 1.03, "max_transformation_strain": 0.985, "austenite_shift": 1.2, "martensite_shift": -0.9},
+    "hip": {"h0": 0.95, "capacity": 0.96, "max_transformation_strain": 1.025, "austenite_shift": -1.5, "martensite_shift": 1.1},
+    "elbow": {"h0": 1.05, "capacity": 0.96, "max_transformation_strain": 0.98, "austenite_shift": 1.5, "martensite_shift": -1.1, "friction": 1.25},
+    "wrist": {"h0": 0.95, "capacity": 1.04, "max_transformation_strain": 1.02, "austenite_shift": -1.3, "martensite_shift": 1.6, "friction": 0.8},
+    "glove-finger": {"h0": 1.04, "capacity": 1.03, "max_transformation_strain": 0.975, "austenite_shift": -1.8, "martensite_shift": -1.2, "friction": 1.2},
 }  # fmt: skip
 # What the wire has that its rig file does not know: the latent heat of Flexinol, 24.2 kJ/kg, at 6450 kg/m^3 is 1.56e8; a third of it here.
 HIDDEN: dict[str, dict[str, float]] = {"dead-weight-unexplained": {"latent_heat": 5e7}}
@@ -77,7 +77,7 @@ WRITTEN = {
     "h0": ("heat.h0", "W/m^2/K", 1.0),
     "h2": ("heat.h2", "W/m^2/K^3", 1.0),
     "capacity": ("heat.capacity", "MJ/m^3/K", 1e6),
-    "max_strain": ("material.max_strain", "%", 1e-2),
+    "max_transformation_strain": ("material.max_transformation_strain", "%", 1e-2),
     "detwinning_finish_stress": ("material.detwinning_finish_stress", "MPa", 1e6),
     "modulus_austenite": ("material.modulus_austenite", "GPa", 1e9),
     "modulus_martensite": ("material.modulus_martensite", "GPa", 1e9),
@@ -133,19 +133,28 @@ def turns(
 def dead_weight(rng: np.random.Generator) -> Columns:
     """120 s of current: many partial loops between whole ones."""
     time, bands = clock(120.0), np.array([[48.0, 62.0], [85.0, 99.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4)}
+    return {
+        "time [s]": time,
+        "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4),
+    }
 
 
 def unexplained(rng: np.random.Generator) -> Columns:
     """As ``dead_weight``, for 60 s."""
     time, bands = clock(60.0), np.array([[48.0, 62.0], [85.0, 99.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4)}
+    return {
+        "time [s]": time,
+        "current [A]": turns(rng, time, shipped("dead-weight"), (0.0, 0.14), (0.29, 0.34), bands).round(4),
+    }
 
 
 def bias_spring(rng: np.random.Generator) -> Columns:
     """100 s of voltage: many partial loops between whole ones."""
     time, bands = clock(100.0), np.array([[45.0, 80.0], [82.0, 112.0]])
-    return {"time [s]": time, "voltage [V]": turns(rng, time, shipped("bias-spring"), (0.0, 1.5), (3.75, 4.2), bands).round(3)}
+    return {
+        "time [s]": time,
+        "voltage [V]": turns(rng, time, shipped("bias-spring"), (0.0, 1.5), (3.75, 4.2), bands).round(3),
+    }
 
 
 def rotary(rng: np.random.Generator) -> Columns:
@@ -199,16 +208,24 @@ def isobaric(rng: np.random.Generator) -> Columns:
 def coil_dead_weight(rng: np.random.Generator) -> Columns:
     """200 s of current through a lifting coil: many partial loops between whole ones."""
     time, bands = clock(200.0, 10.0), np.array([[57.0, 71.0], [87.0, 105.0]])
-    return {"time [s]": time, "current [A]": turns(rng, time, shipped("coil-dead-weight"), (0.0, 0.6), (1.55, 1.9), bands).round(3)}
+    return {
+        "time [s]": time,
+        "current [A]": turns(rng, time, shipped("coil-dead-weight"), (0.0, 0.6), (1.55, 1.9), bands).round(3),
+    }
 
 
 def coil_bias_spring(rng: np.random.Generator) -> Columns:
     """200 s of voltage at a coil that stretches a spring."""
     time, bands = clock(200.0, 10.0), np.array([[47.0, 78.0], [82.0, 110.0]])
-    return {"time [s]": time, "voltage [V]": turns(rng, time, shipped("coil-bias-spring"), (0.0, 0.6), (1.65, 2.1), bands).round(3)}
+    return {
+        "time [s]": time,
+        "voltage [V]": turns(rng, time, shipped("coil-bias-spring"), (0.0, 0.6), (1.65, 2.1), bands).round(3),
+    }
 
 
-def taking_turns(rng: np.random.Generator, time: Floats, spans: tuple[float, float], levels: tuple[float, float]) -> Floats:
+def taking_turns(
+    rng: np.random.Generator, time: Floats, spans: tuple[float, float], levels: tuple[float, float]
+) -> Floats:
     """Two inputs (n, 2) of which one is on at a time for a span within ``spans``, with pauses, each turn steady, rising or falling."""
     signal, now, turn = np.zeros((len(time), 2)), 0.0, 0
     while now <= time[-1]:
@@ -257,14 +274,24 @@ RECIPES: dict[str, Recipe] = {
     "bias-spring": Recipe(bias_spring, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
     "testing-machine": Recipe(testing_machine, Channel("stress", "MPa", MEGAPASCAL, 1.0, 2), {"substeps": 40}),
     "isobaric": Recipe(isobaric, Channel("strain", "%", PERCENT, 0.01, 4), {}),
-    "dead-weight-unexplained": Recipe(unexplained, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}),
+    "dead-weight-unexplained": Recipe(
+        unexplained, Channel("displacement", "mm", MILLIMETRE, 0.02, 4), {"substeps": 20}
+    ),
     "coil-dead-weight": Recipe(coil_dead_weight, Channel("displacement", "mm", MILLIMETRE, 0.05, 3), {"substeps": 30}),
     "coil-bias-spring": Recipe(coil_bias_spring, Channel("displacement", "mm", MILLIMETRE, 0.05, 3), {"substeps": 30}),
     "coil-antagonistic": Recipe(coil_antagonistic, Channel("angle", "deg", DEGREE, 0.06, 3, 0.025), {"substeps": 30}),
-    "hip": Recipe(hip, Channel("angle", "deg", DEGREE, 0.2, 3), {"substeps": 30}, (Channel("rate", "deg/s", DEGREE, 1.0, 2),)),
-    "elbow": Recipe(pushes("current", "A", (0.0, 0.8), (2.8, 3.4), 3), Channel("angle", "deg", DEGREE, 0.3, 2), {"substeps": 10}),
-    "wrist": Recipe(pushes("voltage", "V", (0.0, 2.5), (9.0, 12.0), 3), Channel("angle", "deg", DEGREE, 0.2, 2), {"substeps": 10}),
-    "glove-finger": Recipe(pushes("power", "W", (0.0, 2.0), (25.0, 40.0), 2), Channel("angle", "deg", DEGREE, 0.5, 2), {"substeps": 10}),
+    "hip": Recipe(
+        hip, Channel("angle", "deg", DEGREE, 0.2, 3), {"substeps": 30}, (Channel("rate", "deg/s", DEGREE, 1.0, 2),)
+    ),
+    "elbow": Recipe(
+        pushes("current", "A", (0.0, 0.8), (2.8, 3.4), 3), Channel("angle", "deg", DEGREE, 0.3, 2), {"substeps": 10}
+    ),
+    "wrist": Recipe(
+        pushes("voltage", "V", (0.0, 2.5), (9.0, 12.0), 3), Channel("angle", "deg", DEGREE, 0.2, 2), {"substeps": 10}
+    ),
+    "glove-finger": Recipe(
+        pushes("power", "W", (0.0, 2.0), (25.0, 40.0), 2), Channel("angle", "deg", DEGREE, 0.5, 2), {"substeps": 10}
+    ),
 }
 
 
@@ -315,7 +342,11 @@ def truth_text(name: str, nominal: RigFile) -> str:
         if key.endswith("_shift"):
             parameter, value, source = f"material.{key}", f"{by:g} K", "added to the nominal temperatures"
         elif key in TEMPERATURES:
-            parameter, value, source = f"material.{key}", f"{getattr(true.material, key):.10g} degC", f"nominal and {by:+g} K"
+            parameter, value, source = (
+                f"material.{key}",
+                f"{getattr(true.material, key):.10g} degC",
+                f"nominal and {by:+g} K",
+            )
         else:
             parameter, unit, size = WRITTEN[key]
             held = true.heat._asdict() | true.material._asdict() | true.mechanism

@@ -56,8 +56,12 @@ def left(tanaka, share):
 @njit(cache=True)
 def drives(m, temperature, stress):
     """p and q."""
-    p = (m.martensite_start + stress / m.clausius_clapeyron_martensite - temperature) / (m.martensite_start - m.martensite_finish)
-    q = (temperature - m.austenite_start - stress / m.clausius_clapeyron_austenite) / (m.austenite_finish - m.austenite_start)
+    p = (m.martensite_start + stress / m.clausius_clapeyron_martensite - temperature) / (
+        m.martensite_start - m.martensite_finish
+    )
+    q = (temperature - m.austenite_start - stress / m.clausius_clapeyron_austenite) / (
+        m.austenite_finish - m.austenite_start
+    )
     return p, q
 
 
@@ -131,5 +135,7 @@ def simulate(rig: Rig, time: Floats, current: Floats, substeps: int = 20) -> Flo
 
     Returns contraction in m, temperature, stress and martensite fraction, shape (n, 4). Both phases have the capacity of austenite.
     """
-    made = rig._replace(**dict(zip(("material", "heat", "wire"), floats(rig.material, rig.heat, rig.wire), strict=True)))
+    made = rig._replace(
+        **dict(zip(("material", "heat", "wire"), floats(rig.material, rig.heat, rig.wire), strict=True))
+    )
     return _march(made, np.ascontiguousarray(time, float), np.ascontiguousarray(current, float), substeps)

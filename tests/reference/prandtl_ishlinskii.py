@@ -38,11 +38,19 @@ def plays(thresholds: list[float], loading: Envelope, unloading: Envelope, value
 
 
 def respond(
-    direct: float, thresholds: list[float], densities: list[float], loading: Envelope, unloading: Envelope, values: list[float]
+    direct: float,
+    thresholds: list[float],
+    densities: list[float],
+    loading: Envelope,
+    unloading: Envelope,
+    values: list[float],
 ) -> list[float]:
     """The output at each row."""
     states = plays(thresholds, loading, unloading, values)
-    return [direct * loading.at(v) + sum(p * f for p, f in zip(densities, now, strict=True)) for v, now in zip(values, states, strict=True)]
+    return [
+        direct * loading.at(v) + sum(p * f for p, f in zip(densities, now, strict=True))
+        for v, now in zip(values, states, strict=True)
+    ]
 
 
 def essential(values: list[float]) -> list[float]:

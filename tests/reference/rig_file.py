@@ -79,7 +79,8 @@ def read_rig(path: str | Path) -> RigFile:
     with Path(path).open("rb") as file:
         raw = tomllib.load(file)
     section = {
-        name: {k: quantity(v) for k, v in raw.get(name, {}).items() if k != "set"} for name in ("material", "heat", "wire", "environment")
+        name: {k: quantity(v) for k, v in raw.get(name, {}).items() if k != "set"}
+        for name in ("material", "heat", "wire", "environment")
     }
     material = dict(section["material"])
     both = material.pop("thermal_expansion", 0.0)
@@ -92,13 +93,26 @@ def read_rig(path: str | Path) -> RigFile:
     ambient, coiled = section["environment"].get("ambient", 20.0), {}
     if "turns" in section["wire"]:
         coiled = {"springs": 1.0, "poisson_ratio": 0.33, "prestretch": 0.0} | section["wire"]
-        section["wire"] = {"diameter": coiled["diameter"], "length": coiled["springs"] * np.pi * coiled["coil_diameter"] * coiled["turns"]}
+        section["wire"] = {
+            "diameter": coiled["diameter"],
+            "length": coiled["springs"] * np.pi * coiled["coil_diameter"] * coiled["turns"],
+        }
     wire = {"diameter": 1.0, "length": 1.0, "prestrain": 0.0} | section["wire"] | {"ambient": ambient}
     mechanism = {key: quantity(value) for name in MECHANISM for key, value in raw.get(name, {}).items()}
     rig = raw["rig"]
     observe = tuple(raw.get("fit", {}).get("observe", ()))
     control, interpolation = rig.get("control", ""), rig.get("interpolation", "hold")
-    return RigFile(rig["kind"], control, interpolation, Material(**material), Heat(**heat), Wire(**wire), mechanism, observe, coiled)
+    return RigFile(
+        rig["kind"],
+        control,
+        interpolation,
+        Material(**material),
+        Heat(**heat),
+        Wire(**wire),
+        mechanism,
+        observe,
+        coiled,
+    )
 
 
 def simulate(rig: RigFile, channels: dict[str, Floats], **options: Any) -> rigs.Run | coil.Run:
@@ -114,7 +128,9 @@ def simulate(rig: RigFile, channels: dict[str, Floats], **options: Any) -> rigs.
     if rig.kind == "antagonistic-rotary":
         signal = np.column_stack([channels[f"{rig.control}_{i}"] for i in (1, 2)])
         if of.get("inertia", 0.0) > 0.0:
-            return rigs.rotary_inertia(*parts, of["radius"], of["inertia"], of.get("damping", 0.0), time, signal, **options)
+            return rigs.rotary_inertia(
+                *parts, of["radius"], of["inertia"], of.get("damping", 0.0), time, signal, **options
+            )
         return rigs.rotary(*parts, of["radius"], time, signal, **options)
     signal = channels[rig.control]
     if rig.kind == "dead-weight":
@@ -148,7 +164,9 @@ def _simulate_coil(rig: RigFile, channels: dict[str, Floats], **options: Any) ->
     if rig.kind == "coil-antagonistic":
         return coil.antagonistic(*given, time, signal, **options)
     inertia = of.get("inertia", 0.0) + of["mass"] * of["centre"] ** 2
-    return coil.joint(*given, inertia, of.get("damping", 0.0), of["mass"] * coil.GRAVITY * of["centre"], time, signal, **options)
+    return coil.joint(
+        *given, inertia, of.get("damping", 0.0), of["mass"] * coil.GRAVITY * of["centre"], time, signal, **options
+    )
 
 
 def read_csv(path: str | Path) -> dict[str, Floats]:

@@ -98,7 +98,13 @@ def _events(rig, step, signal, first, second, tension):
     # A wire at its steady temperature warms and cools by rounding: no event.
     still = 1e-10 * rig.heat.capacity_austenite / step
     start = rig.material.martensite_start
-    return (q1 if abs(q1) > still else 0.0, q2 if abs(q2) > still else 0.0, first.temperature - start, second.temperature - start, tension)
+    return (
+        q1 if abs(q1) > still else 0.0,
+        q2 if abs(q2) > still else 0.0,
+        first.temperature - start,
+        second.temperature - start,
+        tension,
+    )
 
 
 @njit(cache=True)
@@ -185,14 +191,18 @@ def _run(material: Material, wire: Wire, out: Floats, position: Floats, signal: 
     return Run(position, temperature, stress, free, detwinned, twinned, current, current * ohm, ohm)
 
 
-def strain_array(material: Material, temperature: Floats, stress: Floats, detwinned: Floats, twinned: Floats, reference: float) -> Floats:
+def strain_array(
+    material: Material, temperature: Floats, stress: Floats, detwinned: Floats, twinned: Floats, reference: float
+) -> Floats:
     """``strain_of`` on arrays."""
     shape = np.shape(temperature)
     flat = zip(*(np.ravel(a) for a in (temperature, stress, detwinned, twinned)), strict=True)
     return np.array([strain_of(material, *row, reference) for row in flat]).reshape(shape)
 
 
-def _one_wire(material, heat, wire, time, signal, right, c_s, c_1, start, control, interpolation, substeps) -> tuple[Floats, Floats]:
+def _one_wire(
+    material, heat, wire, time, signal, right, c_s, c_1, start, control, interpolation, substeps
+) -> tuple[Floats, Floats]:
     signal = _signals(signal, 1)
     material, heat, wire, start = floats(material, heat, wire, start)
     linear = {"hold": False, "linear": True}[interpolation]
@@ -209,7 +219,9 @@ def dead_weight(
     load = mass * GRAVITY / area(wire)
     start = start or State(wire.ambient, load, 1.0, 0.0)
     right = np.full(len(time), load)
-    out, signal = _one_wire(material, heat, wire, time, signal, right, 1.0, 0.0, start, control, interpolation, substeps)
+    out, signal = _one_wire(
+        material, heat, wire, time, signal, right, 1.0, 0.0, start, control, interpolation, substeps
+    )
     run = _run(material, wire, out, np.empty(0), signal, control)
     return _placed(run, wire.length * (run.strain[0, 0] - run.strain[:, 0]))
 
@@ -222,7 +234,9 @@ def bias_spring(
     start = start or State(wire.ambient, preload / area(wire), 1.0, 0.0)
     per_strain = stiffness * wire.length / area(wire)
     right = np.full(len(time), start.stress + per_strain * strain(material, wire, start))
-    out, signal = _one_wire(material, heat, wire, time, signal, right, 1.0, per_strain, start, control, interpolation, substeps)
+    out, signal = _one_wire(
+        material, heat, wire, time, signal, right, 1.0, per_strain, start, control, interpolation, substeps
+    )
     run = _run(material, wire, out, np.empty(0), signal, control)
     return _placed(run, wire.length * (run.strain[0, 0] - run.strain[:, 0]))
 
@@ -233,17 +247,19 @@ def testing_machine(
 ) -> Run:  # fmt: skip
     """A wire between grips: strain (n,), counted from the wire's prestrain and linear between rows, gives its stress.
 
-    Starts at ambient, stress-free, drawn out cold to its first strain: detwinned = strain / max_strain, the rest twinned.
+    Starts at ambient, stress-free, drawn out cold to its first strain: detwinned = strain / max_transformation_strain, the rest twinned.
     """
     total = wire.prestrain + np.asarray(prescribed, float)
     start = start or drawn_out(material, wire, float(total[0]))
-    out, signal = _one_wire(material, heat, wire, time, signal, total, 0.0, 1.0, start, control, interpolation, substeps)
+    out, signal = _one_wire(
+        material, heat, wire, time, signal, total, 0.0, 1.0, start, control, interpolation, substeps
+    )
     return _run(material, wire, out, np.asarray(prescribed, float), signal, control)
 
 
 def drawn_out(material: Material, wire: Wire, strain_there: float) -> State:
     """Stress-free at ambient, its strain all from detwinned martensite, the rest twinned."""
-    detwinned = min(max(strain_there / material.max_strain, 0.0), 1.0)
+    detwinned = min(max(strain_there / material.max_transformation_strain, 0.0), 1.0)
     return State(wire.ambient, 0.0, detwinned, 1.0 - detwinned)
 
 
@@ -267,7 +283,9 @@ def rotary(
     per_lean = wire.length / radius
     # Wires that go on from slack have to be seen coming taut.
     tension = balance(rig, first, second, 0.0, 0.0, right[0]) if start else 0.0
-    out, lean = _quasi_static(rig, linear, time, signal, right, first, second, tension, float(angle) / per_lean, substeps)
+    out, lean = _quasi_static(
+        rig, linear, time, signal, right, first, second, tension, float(angle) / per_lean, substeps
+    )
     return _placed(_run(material, wire, out, np.empty(0), signal, control), per_lean * lean)
 
 
@@ -347,7 +365,9 @@ def _stress_path(m, temperature, stress, detwinned, twinned):
     out = np.empty((temperature.size, 1, 4))
     for k in range(temperature.size):
         if k:
-            detwinned, twinned = advance(m, detwinned, twinned, temperature[k - 1], stress[k - 1], temperature[k], stress[k])
+            detwinned, twinned = advance(
+                m, detwinned, twinned, temperature[k - 1], stress[k - 1], temperature[k], stress[k]
+            )
         _note(out, k, 0, State(temperature[k], stress[k], detwinned, twinned))
     return out
 

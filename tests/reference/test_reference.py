@@ -98,7 +98,9 @@ def test_reverse_vectors(temperature, stress, start, expected):
 def test_the_uncorrected_law_passes_one_and_the_corrected_does_not(start, stress, original):
     # At the end of cooling, where twinning is complete.
     assert sum(brinson_original(PAPER, PAPER.martensite_finish, stress, *start)) == pytest.approx(original, abs=1e-3)
-    assert sum(forward_from_leg_start(PAPER, PAPER.martensite_finish, stress, *start, True)) == pytest.approx(1.0, abs=1e-12)
+    assert sum(forward_from_leg_start(PAPER, PAPER.martensite_finish, stress, *start, True)) == pytest.approx(
+        1.0, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("point", [(46.0, 50e6, 0.2, 0.1), (44.5, 70e6, 0.0, 0.3), (48.0, 30e6, 0.4, 0.0)])
@@ -114,7 +116,11 @@ def test_printed_rates_are_those_of_the_corrected_law(point):
     y_rate = -x_rate / (1 - x0) * chung_d(PAPER, temperature, x0, y0, True) + (1 - x) / (1 - x0) * d_rate
     h = 1e-4
     ends = [
-        np.array(forward_from_leg_start(PAPER, temperature + s * h * per_second[1], stress + s * h * per_second[0], x0, y0, True))
+        np.array(
+            forward_from_leg_start(
+                PAPER, temperature + s * h * per_second[1], stress + s * h * per_second[0], x0, y0, True
+            )
+        )
         for s in (1, -1)
     ]
     assert (ends[0] - ends[1]) / (2 * h) == pytest.approx([x_rate, y_rate], rel=1e-6)
@@ -149,7 +155,11 @@ def test_a_restart_inside_the_band_is_continuous_and_completes():
     assert sum(advance(MATERIAL, *back, 68.0, 0.0, 68.0 + 1e-9, 0.0)) == pytest.approx(sum(half), abs=1e-9)
     assert sum(advance(MATERIAL, *back, 68.0, 0.0, 80.0, 0.0)) == 0.0
     # Coldness drives detwinning above M_s, never below.
-    assert detwinning_drive(MATERIAL, 60.0, 100e6) < detwinning_drive(MATERIAL, 50.0, 100e6) == detwinning_drive(MATERIAL, 40.0, 100e6)
+    assert (
+        detwinning_drive(MATERIAL, 60.0, 100e6)
+        < detwinning_drive(MATERIAL, 50.0, 100e6)
+        == detwinning_drive(MATERIAL, 40.0, 100e6)
+    )
 
 
 # Heat.
@@ -158,7 +168,9 @@ def test_a_restart_inside_the_band_is_continuous_and_completes():
 def test_heat_vector():
     still = PAPER._replace(resistivity_austenite=9e-7, resistivity_martensite=9e-7)
     heat, wire = polynomial_heat(600.0, CAPACITY), PAIR._replace(prestrain=0.0)
-    run = rigs.dead_weight(still, heat, wire, 0.0, np.array([0.0, 0.1, 5.0]), np.ones(3), interpolation="hold", substeps=400)
+    run = rigs.dead_weight(
+        still, heat, wire, 0.0, np.array([0.0, 0.1, 5.0]), np.ones(3), interpolation="hold", substeps=400
+    )
     assert run.temperature[:, 0] == pytest.approx([20.0, 53.7198, 95.9909], abs=5e-5)
     tau = CAPACITY * 0.2e-3 / (4 * 600.0)
     assert tau == pytest.approx(0.170500, abs=1e-6)
@@ -168,7 +180,12 @@ def test_convection_time_constants_and_steady_temperatures():
     h80 = {mode: h0 + h2 * 80.0**2 for mode, (h0, h2) in MODES.items()}
     assert [h80[m] for m in MODES] == pytest.approx([107.0, 422.8, 697.4], abs=0.05)
     assert [CAPACITY * 0.2e-3 / (4 * h80[m]) for m in MODES] == pytest.approx([0.956, 0.242, 0.147], abs=1e-3)
-    for mode, current, expected in (("free", 0.5, 128.0), ("low", 1.0, 104.0), ("high", 1.5, 122.0), ("high", 2.0, 152.0)):
+    for mode, current, expected in (
+        ("free", 0.5, 128.0),
+        ("low", 1.0, 104.0),
+        ("high", 1.5, 122.0),
+        ("high", 2.0, 152.0),
+    ):
         heat = polynomial_heat(MODES[mode][0], CAPACITY, h2=MODES[mode][1])
         time = np.linspace(0, 12, 241)
         run = rigs.dead_weight(PAPER, heat, PAIR, 0.0, time, np.full(241, current), interpolation="hold")
@@ -178,7 +195,9 @@ def test_convection_time_constants_and_steady_temperatures():
 @pytest.mark.parametrize(("control", "signal"), [("current", 0.3), ("power", 0.9), ("voltage", 3.0)])
 def test_the_three_controls_agree_on_what_they_read(control, signal):
     time = np.arange(101) / 50
-    run = rigs.dead_weight(MATERIAL, AIR, SINGLE, 0.2, time, np.full(101, signal), control=control, interpolation="hold")
+    run = rigs.dead_weight(
+        MATERIAL, AIR, SINGLE, 0.2, time, np.full(101, signal), control=control, interpolation="hold"
+    )
     given = {"current": run.current, "power": run.current * run.voltage, "voltage": run.voltage}[control]
     assert given == pytest.approx(signal, rel=1e-12)
     assert run.voltage == pytest.approx(run.current * run.resistance, rel=1e-12)
@@ -189,7 +208,9 @@ def test_latent_heat_and_phase_dependent_capacity_against_the_closed_form():
     latent, power = 1.56e8, 0.9
     heat = polynomial_heat(0.0, CAPACITY)._replace(latent_heat=latent, capacity_austenite=2.4e6)
     time = np.linspace(0.0, 3.0, 151)
-    run = rigs.dead_weight(MATERIAL, heat, SINGLE, 0.2, time, np.full(151, power), control="power", interpolation="hold", substeps=200)
+    run = rigs.dead_weight(
+        MATERIAL, heat, SINGLE, 0.2, time, np.full(151, power), control="power", interpolation="hold", substeps=200
+    )
     temperature, fraction = run.temperature[:, 0], (run.detwinned + run.twinned)[:, 0]
     assert fraction[0] == 1.0 and fraction[-1] == 0.0
     # Integrate what it takes along the transformation with the integrated kinetics, finely.
@@ -211,7 +232,9 @@ def test_kinematic_angle_of_two_percent():
     # Elastic strain takes the rest.
     time, currents = square_turns(0.1, 1.2, 2)
     run = rigs.rotary(PAPER, FAN, PAIR, 0.02, time, currents, substeps=10)
-    assert np.degrees([run.position[-200:].max(), run.position[-200:].min()]) == pytest.approx([25.85, -25.85], abs=0.03)
+    assert np.degrees([run.position[-200:].max(), run.position[-200:].min()]) == pytest.approx(
+        [25.85, -25.85], abs=0.03
+    )
     assert run.stress[:, 0] == pytest.approx(run.stress[:, 1])
 
 
@@ -296,7 +319,10 @@ def test_inertia_and_damping_follow_the_light_pulley_as_they_vanish():
     currents = np.column_stack([np.linspace(0.0, 0.6, 301), np.zeros(301)])
     options = {"interpolation": "linear", "substeps": 400}
     light = np.degrees(rigs.rotary(MATERIAL, AIR, PAIR, 0.02, time, currents, **options).position)
-    heavy = [np.degrees(rigs.rotary_inertia(MATERIAL, AIR, PAIR, 0.02, 1e-5, c, time, currents, **options).position) for c in (2e-3, 2e-4)]
+    heavy = [
+        np.degrees(rigs.rotary_inertia(MATERIAL, AIR, PAIR, 0.02, 1e-5, c, time, currents, **options).position)
+        for c in (2e-3, 2e-4)
+    ]
     error = [np.max(np.abs(h - light)) for h in heavy]
     assert np.ptp(light) > 20.0
     assert error[1] < 0.01 * np.ptp(light) and error[0] > 5.0 * error[1]
@@ -308,7 +334,10 @@ def test_inertia_and_damping_follow_the_light_pulley_as_they_vanish():
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
 def test_dead_weight_is_converged(interpolation):
     time, current = np.arange(1501) / 50, levels(np.random.default_rng(2), 1501, 60, 0.15, 0.33)
-    runs = [rigs.dead_weight(MATERIAL, AIR, SINGLE, 0.2, time, current, interpolation=interpolation, substeps=n).position for n in (20, 40)]
+    runs = [
+        rigs.dead_weight(MATERIAL, AIR, SINGLE, 0.2, time, current, interpolation=interpolation, substeps=n).position
+        for n in (20, 40)
+    ]
     assert np.ptp(runs[1]) > 9e-3
     assert np.max(np.abs(runs[0] - runs[1])) < 1e-7 * np.ptp(runs[1])
 
@@ -316,7 +345,10 @@ def test_dead_weight_is_converged(interpolation):
 def test_bias_spring_is_converged():
     time, voltage = np.arange(1501) / 50, levels(np.random.default_rng(3), 1501, 60, 1.5, 4.0)
     options = {"control": "voltage", "interpolation": "linear"}
-    runs = [rigs.bias_spring(MATERIAL, AIR, SINGLE, 300.0, 2.0, time, voltage, **options, substeps=n).position for n in (20, 40)]
+    runs = [
+        rigs.bias_spring(MATERIAL, AIR, SINGLE, 300.0, 2.0, time, voltage, **options, substeps=n).position
+        for n in (20, 40)
+    ]
     assert np.max(np.abs(runs[0] - runs[1])) < 1e-7 * np.ptp(runs[1])
 
 
@@ -346,7 +378,9 @@ def test_a_rotary_run_goes_on_from_any_row():
     assert 5 < np.sum(slack) < 60 and np.ptp(whole.position) > 0.3
     start, angle = None, 0.0
     for k in range(300):
-        run = rigs.rotary(PAPER, AIR, PAIR, 0.02, time[k : k + 2], currents[k : k + 2], substeps=20, start=start, angle=angle)
+        run = rigs.rotary(
+            PAPER, AIR, PAIR, 0.02, time[k : k + 2], currents[k : k + 2], substeps=20, start=start, angle=angle
+        )
         angle = float(run.position[-1])
         states = zip(*(a[-1] for a in (run.temperature, run.stress, run.detwinned, run.twinned)), strict=True)
         start = tuple(State(*map(float, s)) for s in states)
@@ -365,7 +399,10 @@ def test_the_fast_loop_converges_to_the_exact_rigs():
     currents = np.column_stack([levels(np.random.default_rng(s), 1001, 80, 0.3, 0.55) for s in (5, 6)])
     pair = fast_loop.Design(*PAPER[:14], *AIR[:3], CAPACITY, *PAIR[:2], 20.0, 0.0, PAIR.prestrain, 0.02)
     exact = rigs.rotary(PAPER, AIR, PAIR, 0.02, time, currents).position
-    error = [np.degrees(np.sqrt(np.mean((fast_loop.rotary(pair, time, currents, substeps=n) - exact) ** 2))) for n in (8, 128)]
+    error = [
+        np.degrees(np.sqrt(np.mean((fast_loop.rotary(pair, time, currents, substeps=n) - exact) ** 2)))
+        for n in (8, 128)
+    ]
     assert error[0] < 0.1 and error[1] < 2e-3
     rows = np.array([design, design._replace(h0=120.0)])
     both = fast_loop.dead_weight_batch(rows, time, current)
@@ -378,7 +415,9 @@ def test_the_fast_loop_converges_to_the_exact_rigs():
 
 
 def test_quantities_of_the_rig_files_reader():
-    assert (quantity("0.15 mm"), quantity("80 uohm cm"), quantity("10e-6 1/K")) == pytest.approx((0.15e-3, 0.8e-6, 10e-6))
+    assert (quantity("0.15 mm"), quantity("80 uohm cm"), quantity("10e-6 1/K")) == pytest.approx(
+        (0.15e-3, 0.8e-6, 10e-6)
+    )
     with pytest.raises(ValueError, match="not a quantity"):
         quantity("3 furlongs")
 
@@ -403,7 +442,9 @@ def test_nominal_values_do_not_explain_the_recordings(name):
         rig, observed = read_rig(FOLDER / name / "rig.toml"), RECIPES[name].observed
         measured = channels[observed.name]
         miss = [
-            np.std(read_channel(simulate(r, channels, substeps=5), observed.name) - measured) / observed.si / observed.noise
+            np.std(read_channel(simulate(r, channels, substeps=5), observed.name) - measured)
+            / observed.si
+            / observed.noise
             for r in (rig, truth(rig, name))
         ]
         assert miss[0] > 5.0 and miss[1] < 1.1
@@ -427,7 +468,15 @@ def test_the_rig_with_hidden_effects_is_the_other_one_without_them():
     time, current = channels["time"][:1500], channels["current"][:1500]
     exact = read_channel(simulate(rig, {"time": time, "current": current}, substeps=20), "displacement")
     np.testing.assert_allclose(displacement(rig, Hidden(), time, current), exact, atol=2e-6)
-    for name, size in {"friction": 1e7, "play": 1e-4, "lag": 0.1, "latent_heat": 5e7, "exponent": 0.1, "pace": 0.1, "cubic": 0.02}.items():
+    for name, size in {
+        "friction": 1e7,
+        "play": 1e-4,
+        "lag": 0.1,
+        "latent_heat": 5e7,
+        "exponent": 0.1,
+        "pace": 0.1,
+        "cubic": 0.02,
+    }.items():
         assert np.max(np.abs(displacement(rig, Hidden(**{name: size}), time, current) - exact)) > 2e-5, name
 
 
@@ -438,7 +487,16 @@ def test_two_wires_with_hidden_effects_are_the_others_without_them():
     exact = rigs.rotary(rig.material, rig.heat, rig.wire, rig.mechanism["radius"], time, current, substeps=40).position
     coarse, fine = (np.max(np.abs(angle(rig, Hidden(), time, current, substeps) - exact)) for substeps in (20, 80))
     assert coarse < 6e-4 and fine < 0.5 * coarse
-    sizes = {"friction": 1e7, "play": 5e-3, "lag": 0.1, "latent_heat": 2e7, "crosstalk": 0.05, "creep": 1e-3, "draught": 0.1, "cubic": 0.1}
+    sizes = {
+        "friction": 1e7,
+        "play": 5e-3,
+        "lag": 0.1,
+        "latent_heat": 2e7,
+        "crosstalk": 0.05,
+        "creep": 1e-3,
+        "draught": 0.1,
+        "cubic": 0.1,
+    }
     for name, size in sizes.items():
         moved = [angle(rig, Hidden(**{name: size}), time, current, substeps) for substeps in (20, 40)]
         effect, apart = np.max(np.abs(moved[1] - exact)), np.max(np.abs(moved[1] - moved[0]))

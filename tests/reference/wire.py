@@ -105,7 +105,9 @@ def heating(rig, signal, state):
 
 @njit(cache=True)
 def _to(material, state, temperature, stress):
-    detwinned, twinned = advance(material, state.detwinned, state.twinned, state.temperature, state.stress, temperature, stress)
+    detwinned, twinned = advance(
+        material, state.detwinned, state.twinned, state.temperature, state.stress, temperature, stress
+    )
     return State(temperature, stress, detwinned, twinned)
 
 

@@ -1,0 +1,366 @@
+"""A sweep of 100,000 antagonistic rotary actuators, ten seconds of motion each.
+
+Throughput, memory, and what gradients add.
+
+The same designs go through the sweep as the command runs it (chunks, tables on the disk) and through a loop compiled
+by numba that shares designs among the same cores, in turn, chunk by chunk, so that whatever else the machine does
+falls on both. The loop takes as many parts of a step as it needs to be as exact as the sweep; its own limit with 64
+parts is the truth. Beside them, the same loop in plain Python, and one simulation after the other. Then: memory and
+cost against the number of designs, and the best of all samples against a refined one. On an accelerator the sweep
+also runs on the processor alone, and its numbers are compared.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
+
+from experiments.common.base import ROOT, Row, arguments, exponent, finish, say
+from experiments.common.compiled_loop import SAMPLE, Loop
+
+import jax
+import jax.numpy as jnp
+import numba
+import numpy as np
+
+from smajax.numerics.process import count_cores
+from smajax.sweeps import chunks, compilation
+from smajax.sweeps.refinement import refine, separated_starts
+from smajax.sweeps.sweep_file import read_sweep
+from smajax.sweeps.table import read_table
+
+SWEEP = """
+[sweep]
+rig = "{rig}"
+designs = {count}
+metrics = ["stroke", "peak_temperature"]
+sensitivity = false
+[parameters]
+wire.diameter = ["0.15 mm", "0.3 mm"]
+wire.length = ["300 mm", "600 mm"]
+wire.prestrain = ["1 %", "3 %"]
+pulley.radius = ["10 mm", "30 mm"]
+input.amplitude = {{ from = "0.5 A", to = "2 A", scale = "log" }}
+[input]
+wave = "square"
+amplitude = "1 A"
+frequency = "1 Hz"
+cycles = 10
+[objectives]
+stroke = "max"
+[constraints]
+peak_temperature = {{ at_most = "110 degC" }}
+"""
+CHECKED = 256
+# Runs the reference loop without numba: a fresh interpreter, since numba reads this at its import.
+PLAIN = """
+import json, sys, time
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+from tests.reference import fast_loop
+rows, grid, current, parts = json.load(sys.stdin)
+began = time.perf_counter()
+for row in rows:
+    fast_loop.rotary(fast_loop.Design(*row), np.array(grid), np.array(current), substeps=parts)
+print((time.perf_counter() - began) / len(rows))
+"""
+# Some of a sweep's chunks on the processor alone: its seconds, the program being compiled; the tables go to a folder
+# next to the sweep.
+PROCESSOR = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import sweep_throughput as own
+sweep = own.read_sweep(Path(sys.argv[2]) / "sweep.toml")
+problem, folder = sweep.problem(), Path(sys.argv[2]) / "processor"
+folder.mkdir()
+parts = own.chunks.split_into_chunks(problem, sweep.designs(), sweep.chunk)[:: int(sys.argv[3])]
+own.warm(problem, [[part] for part in parts])
+began = time.perf_counter()
+submit = own.chunks.submit_locally(problem, False)
+own.chunks.run_chunks(parts, problem.names, folder, submit, lambda count: None, lambda: False)
+print(time.perf_counter() - began)
+"""
+COLD = 110.0  # degC, the largest peak temperature of a design that counts
+
+
+def main() -> None:
+    args = arguments(__doc__ or "")
+    numba.set_num_threads(min(count_cores(), numba.config.NUMBA_NUM_THREADS))
+    count = 2_048 if args.quick else 100_000
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "sweep.toml").write_text(
+            SWEEP.format(rig=ROOT / "data" / "recordings" / "rotary" / "rig.toml", count=count), "utf-8"
+        )
+        sweep = read_sweep(folder / "sweep.toml")
+        rows = sweep_rows(sweep, folder, count, args.quick)
+    finish(rows, args, designs=count, backend=jax.default_backend(), cores=count_cores())
+
+
+def scaling_rows(
+    sweep, problem, designs: np.ndarray, count: int, seconds: float, memory: list[float], first: int
+) -> list[Row]:
+    """Growth of cost with the number of designs, and the memory of the process.
+
+    Args:
+        sweep: The sweep file.
+        problem: The sweep problem.
+        designs: All designs, shape ``(designs, axes)``.
+        count: Their number.
+        seconds: What all of them took.
+        memory: Peak memory in MB after each lot of chunks.
+        first: Number of designs in the first lot.
+    """
+    rows = []
+    # In the order of the sequence: chunks of a sweep hold designs that do alike, and some cost more than others.
+    sizes = [count // 16, count // 4, count]
+    slope = exponent(sizes, [timed(problem, designs[:n], sweep.chunk) for n in sizes[:2]] + [seconds])
+    rows.append(
+        Row(
+            "growth of cost with the number of designs",
+            "exponent <= 1.05",
+            f"{slope:.3f}",
+            slope <= 1.05,
+            {"exponent": slope},
+        )
+    )
+    grown = memory[-1] - memory[0]
+    text = f"{memory[-1]:,.0f} MB at most, {grown:,.0f} MB of it after the first {first:,} designs"
+    rows.append(
+        Row(
+            "memory of the process, numba's loop included",
+            "bounded",
+            text,
+            grown < 300.0,
+            {"peak_mb": memory[-1], "grown_mb": grown},
+        )
+    )
+    return rows
+
+
+def equally_exact(loop: Any, designs: np.ndarray, truth: np.ndarray, error: float) -> list[tuple[int, float]]:
+    """Steps a sample of the loop and its RMS error of the stroke, until it is as exact as the sweep.
+
+    Args:
+        loop: The compiled loop.
+        designs: Designs that are checked, shape ``(n, axes)``.
+        truth: Their strokes, shape ``(n,)``.
+        error: RMS error of the sweep, in the stroke's unit.
+    """
+    tried: list[tuple[int, float]] = []
+    for n in (1, 2, 3, 4, 8, 16, 32, 48):
+        tried.append((n, float(np.sqrt(np.mean((loop.strokes(designs, n) - truth) ** 2)))))
+        if tried[-1][1] <= error:
+            break
+    return tried
+
+
+def throughput_rows(count: int, seconds: dict[str, float], exactness: tuple, compiling: float) -> list[Row]:
+    """Designs a second next to the compiled loop, how exact both are, and the time to compile.
+
+    Args:
+        count: Number of designs.
+        seconds: What the sweep ("ours") and the loop took.
+        exactness: RMS errors of the stroke: the sweep's, and the loop's by its steps a sample.
+        compiling: Seconds.
+    """
+    error, tried = exactness
+    each = {n: 1e3 * s / count for n, s in seconds.items()}
+    place, theirs = f"{count_cores()} cores", "the same cores"
+    if compilation.on_accelerator():
+        place, theirs = jax.devices()[0].device_kind, f"{count_cores()} cores of that machine"
+    ratio = seconds["loop"] / seconds["ours"]
+    text = (
+        f"{ratio:.2f}x ({each['ours']:.3f} ms a design, {count / seconds['ours']:,.0f} a second, against "
+        f"{each['loop']:.3f} ms)"
+    )
+    return [
+        Row("designs simulated, ten seconds of motion each", "-", f"{count:,} on {place}", None),
+        Row(f"throughput against a compiled loop at least as exact, {theirs}", ">= 1x", text, ratio >= 1.0, each),
+        Row(
+            "how exact: RMS error of the stroke",
+            "-",
+            exact_text(error, tried),
+            None,
+            {"sweep_rad": error, "loop_rad": tried},
+        ),
+        Row("compiling, once", "-", f"{compiling:.1f} s", None, {"seconds": compiling}),
+    ]
+
+
+def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
+    problem, designs = sweep.problem(), sweep.designs()
+    parts = chunks.split_into_chunks(problem, designs, sweep.chunk)
+    groups = chunks.group_chunks(problem, parts, False)
+    loop = Loop(sweep)
+    say("compiling")
+    checked = designs[:CHECKED]
+    began = time.perf_counter()
+    found = chunks.evaluate_designs(
+        problem, checked, parts[0].steps, workers=compilation.parallel_batches(), new_program=True
+    )
+    compiling = time.perf_counter() - began
+    warm(problem, groups)
+    truth = loop.strokes(checked, 64)
+    error = np.sqrt(np.mean((found["stroke"] - truth) ** 2))
+    tried = equally_exact(loop, checked, truth, error)
+    substeps = tried[-1][0]
+    seconds = {"ours": 0.0, "loop": 0.0}
+    memory: list[float] = []
+
+    def submit(missing):
+        """Chunks as the sweep has them worked on and written; after each lot the loop has its turn."""
+        began = time.perf_counter()
+        for lot in chunks.submit_locally(problem, False)(missing):
+            yield lot
+            middle = time.perf_counter()
+            for part, _ in lot:
+                loop.strokes(part.designs, substeps)
+            memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+            seconds["ours"] += middle - began
+            began = time.perf_counter()
+            seconds["loop"] += began - middle
+
+    chunks.run_chunks(parts, problem.names, folder, submit, lambda k: say(f"{k} of {len(parts)} chunks"), lambda: False)
+    columns = chunks.read_chunks(parts, folder)
+    fine = np.flatnonzero(columns["peak_temperature"] <= COLD)
+    top = fine[np.argmax(columns["stroke"][fine])]
+    best = columns["stroke"][top], designs[top]
+    rows = throughput_rows(count, seconds, (error, tried), compiling)
+    rows += loops(loop, sweep, 1e3 * seconds["ours"] / count, substeps, quick)
+    if compilation.on_accelerator():
+        rows.append(processor(folder, problem, parts, 1e3 * seconds["ours"] / count))
+    first = sum(len(part.rows) for part in groups[0])
+    rows += scaling_rows(sweep, problem, designs, count, seconds["ours"], memory, first)
+    return [*rows, refinement(sweep, parts, best, count)]
+
+
+def exact_text(error: float, tried: list[tuple[int, float]]) -> str:
+    """The sweep's error, and those of the loop with ever more parts of a step."""
+    theirs = ", ".join(f"{np.degrees(e):.4f} deg with {n}" for n, e in tried)
+    return f"{np.degrees(error):.4f} deg; the loop's with parts of {1e3 * SAMPLE:.0f} ms: {theirs}"
+
+
+def timed(problem, designs: np.ndarray, size: int) -> float:
+    """Seconds for a sweep of these designs, its program being compiled."""
+    groups = chunks.group_chunks(problem, chunks.split_into_chunks(problem, designs, size), False)
+    warm(problem, groups)
+    began = time.perf_counter()
+    for group in groups:
+        list(chunks.submit_locally(problem, False)(group))
+    return time.perf_counter() - began
+
+
+def warm(problem, groups) -> None:
+    """Compiles what the groups of chunks need.
+
+    One program for each number of steps, on an accelerator for each size of batch, too.
+    """
+    seen = set()
+    for group in groups:
+        kind = (group[0].steps, sum(len(part.rows) for part in group) if compilation.on_accelerator() else 0)
+        if kind not in seen:
+            list(
+                chunks.submit_locally(problem, False)(
+                    group if compilation.on_accelerator() else [replace(group[0], designs=group[0].designs[:1])]
+                )
+            )
+        seen.add(kind)
+
+
+def processor(folder: Path, problem, parts, ours: float) -> Row:
+    """Some of the chunks on this machine's processor, in a process that does not see the accelerator."""
+    stride = -(-len(parts) // 8)
+    few = parts[::stride]
+    words = [sys.executable, "-c", PROCESSOR, str(Path(__file__).parent), str(folder), str(stride)]
+    told = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+    each = 1e3 * float(told.stdout) / sum(len(part.rows) for part in few)
+    here, there = ([read_table(place / part.file) for part in few] for place in (folder, folder / "processor"))
+    here, there = ({n: np.concatenate([one[n] for one in tables]) for n in tables[0]} for tables in (here, there))
+    apart = {n: float(np.nanmax(np.abs(here[n] - there[n])) / np.nanmax(np.abs(there[n]))) for n in problem.units}
+    text = f"{each / ours:.1f}x ({each:.3f} ms a design); apart by " + ", ".join(
+        f"{v:.1e} of the largest {n}" for n, v in apart.items()
+    )
+    text += f"; {np.sum(here['code'] != there['code'])} of {len(here['code']):,} end otherwise"
+    return Row(
+        f"against the same on the {count_cores()} cores of that machine", "-", text, None, {"ms": each, "apart": apart}
+    )
+
+
+def loops(loop: Loop, sweep, ours: float, substeps: int, quick: bool) -> list[Row]:
+    """The same loop interpreted, and one simulation by the sweep's program after the other."""
+    designs = sweep.designs()[: 1 if quick else 4]
+    told = json.dumps([loop.rows(designs).tolist(), loop.time.tolist(), loop.current.tolist(), substeps])
+    plain = subprocess.run(
+        [sys.executable, "-c", PLAIN, str(ROOT)],
+        input=told,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+    )
+    each = 1e3 * float(plain.stdout)
+    problem = sweep.problem()
+    steps = int(problem.steps(designs).max())
+    one = jax.jit(lambda design: problem.evaluate(design, steps)[0]["stroke"])
+    one(jnp.asarray(designs[0])).block_until_ready()
+    began = time.perf_counter()
+    for k in range(16):
+        one(jnp.asarray(designs[k % len(designs)])).block_until_ready()
+    alone = 1e3 * (time.perf_counter() - began) / 16
+    return [
+        Row(
+            "against that loop in plain Python",
+            "-",
+            f"{each / ours:,.0f}x ({each:,.0f} ms a design)",
+            None,
+            {"ms": each},
+        ),
+        Row(
+            "against one simulation after the other",
+            "-",
+            f"{alone / ours:.1f}x ({alone:.2f} ms a design)",
+            None,
+            {"ms": alone},
+        ),
+    ]
+
+
+def refinement(sweep, parts, best, count: int) -> Row:
+    """From the best few of the first 256 designs by gradients, against the best of all."""
+    problem = sweep.problem()
+    few = sweep.designs()[:CHECKED]
+    steps = int(max(part.steps for part in parts))
+    found = chunks.evaluate_designs(problem, few, steps, workers=compilation.parallel_batches())
+    fine = np.flatnonzero(found["peak_temperature"] <= COLD)
+    shares = np.column_stack([axis.share(few[:, k]) for k, axis in enumerate(sweep.axes)])
+    order = fine[np.argsort(-found["stroke"][fine])]
+    refined = []
+    for row in separated_starts(shares, order, 3):
+        say(f"refining design {row}")
+        refined.append(refine(problem, sweep.axes, few[row], {"stroke": "max"}, {"peak_temperature": (-np.inf, COLD)}))
+    top = max(refined, key=lambda one: one.metrics["stroke"])
+    spent = CHECKED + sum(one.simulations for one in refined)
+    text = f"{np.degrees(top.metrics['stroke']):.2f} deg in {spent:,} simulations, "
+    text += f"the best of {count:,} samples {np.degrees(best[0]):.2f} deg; "
+    text += ", ".join(f"{axis.name} {value:.4g}" for axis, value in zip(sweep.axes, top.design, strict=True))
+    return Row(
+        "largest stroke below 110 degC: refined from 256 designs",
+        f"better than the best of {count:,}",
+        text,
+        bool(top.metrics["stroke"] > best[0]),
+        {"refined_rad": top.metrics["stroke"], "best_rad": float(best[0]), "simulations": spent},
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Time integration of heat conduction in a network of cells: the L-stable SDIRK rule of two stages and second order.
+
+Source: alexander1977. A cooling runs through ``STAGES`` stages of ``STEPS`` equal steps; each stage's steps are twice
+as long as those of the one before, so that the first resolve the wires' own cooling, the last that of the whole
+section. What this buys: a stage has one matrix, which is factored once, and is one step of the diffrax solver here.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+
+from smajax.numerics.block_tridiagonal import FivePointMatrix
+
+# Number of stages, and of steps in a stage; chosen by trial, tests/unit/actuators/test_cross_section.py holds them
+# against series and finite elements.
+STAGES = 10
+STEPS = 12
+# Diagonal coefficient of the L-stable rule. Source: alexander1977.
+_GAMMA = 1.0 - math.sqrt(0.5)
+
+
+class ThermalNetwork(NamedTuple):
+    """Half a section as a network of ``(c, r)`` cells, per length.
+
+    Attributes:
+        capacity: Heat capacities, shape ``(c, r)``, J/m/K.
+        wire: The part of each that is wire.
+        columns: Conductances between columns, shape ``(c - 1, r)``, W/m/K.
+        rows: Conductances between rows, shape ``(c, r - 1)``, W/m/K.
+        air: Conductances to the air, shape ``(c, r)``, W/m/K.
+    """
+
+    capacity: jax.Array
+    wire: jax.Array
+    columns: jax.Array
+    rows: jax.Array
+    air: jax.Array
+
+    def matrix(self, weight: jax.Array) -> FivePointMatrix:
+        """Return capacity plus ``weight`` times the conductances, its blocks along the shorter side of the grid."""
+        # Sum of the conductances of each cell, neighbour by neighbour.
+        leaving = self.air.at[1:].add(self.columns).at[:-1].add(self.columns)
+        leaving = leaving.at[:, 1:].add(self.rows).at[:, :-1].add(self.rows)
+        diagonal, rows, columns = self.capacity + weight * leaving, weight * self.rows, weight * self.columns
+        if self.is_tall:
+            return FivePointMatrix(diagonal.T, columns.T, rows.T)
+        return FivePointMatrix(diagonal, rows, columns)
+
+    @property
+    def is_tall(self) -> bool:
+        """Whether there are more rows than columns."""
+        return self.capacity.shape[0] < self.capacity.shape[1]
+
+
+class StageRecord(NamedTuple):
+    """Results of a stage.
+
+    ``excess`` is the cells' excess over ambient at its end and ``total_lost`` the heat lost by then; the others hold
+    ``STEPS`` rows of the ``CoolingCurve``.
+    """
+
+    excess: jax.Array
+    total_lost: jax.Array
+    hottest: jax.Array
+    rate: jax.Array
+    stored: jax.Array
+    lost: jax.Array
+
+
+class ConductionStage(dfx.AbstractSolver):
+    """Stage of ``STEPS`` equal steps of Alexander's rule as one step of diffrax.
+
+    ``args`` holds the network, and for each wire the weights of the cells around its centre, shape ``(w, c, r)``.
+    """
+
+    term_structure = dfx.AbstractTerm
+    interpolation_cls = dfx.LocalLinearInterpolation
+
+    def order(self, terms: Any) -> int:
+        """Return the order of the rule."""
+        return 2
+
+    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> None:
+        """Return the solver's state: none."""
+        return None
+
+    def step(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any) -> tuple:
+        """Return the record of the stage from ``t0`` to ``t1``."""
+        network, centres = args
+        step = (t1 - t0) / STEPS
+        matrix = network.matrix(_GAMMA * step)
+        factors = matrix.factor()
+
+        def solve(excess: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """State of an implicit stage of the rule, and its rate."""
+            right = network.capacity * excess
+            end = matrix.solve(factors, right.T).T if network.is_tall else matrix.solve(factors, right)
+            return end, (end - excess) / (_GAMMA * step)
+
+        def advance(carry: tuple, _: None) -> tuple[tuple, tuple]:
+            excess, lost = carry
+            early, rate = solve(excess)
+            late, rate = solve(excess + (1.0 - _GAMMA) * step * rate)
+            lost = lost + step * jnp.sum(network.air * ((1.0 - _GAMMA) * early + _GAMMA * late))
+            temperatures, rates = (jnp.einsum("wcr,cr->w", centres, field) for field in (late, rate))
+            hottest = jnp.argmax(temperatures)
+            return (late, lost), (temperatures[hottest], rates[hottest], jnp.sum(network.capacity * late), lost)
+
+        carry, rows = jax.lax.scan(advance, (y0.excess, y0.total_lost), None, length=STEPS)
+        y1 = StageRecord(*carry, *rows)
+        return y1, None, dict(y0=y0, y1=y1), None, dfx.RESULTS.successful
+
+    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
+        """Return the state: diffrax asks for a rate that this solver does not use."""
+        return y0

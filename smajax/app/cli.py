@@ -1,0 +1,79 @@
+"""The ``smajax`` command: its commands in the order of ``--help``, and its exit codes."""
+
+import sys
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from smajax import __version__
+from smajax.app.command_line import designs, files, models, properties
+
+# Modules whose errors are usage errors and exits, which typer handles itself.
+_TYPER_MODULES = ("typer", "click")
+
+
+class Commands(TyperGroup):
+    """The commands, with every error turned into its sentence and exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen command."""
+        try:
+            return super().invoke(ctx)
+        except (Exception, KeyboardInterrupt) as error:
+            if type(error).__module__.partition(".")[0] in _TYPER_MODULES:
+                raise
+            from smajax.app.console import exit_code
+
+            raise typer.Exit(exit_code(error)) from None
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Fit, diagnose and control shape-memory-alloy actuators: differentiable models, identified from recordings by "
+    "their gradients.",
+)
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        typer.echo(f"smajax {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+app.command()(models.simulate)
+app.command(cls=models.FitCommand)(models.fit)
+app.command()(models.diagnose)
+app.command()(models.compare)
+app.command()(designs.tune)
+app.command()(designs.sweep)
+app.command()(properties.properties)
+app.command()(files.demo)
+app.command()(files.init)
+app.command()(files.check)
+app.command()(files.report)
+app.command()(files.datasets)
+
+
+def main() -> None:
+    """Run the ``smajax`` command."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

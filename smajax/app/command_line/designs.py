@@ -1,0 +1,62 @@
+"""The commands tune and sweep."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smajax.app.command_line.options import Json, Open, Out, Quiet, RigFile, Seed
+from smajax.app.command_line.run import argv, finish_run, start_run
+
+
+def tune(
+    rig: RigFile,
+    controller: Annotated[
+        Path, typer.Argument(metavar="CONTROLLER.toml", help="The controller, its reference and its limits.")
+    ],
+    out: Out,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Tune a controller's gains by gradients of its closed loop with the rig; write them for a microcontroller."""
+    with start_run(quiet) as progress:
+        from smajax.app.commands.tune import TuneJob, run_tune
+        from smajax.report.tuning import text
+
+        outcome = run_tune(TuneJob(rig, controller, out, seed), progress, argv())
+    summary = text(outcome.document, str(out))
+    finish_run(outcome, "tune.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+def sweep(
+    sweep_file: Annotated[
+        Path, typer.Argument(metavar="SWEEP.toml", help="The sweep; or sweep.parquet of an earlier one, to repeat it.")
+    ],
+    out: Out,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler", metavar="tcp://...", help="A Dask scheduler that shares the work; 'local' starts one here."
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue a run that ended early; finished chunks are kept.")
+    ] = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
+    with start_run(quiet, accelerator=True) as progress:
+        from smajax.app.commands.sweep import SweepJob, run_sweep
+        from smajax.app.console import INTERRUPTED
+        from smajax.report.sweep import text
+
+        outcome = run_sweep(SweepJob(sweep_file, out, scheduler, resume), progress, argv())
+    if outcome.code == INTERRUPTED:
+        typer.echo(f"smajax: {outcome.reason}", err=True)
+        raise typer.Exit(outcome.code)
+    summary = text(outcome.document, str(out))
+    finish_run(outcome, "sweep.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)

@@ -1,0 +1,131 @@
+"""The commands demo, init, check, report and datasets."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smajax.app.command_line.options import DropBadRows, Open, Quiet, RigFile
+from smajax.app.command_line.run import argv, finish_run, start_run
+from smajax.errors import InputError
+
+
+class Kind(StrEnum):
+    """The kinds of rig and of actuator that there are templates for."""
+
+    dead_weight = "dead-weight"
+    bias_spring = "bias-spring"
+    antagonistic_rotary = "antagonistic-rotary"
+    testing_machine = "testing-machine"
+    path = "path"
+    coil_dead_weight = "coil-dead-weight"
+    coil_bias_spring = "coil-bias-spring"
+    coil_antagonistic = "coil-antagonistic"
+    hip = "hip"
+    elbow = "elbow"
+    wrist = "wrist"
+    glove_finger = "glove-finger"
+    flexural = "flexural"
+    soft_bending = "soft-bending"
+    knee = "knee"
+
+
+class DatasetAction(StrEnum):
+    """What can be done with data sets."""
+
+    list = "list"
+    get = "get"
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The result folder.")] = Path("smajax-demo"),
+    open_report: Open = True,
+    quiet: Quiet = False,
+) -> None:
+    """Find the effect that the model of a shipped rig lacks: fit, trace, add, compare; open the report."""
+    from smajax.recordings.datasets import data_path
+
+    folder = data_path("recordings", "dead-weight-unexplained")
+    with start_run(quiet) as progress:
+        from smajax.app.commands.diagnose import DiagnoseJob, run_diagnose
+        from smajax.report.diagnosis_summary import text
+
+        train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))
+        outcome = run_diagnose(DiagnoseJob(folder / "rig.toml", train, select, holdout, out), progress, argv())
+    after = f"Report:  {out / 'report.html'}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
+    summary = f"{text(outcome.document, str(out))}\n{after}"
+    finish_run(outcome, "diagnosis.json", summary, quiet=quiet, open_report=open_report)
+
+
+def init(
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"The kind of rig: {', '.join(Kind)}.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="The folder for the files; made if it is not there.")
+    ] = Path(),
+) -> None:
+    """Write a commented rig.toml and an example recording to start from; no file is ever overwritten."""
+    from smajax.files.templates import is_actuator_kind, write_actuator_example, write_example
+
+    if is_actuator_kind(kind.value):
+        rig, sweep_file = write_actuator_example(kind.value, out)
+        typer.echo(f"Wrote {rig}, to be filled in with your own numbers, and {sweep_file}, a sweep of it.")
+        typer.echo(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
+        return
+
+    rig, example, recording, more = write_example(kind.value, out)
+    typer.echo(
+        f"Wrote {rig}, to be filled in with your own wire, and {recording} with its rig {example}, to try things on.\n"
+        f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
+    )
+    for path in more:
+        if path.name == "controller.toml":
+            typer.echo(f"      smajax tune {example} {path} --out {out / 'tuned'}")
+        else:
+            typer.echo(f"      smajax sweep {path} --out {out / 'swept'}")
+
+
+def check(
+    rig: RigFile,
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="[RECORDING ...]", help="Recordings of this rig.")
+    ] = None,
+    drop_bad_rows: DropBadRows = False,
+) -> None:
+    """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
+    from smajax.app.commands.check import describe
+
+    typer.echo(describe(rig, recordings or [], drop_bad_rows))
+
+
+def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:
+    """Make a result folder's report.html again from its other files."""
+    from smajax.report.rebuild import rebuild_report
+
+    typer.echo(f"Wrote {rebuild_report(folder)}.")
+
+
+def datasets(
+    action: Annotated[
+        DatasetAction, typer.Argument(metavar="[list | get]", help="List all, or get one.")
+    ] = DatasetAction.list,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="The data set to get.")] = None,
+) -> None:
+    """List the shipped and public recordings, or get one: public ones are fetched from their repository and checked."""
+    from smajax.recordings import datasets as catalogue
+
+    if action is DatasetAction.list:
+        if name is not None:
+            raise InputError(f"'datasets list' takes no name: write 'smajax datasets get {name}' to get it")
+        for dataset in catalogue.datasets().values():
+            files = f"; {len(dataset.files)} files" if len(dataset.files) > 1 else ""
+            head = f"{dataset.name}: {dataset.description}"
+            typer.echo(f"{head}\n    {dataset.source}; licence: {dataset.licence}{files}")
+        return
+    if name is None:
+        raise InputError("'datasets get' needs a name: 'smajax datasets list' shows all")
+    folder, missing = catalogue.get(name)
+    typer.echo(folder)
+    if missing:
+        note = catalogue.find(name).note
+        typer.echo(f"smajax: not there: {', '.join(missing)}" + (f" ({note})" if note else ""), err=True)

@@ -1,0 +1,134 @@
+"""The commands simulate, fit, diagnose and compare."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from smajax.app.command_line.options import DropBadRows, Json, Open, Out, Quiet, RigFile, Seed, Start, TrainFile
+from smajax.app.command_line.run import argv, finish_run, start_run
+
+
+class FitCommand(TyperCommand):
+    """Takes all files after ``--holdout``, up to the next option, as holdouts: none is fitted by mistake."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, with the option written before each of its files."""
+        spread: list[str] = []
+        in_holdout = False
+        for word in args:
+            if word == "--holdout":
+                in_holdout = True
+                continue
+            if word.startswith("-") and word != "-":
+                in_holdout = False
+            spread += ["--holdout", word] if in_holdout else [word]
+        if args[-1:] == ["--holdout"]:
+            spread.append("--holdout")
+        return super().parse_args(ctx, spread)
+
+
+def simulate(
+    rig: RigFile,
+    recording: Annotated[Path, typer.Argument(metavar="INPUT.csv", help="A recording with the rig's inputs.")],
+    out: Out,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Simulate a rig under the inputs of a recording."""
+    with start_run(quiet) as progress:
+        from smajax.app.commands.simulate import run_simulation
+        from smajax.report.summary import simulation_text
+
+        outcome = run_simulation(rig, recording, out, drop_bad_rows=drop_bad_rows, progress=progress, argv=argv())
+    text = simulation_text(outcome.document, str(out))
+    finish_run(outcome, "run.json", text, quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+def fit(
+    rig: RigFile,
+    train: Annotated[list[Path], typer.Argument(metavar="TRAIN.csv [MORE.csv ...]", help="The recordings to fit.")],
+    out: Out,
+    holdout: Annotated[
+        list[Path] | None, typer.Option("--holdout", metavar="H.csv ...", help="Recordings to predict, not fitted.")
+    ] = None,
+    start: Start = None,
+    seed: Seed = None,
+    starts: Annotated[
+        int | None, typer.Option("--starts", min=1, max=10_000, help="Points to start from (default: the rig's).")
+    ] = None,
+    profile: Annotated[
+        list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
+    ] = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Fit a rig's free parameters to recordings, with intervals, and predict others."""
+    with start_run(quiet) as progress:
+        from smajax.app.commands.fit import FitJob, run_fit
+        from smajax.report.summary import text
+
+        job = FitJob(rig, train, out, holdout or (), start, seed, starts, drop_bad_rows, profile or ())
+        outcome = run_fit(job, progress, argv())
+    summary = text(outcome.document, str(out))
+    finish_run(outcome, "fit.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+def diagnose(
+    rig: RigFile,
+    train: TrainFile,
+    select: Annotated[
+        Path,
+        typer.Option(
+            "--select", metavar="S.csv", help="Another input: an effect is added if it lowers the error here."
+        ),
+    ],
+    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A third input, used once, at the end.")],
+    out: Out,
+    start: Start = None,
+    seed: Seed = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
+    with start_run(quiet) as progress:
+        from smajax.app.commands.diagnose import DiagnoseJob, run_diagnose
+        from smajax.report.diagnosis_summary import text
+
+        job = DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows, start)
+        outcome = run_diagnose(job, progress, argv())
+    summary = text(outcome.document, str(out))
+    finish_run(outcome, "diagnosis.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+
+
+def compare(
+    rig: RigFile,
+    train: TrainFile,
+    holdout: Annotated[Path, typer.Option("--holdout", metavar="H.csv", help="A recording to predict, not fitted.")],
+    out: Out,
+    models: Annotated[
+        str | None, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")
+    ] = None,
+    seed: Seed = None,
+    drop_bad_rows: DropBadRows = False,
+    quiet: Quiet = False,
+    as_json: Json = False,
+    open_report: Open = False,
+) -> None:
+    """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
+    with start_run(quiet) as progress:
+        from smajax.app.commands.compare import CompareJob, run_compare
+        from smajax.comparison.models import MODELS
+        from smajax.report.comparison import text
+
+        names = list(MODELS) if models is None else [word.strip() for word in models.split(",") if word.strip()]
+        outcome = run_compare(CompareJob(rig, train, holdout, names, out, seed, drop_bad_rows), progress, argv())
+    summary = text(outcome.document, str(out))
+    finish_run(outcome, "compare.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)

@@ -1,0 +1,25 @@
+"""Options and arguments that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml).")]
+Out = Annotated[
+    Path,
+    typer.Option("--out", metavar="DIR", help="The result folder; an earlier result there is replaced as a whole."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no summary.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
+Seed = Annotated[
+    int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of random numbers (default: the rig's).")
+]
+Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")]
+Start = Annotated[
+    Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")
+]
+DropBadRows = Annotated[
+    bool, typer.Option("--drop-bad-rows", help="Leave out rows that cannot be read; they are counted in the result.")
+]
+TrainFile = Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")]

@@ -1,0 +1,88 @@
+"""The command properties."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from smajax.app.command_line.options import Json
+from smajax.app.command_line.run import start_run
+
+# Delimiters that a shell cannot pass easily, by name.
+_DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
+
+
+class StartModel(StrEnum):
+    """Laws for which thermal cycles give start values."""
+
+    brinson = "brinson"
+    lagoudas = "lagoudas"
+    tanaka = "tanaka"
+    liang_rogers = "liang-rogers"
+
+
+class TangentLine(StrEnum):
+    """The line along a transformation."""
+
+    lines = "lines"
+    steepest = "steepest"
+
+
+def properties(
+    recordings: Annotated[
+        list[Path], typer.Argument(metavar="CYCLES.csv [MORE.csv ...]", help="Thermal cycles: temperature and strain.")
+    ],
+    smooth: Annotated[
+        int | None,
+        typer.Option(
+            "--smooth",
+            min=1,
+            metavar="ROWS",
+            help="Smooth temperatures over so many rows, an odd number (default: as their noise requires).",
+        ),
+    ] = None,
+    tangent: Annotated[
+        TangentLine,
+        typer.Option(
+            "--tangent",
+            help="Along the transformation: one of three fitted lines, or the tangent where it is steepest.",
+        ),
+    ] = TangentLine.lines,
+    write_set: Annotated[
+        Path | None,
+        typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set to start a fit from."),
+    ] = None,
+    model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
+    columns: Annotated[
+        str,
+        typer.Option(
+            "--columns",
+            metavar="A,B,...",
+            help=r"Headers of a file without: 'temperature \[degC],strain [%],-'; - is left out.",
+        ),
+    ] = "",
+    delimiter: Annotated[
+        str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' and 'space' by name.")
+    ] = ",",
+    decimal: Annotated[
+        str, typer.Option("--decimal", metavar="SIGN", help="The decimal sign of text files and cells: '.' or ','.")
+    ] = ".",
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals."""
+    names = [name.strip() for name in columns.split(",")] if columns else None
+    separator = _DELIMITERS.get(delimiter, delimiter)
+    with start_run(quiet) as progress:
+        from smajax.app.commands.properties import PropertiesJob, run_properties
+        from smajax.files.documents import to_json
+        from smajax.report.properties import text
+
+        job = PropertiesJob(recordings, smooth, write_set, model.value, names, separator, decimal, tangent.value)
+        document = run_properties(job, progress.step)
+    typer.echo(to_json(document).rstrip() if as_json else text(document))
+    if write_set is not None and not as_json:
+        typer.echo(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
+    if write_set is not None:
+        typer.echo(f"smajax: {write_set.name}: {document['guessed']}", err=True)

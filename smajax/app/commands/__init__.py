@@ -1,0 +1,1 @@
+"""The jobs behind the long commands, without their options: files in, a result folder out."""

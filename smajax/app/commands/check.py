@@ -1,0 +1,122 @@
+"""The job of ``smajax check``: describe a rig and its recordings, or an actuator file. Runs nothing."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from smajax import parameters
+from smajax.actuators.base import AbstractActuator
+from smajax.channels import channel_unit
+from smajax.diagnosis.auxiliary_channels import auxiliary_channels
+from smajax.errors import InputError
+from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
+from smajax.files.rig_file import Rig, read_rig
+from smajax.files.toml import read_text
+from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.plant.materials.dissipation import check_dissipation
+from smajax.recordings.recording import Recording
+from smajax.report.summary import table
+from smajax.simulation.step_size import default_step
+from smajax.units import as_text
+
+# Relative deviation of the sample time up to which rows count as equally spaced, and rounding of a step.
+_EVEN = 1e-3
+_ROUNDING = 1e-9
+
+
+def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False) -> str:
+    """Describe a rig file, or an actuator file, and recordings of the rig.
+
+    Args:
+        path: The rig or actuator file.
+        recordings: Recordings of the rig.
+        drop_bad_rows: Whether rows that cannot be read are left out.
+
+    Returns:
+        The text that the command prints.
+
+    Raises:
+        InputError: With the first mistake in a file.
+    """
+    text = read_text(path, "rig")
+    if is_actuator(text):
+        lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
+    else:
+        rig = read_rig(path)
+        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings, (), drop_bad_rows)])
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+    control = rig.plant.drive.control
+    drive = f", driven by {control} ({rig.interpolation} between samples)" if control else ""
+    lines = [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
+    lines += _free_parameters(rig) or ["Nothing is free: name the parameters to fit under [fit] free."]
+    noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}
+    observed = ", ".join(f"{c} (noise {noises[c]})" if c in noises else c for c in rig.fit.observe)
+    lines += ["", f"Fitted and scored: {observed}; needed in a recording: {', '.join(rig.plant.signals)}."]
+    lines.append(f"A fit begins at {rig.fit.starts} point{'s' * (rig.fit.starts != 1)}, seed {rig.fit.seed}.")
+    lines += [f"Note: {note}." for note in rig.notes]
+    lines += [f"Note: {note}" for note in check_dissipation(rig.plant, [r.channels for r in recordings])]
+    for recording in recordings:
+        lines += ["", *_describe_recording(rig, recording)]
+    return lines
+
+
+def _describe_actuator(actuator: AbstractActuator, path: Path, recordings: Sequence[Path]) -> list[str]:
+    if recordings:
+        raise InputError(
+            f"{path}: an actuator gives its figures without a recording: take {recordings[0]} off the command line"
+        )
+    rows = []
+    for name, declaration in parameters.all_declarations(actuator).items():
+        value = float(parameters.get(actuator, name))
+        shown = as_text(value, declaration.unit) if math.isfinite(value) else "not given"
+        rows.append((name, shown, _bounds_text((declaration.lower, declaration.upper), declaration.unit)))
+    figures = ", ".join(name if unit == "1" else f"{name} [{unit}]" for name, unit in actuator.units.items())
+    lines = [f"{path.name}: {kind_of(actuator)}, an actuator, which gives its figures without a recording", ""]
+    lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Figures: {figures}."]
+    return [*lines, "A sweep varies the parameters and asks for figures."]
+
+
+def _free_parameters(rig: Rig) -> list[str]:
+    """A table of the free parameters; empty if there are none."""
+    declared = parameters.all_declarations(rig.plant)
+    rows = []
+    for name in rig.fit.names:
+        value, unit = float(parameters.get(rig.plant, name)), declared[name].unit
+        bounds = rig.fit.bounds.get(name, (declared[name].lower, declared[name].upper))
+        per_recording = name in rig.fit.per_recording or name.startswith("initial.")
+        rows.append(
+            (
+                name,
+                as_text(value, unit) if math.isfinite(value) else "as it starts",
+                _bounds_text(bounds, unit),
+                rig.sources.get(parameters.expand([name])[0], "default"),
+                "one per recording" if per_recording else "",
+            )
+        )
+    return table([("free parameter", "nominal", "bounds", "from", ""), *rows]) if rows else []
+
+
+def _bounds_text(bounds: tuple[float, float], unit: str) -> str:
+    return " .. ".join(as_text(end, unit) if math.isfinite(end) else "none" for end in bounds)
+
+
+def _describe_recording(rig: Rig, recording: Recording) -> list[str]:
+    head = f"{recording.name}: {len(recording):,} rows"
+    if recording.has_clock:
+        steps = np.diff(recording.time)
+        median = np.median(steps)
+        uneven = "" if np.ptp(steps) < _EVEN * median else f", {steps.min():.4g} to {steps.max():.4g} s"
+        head += f", {recording.time[-1] - recording.time[0]:.6g} s, sample time {median:.4g} s{uneven}"
+        step = default_step(rig.plant)
+        if step < median * (1 - _ROUNDING):
+            head += f" (simulated in steps of at most {step:.3g} s)"
+    auxiliary = auxiliary_channels(rig.plant, rig.fit.observe, [recording])[0]
+    roles = {c: "input" for c in rig.plant.signals} | {c: "observed" for c in rig.fit.observe}
+    roles |= {c: "evidence for a diagnosis" for c in auxiliary}
+    channels = ", ".join(f"{c} [{recording.units[c]}] ({roles.get(c, 'not used')})" for c in recording.channels)
+    return [head, f"  {channels}", *(f"  {note}" for note in recording.notes)]

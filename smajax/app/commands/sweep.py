@@ -1,0 +1,232 @@
+"""The job of ``smajax sweep``: many designs of a rig simulated in chunks, the best of them refined, and the report.
+
+While it runs, its chunks lie in ``DIR.partial`` next to the result folder: a run that ends early, for whatever reason,
+leaves them there, and ``--resume`` continues from them; a finished sweep is left as it is. Which sweep a partial folder
+belongs to is written in its ``sweep.json``.
+"""
+
+import contextlib
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from smajax.app.commands.sweep_document import sweep_document
+from smajax.app.console import INTERRUPTED, stopping
+from smajax.app.run_record import Clock, Outcome, run_record
+from smajax.errors import InputError
+from smajax.files.documents import to_json
+from smajax.files.result_folder import check_output_folder, read_json, write_folder
+from smajax.progress import Progress
+from smajax.recordings.readers.parquet import pyarrow_parquet
+from smajax.report.sweep import sweep_page
+from smajax.sweeps import dask as cluster
+from smajax.sweeps.best_designs import find_best_designs, refine_best_designs
+from smajax.sweeps.checkpoint import checkpoint_folder, digest, has_checkpoint
+from smajax.sweeps.chunks import (
+    Chunk,
+    Submit,
+    derivative_column,
+    read_chunks,
+    run_chunks,
+    split_into_chunks,
+    submit_locally,
+)
+from smajax.sweeps.compilation import check_memory
+from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.refinement import RefinedDesign
+from smajax.sweeps.space import pick_and_freeze
+from smajax.sweeps.sweep_file import SweepFile, read_sweep
+from smajax.sweeps.table import write_table
+
+
+class SweepJob(NamedTuple):
+    """What to sweep.
+
+    Args:
+        sweep: A SWEEP.toml, or the table of an earlier sweep.
+        out: Result folder.
+        scheduler: A Dask scheduler's address, ``local`` for one of this computer, ``None`` for this process alone.
+        resume: Whether to continue from the chunks of an earlier run.
+    """
+
+    sweep: Path
+    out: Path
+    scheduler: str | None = None
+    resume: bool = False
+
+
+class _Study(NamedTuple):
+    """A sweep that is read: its file, problem, header and chunks; the first ``count`` designs are the sweep's own."""
+
+    sweep: SweepFile
+    problem: AbstractSweepProblem
+    header: Mapping[str, Any]
+    chunks: Sequence[Chunk]
+    count: int
+
+
+class _Tables(NamedTuple):
+    """Columns of the sweep's designs, and of those of the Sobol indices."""
+
+    designs: Mapping[str, np.ndarray]
+    sobol: Mapping[str, np.ndarray]
+
+
+def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome:
+    """Read, simulate chunk by chunk, and write the result folder.
+
+    Exit code 3 if every simulation failed or no design keeps the constraints, drawn or refined; 130 if interrupted.
+    What is finished stays in both cases.
+
+    Raises:
+        InputError: for what cannot be read, written or reached.
+    """
+    out, clock = check_output_folder(job.out), Clock()
+    pyarrow_parquet(out, instead="")  # before anything is computed
+    progress.phase("reading")
+    with clock.time("read"):
+        sweep = read_sweep(job.sweep)
+        header = sweep.header()
+    note = ""
+    if job.resume and not has_checkpoint(out):
+        if (finished := _finished_outcome(out, header)) is not None:
+            return finished
+        note = "there was nothing to resume, so all designs were simulated from the start"
+        if (out / "run.json").is_file():
+            note += ", and the result that was there, of another sweep or not whole, was replaced"
+    progress.phase("drawing designs")
+    with clock.time("draw"):
+        study = _draw(sweep, header, job.sweep)
+    # Workers are asked for before anything is made, and released before the best designs are refined here.
+    with contextlib.ExitStack() as workers:
+        if job.scheduler is not None:
+            progress.phase("looking for workers")
+        submit = workers.enter_context(_workers(study, job.scheduler))
+        with checkpoint_folder(out, header, resume=job.resume) as folder:
+            complete = _simulate(study, folder, submit, progress, clock)
+            workers.close()
+            if not complete:
+                count = sum((folder / chunk.file).is_file() for chunk in study.chunks)
+                reason = f"stopped after {count} of {_counted(study.chunks)}; run it again with --resume to go on"
+                return Outcome(folder, {"chunks": count}, INTERRUPTED, reason)
+            document, code, reason = _finish(study, folder, out, progress, clock, argv)
+            shutil.rmtree(folder, ignore_errors=True)
+            return Outcome(out, document, code, reason, note)
+
+
+def _draw(sweep: SweepFile, header: Mapping[str, Any], path: Path) -> _Study:
+    """The chunks of the sweep's designs and of those of the Sobol indices."""
+    problem = sweep.problem()
+    designs, base = sweep.designs(), sweep.sobol_base()
+    sobol_designs = pick_and_freeze(sweep.axes, base, sweep.seed) if base else np.zeros((0, len(sweep.axes)))
+    chunks = split_into_chunks(problem, np.concatenate([designs, sobol_designs]), sweep.chunk)
+    try:
+        check_memory(problem, max(chunk.steps for chunk in chunks), sweep.gradients)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return _Study(sweep, problem, header, chunks, len(designs))
+
+
+def _simulate(study: _Study, folder: Path, submit: Submit, progress: Progress, clock: Clock) -> bool:
+    """Simulates the chunks that are missing; says whether all are there now."""
+    total = sum(len(chunk.rows) for chunk in study.chunks)
+    progress.phase(f"compiling, then {total:,} designs in {_counted(study.chunks)}")
+    with clock.time("simulate"), stopping(progress) as request:
+        return run_chunks(
+            study.chunks,
+            study.problem.names,
+            folder,
+            submit,
+            lambda count: progress.step(f"{count} of {_counted(study.chunks)}"),
+            lambda: request.requested,
+        )
+
+
+def _finish(
+    study: _Study, folder: Path, out: Path, progress: Progress, clock: Clock, argv: Sequence[str]
+) -> tuple[dict[str, Any], int, str]:
+    """Refines the best designs and writes the result folder: the document, the exit code and its reason."""
+    sweep, problem = study.sweep, study.problem
+    progress.phase("looking for the best")
+    tables = _split_table(read_chunks(study.chunks, folder), study.count)
+    with clock.time("refine"):
+        best = find_best_designs(sweep, tables.designs)
+        refined = refine_best_designs(sweep, problem, tables.designs, best, progress.phase)
+        document = sweep_document(sweep, problem, tables.designs, tables.sobol, best, refined)
+    reason = "; ".join(document["problems"])
+    code = 3 if reason else 0
+    run = run_record("sweep", sweep.subject, argv, clock, sweep.seed, code)
+    run |= {"sweep": sweep.name, "header": digest(study.header)}
+    progress.phase("writing the report")
+    write_folder(out, run, lambda part: _write_results(part, study, tables, document, refined, run))
+    return document, code, reason
+
+
+def _split_table(columns: Mapping[str, np.ndarray], count: int) -> _Tables:
+    """The first ``count`` rows, and the others, whose designs are numbered from 0 again."""
+    parts = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, count), slice(count, None))]
+    return _Tables(*({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in parts))
+
+
+def _write_results(
+    folder: Path,
+    study: _Study,
+    tables: _Tables,
+    document: Mapping[str, Any],
+    refined: Sequence[RefinedDesign],
+    run: Mapping[str, Any],
+) -> None:
+    """Writes the files of the result folder."""
+    sweep, problem = study.sweep, study.problem
+    units = {axis.name: axis.unit for axis in sweep.axes} | problem.units
+    units |= {
+        derivative_column(n, axis.name): f"{unit}/({axis.unit})"
+        for n, unit in problem.units.items()
+        for axis in sweep.axes
+    }
+    (folder / "sweep.toml").write_text(sweep.text, "utf-8", newline="")
+    (folder / "rig.toml").write_text(sweep.subject.to_toml(), "utf-8")
+    for name, columns in (("sweep.parquet", tables.designs), ("sensitivity.parquet", tables.sobol)):
+        if name == "sweep.parquet" or len(columns["design"]):
+            write_table(folder / name, columns, study.header, {n: u for n, u in units.items() if n in columns})
+    for k, entry in enumerate(refined):
+        if entry.better:
+            values = {
+                axis.name: float(v)
+                for axis, v in zip(sweep.axes, entry.design, strict=True)
+                if not axis.name.startswith(INPUT)
+            }
+            (folder / f"rig-refined-{k + 1}.toml").write_text(sweep.subject.to_toml(values), "utf-8")
+    (folder / "sweep.json").write_text(to_json(document), "utf-8")
+    page = sweep_page(document, tables.designs, run, sweep.subject.to_toml())
+    (folder / "report.html").write_text(page, "utf-8")
+
+
+def _counted(chunks: Sequence[Chunk]) -> str:
+    """Their number, in words."""
+    return f"{len(chunks):,} chunk{'' if len(chunks) == 1 else 's'}"
+
+
+@contextlib.contextmanager
+def _workers(study: _Study, scheduler: str | None) -> Iterator[Submit]:
+    """What simulates chunks: this process, or a cluster. InputError if there is no such cluster."""
+    if scheduler is None:
+        yield submit_locally(study.problem, study.sweep.gradients)
+        return
+    with cluster.connected(scheduler) as client:
+        yield cluster.submit_to_cluster(client, study.header, study.sweep.gradients)
+
+
+def _finished_outcome(out: Path, header: Mapping[str, Any]) -> Outcome | None:
+    """The result in ``out`` of a finished run of the sweep with this header; ``None`` if it is not whole."""
+    try:
+        run, document = read_json(out, "run.json"), read_json(out, "sweep.json")
+    except InputError:
+        return None
+    if run.get("header") != digest(header) or not all((out / str(name)).is_file() for name in run.get("files", [])):
+        return None
+    note = "there was nothing to resume, since this sweep had ended: its result was left as it is"
+    return Outcome(out, document, int(run["exit_code"]), "; ".join(document["problems"]), note)

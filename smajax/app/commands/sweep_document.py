@@ -1,0 +1,201 @@
+"""The document sweep.json: the best designs of a sweep, spans of its metrics, sensitivities and refined designs."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from smajax import __version__
+from smajax.files.documents import finite_or_none
+from smajax.report.sweep import SCHEMA, format_in_unit, format_value, metric_entry, sweep_summary
+from smajax.sweeps.best_designs import BestDesigns
+from smajax.sweeps.metrics import SETTLED_GAP
+from smajax.sweeps.pareto import constraint_violation, thin_front
+from smajax.sweeps.problem import AbstractSweepProblem
+from smajax.sweeps.refinement import RefinedDesign
+from smajax.sweeps.sobol import complete_rows, missing_reason, sobol_indices
+from smajax.sweeps.sweep_file import SweepFile
+
+# Designs of the front in the document, about: enough for a picture; the table has all.
+_MAX_FRONT = 200
+# A metric within this share of its bound's size is at the bound.
+_AT_BOUND = 1e-3
+
+
+def sweep_document(
+    sweep: SweepFile,
+    problem: AbstractSweepProblem,
+    columns: Mapping[str, np.ndarray],
+    sobol_columns: Mapping[str, np.ndarray],
+    best: BestDesigns,
+    refined: Sequence[RefinedDesign],
+) -> dict[str, Any]:
+    """Return the document.
+
+    Args:
+        sweep: The sweep.
+        problem: Maps a design to its metrics.
+        columns: Columns of the sweep's table by name.
+        sobol_columns: Columns of the designs of the Sobol indices.
+        best: The best designs.
+        refined: The refined designs.
+    """
+    codes, counts = np.unique(columns["code"], return_counts=True)
+    front, keeps = best.front_rows, best.keeps
+    sensitivity, notes = _sensitivity(sweep, problem, sobol_columns)
+    document: dict[str, Any] = {
+        "schema": SCHEMA,
+        "sweep": sweep.name,
+        "rig": sweep.subject.name,
+        "sampling": sweep.sampling,
+        "designs": len(keeps),
+        "codes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
+        "feasible": int(keeps.sum()),
+        "parameters": _axis_entries(sweep),
+        "metrics": {n: {"unit": unit, **_span(columns[n])} for n, unit in problem.units.items()},
+        "objectives": dict(sweep.objectives),
+        "constraints": {
+            n: {"at_least": finite_or_none(low), "at_most": finite_or_none(high)}
+            for n, (low, high) in sweep.constraints.items()
+        },
+        "front": [_design_entry(sweep, problem, columns, k) for k in front[thin_front(best.costs[front], _MAX_FRONT)]],
+        "on_front": len(front),
+        "settling": _settling(columns, front, refined),
+        "sensitivity": sensitivity,
+        "sensitivity_notes": notes,
+        "refined": [_refined_entry(sweep, design) for design in refined],
+        "problems": _problems(sweep, columns, keeps, refined),
+        "seed": sweep.seed,
+        "smajax": __version__,
+    }
+    return document | {"summary": sweep_summary(document)}
+
+
+def _problems(
+    sweep: SweepFile, columns: Mapping[str, np.ndarray], keeps: np.ndarray, refined: Sequence[RefinedDesign]
+) -> list[str]:
+    """Why the sweep has no usable design."""
+    if not np.any(columns["code"] == "done"):
+        codes = ", ".join(np.unique(columns["code"]))
+        return [f"none of the {len(keeps):,} designs could be simulated: {codes}"]
+    if sweep.constraints and not keeps.any() and not any(design.better for design in refined):
+        return [_infeasible_words(sweep, columns, refined)]
+    return []
+
+
+def _axis_entries(sweep: SweepFile) -> dict[str, Any]:
+    return {
+        axis.name: {
+            "unit": axis.unit,
+            "from": axis.lower,
+            "to": axis.upper,
+            "scale": "log" if axis.log else "even",
+            "values": list(axis.values),
+        }
+        for axis in sweep.axes
+    }
+
+
+def _span(values: np.ndarray) -> dict[str, Any]:
+    """Lowest and highest value of a metric."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return {"lowest": None, "highest": None}
+    return {"lowest": metric_entry(known.min()), "highest": metric_entry(known.max())}
+
+
+def _design_entry(
+    sweep: SweepFile, problem: AbstractSweepProblem, columns: Mapping[str, np.ndarray], k: int
+) -> dict[str, Any]:
+    return {
+        "design": int(columns["design"][k]),
+        "parameters": {axis.name: float(columns[axis.name][k]) for axis in sweep.axes},
+        "metrics": {n: metric_entry(columns[n][k]) for n in problem.units},
+    }
+
+
+def _refined_entry(sweep: SweepFile, refined: RefinedDesign) -> dict[str, Any]:
+    return {
+        "parameters": {axis.name: float(v) for axis, v in zip(sweep.axes, refined.design, strict=True)},
+        "before": {n: metric_entry(v) for n, v in refined.before.items()},
+        "metrics": {n: metric_entry(v) for n, v in refined.metrics.items()},
+        "simulations": refined.simulations,
+        "better": refined.better,
+        "rescued": refined.restored,
+    }
+
+
+def _infeasible_words(sweep: SweepFile, columns: Mapping[str, np.ndarray], refined: Sequence[RefinedDesign]) -> str:
+    """The design nearest to the constraints, where refining ended, and the constraints that both violate."""
+    violation = np.where(columns["code"] == "done", constraint_violation(columns, sweep.constraints), np.inf)
+    k = int(np.argmin(violation))
+    nearest = {n: float(columns[n][k]) for n in sweep.constraints}
+    words = f"none of the {len(violation):,} designs keeps the constraints: the nearest, design "
+    words += f"{int(columns['design'][k])}, has {', '.join(_violated(sweep, nearest))}"
+    if not refined:
+        return words
+    last = min(refined, key=lambda design: float(constraint_violation(design.metrics, sweep.constraints)))
+    place = ", ".join(
+        f"{axis.name} {format_value(float(v), axis.unit)}" for axis, v in zip(sweep.axes, last.design, strict=True)
+    )
+    words += f"; refining from the nearest kept none either, and ended at {', '.join(_violated(sweep, last.metrics))}"
+    bounds = [(n, bound) for n, pair in sweep.constraints.items() for bound in pair if np.isfinite(bound)]
+    if binding := [n for n, bound in bounds if abs(last.metrics[n] - bound) <= _AT_BOUND * abs(bound)]:
+        words += f" with {' and '.join(binding)} at the limit,"
+    return f"{words} at {place}"
+
+
+def _violated(sweep: SweepFile, metrics: Mapping[str, float]) -> list[str]:
+    """The violated constraints, each with its metric and what is allowed, in the unit of the sweep file."""
+    words = []
+    for name, (low, high) in sweep.constraints.items():
+        if not low <= metrics[name] <= high:
+            unit, written = sweep.subject.units[name], sweep.constraint_units[name]
+            bounds = [(key, bound) for key, bound in (("at least", low), ("at most", high)) if np.isfinite(bound)]
+            allowed = " and ".join(f"{key} {format_in_unit(bound, unit, written)}" for key, bound in bounds)
+            words.append(f"{name} {format_in_unit(metrics[name], unit, written)} (allowed: {allowed})")
+    return words
+
+
+def _settling(columns: Mapping[str, np.ndarray], front: np.ndarray, refined: Sequence[RefinedDesign]) -> dict[str, Any]:
+    """Numbers of designs that have not settled; nothing for an actuator, which has no cycles."""
+    if "settling" not in columns:
+        return {}
+    unsettled = (columns["code"] == "done") & ~(columns["settling"] <= SETTLED_GAP)
+    return {
+        "limit": SETTLED_GAP,
+        "unsettled": int(unsettled.sum()),
+        "unsettled_on_front": int(unsettled[front].sum()),
+        "unsettled_refined": sum(design.better and not design.metrics["settling"] <= SETTLED_GAP for design in refined),
+    }
+
+
+def _sensitivity(
+    sweep: SweepFile, problem: AbstractSweepProblem, columns: Mapping[str, np.ndarray]
+) -> tuple[dict[str, Any], list[str]]:
+    """Sobol indices by metric, and sentences on what they leave out and why some are missing."""
+    if not len(columns["design"]):
+        return {}, [note for note in [sweep.missing_indices_note()] if note]
+    done, axes = columns["code"] == "done", len(problem.names)
+    entries, notes = {}, []
+    failed = ~complete_rows(np.where(done, 0.0, np.nan), axes)
+    if failed.any():
+        notes.append(
+            f"Sobol indices leave out {failed.sum():,} of {len(failed):,} rows of designs, "
+            "in which a simulation failed."
+        )
+    for name in problem.units:
+        values = np.where(done, columns[name], np.nan)
+        indices = sobol_indices(values, problem.names, sweep.seed)
+        if reason := missing_reason(values, axes):
+            notes.append(f"No Sobol indices of {name}: {reason}.")
+        elif more := int(np.sum(~complete_rows(values, axes)) - failed.sum()):
+            notes.append(f"Those of {name} leave out {more:,} more, in which it has no value.")
+        entries[name] = {
+            axis: {key: _numbers(value) for key, value in index._asdict().items()} for axis, index in indices.items()
+        }
+    return entries, notes
+
+
+def _numbers(value: float | tuple[float, float]) -> Any:
+    return [finite_or_none(v) for v in value] if isinstance(value, tuple) else finite_or_none(value)

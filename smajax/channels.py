@@ -1,0 +1,127 @@
+"""Recorded channels: their names, internal units and plausible values."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from smajax.errors import InputError, suggestion
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A kind of recorded signal.
+
+    Attributes:
+        unit: Internal unit.
+        description: A few words on what is measured, with the sign convention.
+        units: Usual units, tried in this order when the values are implausible, to tell the likely unit.
+        plausible_range: Bounds of every value, in the internal unit.
+        faint: Smallest possible peak magnitude of a recording, in the internal unit; below it the unit is wrong (0: no
+            limit).
+        commanded: Whether it is an input, which may change by any factor from row to row.
+        usual: Magnitude beyond which such a change of a commanded channel counts as a change of unit.
+    """
+
+    unit: str
+    description: str
+    units: tuple[str, ...]
+    plausible_range: tuple[float, float] = (-np.inf, np.inf)
+    faint: float = 0.0
+    commanded: bool = False
+    usual: float = 0.0
+
+
+# ``plausible_range``, ``faint`` and ``usual`` are those of benches with shape-memory alloys (currents of 1 mA to 50 A,
+# strokes up to 1 m); tests/unit/recordings/test_bad_recordings.py holds them. A rig beyond them sets ``any_scale``.
+CHANNELS: Mapping[str, Channel] = MappingProxyType(
+    {
+        "time": Channel("s", "time of the row, strictly increasing", ("s", "ms", "min")),
+        "current": Channel(
+            "A", "current through the wire", ("A", "mA", "uA"), (-50.0, 50.0), 1e-3, commanded=True, usual=10.0
+        ),
+        "voltage": Channel(
+            "V", "voltage across the wire", ("V", "mV", "uV"), (-400.0, 400.0), commanded=True, usual=100.0
+        ),
+        "power": Channel(
+            "W", "electrical power into the wire", ("W", "mW", "uW"), (-10.0, 2000.0), commanded=True, usual=500.0
+        ),
+        "duty": Channel(
+            "1",
+            "fraction of the time in which the drive is on, 0 to 1",
+            ("1", "%"),
+            (0.0, 1.0),
+            commanded=True,
+            usual=1.0,
+        ),
+        "temperature": Channel("degC", "temperature of the wire", ("degC", "K", "mK", "degF"), (-200.0, 900.0)),
+        "ambient": Channel("degC", "temperature of the surroundings", ("degC", "K", "mK", "degF"), (-200.0, 500.0)),
+        "displacement": Channel(
+            "m", "displacement of the load, positive when the wire shortens", ("m", "mm", "um", "nm"), (-1.0, 1.0)
+        ),
+        "angle": Channel(
+            "rad", "angle of the pulley, positive when wire 1 is heated", ("rad", "deg", "mrad"), (-20.0, 20.0)
+        ),
+        "rate": Channel("rad/s", "rate of the angle", ("deg/s", "rad/s", "mrad/s"), (-500.0, 500.0)),
+        "force": Channel("N", "force along the wire, tension positive", ("N", "mN", "uN", "kN"), (-1e5, 1e5)),
+        "torque": Channel("N m", "torque on the pulley", ("N m", "N mm", "uN m"), (-1000.0, 1000.0)),
+        "stress": Channel(
+            "Pa", "stress in the wire, tension positive", ("MPa", "Pa", "kPa", "GPa"), (-5e9, 5e9), faint=1e4
+        ),
+        "strain": Channel("1", "strain of the wire, elongation positive", ("1", "%", "ppm"), (-0.5, 0.5)),
+        "resistance": Channel("ohm", "electrical resistance of the wire", ("ohm", "mohm", "uohm"), (-1.0, 1000.0)),
+    }
+)
+# Common headers of columns and the channel that is meant; used for suggestions only.
+_USUAL_HEADERS = {
+    "t": "time",
+    "i": "current",
+    "u": "voltage",
+    "v": "voltage",
+    "p": "power",
+    "pwm": "duty",
+    "temp": "temperature",
+    "f": "force",
+}
+
+
+def channel_of(name: str) -> str | None:
+    """Return the kind of a channel: ``current`` for ``current`` and ``current_2``, ``None`` for an unknown name."""
+    base = re.sub(r"_[1-9][0-9]*$", "", name, flags=re.ASCII)
+    return base if base in CHANNELS else None
+
+
+def numbered(name: str, wires: int) -> tuple[str, ...]:
+    """Return the channels of one kind: ``name`` itself for one wire, else ``name_1``, ``name_2``."""
+    return (name,) if wires == 1 else tuple(f"{name}_{i + 1}" for i in range(wires))
+
+
+def channel_unit(name: str, *, difference: bool = False) -> str:
+    """Return the internal unit of a channel's values, or of differences of them.
+
+    Args:
+        name: A channel such as ``temperature`` or ``current_2``.
+        difference: Whether the unit of a difference is wanted: K instead of degC.
+
+    Raises:
+        InputError: if the channel is unknown.
+    """
+    kind = channel_of(name)
+    if kind is None:
+        kinds = f"the known ones are {', '.join(CHANNELS)}, and NAME_1, NAME_2"
+        raise InputError(f"'{name}' is not a known channel{channel_suggestion(name)}: {kinds}")
+    unit = CHANNELS[kind].unit
+    return "K" if difference and unit == "degC" else unit
+
+
+def channel_suggestion(name: str) -> str:
+    """Return `` (did you mean 'x'?)`` for the channel that an unknown name may mean, or an empty string."""
+    if re.search(r"_0+\d*$", name) and channel_of(name.rpartition("_")[0]):
+        return f" (did you mean '{name.rpartition('_')[0]}_1'?)"
+    base, _, number = name.lower().rpartition("_") if re.search(r"_\d+$", name) else (name.lower(), "", "")
+    suffix = f"_{number}" if number else ""
+    if base in _USUAL_HEADERS:
+        return f" (did you mean '{_USUAL_HEADERS[base]}{suffix}'?)"
+    return suggestion(base + suffix, [kind + suffix for kind in CHANNELS])

@@ -1,0 +1,85 @@
+"""Fits of several models to one recording, and their predictions of another."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from smajax.comparison.input_output_models import fit_input_output_model
+from smajax.comparison.material_models import fit_material_model
+from smajax.comparison.model_result import ModelResult
+from smajax.errors import InputError, NumericsError
+from smajax.files.rig_file import Rig
+from smajax.files.rig_kinds import MATERIALS
+from smajax.recordings.recording import Recording
+
+# Predictions at or above this size count as not finite: their square would overflow in the scores.
+_OVERFLOW = 1e100
+
+
+def compare_models(
+    rig: Rig,
+    models: Sequence[str],
+    recordings: Sequence[Recording],
+    *,
+    seed: int,
+    progress: Callable[[str], None] = lambda model: None,
+) -> list[ModelResult]:
+    """Fit each model to the training recording and predict the holdout, by the first observed channel.
+
+    Args:
+        rig: The rig, with fit settings for the material laws.
+        models: Names of the models, as in ``MODELS``.
+        recordings: The training recording and the holdout.
+        seed: Seed of the starts.
+        progress: Called with the name of each model before it is fitted.
+
+    Returns:
+        A result for each model, in their order; one that cannot be fitted has a reason instead of predictions.
+
+    Raises:
+        InputError: If no model can be fitted to such input.
+        NumericsError: If no model can be fitted, and numerics are the reason for one of them.
+    """
+    results = []
+    for name in models:
+        progress(name)
+        results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
+    if all(result.reason for result in results):
+        error = InputError if all(result.input_insufficient for result in results) else NumericsError
+        raise error("no model could be fitted: " + _merge_reasons(results))
+    return results
+
+
+def _fit_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> ModelResult:
+    """Fit one model; where it fails, return the reason, so that the others are still compared."""
+    start, is_law = time.perf_counter(), name in MATERIALS
+    fit_model = fit_material_model if is_law else fit_input_output_model
+    try:
+        result = fit_model(rig, name, recordings, channel, seed)
+        for recording, values in zip(recordings, result.predictions, strict=True):
+            _check_finite(recording, channel, values)
+    except (InputError, NumericsError) as error:
+        kind = "law" if is_law else "input-output"
+        return ModelResult(name, kind, reason=str(error), input_insufficient=isinstance(error, InputError))
+    return dataclasses.replace(result, wall_time=time.perf_counter() - start)
+
+
+def _check_finite(recording: Recording, channel: str, values: np.ndarray) -> None:
+    """Raise ``NumericsError`` where a prediction is not finite at a measured row, since it could not be ranked."""
+    bad = np.isfinite(recording.channels[channel]) & ~(np.abs(values) < _OVERFLOW)
+    if np.any(bad):
+        row = int(np.argmax(bad))
+        raise NumericsError(
+            f"{recording.name}: its prediction of {channel} is not finite at {np.sum(bad)} of {len(values)} rows, "
+            f"first at row {row + 1}, {recording.time[row]:.6g} s"
+        )
+
+
+def _merge_reasons(results: Sequence[ModelResult]) -> str:
+    """The reasons why no model could be fitted; one that several share is said once."""
+    names_by_reason: dict[str, list[str]] = {}
+    for result in results:
+        names_by_reason.setdefault(result.reason.removeprefix(f"{result.name} "), []).append(result.name)
+    return "; ".join(f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items())

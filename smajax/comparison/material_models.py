@@ -1,0 +1,108 @@
+"""Fits of material laws in a rig, with the rig's own law replaced."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import equinox as eqx
+import numpy as np
+
+from smajax import parameters
+from smajax.comparison.model_result import ModelResult
+from smajax.errors import NumericsError
+from smajax.files.documents import finite_or_none, is_undetermined
+from smajax.files.rig_file import Rig
+from smajax.files.rig_kinds import MATERIALS
+from smajax.fitting.fit import fit
+from smajax.fitting.io_models.problem import check_rows
+from smajax.fitting.result import Estimate
+from smajax.parameters import declarations
+from smajax.recordings.recording import Recording
+from smajax.simulation.status import SimulationStatus
+from smajax.units import as_text
+
+# Start values of parameters that one law has and another may not. Those of the first table are fitted as well: the
+# hardening exponents of Lagoudas' law, at the middle of their usual range.
+_FREE_START_VALUES: dict[str, dict[str, float]] = {"lagoudas": {"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}}
+# Detwinning stresses (Pa) of Brinson's law, a wire that is detwinned under its usual load.
+_HELD_START_VALUES: dict[str, dict[str, float]] = {
+    "brinson": {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}
+}
+
+
+def fit_material_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> ModelResult:
+    """Fit a material law to the first recording, as the rig's fit settings say, and predict the others.
+
+    Args:
+        rig: The rig.
+        name: The law, as in ``MATERIALS``.
+        recordings: The training recording, and the holdout.
+        channel: The channel that is compared.
+        seed: Seed of the starts.
+
+    Raises:
+        InputError: If the training recording has too few rows.
+        NumericsError: If a simulation with the fitted parameters fails.
+    """
+    changed = with_material_law(rig, name)
+    settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
+    rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
+    check_rows(recordings[0].name, rows, len(settings.names), name)
+    result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
+    failed = [r for r in result.responses if r.status is not SimulationStatus.done]
+    if failed:
+        ends = ", ".join(f"{e.name} = {as_text(e.estimate, e.unit)}" for e in result.estimates)
+        raise NumericsError(
+            f"{failed[0].recording.name}: {failed[0].status.name} where its fit ended, at {ends}: bound these "
+            "(fit.bounds), "
+            "free fewer, or give a training recording that goes as far"
+        )
+    at_bound = [e for e in result.estimates if e.at_bound]
+    return ModelResult(
+        name,
+        "law",
+        len(result.problem.unknowns),
+        tuple(response.model[channel] for response in result.responses),
+        at_bound=tuple(f"{e.name} ({as_text(float(f'{e.estimate:.5g}'), e.unit)})" for e in at_bound),
+        undetermined=tuple(e.name for e in result.estimates if _is_undetermined(e)),
+        fitted={e.name: _fitted_entry(e) for e in result.estimates},
+    )
+
+
+def with_material_law(rig: Rig, name: str) -> Rig:
+    """Replace the material law of a rig.
+
+    Parameters that both laws have keep their values and stay free if they were; those that only the new law has get
+    start values.
+    """
+    law, old = MATERIALS[name], rig.plant.material
+    if type(old) is law:
+        return rig
+    free, held = _FREE_START_VALUES.get(name, {}), _HELD_START_VALUES.get(name, {})
+    common = {key: float(getattr(old, key)) for key in declarations(law) if key in declarations(old)}
+    values: dict[str, Any] = held | free | common  # numbers, which the law turns into arrays
+    plant = eqx.tree_at(lambda p: p.material, rig.plant, law(**values))
+    declared = parameters.all_declarations(plant)
+    settings = dataclasses.replace(
+        rig.fit,
+        model=name,
+        free=tuple(n for n in rig.fit.free if n in declared) + tuple(f"material.{key}" for key in free),
+        bounds={n: ends for n, ends in rig.fit.bounds.items() if n in declared},
+        per_recording=tuple(n for n in rig.fit.per_recording if n in declared),
+    )
+    return dataclasses.replace(rig, plant=plant, fit=settings)
+
+
+def _fitted_entry(estimate: Estimate) -> Mapping[str, Any]:
+    return {
+        "value": finite_or_none(estimate.estimate),
+        "lower95": finite_or_none(estimate.lower95),
+        "upper95": finite_or_none(estimate.upper95),
+        "free": True,
+        "unit": estimate.unit,
+    }
+
+
+def _is_undetermined(estimate: Estimate) -> bool:
+    bounds = [finite_or_none(end) for end in estimate.bounds]
+    return is_undetermined({**_fitted_entry(estimate), "at_bound": estimate.at_bound, "bounds": bounds})

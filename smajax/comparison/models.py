@@ -1,0 +1,33 @@
+"""The models that can be compared, by name."""
+
+from collections.abc import Sequence
+
+from smajax.errors import InputError, suggestion
+from smajax.files.rig_kinds import MATERIALS
+from smajax.fitting.io_models.specs import MODEL_SPECS
+
+TRANSFER_FUNCTION = "transfer-function"
+TRANSFER_FUNCTIONS = tuple(name for name in MODEL_SPECS if name.startswith(f"{TRANSFER_FUNCTION}-"))
+MODELS = (*MATERIALS, *MODEL_SPECS)
+
+
+def select_models(names: Sequence[str]) -> list[str]:
+    """Check names of models, and return each once; "transfer-function" stands for its four structures.
+
+    Raises:
+        InputError: If a name is unknown, or if there is none.
+    """
+    selected: list[str] = []
+    for name in names:
+        if name == TRANSFER_FUNCTION:
+            selected += TRANSFER_FUNCTIONS
+        elif name in MODELS:
+            selected.append(name)
+        else:
+            choices = (*MODELS, TRANSFER_FUNCTION)
+            raise InputError(
+                f"--models: '{name}' is not known{suggestion(name, choices)}: the models are {', '.join(choices)}"
+            )
+    if not selected:
+        raise InputError(f"--models names no model: give some of {', '.join(MODELS)}, with commas between")
+    return list(dict.fromkeys(selected))

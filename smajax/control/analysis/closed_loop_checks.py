@@ -1,0 +1,224 @@
+"""Checks of one set of gains: metrics of its rollout, margins and stability, also on samples of parameters."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.channels import numbered
+from smajax.control.analysis.instability import instability_reason
+from smajax.control.analysis.margins import Margins, margins_of_draws, stability_margins, worst_margins
+from smajax.control.analysis.members import simulate_members
+from smajax.control.analysis.reachable_range import ReachableRange
+from smajax.control.analysis.step_response import SETTLING_BAND, find_jumps, step_responses, tracking_errors
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import with_gains
+from smajax.control.loop.rollout import Rollout, Scenario
+from smajax.control.sampled_plant import SampledPlant
+from smajax.files.documents import finite_or_none
+
+# Draws in one call of the compiled program; chosen by trial for speed.
+_BATCH = 64
+# Share of the error of an idle rig: gains that leave more than this (above the smallest possible error) do not track.
+# Chosen by trial; tests/unit/control/test_tuning.py holds it.
+_IDLE_SHARE = 0.9
+# An idle error below this share of the reference's span says nothing of tracking; chosen by trial.
+_MIN_IDLE_ERROR = 0.1
+# Tolerance of a limit, relative to its scale: the searches' own tolerance (search.VIOLATION_TOLERANCE, 1e-3), and as
+# much for the difference between a search's noise and the file's.
+_LIMIT_TOLERANCE = 2e-3
+# Scale of a temperature limit in K, and of a stress or current limit as a share of it; those of tuning/objective.py.
+_TEMPERATURE_SCALE = 10.0
+_RELATIVE_SCALE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ControlTask:
+    """What a loop has to do.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop, with the start gains.
+        scenario: Reference, noise and changes.
+        limits: Limits by name (``objective.LIMITS``), internal units.
+        band: Settling band as a share of a jump.
+    """
+
+    system: SampledPlant
+    loop: ClosedLoop
+    scenario: Scenario
+    limits: Mapping[str, float]
+    band: float
+
+
+@dataclass(frozen=True, eq=False)
+class GainEvaluation:
+    """One set of gains on the plant of the rig file.
+
+    Args:
+        loop: The loop with these gains.
+        channels: Channels of its rollout by name, shape ``(n,)`` each.
+        command: Commands, shape ``(n, wires)``.
+        metrics: Metrics of the rollout in SI units and degC.
+        margins: Stability margins.
+        unstable: Why the gains count as unstable; empty if they do not.
+    """
+
+    loop: ClosedLoop
+    channels: Mapping[str, np.ndarray]
+    command: np.ndarray
+    metrics: dict[str, float]
+    margins: Margins
+    unstable: str
+
+
+class DrawChecks(NamedTuple):
+    """Checks of gains on draws: a JSON document, and the draws that are unstable or beyond a limit."""
+
+    document: dict[str, Any]
+    failing: tuple[int, ...]
+
+
+def evaluate_gains(task: ControlTask, gains: Mapping[str, float]) -> GainEvaluation:
+    """Return how the rig's own plant behaves with other gains, in internal units."""
+    quiet = task.scenario.without_noise()
+    result, quiet_result = (
+        simulate_members(task.system, task.loop, scenario, gains) for scenario in (task.scenario, quiet)
+    )
+    channels = {name: np.asarray(values)[0] for name, values in result.channels.items()}
+    command, loop = np.asarray(result.command)[0], with_gains(task.loop, gains)
+    reason = _instability_of(task, quiet_result, 0)
+    margins = stability_margins(task.system, loop, quiet)
+    return GainEvaluation(loop, channels, command, _rollout_metrics(task, channels, command), margins, reason)
+
+
+def _instability_of(task: ControlTask, quiet: Rollout, member: int) -> str:
+    """Why a member of a rollout without noise counts as unstable; empty if it does not."""
+    pid = task.loop.controller.inner
+    command, value = np.asarray(quiet.command[member]), np.asarray(quiet.channels[task.loop.channel][member])
+    return instability_reason(command, np.asarray(task.scenario.reference), value, float(pid.upper) - float(pid.lower))
+
+
+def _rollout_metrics(task: ControlTask, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:
+    """Metrics of a rollout in SI units and degC, by the names that tune.json has."""
+    period, value = task.system.period, channels[task.loop.channel]
+    reference = np.asarray(task.scenario.reference)
+    metrics = tracking_errors(value, reference, period)
+    jumps = find_jumps(reference, float(task.scenario.initial_reference), period)
+    responses = step_responses(value, reference, jumps, period, task.band)
+    if responses:
+        metrics |= {name: max(getattr(r, name) for r in responses) for name in ("rise", "settling", "overshoot")}
+    metrics["energy"] = float(np.sum([np.sum(channels[n]) for n in wire_channels(task, "power")]) * period)
+    metrics["mean_command"] = float(np.mean(np.sum(command, axis=1)))
+    for name in ("temperature", "stress", "current"):
+        metrics[f"peak_{name}"] = float(np.max([np.max(channels[n]) for n in wire_channels(task, name)]))
+    return metrics
+
+
+def wire_channels(task: ControlTask, name: str) -> tuple[str, ...]:
+    """Return the names of a channel of all wires."""
+    return numbered(name, task.system.wires)
+
+
+def value_at_rest(task: ControlTask, name: str) -> float:
+    """Return a channel at rest without any command; of two wires the larger value."""
+    channels = task.system.observe(task.system.start(), jnp.zeros(task.system.wires))
+    return max(float(channels[n]) for n in ((name,) if name in channels else wire_channels(task, name)))
+
+
+def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[str, np.ndarray]) -> DrawChecks:
+    """Check gains on samples of parameters.
+
+    A draw counts as unstable by its rollout without noise. One that is stable there is checked by its margins, too, as
+    the rig's own plant is.
+
+    Args:
+        task: The control task.
+        gains: Gains in internal units.
+        draws: Parameters, internal units, shape ``(count,)`` each.
+
+    Returns:
+        A document with numbers of failing draws, quantiles (5, 50, 95 %) and largest values of the metrics, and the
+        worst margins.
+    """
+    count = len(next(iter(draws.values())))
+    size = min(_BATCH, count)
+    quiet = task.scenario.without_noise()
+    margins = margins_of_draws(task.system, with_gains(task.loop, gains), quiet, draws)
+    metrics: list[dict[str, float]] = []
+    unstable, unstable_linearised, beyond_a_limit, failing = 0, 0, 0, []
+    for first in range(0, count, size):
+        # The last batch is filled up with the last draw, so that one program serves all.
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        batch = {n: v[rows] for n, v in draws.items()}
+        result, quiet_result = (
+            simulate_members(task.system, task.loop, scenario, gains, batch) for scenario in (task.scenario, quiet)
+        )
+        channels = {n: np.asarray(v) for n, v in result.channels.items()}
+        for k in range(min(size, count - first)):
+            of_draw = {n: v[k] for n, v in channels.items()}
+            metrics.append(_rollout_metrics(task, of_draw, np.asarray(result.command[k])))
+            is_unstable = bool(_instability_of(task, quiet_result, k))
+            is_beyond = bool(violated_limits(task.limits, metrics[-1]))
+            is_linear_unstable = not is_unstable and margins[first + k].unstable
+            unstable, beyond_a_limit = unstable + is_unstable, beyond_a_limit + is_beyond
+            unstable_linearised += is_linear_unstable
+            failing += [first + k] * (is_unstable or is_beyond or is_linear_unstable)
+    document = {
+        "draws": count,
+        "unstable": unstable,
+        "unstable_linearised": unstable_linearised,
+        "beyond_a_limit": beyond_a_limit,
+    }
+    worst = {n: finite_or_none(v) for n, v in worst_margins(margins)._asdict().items()}
+    return DrawChecks(document | _spread(metrics) | {"worst_margins": worst}, tuple(failing))
+
+
+def _spread(metrics: list[dict[str, float]]) -> dict[str, Any]:
+    """Quantiles and largest value of each metric."""
+    table = {n: np.array([of_draw[n] for of_draw in metrics]) for n in metrics[0]}
+    return {
+        "spread": {n: [finite_or_none(float(q)) for q in _quantiles(v)] for n, v in table.items()},
+        "worst": {n: finite_or_none(float(np.max(v))) for n, v in table.items()},
+    }
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """The 5, 50 and 95 % quantiles without NaNs; infinite values, such as a settling time, are included."""
+    known = np.sort(values[~np.isnan(values)])
+    return np.quantile(known, [0.05, 0.5, 0.95], method="inverted_cdf") if len(known) else np.full(3, np.nan)
+
+
+def violated_limits(limits: Mapping[str, float], metrics: Mapping[str, float]) -> list[str]:
+    """Return the limits that a rollout's metrics violate."""
+    violated = []
+    for name, limit in limits.items():
+        metric = name if name in ("overshoot", "settling") else f"peak_{name}"
+        scales = {"temperature": _TEMPERATURE_SCALE, "overshoot": SETTLING_BAND, "settling": max(limit, 1e-9)}
+        tolerance = _LIMIT_TOLERANCE * scales.get(name, _RELATIVE_SCALE * abs(limit))
+        if metric in metrics and not metrics[metric] <= limit + tolerance:
+            violated.append(name)
+    return violated
+
+
+def fails_to_track(task: ControlTask, evaluation: GainEvaluation, reachable: ReachableRange) -> bool:
+    """Return whether the tracking error is hardly smaller than that of an idle rig, though the rig can follow."""
+    idle, smallest = idle_error(task), _smallest_error(task, reachable)
+    return idle > 0.0 and evaluation.metrics["rmse"] > smallest + _IDLE_SHARE * (idle - smallest)
+
+
+def idle_error(task: ControlTask) -> float:
+    """Return the tracking error (RMS) of a rig that stays at rest; 0 for a reference that is always near its rest."""
+    rest = value_at_rest(task, task.loop.channel)
+    reference = np.append(np.asarray(task.scenario.reference), rest)
+    error = float(np.sqrt(np.mean((reference - rest) ** 2)))
+    return error if error > _MIN_IDLE_ERROR * float(np.ptp(reference)) else 0.0
+
+
+def _smallest_error(task: ControlTask, reachable: ReachableRange) -> float:
+    """The tracking error (RMS) of a rig that is always as near to the reference as its reachable range allows."""
+    reference = np.asarray(task.scenario.reference)
+    clipped = np.clip(reference, reachable.lower, reachable.upper)
+    return float(np.sqrt(np.mean((reference - clipped) ** 2)))

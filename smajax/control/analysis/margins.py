@@ -1,0 +1,196 @@
+"""Stability margins of a loop: gain and phase margin and largest sensitivity of its linearisation along a rollout.
+
+The loop is cut at the controller's output. At a sample of a rollout, plant and controller are linearised about their
+states, and their frequency responses multiplied: L = -K P. The largest sensitivity is the maximum of |1 / (1 + L)|.
+
+A shape-memory wire has other dynamics while it warms than while it cools, so that margins are taken at many samples and
+their medians count. Where the wire does not transform, its thermal expansion moves the channel the wrong way; such
+samples have no margin and are left out, since the loop leaves them by itself. Frequencies far below the crossover are
+left out as well: the states have changed before such a period is over. A filter whose estimate the controller uses is
+taken as exact; its effect on the loop shows in rollouts only.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.rollout import Scenario, rollout_with_solutions
+from smajax.control.sampled_plant import AbstractSampledSystem
+
+# Frequencies of the responses, evenly on a logarithmic axis, from a tenth of a cycle over the whole rollout to the
+# Nyquist frequency. Chosen by trial; tests/unit/control/test_control.py compares margins with exact ones.
+_FREQUENCIES = 400
+_LOWEST_FREQUENCY = 0.2
+# Samples of the plant's own rollout, and of that of one draw, at which the loop is linearised: medians change little
+# with more.
+_SAMPLES = 300
+_SAMPLES_OF_DRAW = 60
+# Point of the z plane at which a response consists of its first sample only: z^-1 is negligible there.
+_FAR = 1e6
+# Frequencies below the crossover by more than this factor are left out; chosen by trial.
+_BELOW_CROSSOVER = 5.0
+
+
+class Margins(NamedTuple):
+    """Stability margins of a loop; for a nonlinear plant medians over the samples of a rollout.
+
+    Args:
+        gain: Gain margin, a factor; infinite without a phase crossover.
+        phase: Phase margin in degrees; infinite without a gain crossover.
+        sensitivity: Largest sensitivity.
+    """
+
+    gain: float
+    phase: float
+    sensitivity: float
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the linearised loop is unstable, though limits of its command may bound it."""
+        return self.gain < 1.0 or self.phase < 0.0
+
+
+# A loop whose command never moves.
+_NO_LOOP = Margins(math.inf, math.inf, 0.0)
+
+
+@eqx.filter_jit
+def _carries(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[jax.Array, jax.Array]:
+    """States before each sample of a rollout, flattened, and commands."""
+    result, (carries, _) = rollout_with_solutions(system, loop, scenario)
+    return carries, result.command
+
+
+@eqx.filter_jit
+def _loop_gain(
+    system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, reference: jax.Array, draw: jax.Array, z: jax.Array
+) -> jax.Array:
+    """L(z) at a sample, linearised; complex, of the shape of ``z``."""
+    state, loop_state, last_commands = carry
+    channels = system.observe(state, last_commands)
+    controller_state, measurement_states, limiters, _ = loop_state
+    value, temperatures, _ = loop.measure(measurement_states, channels, draw)
+    controller, _, _ = loop.apply_temperature_limits(limiters, temperatures)
+    flat, unflatten = ravel_pytree(controller_state)
+
+    def step(flat: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+        later, command = controller.step(unflatten(flat), reference, value)
+        return ravel_pytree(later)[0].astype(flat.dtype), command
+
+    (a, c), (b, d) = (jax.jacfwd(step, argnums=i)(flat, value) for i in (0, 1))
+    command = controller.step(controller_state, reference, value)[1]
+    commands, direction = loop.allocation(command), jax.jacfwd(loop.allocation)(command)
+    plant = system.frequency_response(state, commands, direction, loop.channel, z)
+
+    def controller_response(z: jax.Array) -> jax.Array:
+        return c @ jnp.linalg.solve(z * jnp.eye(len(flat)) - a, b.astype(z.dtype)) + d
+
+    delay = 0 if loop.use_estimate else -loop.sensor.delay
+    return -jax.vmap(controller_response)(z) * plant * z**delay
+
+
+def stability_margins(
+    system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, *, samples: int = _SAMPLES
+) -> Margins:
+    """Return the stability margins of a loop.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: Scenario of the rollout along which a nonlinear plant is linearised.
+        samples: Samples of the rollout, spread over those at which the command moves.
+    """
+    period = loop.controller.inner.period
+    count = scenario.reference.shape[0]
+    lowest = _LOWEST_FREQUENCY * math.pi / (count * period)
+    frequencies = np.geomspace(lowest, math.pi / period, _FREQUENCIES)
+    z = jnp.append(jnp.exp(1j * frequencies * period), _FAR)
+    start, idle = system.start(), jnp.zeros(system.wires)
+    first = (start, loop.reset(scenario.initial_reference, system.observe(start, idle)), idle)
+    if not system.is_implicit:  # linear: the response is the same at every state
+        gains = np.asarray(_loop_gain(system, loop, first, scenario.initial_reference, jnp.zeros(()), z))[None]
+    else:
+        carries, command = _carries(system, loop, scenario)
+        moving = np.flatnonzero(np.any(np.abs(np.diff(np.asarray(command), axis=0)) > 0.0, axis=1)) + 1
+        if not len(moving):
+            return _NO_LOOP
+        rows = moving[np.linspace(0, len(moving) - 1, samples).astype(int)]
+        gains = np.asarray(
+            _loop_gains(system, loop, carries[rows], scenario.reference[rows], scenario.draws[rows], z, first)
+        )
+        # A negative first sample of the response: the channel moves the wrong way.
+        gains = gains[(np.real(gains[:, -1]) > 0.0) & np.all(np.isfinite(gains), axis=1)]
+    return _median_margins(gains[:, :-1], frequencies)
+
+
+def margins_of_draws(
+    system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, draws: Mapping[str, np.ndarray]
+) -> list[Margins]:
+    """Return the margins of a loop around each of several plants, each at fewer samples of its own rollout.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: Scenario of the rollouts.
+        draws: Parameters in which the plants differ, internal units, shape ``(count,)`` each.
+    """
+    count = len(next(iter(draws.values())))
+    systems = (
+        system.with_parameters({name: jnp.asarray(values[k], jnp.float64) for name, values in draws.items()})
+        for k in range(count)
+    )
+    return [stability_margins(drawn, loop, scenario, samples=_SAMPLES_OF_DRAW) for drawn in systems]
+
+
+def worst_margins(margins: Sequence[Margins]) -> Margins:
+    """Return the smallest gain and phase margins and the largest sensitivity, each by itself."""
+    gain, phase, sensitivity = zip(*margins, strict=True)
+    return Margins(min(gain), min(phase), max(sensitivity))
+
+
+@eqx.filter_jit
+def _loop_gains(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    carries: Any,
+    references: Any,
+    draws: Any,
+    z: jax.Array,
+    structure: Any,
+) -> jax.Array:
+    """L(z) at several samples, one row each; ``structure`` is a carry that is not flattened."""
+    unflatten = ravel_pytree(structure)[1]
+    return jax.lax.map(
+        lambda row: _loop_gain(system, loop, unflatten(row[0]), row[1], row[2], z), (carries, references, draws)
+    )
+
+
+def _median_margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
+    """Medians over the rows of ``gains``, L at ``frequencies``."""
+    rows = [_margins_of_response(gain, frequencies) for gain in gains]
+    return Margins(*(float(np.median(column)) for column in zip(*rows, strict=True))) if rows else _NO_LOOP
+
+
+def _margins_of_response(gain: np.ndarray, frequencies: np.ndarray) -> Margins:
+    """Margins of one response: phase at the last gain crossover, smallest gain margin of all phase crossovers."""
+    size, angle = np.abs(gain), np.mod(np.angle(gain), -2.0 * math.pi)  # from -360 to 0 degrees
+    crossings = np.flatnonzero((size[:-1] > 1.0) & (size[1:] <= 1.0))
+    crossover = frequencies[crossings[-1]] if len(crossings) else frequencies[0]
+    near = frequencies >= crossover / _BELOW_CROSSOVER
+    gain_margin, phase = math.inf, math.inf
+    for k in crossings[-1:]:
+        phase = math.degrees(angle[k + 1] + math.pi)
+    # A step of the angle by more than 180 degrees is the jump from -360 to 0 degrees, not a crossover.
+    steps_down = (angle[:-1] > -math.pi) & (angle[1:] <= -math.pi) & (angle[:-1] - angle[1:] < math.pi)
+    for k in np.flatnonzero(steps_down & near[1:]):
+        part = (angle[k] + math.pi) / (angle[k] - angle[k + 1])
+        log_gain = -math.log(size[k]) - part * (math.log(size[k + 1]) - math.log(size[k]))
+        gain_margin = min(gain_margin, math.exp(log_gain))
+    return Margins(gain_margin, phase, float(np.max(1.0 / np.abs(1.0 + gain[near]))))

@@ -1,0 +1,87 @@
+"""Rollouts of one loop around several plants at once, each with gains and sensor noise of its own."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import with_gains
+from smajax.control.loop.rollout import Rollout, Scenario, rollout
+from smajax.control.sampled_plant import AbstractSampledSystem
+
+
+def rollout_members(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    members: dict[str, jax.Array],
+    noise: jax.Array,
+    gains: dict[str, jax.Array],
+) -> Rollout:
+    """Simulate a loop around all members; to be compiled by the caller.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: The scenario; its noise is replaced by that of each member.
+        members: Parameters in which the members differ, shape ``(m,)`` each.
+        noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
+        gains: Gains in internal units, shape ``(m,)`` each.
+
+    Returns:
+        Rollouts whose leaves have a leading axis of ``m``.
+    """
+
+    def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
+        plant = system.with_parameters(values) if values else system
+        return rollout(plant, with_gains(loop, gains), dataclasses.replace(scenario, draws=draws))
+
+    # A single rollout is faster than a batch of one.
+    if not members and noise.shape[0] == 1:
+        single = simulate({}, noise[0], {name: value[0] for name, value in gains.items()})
+        return jax.tree.map(lambda leaf: leaf[None], single)
+    return jax.vmap(simulate)(members, noise, gains)
+
+
+def simulate_members(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    gains: Mapping[str, Any],
+    members: Mapping[str, Any] | None = None,
+) -> Rollout:
+    """Simulate a loop with other gains around one plant or several, under the scenario's noise.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop.
+        scenario: The scenario.
+        gains: Gains in internal units, scalars.
+        members: Parameters in which the plants differ, shape ``(m,)`` each; none for the plant itself.
+
+    Returns:
+        Rollouts whose leaves have a leading axis of ``m``, or of 1.
+    """
+    values = {name: jnp.asarray(v) for name, v in (members or {}).items()}
+    count = next((len(v) for v in values.values()), 1)
+    noise = jnp.broadcast_to(scenario.draws[None], (count, scenario.draws.shape[0]))
+    return _simulate(
+        system, loop, scenario, values, noise, {name: jnp.asarray(v, jnp.float64) for name, v in gains.items()}
+    )
+
+
+@eqx.filter_jit
+def _simulate(
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    members: dict[str, jax.Array],
+    noise: jax.Array,
+    gains: dict[str, jax.Array],
+) -> Rollout:
+    equal_gains = {name: jnp.broadcast_to(value, noise.shape[0]) for name, value in gains.items()}
+    return rollout_members(system, loop, scenario, members, noise, equal_gains)

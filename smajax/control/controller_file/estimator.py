@@ -1,0 +1,126 @@
+"""Section [estimator] of a controller file: a thermal observer, or an extended Kalman filter."""
+
+from dataclasses import replace
+from typing import Any
+
+from smajax import parameters
+from smajax.control.controller_file.quantities import float_arrays, optional_quantity
+from smajax.control.controller_file.renamed_keys import with_current_parameters
+from smajax.control.controller_file.schema import EstimatorSection
+from smajax.control.estimators.extended_kalman_filter import ExtendedKalmanFilter
+from smajax.control.estimators.thermal_observer import ThermalObserver
+from smajax.control.loop.temperature_limiter import TemperatureLimiter
+from smajax.control.sampled_plant import SampledPlant
+from smajax.control.sensors.instruments import Instruments
+from smajax.errors import InputError
+from smajax.files.rig_file import Rig
+from smajax.files.toml import quantity_at, show, validate
+from smajax.units import as_text
+
+_THERMAL_KEYS = ("a1", "a2", "exponent", "gain")
+_EXTENDED_KEYS = ("unknown", "start", "temperature_process_noise", "fraction_process_noise", "use_estimate")
+
+
+def read_estimator_section(data: Any, limiter: TemperatureLimiter | None) -> EstimatorSection:
+    """Read the section, and check that something uses the estimator and that its keys belong to its kind.
+
+    Args:
+        data: The section of the file.
+        limiter: The temperature limiter, if there is one.
+
+    Raises:
+        InputError: with section, key and cure.
+    """
+    section = validate(EstimatorSection, data, "estimator")
+    extended = section.kind == "extended"
+    if limiter is None and not (extended and section.use_estimate):
+        raise InputError(
+            "[estimator] gives the wire's temperature to a temperature limiter, and there is none: add a section "
+            "[temperature_limiter], or take [estimator] out"
+            + (", or let the controller use it: use_estimate = true" if extended else "")
+        )
+    for key in _THERMAL_KEYS if extended else _EXTENDED_KEYS:
+        if key in section.model_fields_set:
+            other = "thermal" if extended else "extended"
+            raise InputError(f'estimator.{key} belongs to kind = "{other}": take it out, or change the kind')
+    return section
+
+
+def extended_filter(
+    section: EstimatorSection, rig: Rig, instruments: Instruments, period: float
+) -> ExtendedKalmanFilter:
+    """Build the extended Kalman filter on the rig's own plant; a carrier enters it as the mean of its pulses.
+
+    Raises:
+        InputError: with section, key and cure.
+    """
+    deviations = {}
+    for name, value in with_current_parameters(section.unknown, "estimator.unknown").items():
+        try:
+            declared = parameters.declaration(rig.plant, name)
+        except InputError as error:
+            raise InputError(f"estimator.unknown: {error}") from None
+        unit = "K" if declared.unit == "degC" else declared.unit
+        deviations[name] = quantity_at(value, unit, f"estimator.unknown.{name}", least=0.0)
+    return ExtendedKalmanFilter.of(
+        SampledPlant.of(rig.plant, period),
+        instruments,
+        deviations,
+        initial_temperature_deviation=optional_quantity(section.start, "K", "estimator.start"),
+        temperature_process_noise=optional_quantity(
+            section.temperature_process_noise, "K", "estimator.temperature_process_noise"
+        ),
+        fraction_process_noise=optional_quantity(
+            section.fraction_process_noise, "1", "estimator.fraction_process_noise"
+        ),
+    )
+
+
+def thermal_observer(
+    section: EstimatorSection, rig: Rig, limiter: TemperatureLimiter, period: float
+) -> ThermalObserver:
+    """Build the thermal observer; missing numbers follow from the rig's convection and capacity at the limiter's limit.
+
+    Raises:
+        InputError: with section, key and cure.
+    """
+    if (section.a1 is None) != (section.a2 is None):
+        missing = "a1" if section.a1 is None else "a2"
+        raise InputError(f"estimator.{missing} is missing: give both a1 and a2, or neither for those of the rig")
+    gain = optional_quantity(section.gain, "1/s", "estimator.gain")
+    observer = ThermalObserver.of(rig.plant, float(limiter.limit), period, gain)
+    if section.a1 is None:
+        if section.exponent != 1:
+            raise InputError(
+                f"estimator.exponent = {show(section.exponent)} needs an a1 and an a2: give both, or take it out"
+            )
+        return _check_stability(observer, limiter, section)
+    a1 = quantity_at(section.a1, "K/J", "estimator.a1")
+    if not a1 > 0.0:
+        raise InputError(f"estimator.a1 = {show(section.a1)} would not warm a wire by its power: give one above 0")
+    unit = "1/s" if section.exponent == 1 else f"K^{1 - section.exponent}/s"
+    a2 = quantity_at(section.a2, unit, "estimator.a2")
+    if not a2 < 0.0:
+        raise InputError(f"estimator.a2 = {show(section.a2)} would warm the wire without power: give one below 0")
+    numbers = dict(zip(("a1", "a2", "exponent"), float_arrays(a1, a2, section.exponent), strict=True))
+    return _check_stability(replace(observer, **numbers), limiter, section)
+
+
+def _check_stability(
+    observer: ThermalObserver, limiter: TemperatureLimiter, section: EstimatorSection
+) -> ThermalObserver:
+    """The observer, if its explicit step does not overshoot at the limiter's limit: rate times period at most 1."""
+    excess, exponent = float(limiter.limit - observer.ambient), float(observer.exponent)
+    loss_rate, gain = -exponent * float(observer.a2) * excess ** (exponent - 1.0), float(observer.gain)
+    if observer.period * (loss_rate + gain) > 1.0:
+        key = "gain" if gain > loss_rate else "a2"
+        cause = (
+            f"estimator.{key} = {show(getattr(section, key))}"
+            if getattr(section, key) is not None
+            else "the rig's heat loss in [estimator]"
+        )
+        longest = as_text(1.0 / (loss_rate + gain), "s")
+        raise InputError(
+            f"{cause} acts faster than controller.period: give a smaller one, or a period of at most {longest}"
+        )
+    return observer

@@ -1,0 +1,286 @@
+"""controller.toml: which controller controls which channel, what it shall follow, and what is tuned.
+
+    [controller]
+    kind = "pid"                      # pid, bpid, ppid, adaptive-pid
+    period = "20 ms"
+    output = ["0 A", "0.5 A"]         # limits of the command
+    [gains]                           # where the search starts
+    kp = "30 A/m"
+    [feedforward]                     # optional: the inverse of an operator that is fitted to a slow loop
+    operators = 10
+    [reference]
+    kind = "staircase"                # step, staircase, sine, recorded
+    ...
+    [tune]
+    objective = "tracking"            # tracking, itae, settling, or weights of several
+    [limits]
+    temperature = "110 degC"
+    [temperature_limiter]             # optional: keeps the wire below a temperature, whatever the command
+    limit = "115 degC"
+    kp = "0.05 A/K"
+    [estimator]                       # optional: temperature from the wire's power; or kind = "extended"
+    gain = "0.2 1/s"                  # and corrected by a thermocouple
+    [instruments]                     # optional: what limiter and estimator measure
+    temperature = { noise = "0.5 K", lag = "1 s" }
+
+Quantities carry units; those of the gains follow from the drive and the channel. Every mistake is one sentence that
+names file and key.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.channels import CHANNELS, numbered
+from smajax.control.analysis.step_response import find_jumps
+from smajax.control.controller_file.quantities import float_arrays
+from smajax.control.controller_file.renamed_keys import with_current_controller_keys
+from smajax.control.controller_file.scenario import read_scenario
+from smajax.control.controller_file.schema import SECTIONS, ControllerSection, TuneSection
+from smajax.control.controller_file.search_sections import (
+    Robust,
+    read_bounds,
+    read_feedforward,
+    read_limits,
+    read_objective,
+    read_robust,
+)
+from smajax.control.controller_file.sensors import read_sensors
+from smajax.control.controllers.adaptive_pid import AdaptivePID
+from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.bpid import BPID
+from smajax.control.controllers.pid import PID
+from smajax.control.controllers.ppid import PPID
+from smajax.control.loop.allocation import Allocation
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import gains, unit_of, with_gains
+from smajax.control.loop.rollout import Scenario
+from smajax.control.sampled_plant import SampledPlant
+from smajax.control.tuning.feedforward_identification import Feedforward
+from smajax.control.tuning.task import TuningTask
+from smajax.errors import InputError
+from smajax.files.rig_file import Rig
+from smajax.files.toml import advice, check_schema, parse_toml, quantity_at, read_text, show, validate
+from smajax.files.validators import quantity
+
+_EXAMPLES = {"controller": 'kind = "pid"', "gains": 'kp = "..."', "reference": 'kind = "step"'}
+# Shortest period, s, lowest frequency of a carrier, Hz, and narrowest settling band: against mistaken units.
+_MIN_PERIOD = 1e-6
+_MIN_CARRIER = 1e-3
+_MIN_BAND = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerFile(TuningTask):
+    """Content of a controller file in internal units.
+
+    Args:
+        name: Name of the file.
+        units: Units of all gains by name.
+        feedforward: Section [feedforward].
+        seed: Seed of all random numbers.
+        robust: Section [robust].
+    """
+
+    name: str
+    units: Mapping[str, str]
+    feedforward: Feedforward | None
+    seed: int
+    robust: Robust | None
+
+
+class _Units(NamedTuple):
+    """Controlled channel, unit of the command, of the channel, and of differences of the channel."""
+
+    channel: str
+    command: str
+    value: str
+    difference: str
+
+
+def read_controller(path: Path, rig: Rig) -> ControllerFile:
+    """Read and check a controller file for a rig.
+
+    Args:
+        path: The file.
+        rig: The rig.
+
+    Raises:
+        InputError: one sentence with file, section and key, and the cure.
+    """
+    data = parse_toml(read_text(path, "controller"), str(path))
+    try:
+        return _read(_current_sections(data), path, rig)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _current_sections(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The sections under their current names; unknown and missing ones are refused."""
+    data = with_current_controller_keys(data)
+    for key in data:
+        if key not in SECTIONS:
+            known = advice(key, SECTIONS[1:], "the sections are")
+            raise InputError(f"[{key}] is not a section of a controller{known}")
+    check_schema(data)
+    for needed, example in _EXAMPLES.items():
+        if needed not in data:
+            raise InputError(f"the section [{needed}] is missing: add it, with lines like {example}")
+    return data
+
+
+def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
+    head = validate(ControllerSection, data["controller"], "controller")
+    tune = validate(TuneSection, data.get("tune", {}), "tune")
+    period = quantity_at(head.period, "s", "controller.period", least=_MIN_PERIOD)
+    units = _units(head, rig)
+    system = _sampled_plant(head, rig, period)
+    output = _output(head, units.command, system)
+    if head.kind != "adaptive-pid" and "law" in data["controller"]:
+        raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
+    loop, gain_units = _loop(data, rig, head, units, (period, system.wires, output))
+    rest = system.observe(system.start(), jnp.zeros(system.wires))
+    rest_value = float(rest[units.channel])
+    scenario = read_scenario(data, path.parent, rig, (units.channel, units.value, period), rest_value, tune.seed)
+    reference = np.asarray(scenario.reference)
+    if not scenario.changes and not np.ptp(np.append(reference, rest_value)) > 0.0:
+        raise InputError(
+            "reference: it stays where the rig rests, so that there is nothing to follow: give it another level"
+        )
+    weights, settle = read_objective(tune.objective)
+    limits = read_limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", system.wires)))
+    _check_jumps(scenario, period, settle, limits)
+    return ControllerFile(
+        name=path.name,
+        system=system,
+        loop=loop,
+        scenario=scenario,
+        units=gain_units,
+        bounds=read_bounds(tune, loop, gain_units),
+        weights=weights,
+        settle=settle,
+        limits=limits,
+        feedforward=read_feedforward(data["feedforward"], path, rig, head, (units.command, units.channel))
+        if "feedforward" in data
+        else None,
+        band=quantity_at(tune.band, "1", "tune.band", least=_MIN_BAND),
+        starts=tune.starts,
+        seed=tune.seed,
+        robust=read_robust(data["robust"], path, rig) if "robust" in data else None,
+    )
+
+
+def _units(head: ControllerSection, rig: Rig) -> _Units:
+    plant = rig.plant
+    channel = head.channel or plant.mechanism.coordinate
+    if channel not in plant.observable or channel not in CHANNELS:
+        channels = [c for c in plant.observable if c in CHANNELS]
+        raise InputError(
+            f"controller.channel: '{channel}' cannot be controlled here{advice(channel, channels, 'the channels are')}"
+        )
+    value = CHANNELS[channel].unit
+    # A rig without a drive has no unit of the command; it is refused by ``_sampled_plant``.
+    command = CHANNELS[plant.drive.control].unit if plant.drive.control else "1"
+    return _Units(channel, command, value, "K" if value == "degC" else value)
+
+
+def _sampled_plant(head: ControllerSection, rig: Rig, period: float) -> SampledPlant:
+    carrier = None
+    if head.carrier is not None:
+        carrier = quantity_at(head.carrier, "Hz", "controller.carrier", least=_MIN_CARRIER)
+    try:
+        return SampledPlant.of(rig.plant, period, carrier=carrier)
+    except InputError as error:
+        raise InputError(f"controller{'.carrier' if carrier else ''}: {error}") from None
+
+
+def _output(head: ControllerSection, unit: str, system: SampledPlant) -> tuple[float, float]:
+    """Smallest and largest command."""
+    lower, upper = (quantity_at(end, unit, "controller.output") for end in head.output)
+    if system.plant.drive.control == "duty" and max(-lower, upper) > 1.0:
+        raise InputError(
+            f"controller.output: a duty is a share of the supply, and {show(head.output[1])} is beyond 1: "
+            "write 0 to 1, or '0 %' to '100 %'"
+        )
+    if not lower < upper:
+        raise InputError("controller.output: the first limit has to be below the second")
+    if system.wires == 1 and lower < 0.0:
+        raise InputError(
+            "controller.output: a wire cannot be cooled by its drive: "
+            f"make the least output {show('0 ' + unit)} or more"
+        )
+    if system.wires == 2 and not lower < 0.0 < upper:
+        raise InputError(
+            "controller.output: above 0 it heats the first wire, below 0 the second: "
+            "give a least output below 0 and one above"
+        )
+    return lower, upper
+
+
+def _loop(
+    data: Mapping[str, Any],
+    rig: Rig,
+    head: ControllerSection,
+    units: _Units,
+    sampling: tuple[float, int, tuple[float, float]],
+) -> tuple[ClosedLoop, dict[str, str]]:
+    """The closed loop with its start gains, and the unit of each; ``sampling`` is period, wires and output limits."""
+    period, wires, (lower, upper) = sampling
+    sensors = read_sensors(data, rig, (units.command, units.difference), period, max(upper, -lower))
+    second_upper = jnp.asarray(-lower) if wires == 2 else None
+    loop = ClosedLoop(
+        _controller(head, period, (lower, upper)),
+        Allocation(*float_arrays(upper, 0.0), wires=wires, second_upper=second_upper),
+        **sensors._asdict(),
+        channel=units.channel,
+    )
+    return _with_gains(loop, head.kind, data["gains"], (units.command, units.difference))
+
+
+def _controller(head: ControllerSection, period: float, output: tuple[float, float]) -> AbstractController:
+    """The controller with all gains 0."""
+    pid = PID(*float_arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
+    if head.kind == "bpid":
+        return BPID(pid)
+    if head.kind == "ppid":
+        return PPID(pid, *float_arrays(0.0, 0.0))
+    if head.kind == "adaptive-pid":
+        return AdaptivePID(pid, law=cast(Any, head.law))
+    return pid
+
+
+def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str]) -> tuple[ClosedLoop, dict[str, str]]:
+    """The loop with its start gains, and the unit of each gain."""
+    declared = gains(loop)
+    gain_units = {name: unit_of(name, loop, *units) for name in declared}
+    if not isinstance(section, dict):
+        raise InputError("[gains] is a section, not a value: write the gains below a line [gains]")
+    values = {}
+    for name, value in section.items():
+        if name not in declared:
+            raise InputError(f"gains.{name} is not known{advice(name, declared, f'those of {kind} are')}")
+        try:
+            values[name] = quantity(value, replace(declared[name], unit=gain_units[name]))
+        except InputError as error:
+            raise InputError(f"gains.{name}: {error}") from None
+    if not any(values.get(name) for name in gains(loop.controller)):
+        raise InputError(f"[gains] holds no gain above 0: give at least kp, in {gain_units['kp']}")
+    return with_gains(loop, values), gain_units
+
+
+def _check_jumps(scenario: Scenario, period: float, settle: bool, limits: Mapping[str, float]) -> None:
+    """Refuse objectives and limits of a step response where the reference has no jump."""
+    if find_jumps(np.asarray(scenario.reference), float(scenario.initial_reference), period).rows:
+        return
+    if settle:
+        raise InputError(
+            "tune.objective: the reference never jumps and holds, so that nothing settles: ask for tracking instead"
+        )
+    if unused := [key for key in ("overshoot", "settling") if key in limits]:
+        raise InputError(
+            f"limits.{unused[0]}: the reference never jumps and holds, so that there is nothing to limit: take it out"
+        )

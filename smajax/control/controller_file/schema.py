@@ -1,0 +1,159 @@
+"""Sections of controller.toml and their keys, as pydantic models; the examples are shown in error messages."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
+
+from smajax.control.controllers.adaptive_pid import AdaptivePID
+from smajax.control.controllers.bpid import BPID
+from smajax.control.controllers.pid import PID
+from smajax.control.controllers.ppid import PPID
+from smajax.files.toml import STRICT
+from smajax.files.validators import one_of
+
+CONTROLLER_KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
+SECTIONS = (
+    "schema",
+    "controller",
+    "gains",
+    "feedforward",
+    "reference",
+    "tune",
+    "limits",
+    "sensor",
+    "temperature_limiter",
+    "estimator",
+    "instruments",
+    "robust",
+    "change",
+)
+
+
+class ControllerSection(BaseModel):
+    """Section [controller]: kind, period, channel and limits of the command."""
+
+    model_config = STRICT
+    kind: Annotated[str, one_of(CONTROLLER_KINDS)] = "pid"
+    period: str = Field(examples=['"20 ms"'])
+    output: list[Any] = Field(min_length=2, max_length=2, examples=['["0 A", "0.5 A"]'])
+    channel: str | None = Field(None, examples=['"displacement"'])
+    derivative_on: Annotated[str, one_of(("error", "value"))] = "error"
+    law: Annotated[str, one_of(("gradient", "printed"))] = "gradient"
+    carrier: Any = Field(None, examples=['"100 Hz"'])
+
+
+class FeedforwardSection(BaseModel):
+    """Section [feedforward]: the inverse operator, fitted to a slow loop that is simulated or recorded."""
+
+    model_config = STRICT
+    operators: int = Field(10, ge=1, le=100, examples=["10"])
+    range: list[Any] | None = Field(None, min_length=2, max_length=2, examples=['["0.1 A", "0.35 A"]'])
+    recording: str | None = Field(None, examples=['"slow.csv"'])
+
+
+class TuneSection(BaseModel):
+    """Section [tune]: free gains, objective and search."""
+
+    model_config = STRICT
+    free: list[str] | None = Field(None, examples=['["kp", "ki"]'])
+    objective: Any = Field("tracking", examples=['"tracking"'])
+    bounds: dict[str, Any] = Field({}, examples=['{ kp = ["1 A/m", "500 A/m"] }'])
+    starts: int = Field(4, ge=1, le=1000, examples=["4"])
+    seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
+    band: Any = Field("2 %", examples=['"2 %"'])
+
+
+class LimitsSection(BaseModel):
+    """Section [limits]: what has to hold at every sample."""
+
+    model_config = STRICT
+    temperature: Any = Field(None, examples=['"110 degC"'])
+    current: Any = Field(None, examples=['"0.4 A"'])
+    stress: Any = Field(None, examples=['"200 MPa"'])
+    overshoot: Any = Field(None, examples=['"2 %"'])
+    settling: Any = Field(None, examples=['"5 s"'])
+
+
+class RobustSection(BaseModel):
+    """Section [robust]: random plants for which the gains are tuned and checked."""
+
+    model_config = STRICT
+    fit: str | None = Field(None, examples=['"result"'])
+    draws: int = Field(8, ge=1, le=4096, examples=["8"])
+    check: int = Field(64, ge=1, le=100_000, examples=["500"])
+    vary: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = ["15 degC", "30 degC"] }'])
+
+
+class ReferenceSection(BaseModel):
+    """Section [reference]: the course that the channel shall follow."""
+
+    model_config = STRICT
+    kind: Annotated[str, one_of(("step", "staircase", "sine", "recorded"))]
+    duration: Any = Field(None, examples=['"60 s"'])
+    low: Any = Field(None, examples=['"0 mm"'])
+    high: Any = Field(None, examples=['"5 mm"'])
+    at: Any = Field(None, examples=['"1 s"'])
+    levels: list[Any] = Field([], examples=['["2 mm", "6 mm", "4 mm"]'])
+    hold: Any = Field(None, examples=['"20 s"'])
+    frequency: Any = Field(None, examples=['"0.1 Hz"'])
+    file: str | None = Field(None, examples=['"wanted.csv"'])
+
+
+class ChangeSection(BaseModel):
+    """One section [[change]]: a parameter of the rig that jumps at a time."""
+
+    model_config = STRICT
+    parameter: str = Field(examples=['"load.mass"'])
+    at: Any = Field(examples=['"30 s"'])
+    value: Any = Field(examples=['"0.3 kg"'])
+
+
+class SensorSection(BaseModel):
+    """Section [sensor], or one entry of [instruments]: noise, quantisation and delay."""
+
+    model_config = STRICT
+    noise: Any = Field(None, examples=['"0.01 mm"'])
+    quantum: Any = Field(None, examples=['"0.005 mm"'])
+    delay: Any = Field(None, examples=['"20 ms"'])
+
+
+class ThermocoupleSection(SensorSection):
+    """The entry ``temperature`` of [instruments], which has a lag in addition."""
+
+    lag: Any = Field(None, examples=['"1 s"'])
+
+
+class TemperatureLimiterSection(BaseModel):
+    """Section [temperature_limiter]: set temperature and gains."""
+
+    model_config = STRICT
+    limit: Any = Field(examples=['"110 degC"'])
+    kp: Any = Field(examples=['"0.05 A/K"'])
+    ki: Any = Field(None, examples=['"0.01 A/K/s"'])
+
+
+class EstimatorSection(BaseModel):
+    """Section [estimator]: a thermal observer or an extended Kalman filter."""
+
+    model_config = STRICT
+    kind: Annotated[str, one_of(("thermal", "extended"))] = "thermal"
+    a1: Any = Field(None, examples=['"12 K/J"'])
+    a2: Any = Field(None, examples=['"-0.8 1/s"'])
+    exponent: int = Field(1, ge=1, le=6, examples=["2"])
+    gain: Any = Field(None, examples=['"0.2 1/s"'])
+    unknown: dict[str, Any] = Field({}, examples=['{ "environment.ambient" = "4 K" }'])
+    start: Any = Field("0 K", examples=['"5 K"'])
+    temperature_process_noise: Any = Field("2 K", examples=['"2 K"'])
+    fraction_process_noise: Any = Field("10 %", examples=['"10 %"'])
+    use_estimate: bool = Field(False, examples=["true"])
+
+
+class InstrumentsSection(BaseModel):
+    """Section [instruments]: a sensor for each kind of channel."""
+
+    model_config = STRICT
+    voltage: Any = Field(None, examples=['{ noise = "10 mV", quantum = "5 mV" }'])
+    current: Any = Field(None, examples=['{ noise = "2 mA", delay = "20 ms" }'])
+    temperature: Any = Field(None, examples=['{ noise = "0.5 K", lag = "1 s" }'])
+    displacement: Any = Field(None, examples=['{ noise = "20 um" }'])
+    angle: Any = Field(None, examples=['{ noise = "0.1 deg" }'])

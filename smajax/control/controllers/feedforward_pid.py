@@ -1,0 +1,45 @@
+"""PID with a feedforward by the inverse of a hysteresis operator: u = H^-1[r] + PID(r - y).
+
+Source: copaci2020 (inverse Prandtl-Ishlinskii operator as feedforward); krejci2001 for the inverse.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.pid import PID
+from smajax.laws.base import AbstractInputOutputModel
+from smajax.numerics.nonsmooth import clip
+
+
+class FeedforwardPID(AbstractController):
+    """Sum of a feedforward and a PID.
+
+    ``inverse`` gives the command at which the operator's output is the reference, as ``PrandtlIshlinskii.inverse``
+    does. The PID's limits are what the feedforward leaves of the actuator's range, so that its integral does not wind
+    up.
+    """
+
+    pid: PID
+    inverse: AbstractInputOutputModel
+
+    @property
+    def inner(self) -> PID:
+        """The PID next to the feedforward."""
+        return self.pid
+
+    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
+        """Return the state at rest: of the PID, of the inverse operator, and the last reference."""
+        return self.pid.reset(reference, value), self.inverse.init(reference), reference
+
+    def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
+        """Take one sample; returns the state and the sum of feedforward and PID."""
+        pid_state, operator, last_reference = state
+        operator = self.inverse.step(operator, last_reference, reference, jnp.asarray(self.pid.period))
+        feedforward = clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper)
+        pid_state, correction = self.pid.step_within(
+            pid_state, reference, value, self.pid.lower - feedforward, self.pid.upper - feedforward
+        )
+        return (pid_state, operator, reference), feedforward + correction

@@ -1,0 +1,68 @@
+"""PPID controller: PD while the error is large, feedforward and PI once it is small.
+
+    |e| > band     u = K_p e + K_d e'
+    |e| <= band    u = u_ff + K_p,rest e + K_i int e dt
+
+The integral is reset at each switch. The band has a hysteresis: it is left at a larger error than it is entered. The
+feedforward acts while the wire contracts (e > 0) and is 0 while it stretches, when only cooling helps.
+
+Source: copaci2020; the reset and the hysteresis of the band are added here against chattering.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.pid import PID, PIDState
+from smajax.laws.base import AbstractInputOutputModel
+from smajax.numerics.nonsmooth import clip
+from smajax.parameters import parameter
+
+
+class PPID(AbstractController):
+    """Controller that switches between PD and feedforward plus PI.
+
+    Of ``pid``, the integral gain acts within the band only, the proportional and derivative gains outside of it only.
+    The band is left at ``exit_factor`` times its width.
+    """
+
+    pid: PID
+    kp_rest: jax.Array = parameter("u/y", "proportional gain within the band", 0.0)
+    band: jax.Array = parameter("y", "error below which the loop counts as at rest", 0.0)
+    exit_factor: float = eqx.field(static=True, default=1.5)
+    inverse: AbstractInputOutputModel | None = None
+
+    @property
+    def inner(self) -> PID:
+        """The PID whose gains, period and limits are used."""
+        return self.pid
+
+    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
+        """Return the state at rest: PID, inverse operator, last reference, and whether the error is in the band."""
+        operator = () if self.inverse is None else self.inverse.init(reference)
+        return self.pid.reset(reference, value), operator, reference, jnp.abs(reference - value) <= self.band
+
+    def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
+        """Take one sample; returns the state and the command."""
+        inner, operator, last_reference, was_in_band = state
+        error = reference - value
+        in_band = jnp.abs(error) <= jnp.where(was_in_band, self.exit_factor * self.band, self.band)
+        feedforward = jnp.zeros(())
+        if self.inverse is not None:
+            operator = self.inverse.step(operator, last_reference, reference, jnp.asarray(self.pid.period))
+            feedforward = jnp.where(
+                error > 0.0, clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper), 0.0
+            )
+        inner = PIDState(jnp.where(in_band == was_in_band, inner.integral, 0.0), inner.last_signal, inner.derivative)
+        pi = eqx.tree_at(lambda p: (p.kp, p.kd), self.pid, (self.kp_rest, jnp.zeros(())))
+        pd = eqx.tree_at(lambda p: p.ki, self.pid, jnp.zeros(()))
+        pi_state, pi_output = pi.step_within(
+            inner, reference, value, self.pid.lower - feedforward, self.pid.upper - feedforward
+        )
+        pd_state, pd_output = pd.step(inner, reference, value)
+        inner = jax.tree.map(lambda a, b: jnp.where(in_band, a, b), pi_state, pd_state)
+        return (inner, operator, reference, in_band), jnp.where(in_band, feedforward + pi_output, pd_output)

@@ -1,0 +1,105 @@
+"""A closed loop's controller, allocation and temperature limiter as the model of an FMU.
+
+Its inputs are the reference and the measurement, its outputs the command of each wire, its parameters the gains. Units
+are SI, and degC. A co-simulation that steps the controller before the plant does what a rollout does.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from smajax.channels import numbered
+from smajax.control.export.fmu.model import Model, Variable, channel_definition, channel_kind, equations_text
+from smajax.control.export.json_document import estimator_document
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import gain, gains, with_gains
+from smajax.control.sensors.sensor_model import ideal_sensor
+
+# Start value of a temperature input, degC, until the importing tool sets it: room temperature.
+_ROOM_TEMPERATURE = 20.0
+
+
+def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mapping[str, str], name: str) -> Model:
+    """Return the model of a controller with its allocation and its temperature limiter.
+
+    The loop's sensor and instruments belong to the rig and are left out. A temperature limiter has the input
+    ``temperature`` in addition, and with a thermal observer the input ``power``. A reference that is not finite is
+    replaced by the last finite one, and the loop begins when reference and measurement have been finite once; dropouts
+    of a channel, a temperature or a power are treated as in ``ClosedLoop``, ``TemperatureLimiter`` and
+    ``ThermalObserver``.
+
+    Args:
+        loop: The closed loop.
+        units: Units of command and channel.
+        gain_units: Unit of each gain by name.
+        name: Name of the model.
+
+    Raises:
+        InputError: for an estimator that is no thermal observer.
+    """
+    if loop.estimator is not None:
+        estimator_document(loop.estimator)
+    loop = dataclasses.replace(loop, sensor=ideal_sensor(), instruments=None, allow_dropouts=True)
+    extra = _extra_inputs(loop)
+    values = {n: float(gain(loop, n)) for n in gains(loop)}
+
+    def with_values(given: Any) -> ClosedLoop:
+        return with_gains(loop, dict(zip(values, given, strict=True)))
+
+    def channels(inputs: Any, begun: jax.Array) -> dict[str, jax.Array]:
+        """The channels; the controlled one counts as missing until there is a reference."""
+        return {loop.channel: jnp.where(begun > 0.0, inputs[1], jnp.nan)} | dict(zip(extra, inputs[2:], strict=True))
+
+    def start(parameters: Any, inputs: Any) -> Any:
+        finite = jnp.isfinite(inputs[0])
+        reference, begun = jnp.where(finite, inputs[0], 0.0), jnp.where(finite, 1.0, 0.0)
+        loop_state = with_values(parameters).reset(reference, channels(inputs, begun))
+        return (loop_state, jnp.zeros(loop.allocation.wires)), reference, begun
+
+    def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
+        (loop_state, _), reference, begun = state
+        finite = jnp.isfinite(inputs[0])
+        reference, begun = jnp.where(finite, inputs[0], reference), jnp.where(finite, 1.0, begun)
+        loop_state, commands = with_values(parameters).step(
+            loop_state, reference, channels(inputs, begun), jnp.zeros(())
+        )
+        return ((loop_state, commands), reference, begun), jnp.asarray(False)
+
+    def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
+        return [state[0][1][i] for i in range(loop.allocation.wires)]
+
+    variables = _variables(loop, units, gain_units, extra)
+    equations = equations_text(start, advance, outputs, len(values), 2 + len(extra))
+    timing = {"period": loop.controller.inner.period}
+    return Model(name, "controller", f"a controller of {loop.channel}", tuple(variables), equations, timing)
+
+
+def _extra_inputs(loop: ClosedLoop) -> list[str]:
+    """The channels that temperature limiter and thermal observer measure in addition to the controlled one."""
+    if loop.temperature_limiter is None:
+        return []
+    kinds = ("temperature",) if loop.estimator is None else ("temperature", "power")
+    return [name for kind in kinds for name in numbered(kind, loop.allocation.wires) if name != loop.channel]
+
+
+def _variables(
+    loop: ClosedLoop, units: tuple[str, str], gain_units: Mapping[str, str], extra: list[str]
+) -> list[Variable]:
+    """Inputs, outputs and parameters, in this order."""
+    (command_unit, channel_unit), description = units, channel_definition(loop.channel).description
+    variables = [
+        Variable("reference", "input", "discrete", channel_unit, f"reference of: {description}", 0.0),
+        Variable("measurement", "input", "discrete", channel_unit, f"measurement of: {description}", 0.0),
+    ]
+    for name in extra:
+        channel, start = channel_definition(name), _ROOM_TEMPERATURE * (channel_kind(name) == "temperature")
+        variables.append(Variable(name, "input", "discrete", channel.unit, channel.description, start))
+    for name in numbered("command", loop.allocation.wires):
+        variables.append(Variable(name, "output", "discrete", command_unit, "command of the wire"))
+    for name, declared in gains(loop).items():
+        value, ends = float(gain(loop, name)), (declared.lower, declared.upper)
+        variables.append(Variable(name, "parameter", "tunable", gain_units[name], declared.meaning, value, *ends))
+    return variables

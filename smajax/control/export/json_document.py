@@ -1,0 +1,127 @@
+"""A controller as a JSON document, with its feedforward, temperature limiter and thermal observer."""
+
+from typing import Any
+
+from smajax.control.controllers.adaptive_pid import AdaptivePID
+from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.bpid import BPID, MIN_DENOMINATOR
+from smajax.control.controllers.feedforward_pid import FeedforwardPID
+from smajax.control.controllers.pid import PID
+from smajax.control.controllers.ppid import PPID
+from smajax.control.estimators.base import AbstractTemperatureEstimator
+from smajax.control.estimators.thermal_observer import ThermalObserver
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.gains import gain, gains
+from smajax.control.loop.temperature_limiter import TemperatureLimiter
+from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT
+from smajax.errors import InputError
+from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
+
+_KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
+
+
+def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlinskii | None:
+    """Return the inverse operator of a controller's feedforward, if it has one.
+
+    Raises:
+        InputError: for an operator of another kind.
+    """
+    inverse = getattr(controller, "inverse", None)
+    if inverse is not None and not isinstance(inverse, InversePrandtlIshlinskii):
+        raise InputError(
+            "only the inverse of a Prandtl-Ishlinskii operator with one envelope can be written as a feedforward"
+        )
+    return inverse
+
+
+def fixed_constants(controller: AbstractController) -> dict[str, Any]:
+    """Return a controller's constants that are no gains, as C header and JSON document name them."""
+    if isinstance(controller, BPID):
+        return {"least": MIN_DENOMINATOR}
+    if isinstance(controller, PPID):
+        return {"leave": controller.exit_factor}
+    if isinstance(controller, AdaptivePID):
+        return {"law": controller.law, "growth": controller.growth}
+    return {}
+
+
+def controller_document(owner: AbstractController | ClosedLoop, units: dict[str, str]) -> dict[str, Any]:
+    """Return a controller as a JSON document.
+
+    Its keys: ``kind``, ``period_s``, ``output`` (limits of the command), ``gains`` with their units. ``law`` and
+    ``growth`` are those of an adaptive PID; ``leave`` is the ``exit_factor`` of a PPID; ``least`` the smallest 1 + kb y
+    of a BPID; ``blind_s`` the time for which the channel, or a temperature, may be NaN before the command is 0.
+    ``wires`` are the largest commands of two wires, ``guard`` the temperature limiter and ``observer`` the estimator,
+    if there are such; ``steers`` is true if the controller uses the estimate.
+
+    Args:
+        owner: The controller, or a loop.
+        units: Unit of each gain by name.
+    """
+    controller = owner.controller if isinstance(owner, ClosedLoop) else owner
+    pid, inverse = controller.inner, feedforward_inverse(controller)
+    document = {
+        "schema": "smajax.controller/1",
+        "kind": _KINDS[type(controller)],
+        "period_s": pid.period,
+        "output": [float(pid.lower), float(pid.upper)],
+        "blind_s": DROPOUT_TIMEOUT,
+        "derivative_on": pid.derivative_on,
+        "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
+        **fixed_constants(controller),
+    }
+    if inverse is not None:
+        document["feedforward"] = inverse_document(inverse)
+    if isinstance(owner, ClosedLoop) and owner.allocation.wires > 1:
+        document["wires"] = [float(command) for command in owner.allocation.max_commands]
+    if isinstance(owner, ClosedLoop) and owner.temperature_limiter is not None:
+        document["guard"] = limiter_document(owner.temperature_limiter)
+    if isinstance(owner, ClosedLoop) and owner.estimator is not None:
+        thermal = isinstance(owner.estimator, ThermalObserver)
+        document["observer"] = (
+            estimator_document(owner.estimator) if thermal else {"kind": type(owner.estimator).__name__}
+        )
+        document["observer"] |= {"steers": True} if owner.use_estimate else {}
+    return document
+
+
+def limiter_document(limiter: TemperatureLimiter) -> dict[str, float]:
+    """Return the numbers of a temperature limiter: set temperature (degC), gains, and largest command."""
+    return {
+        "limit": float(limiter.limit),
+        "kp": float(limiter.pid.kp),
+        "ki": float(limiter.pid.ki),
+        "upper": float(limiter.pid.upper),
+    }
+
+
+def estimator_document(estimator: AbstractTemperatureEstimator) -> dict[str, float]:
+    """Return the numbers of a thermal observer in SI, with the ambient temperature in degC.
+
+    Raises:
+        InputError: for another kind of estimator.
+    """
+    if not isinstance(estimator, ThermalObserver):
+        raise InputError(f"an {type(estimator).__name__} cannot be exported yet: a ThermalObserver can")
+    return {n: float(getattr(estimator, n)) for n in ("a1", "a2", "exponent", "ambient", "gain")}
+
+
+def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:
+    """Return the numbers of an inverse operator, from the channel's internal unit to the command's.
+
+    ``direct`` and ``densities`` are dimensionless, ``thresholds`` are in the channel's unit, as are the envelope's
+    height and middle; its steepness is per unit of the command.
+    """
+    envelope = inverse.envelope
+    return {
+        "kind": "inverse-prandtl-ishlinskii",
+        "direct": float(inverse.direct),
+        "thresholds": [float(v) for v in inverse.thresholds],
+        "densities": [float(v) for v in inverse.densities],
+        "envelope": {
+            "height": float(envelope.height),
+            "steepness": float(envelope.slope),
+            "shift": float(envelope.shift),
+            "middle": float(envelope.middle),
+        },
+    }

@@ -1,0 +1,81 @@
+"""Gains by name: the tunable parameters of a controller or of a closed loop, with units and bounds."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from smajax.control.controllers.base import AbstractController
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.errors import InputError, suggestion
+from smajax.parameters import Declaration, declarations
+
+# Limits of the actuator, which are given by the rig and are not tuned.
+_NOT_TUNED = ("lower", "upper")
+
+
+def gains(owner: AbstractController | ClosedLoop) -> dict[str, Declaration]:
+    """Return the gains by name, with their declarations; the limits of the output are not among them.
+
+    Args:
+        owner: A controller, or a loop; a loop of two wires has their co-contraction, too.
+    """
+    declared: dict[str, Declaration] = {}
+    for part in _parts(owner):
+        declared |= {name: d for name, d in declarations(part).items() if name not in _NOT_TUNED}
+    return declared
+
+
+def gain(owner: AbstractController | ClosedLoop, name: str) -> jax.Array:
+    """Return the value of a gain in internal units, a scalar.
+
+    Raises:
+        InputError: if there is no gain of that name.
+    """
+    return getattr(_part(owner, name), name)
+
+
+def with_gains(owner: AbstractController | ClosedLoop, values: Mapping[str, Any]) -> Any:
+    """Return the controller or loop with other gains; works under ``jax.jit``.
+
+    Args:
+        owner: The controller or loop.
+        values: Scalars in internal units by name.
+
+    Raises:
+        InputError: if there is no gain of a name.
+    """
+    for name, value in values.items():
+        owner = eqx.tree_at(lambda o, n=name: getattr(_part(o, n), n), owner, jnp.asarray(value, jnp.float64))
+    return owner
+
+
+def unit_of(name: str, owner: AbstractController | ClosedLoop, command: str, channel: str) -> str:
+    """Return the unit of a gain, as in ``A/m/s``.
+
+    Args:
+        name: Name of the gain.
+        owner: The controller or loop.
+        command: Internal unit of the command.
+        channel: Internal unit of the channel.
+    """
+    unit = gains(owner)[name].unit
+    dimensionless = {"u": "1", "u/y": "1/y", "u/y/s": "1/y/s", "u s/y": "s/y"}
+    return (dimensionless.get(unit, unit) if command == "1" else unit.replace("u", command)).replace("y", channel)
+
+
+def _parts(owner: AbstractController | ClosedLoop) -> list[Any]:
+    if isinstance(owner, ClosedLoop):
+        return [*_parts(owner.controller), *([owner.allocation] if owner.allocation.wires > 1 else [])]
+    return [owner] if owner.inner is owner else [owner, owner.inner]
+
+
+def _part(owner: AbstractController | ClosedLoop, name: str) -> Any:
+    for part in _parts(owner):
+        if name in declarations(part):
+            return part
+    raise InputError(
+        f"the controller has no gain '{name}'{suggestion(name, gains(owner))}: it has {', '.join(gains(owner))}"
+    )

@@ -1,0 +1,207 @@
+"""Rollouts of a closed loop: a plant and a sampled controller in one scan, differentiable in both.
+
+At each sample the loop measures and gives commands that are held for a period, during which the plant takes its own
+steps.
+
+What makes the derivatives fast:
+
+- An implicit plant is differentiated after the rollout, with all states and step solutions known (custom JVP): nothing
+  is solved again, in forward and in reverse mode.
+- Each sample's derivative is recomputed where it is used (``jax.checkpoint``), which is faster than to store it.
+- Without an implicit solve, only every ``Scenario.block``-th state is checkpointed; the states in between are
+  recomputed in the backward pass.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.implicit_differentiation import jvp
+
+# Channels that follow the command at once; the others change in the course of the period.
+_ELECTRICAL = ("current", "voltage", "power")
+
+
+class Scenario(eqx.Module):
+    """Course of a rollout of n samples.
+
+    ``reference``, shape ``(n,)``, and ``initial_reference`` before the first sample, in the channel's unit; ``draws``,
+    standard normal numbers of the sensors' noise, shape ``(n,)``; ``changes``, parameters that change with time by
+    name, shape ``(n,)`` each. ``block`` is the number of samples between two checkpoints of an explicit plant.
+    """
+
+    reference: jax.Array
+    initial_reference: jax.Array
+    draws: jax.Array
+    changes: dict[str, jax.Array]
+    block: int = eqx.field(static=True, default=64)
+
+    @property
+    def rows(self) -> tuple:
+        """Reference, draws and changes, whose first axis is that of the samples."""
+        return self.reference, self.draws, self.changes
+
+    def without_noise(self) -> "Scenario":
+        """Return the scenario without noise, which shows whether the loop oscillates by itself."""
+        return dataclasses.replace(self, draws=jnp.zeros_like(self.draws))
+
+    @classmethod
+    def noiseless(
+        cls, reference: Any, initial_reference: float = 0.0, changes: dict[str, Any] | None = None
+    ) -> "Scenario":
+        """Build a scenario without noise.
+
+        Args:
+            reference: Reference at the samples, shape ``(n,)``.
+            initial_reference: Reference before the first sample.
+            changes: Parameters that change with time by name, shape ``(n,)`` each.
+        """
+        reference = jnp.asarray(reference, jnp.float64)
+        initial = jnp.asarray(initial_reference, jnp.float64)
+        return cls(reference, initial, jnp.zeros_like(reference), changes or {})
+
+
+class Rollout(NamedTuple):
+    """Result of a rollout.
+
+    ``channels`` by name at the samples, exact (not as measured), shape ``(n,)``; ``command`` that is held from each
+    sample on, shape ``(n, wires)``; ``unsolved``, the number of the plant's steps that could not be solved;
+    ``final_states`` of plant and loop, and the last command.
+    """
+
+    channels: dict[str, jax.Array]
+    command: jax.Array
+    unsolved: jax.Array
+    final_states: Any
+
+
+def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
+    """Simulate a closed loop over a scenario; to be compiled and batched by the caller.
+
+    Differentiable once, in forward and in reverse mode, in the plant's parameters, the gains, the reference and the
+    changes.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop, of the same period.
+        scenario: Reference, noise and changes.
+    """
+    if system.is_implicit:
+        return _implicit_rollout(system, loop, scenario)
+    return rollout_with_solutions(system, loop, scenario)[0]
+
+
+def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[Rollout, Any]:
+    """Simulate a closed loop and keep what its derivative needs.
+
+    Returns:
+        The rollout; and of each sample of an implicit plant the flat carry before it and the step solutions after it
+        (else ``()``).
+    """
+
+    def sample(carry: Any, row: tuple) -> tuple[Any, Any]:
+        def step(system: AbstractSampledSystem, state: Any, command: jax.Array) -> tuple[Any, Any]:
+            state, step_solutions, unsolved = system.step(state, command)
+            return state, (step_solutions, unsolved)
+
+        later, (channels, command, (step_solutions, unsolved)) = _sample(system, loop, carry, row, step)
+        solutions = (ravel_pytree(carry)[0], step_solutions) if system.is_implicit else ()
+        return later, (channels, command, unsolved, solutions)
+
+    end, (channels, command, unsolved, solutions) = _checkpointed_scan(
+        sample, _initial_carry(system, loop, scenario), scenario.rows, scenario.block
+    )
+    return Rollout(channels, command, jnp.sum(unsolved), end), solutions
+
+
+def _initial_carry(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Any:
+    """States of plant and loop at rest, and no command."""
+    start, no_command = system.start(), jnp.zeros(system.wires)
+    return start, loop.reset(scenario.initial_reference, system.observe(start, no_command)), no_command
+
+
+def _sample(system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tuple, step: Callable) -> tuple[Any, Any]:
+    """One sample and its period: the carry at the end, and channels, command and what ``step`` adds."""
+    state, loop_state, command = carry
+    reference, draw, changes = row
+    changed = system.with_parameters(changes) if changes else system
+    before = changed.observe(state, command)
+    loop_state, command = loop.step(loop_state, reference, before, draw)
+    # Only the electrical channels are taken under the new command, so that the others are not differentiated twice.
+    after = changed.observe(state, command)
+    channels = {name: after[name] if name.partition("_")[0] in _ELECTRICAL else value for name, value in before.items()}
+    state, added = step(changed, state, command)
+    return (state, loop_state, command), (channels, command, added)
+
+
+@eqx.filter_custom_jvp
+def _implicit_rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
+    """``rollout_with_solutions``, whose derivative is taken with all states and step solutions known."""
+    return rollout_with_solutions(system, loop, scenario)[0]
+
+
+@_implicit_rollout.def_jvp
+def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
+    """Propagates the tangent from sample to sample; linear in it, so that JAX transposes it for reverse mode."""
+    (system, loop, scenario), (system_tangent, loop_tangent, scenario_tangent) = primals, tangents
+    done, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
+    unflatten = ravel_pytree(_initial_carry(system, loop, scenario))[1]
+
+    def propagate(tangent: Any, sample: tuple) -> tuple[Any, Any]:
+        carry, step_solutions, row, row_tangent = sample
+
+        def period(
+            system: AbstractSampledSystem, loop: ClosedLoop, carry: jax.Array, row: tuple
+        ) -> tuple[jax.Array, Any]:
+            later, (channels, command, _) = _sample(
+                system,
+                loop,
+                unflatten(carry),
+                row,
+                lambda changed, state, command: (changed.differentiable_step(state, command, step_solutions), ()),
+            )
+            return ravel_pytree(later)[0], (channels, command)
+
+        return jvp(period, (system, loop, carry, row), (system_tangent, loop_tangent, tangent, row_tangent))
+
+    first = jvp(lambda *all_: ravel_pytree(_initial_carry(*all_))[0], primals, tangents)
+    row_tangents = jax.tree.map(
+        lambda row, tangent: jnp.zeros_like(row) if tangent is None else tangent,
+        scenario.rows,
+        scenario_tangent.rows,
+        is_leaf=_is_none,
+    )
+    end, (channels, command) = jax.lax.scan(
+        jax.checkpoint(propagate, prevent_cse=False), first, (carries, solutions, scenario.rows, row_tangents)
+    )
+    # Counts and flags, which some controllers keep, have no tangent.
+    final_tangents = jax.tree.map(
+        lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, done.final_states, unflatten(end)
+    )
+    return done, Rollout(channels, command, cast(Any, None), final_tangents)
+
+
+def _is_none(leaf: Any) -> bool:
+    return leaf is None
+
+
+def _checkpointed_scan(function: Any, first: Any, rows: Any, block: int) -> tuple[Any, Any]:
+    """``jax.lax.scan`` that stores only the carry at the beginning of each block for reverse mode."""
+    count = jax.tree.leaves(rows)[0].shape[0]
+    blocks = count // block
+    head = jax.tree.map(lambda leaf: leaf[: blocks * block].reshape(blocks, block, *leaf.shape[1:]), rows)
+    carry, of_blocks = jax.lax.scan(
+        jax.checkpoint(lambda c, r: jax.lax.scan(function, c, r), prevent_cse=False), first, head
+    )
+    carry, of_rest = jax.lax.scan(function, carry, jax.tree.map(lambda leaf: leaf[blocks * block :], rows))
+    joined = jax.tree.map(
+        lambda a, b: jnp.concatenate([a.reshape(blocks * block, *a.shape[2:]), b]), of_blocks, of_rest
+    )
+    return carry, joined

@@ -1,0 +1,311 @@
+"""Plants from one sample of a controller to the next: a rig's plant, or a linear transfer function in its place.
+
+``step`` takes the state through one period under constant commands, ``observe`` gives the channels at a sample.
+Commands have the shape ``(wires,)``. Steps that solve an implicit equation have a second form, ``differentiable_step``,
+which takes the solutions of ``step`` and is differentiable without solving again.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from smajax import parameters
+from smajax.control.pulse_width import on_fraction
+from smajax.errors import InputError
+from smajax.laws.transfer_function import TransferFunction
+from smajax.numerics.nonsmooth import maximum
+from smajax.plant.implicit_step import differentiable_step, twice_differentiable_step
+from smajax.plant.plant import Plant
+from smajax.simulation.step_size import default_step
+
+# Steps of the plant in one period of the carrier: the pulses are resolved to an eighth of it. Chosen by trial;
+# tests/unit/control/test_control.py holds it.
+_STEPS_PER_PULSE = 8.0
+# Rounding error that is allowed where a duration is divided by another one.
+_ROUNDING = 1e-9
+
+
+class AbstractSampledSystem(eqx.Module):
+    """Base class of the systems that a controller steers, sampled once a period."""
+
+    @property
+    def is_implicit(self) -> bool:
+        """Whether ``step`` solves implicit equations, whose solutions ``differentiable_step`` reuses."""
+        raise NotImplementedError
+
+    @property
+    def wires(self) -> int:
+        """Number of commands."""
+        raise NotImplementedError
+
+    def start(self) -> Any:
+        """Return the state at rest without any command."""
+        raise NotImplementedError
+
+    def with_parameters(self, values: Mapping[str, jax.Array]) -> "AbstractSampledSystem":
+        """Return the system with other values of some parameters.
+
+        Args:
+            values: Scalars in internal units by parameter name.
+        """
+        raise NotImplementedError
+
+    def step(self, state: Any, command: jax.Array) -> tuple[Any, Any, jax.Array]:
+        """Take one period.
+
+        Args:
+            state: State at the beginning.
+            command: Commands during the period, shape ``(wires,)``.
+
+        Returns:
+            The state at the end, the solutions that ``differentiable_step`` takes, and the number of steps that could
+            not be solved.
+        """
+        raise NotImplementedError
+
+    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+        """Return the state after one period from the solutions of ``step``, differentiable once in both modes."""
+        raise NotImplementedError
+
+    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+        """Return the state at the end of the period, differentiable twice, from the solutions of ``step``."""
+        raise NotImplementedError
+
+    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
+        """Return the channels at a sample by name, scalars; the electrical ones are those under ``command``."""
+        raise NotImplementedError
+
+    def estimated_leaves(self, state: Any) -> Any:
+        """Return which leaves of a state a Kalman filter estimates: a pytree of booleans of the state's structure."""
+        return jax.tree.map(eqx.is_inexact_array, state)
+
+    def frequency_response(
+        self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array
+    ) -> jax.Array:
+        """Return the frequency response of a channel to the command, linearised about a state.
+
+        Args:
+            state: Operating point.
+            command: Commands there, shape ``(wires,)``.
+            direction: Direction of the command's change, shape ``(wires,)``.
+            channel: Name of the channel.
+            z: Points of the unit circle, complex, shape ``(n,)``.
+
+        Returns:
+            C (z I - A)^-1 B, complex, shape ``(n,)``.
+        """
+        flat, unflatten = ravel_pytree(state)
+
+        def next_state(flat: jax.Array, amplitude: jax.Array) -> jax.Array:
+            end = self.differentiable_step(unflatten(flat), command + amplitude * direction, step_solutions)
+            return ravel_pytree(end)[0]
+
+        _, step_solutions, _ = self.step(state, command)
+        a, b = jax.jacfwd(next_state, argnums=(0, 1))(flat, jnp.zeros(()))
+        c = jax.jacfwd(lambda flat: self.observe(unflatten(flat), command)[channel])(flat)
+        return jax.vmap(lambda z: c @ jnp.linalg.solve(z * jnp.eye(len(flat)) - a, b.astype(z.dtype)))(z)
+
+
+class SampledPlant(AbstractSampledSystem):
+    """A plant under a controller of period ``period`` s, each period in ``substeps`` steps of the plant.
+
+    With a ``carrier`` in Hz, a duty cycle is applied as the pulses of a pulse-width modulator and not as its mean. The
+    transformed fraction then differs from that under the mean, however fast the carrier: kinetics in relative form have
+    no memory of the highest temperature so far, so that every pulse transforms a part of the rest and the pause after
+    it transforms nothing back. Real wires have that memory, and the mean is closer to them.
+    """
+
+    plant: Plant
+    period: float = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    carrier: float | None = eqx.field(static=True, default=None)
+
+    @property
+    def is_implicit(self) -> bool:
+        """True: each step of the plant solves its heat and force balance."""
+        return True
+
+    @classmethod
+    def of(
+        cls, plant: Plant, period: float, *, step: float | None = None, carrier: float | None = None
+    ) -> "SampledPlant":
+        """Build the sampled plant.
+
+        Args:
+            plant: The plant; it needs a drive.
+            period: Period of the controller, s.
+            step: Longest step of the plant, s; default: ``smajax.simulation.step_size.default_step``, and with a
+                carrier an eighth of its period.
+            carrier: Frequency of the pulse-width modulator, Hz; ``None``: the mean of the pulses.
+
+        Raises:
+            InputError: if no controller can steer the plant, or a carrier is given and the drive takes no duty cycle.
+        """
+        if not plant.drive.control or plant.signals != plant.signals[: plant.mechanism.wires]:
+            raise InputError(
+                "this rig has no drive, or a motion that is prescribed: there is nothing that a controller could steer"
+            )
+        if carrier is not None and plant.drive.control != "duty":
+            raise InputError(
+                f'a carrier is given and the drive takes a {plant.drive.control}: only control = "duty" is pulsed'
+            )
+        longest = min(step or default_step(plant), 1.0 / (_STEPS_PER_PULSE * carrier) if carrier else math.inf)
+        substeps = max(1, math.ceil(period / longest - _ROUNDING))
+        return cls(plant=plant, period=period, substeps=substeps, carrier=carrier)
+
+    def without_carrier(self) -> "SampledPlant":
+        """Return the sampled plant under the mean of the pulses."""
+        return replace(self, carrier=None)
+
+    @property
+    def wires(self) -> int:
+        """Number of wires."""
+        return self.plant.mechanism.wires
+
+    def start(self) -> Any:
+        """Return the plant's state at rest without any command, and the time since then, 0 s."""
+        return self.plant.start(jnp.zeros(self.wires)), jnp.zeros(())
+
+    def with_parameters(self, values: Mapping[str, jax.Array]) -> "SampledPlant":
+        """Return the sampled plant with other values of some parameters, named as in ``smajax.parameters``."""
+        return eqx.tree_at(lambda d: d.plant, self, parameters.replace(self.plant, values))
+
+    def step(self, state: Any, command: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
+        """Take one period; the solutions are temperatures and unknowns of each substep."""
+        duration = jnp.asarray(self.period / self.substeps)
+
+        def substep(carry: tuple, _: Any) -> tuple[tuple, jax.Array]:
+            state, time, unsolved = carry
+            signal = self._signal(command, time)
+            state, failed = self.plant.step(state, signal, signal, duration)
+            return (state, time + duration, unsolved + failed), jnp.concatenate([state.temperature, state.unknown])
+
+        (plant_state, time, unsolved), solutions = jax.lax.scan(
+            substep, (*state, jnp.asarray(0)), None, length=self.substeps
+        )
+        return (plant_state, time), solutions, unsolved
+
+    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+        """Return the state at the end of the period, differentiable once by the implicit function theorem."""
+        return self._scan_substeps(differentiable_step, state, command, step_solutions)
+
+    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+        """Return the state at the end of the period, differentiable twice by the implicit function theorem."""
+        return self._scan_substeps(twice_differentiable_step, state, command, step_solutions)
+
+    def _scan_substeps(self, step: Callable, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+        duration = jnp.asarray(self.period / self.substeps)
+
+        def substep(carry: tuple, solution: jax.Array) -> tuple[tuple, None]:
+            state, time = carry
+            return (step(self.plant, state, self._signal(command, time), duration, solution), time + duration), None
+
+        return jax.lax.scan(substep, state, step_solutions)[0]
+
+    def _signal(self, command: jax.Array, time: jax.Array) -> jax.Array:
+        """Signal of the drive in the substep that begins at ``time``."""
+        if self.carrier is None:
+            return command
+        return on_fraction(command, time, jnp.asarray(self.period / self.substeps), self.carrier)
+
+    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
+        """Return the plant's channels as its sensors give them, scalars by name."""
+        return self.plant.observe(state[0], command)
+
+    def estimated_leaves(self, state: Any) -> Any:
+        """Return which leaves are estimated: the numbers of the plant's state but the memories of its effects."""
+        plant_state, _ = jax.tree.map(eqx.is_inexact_array, state)
+        return plant_state._replace(memory=jax.tree.map(lambda _: False, state[0].memory)), False
+
+
+class SampledTransferFunction(AbstractSampledSystem):
+    """A transfer function from one command to ``channel``, stepped exactly, including its delay.
+
+    ``period`` is the controller's in s; the delay is ``delay_periods`` whole periods and a remainder. The system is at
+    rest before the first command.
+    """
+
+    function: TransferFunction
+    channel: str = eqx.field(static=True)
+    period: float = eqx.field(static=True)
+    delay_periods: int = eqx.field(static=True)
+
+    @property
+    def is_implicit(self) -> bool:
+        """False: the step is explicit."""
+        return False
+
+    @classmethod
+    def of(cls, function: TransferFunction, channel: str, period: float) -> "SampledTransferFunction":
+        """Build the sampled system.
+
+        Args:
+            function: The transfer function.
+            channel: Name of its output.
+            period: Period of the controller, s.
+        """
+        delay_periods = int(float(function.delay) / period + _ROUNDING)
+        return cls(function=function, channel=channel, period=period, delay_periods=delay_periods)
+
+    @property
+    def wires(self) -> int:
+        """One."""
+        return 1
+
+    def start(self) -> Any:
+        """Return the state at rest: states, ring buffer of delayed commands, and the place to fill next."""
+        return jnp.zeros(self.function.order), jnp.zeros(self.delay_periods + 2), jnp.asarray(0)
+
+    def with_parameters(self, values: Mapping[str, jax.Array]) -> "SampledTransferFunction":
+        """Return the system with other values of the function's fields; the whole periods of the delay are fixed."""
+        function = self.function
+        for name, value in values.items():
+            function = eqx.tree_at(lambda f, n=name: getattr(f, n), function, value)
+        return eqx.tree_at(lambda d: d.function, self, function)
+
+    def step(self, state: Any, command: jax.Array) -> tuple[Any, Any, jax.Array]:
+        """Take one period; there are no step solutions, and every step succeeds."""
+        return self.differentiable_step(state, command, ()), (), jnp.asarray(0)
+
+    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+        """Return the state at the end of the period; ``step_solutions`` is not used."""
+        states, ring, place = state
+        size = self.delay_periods + 2
+        ring = ring.at[place].set(command[0])
+        # In the remainder of the delay, the command of one period earlier still acts.
+        remainder = maximum(self.function.delay - self.delay_periods * self.period, 0.0)
+        for duration, age in ((remainder, self.delay_periods + 1), (self.period - remainder, self.delay_periods)):
+            transition, input_gain = self.function.zero_order_hold(duration)
+            states = transition @ states + input_gain * ring[(place - age) % size]
+        return states, ring, (place + 1) % size
+
+    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+        """Return the state at the end of the period; ``step_solutions`` is not used."""
+        return self.differentiable_step(state, command, step_solutions)
+
+    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
+        """Return the output under the name of its channel."""
+        return {self.channel: self.function.rest + self.function.gain * state[0][0]}
+
+    def frequency_response(
+        self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array
+    ) -> jax.Array:
+        """Return the exact frequency response at the points ``z``; it does not depend on ``state`` and ``command``."""
+        remainder = maximum(self.function.delay - self.delay_periods * self.period, 0.0)
+        first_transition, first_gain = self.function.zero_order_hold(remainder)
+        second_transition, second_gain = self.function.zero_order_hold(self.period - remainder)
+        size = self.function.order
+
+        def at(z: jax.Array) -> jax.Array:
+            # The command of one period earlier, and that of this one.
+            drive = second_transition @ first_gain / z + second_gain
+            transition = second_transition @ first_transition
+            return jnp.linalg.solve(z * jnp.eye(size) - transition, drive)[0] * z ** (-self.delay_periods)
+
+        return self.function.gain * direction[0] * jax.vmap(at)(z)

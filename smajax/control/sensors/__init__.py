@@ -1,0 +1,11 @@
+"""Sensors of a simulated rig: what a controller and an estimator measure of the plant.
+
+``SensorModel`` has noise, quantisation and delay; ``Instruments`` is one such sensor per channel and wire, with the lag
+of thermocouples; ``DropoutHold`` holds the last value of a measurement that drops out, for at most ``DROPOUT_TIMEOUT``.
+"""
+
+from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT, DropoutHold
+from smajax.control.sensors.instruments import Instruments
+from smajax.control.sensors.sensor_model import SensorModel, ideal_sensor
+
+__all__ = ["DROPOUT_TIMEOUT", "DropoutHold", "Instruments", "SensorModel", "ideal_sensor"]

@@ -1,0 +1,138 @@
+"""Tuning of gains by gradients through the rollout, from one start or several, within limits or without.
+
+What is asked for decides which search runs: ``unconstrained`` without limits, ``augmented_lagrangian`` within limits,
+and ``minimise_settling_time`` for the shortest settling time, or one below a limit.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from smajax.control.analysis.step_response import SETTLING_BAND
+from smajax.control.tuning.augmented_lagrangian import augmented_lagrangian
+from smajax.control.tuning.minimise_settling_time import (
+    START_WEIGHTS,
+    longest_settling,
+    meet_settling_limit,
+    minimise_settling_time,
+    minimise_without_limits,
+)
+from smajax.control.tuning.objective import LIMITS, TERMS, make_objective
+from smajax.control.tuning.problem import TuningProblem
+from smajax.control.tuning.search import BATCH, VIOLATION_TOLERANCE, GainSearch, rank
+from smajax.control.tuning.unconstrained import unconstrained
+from smajax.errors import InputError
+
+# Points that are drawn and evaluated for several starts, at least; chosen by trial.
+_SCREENED = 16
+
+
+class TuningResult(NamedTuple):
+    """The best gains of a search.
+
+    Args:
+        point: The point in the unit box, shape ``(p,)``.
+        gains: Gains in internal units.
+        terms: Terms over those at the start, by name.
+        violations: Largest violation of each limit, by name; at most 0 where it is kept.
+        feasible: Whether all limits are kept.
+        settling: Longest settling time of all jumps and members, s.
+        rollouts: Number of rollouts.
+        history: A row (rollouts, settling time or sum of the weighted terms) for each improvement that keeps all
+            limits.
+    """
+
+    point: np.ndarray
+    gains: dict[str, float]
+    terms: dict[str, float]
+    violations: dict[str, float]
+    feasible: bool
+    settling: float
+    rollouts: int
+    history: tuple[tuple[int, float], ...]
+
+
+def violation_rank(result: TuningResult) -> tuple[bool, float, float]:
+    """Return the key by which results that violate limits are compared.
+
+    The settling limit counts after the others, and by the settling time, since its violation says little.
+    """
+    others = sum(v for name, v in result.violations.items() if name != "settling" and v > VIOLATION_TOLERANCE)
+    return not result.feasible, others, result.settling if "settling" in result.violations else 0.0
+
+
+def cost_function(problem: TuningProblem, weights: Mapping[str, float]) -> Callable[[np.ndarray], float]:
+    """Return the weighted terms that ``tune`` minimises, as a function of a point, to compare searches."""
+    search = GainSearch(problem, make_objective(weights, {}), lambda steps, cost: None)
+    return lambda point: search.candidates(np.asarray(point)[None])[0].cost
+
+
+def tune(
+    problem: TuningProblem,
+    weights: Mapping[str, float],
+    limits: Mapping[str, float],
+    *,
+    settle: bool = False,
+    starts: int = 1,
+    seed: int = 0,
+    band: float = SETTLING_BAND,
+    progress: Callable[[int, float], None] = lambda steps, cost: None,
+) -> TuningResult:
+    """Tune from the loop's own gains and, with ``starts`` above 1, from the best of random ones.
+
+    Args:
+        problem: The tuning problem.
+        weights: Weights of ``objective.TERMS`` by name.
+        limits: Limits of ``objective.LIMITS`` by name, internal units.
+        settle: Whether the settling time is minimised within the other limits, from where the terms are small.
+        starts: Number of starts.
+        seed: Seed of the random starts.
+        band: Settling band as a share of the jump.
+        progress: Called with the rollouts so far and a cost.
+
+    Raises:
+        InputError: if there are neither weights nor ``settle``, or nothing settles.
+        NumericsError: if no point gives numbers.
+    """
+    if not weights and not settle:
+        raise InputError(
+            f"there is no objective: give a weight to one of {', '.join(TERMS)}, or ask for the fastest settling"
+        )
+    if settle and not np.any(np.asarray(problem.reference.jump_size)):
+        raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
+    search = GainSearch(problem, make_objective(weights or START_WEIGHTS, limits, band), progress, settle)
+    points = _starts(search, starts, seed)
+    if settle:
+        point = minimise_settling_time(search, minimise_without_limits(search, points))
+    elif search.has_no_limits:
+        point = unconstrained(search, points)
+    else:
+        point = augmented_lagrangian(search, points)
+        if limits.get("settling", math.inf) < math.inf:
+            point = meet_settling_limit(search, point, points)
+    terms, violations = search.evaluate(point[None])
+    return TuningResult(
+        point=point,
+        gains={name: float(v) for name, v in problem.gains(point).items()},
+        terms={t: float(v) for t, v in zip(TERMS, terms[0] / search.scale, strict=True)},
+        violations={k: float(v) for k, v in zip(LIMITS, violations[0], strict=True) if k in limits},
+        feasible=float(np.max(violations[0])) <= VIOLATION_TOLERANCE,
+        settling=longest_settling(problem, point, band),
+        rollouts=search.rollouts,
+        history=tuple(search.history),
+    )
+
+
+def _starts(search: GainSearch, starts: int, seed: int) -> np.ndarray:
+    """The loop's own gains and the best of many random points, by violations first, then by terms; shape ``(k, p)``."""
+    own = search.problem.start[None]
+    if starts <= 1:
+        return own
+    count = max(_SCREENED, BATCH * -(-starts // 2))
+    drawn = np.random.default_rng(seed).uniform(size=(count, own.shape[1]))
+    members = search.problem.single_member() if search.has_no_limits else search.problem
+    batches = [search.candidates(drawn[k : k + BATCH], members) for k in range(0, len(drawn), BATCH)]
+    candidates = sorted((candidate for batch in batches for candidate in batch), key=rank)
+    return np.vstack([own, *(candidate.point for candidate in candidates[: starts - 1])])

@@ -1,1 +1,0 @@
-"""What the residual of a fit says the plant lacks."""

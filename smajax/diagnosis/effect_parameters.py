@@ -1,0 +1,116 @@
+"""Parameters of the effects that a rig could have: values, scales, bounds, and the shapes that are tried."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters
+from smajax.diagnosis.candidates import EffectSet
+from smajax.diagnosis.compiled_model import SLOTS
+from smajax.parameters import declarations
+from smajax.plant.effects import catalogue
+from smajax.plant.effects.base import AbstractEffect
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+
+# Change of a shape that counts as one, as a share of its value, or of its range where the value is 0: near 1 for the
+# searches. Chosen by trial; it scales the searches' steps and changes no optimum.
+_SHARE_OF_VALUE = 0.3
+_SHARE_OF_RANGE = 0.15
+
+
+class EffectParameters:
+    """The parameters of effects, in the order of ``names``, each in units of its ``scale``.
+
+    Args:
+        effects: The effects by key.
+        plant: A plant that has them all.
+        duration: Length of the longest training recording, s: no onset lies beyond it.
+    """
+
+    def __init__(self, effects: Mapping[str, AbstractEffect], plant: Plant, duration: float):
+        self.effects = dict(effects)
+        self.duration = duration
+        self.names = tuple(f"effects.{key}.{name}" for key, kind in effects.items() for name in declarations(kind))
+        self.values = np.array([float(parameters.get(plant, name)) for name in self.names])
+
+    def value(self, name: str) -> float:
+        """Return the rig's own value of a parameter, SI."""
+        return float(self.values[self.names.index(name)])
+
+    def scale(self, name: str) -> float:
+        """Return a typical change of a parameter, SI: the typical strength, or a share of a shape's value or range."""
+        _, key, field = name.split(".")
+        if field == "strength":
+            return self.effects[key].typical
+        declared = declarations(self.effects[key])[field]
+        return _SHARE_OF_VALUE * abs(self.values[self.names.index(name)]) or _SHARE_OF_RANGE * (
+            declared.upper - declared.lower
+        )
+
+    def bounds(self, names: Sequence[str]) -> tuple[list[float], list[float]]:
+        """Return lower and upper bounds of parameters in units of their scales; onsets end with the recordings."""
+        declared = [declarations(self.effects[name.split(".")[1]])[name.split(".")[2]] for name in names]
+        highest = [
+            min(d.upper, self.duration) if name.endswith(".instant") else d.upper
+            for d, name in zip(declared, names, strict=True)
+        ]
+        lower = [d.lower / self.scale(name) for d, name in zip(declared, names, strict=True)]
+        upper = [high / self.scale(name) for high, name in zip(highest, names, strict=True)]
+        return lower, upper
+
+    def plausible_range(self, key: str) -> tuple[float, float]:
+        """Return an effect's plausible strengths in units of the typical one."""
+        low, high = self.effects[key].plausible_range()
+        return low / self.effects[key].typical, high / self.effects[key].typical
+
+    def free(self, effect_set: EffectSet) -> list[str]:
+        """Return the parameters that a fit frees: strengths first, then shapes as far as there are slots."""
+        strengths = [f"effects.{key}.strength" for key in effect_set.keys]
+        shapes = [f"effects.{key}.{shape}" for key in effect_set.keys for shape, _ in self.effects[key].shapes]
+        return [*strengths, *shapes][:SLOTS]
+
+    def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
+        """Return the shapes at which an effect is tried: each usual value of its first shape parameter."""
+        shapes = self.effects[key].shapes
+        if not shapes:
+            return [()]
+        (name, values), *_ = shapes
+        return [((name, v * self.duration if name == "instant" else v),) for v in values]
+
+
+def possible_effects(
+    plant: Plant, free: Collection[str], recordings: Sequence[Recording], capabilities: frozenset[str]
+) -> tuple[tuple[str, ...], dict[str, AbstractEffect]]:
+    """Collect the effects that a rig has or could have.
+
+    Args:
+        plant: The plant of the rig file.
+        free: Names of the rig's free parameters.
+        recordings: The training recordings.
+        capabilities: What the rig can have and show (``Plant.capabilities``).
+
+    Returns:
+        The keys of the effects that the rig file models (free, or of a strength that is not 0), and all effects by key:
+        those, and at strength 0 every other effect of the catalogue that the rig can have.
+    """
+    fitted = {name.split(".")[1] for name in free if name.startswith("effects.")}
+    modelled: dict[str, AbstractEffect] = {
+        e.key: e for e in plant.effects if e.key in fitted or float(e.strength) != 0.0
+    }
+    others = {
+        key: _zero_effect(kind, recordings)
+        for key, kind in catalogue().items()
+        if key not in modelled and not kind.unavailable_reason(capabilities)
+    }
+    return tuple(modelled), modelled | others
+
+
+def _zero_effect(kind: type[AbstractEffect], recordings: Sequence[Recording]) -> AbstractEffect:
+    """An effect of strength 0; its reference current, where it has one, is the largest of the recordings."""
+    values = {"strength": jnp.asarray(0.0)}
+    if "reference" in declarations(kind):
+        currents = [np.max(np.abs(v)) for r in recordings for c, v in r.channels.items() if c.startswith("current")]
+        values["reference"] = jnp.asarray(float(max(currents, default=0.0)) or 1.0)
+    return kind(**values)  # pyright: ignore[reportCallIssue]

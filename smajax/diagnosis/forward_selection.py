@@ -1,0 +1,354 @@
+"""Forward selection: from the residual of a fit to the effects that are missing.
+
+One round: scores say whether anything is missing and what is worth a refit; each of the best candidates is added to the
+plant and all parameters are fitted again; the one that explains the training split and predicts the selection split
+best is accepted, if it lowers the error there by more than chance (``acceptance``). What explains both as well is its
+equivalent (``equivalence``). Where more than noise is left, the best few fits get another effect each (a beam search),
+so that a first choice can still be changed for a better pair. At last each accepted effect is dropped if the fit
+without it is as good (``backward_elimination``). ``outcome`` evaluates a third recording, once, at the end.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import MappingProxyType
+
+import numpy as np
+
+from smajax.diagnosis.acceptance import MIN_CHI2_FALL, rejection_reason
+from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
+from smajax.diagnosis.base_fit import BaseFit, fit_base
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator, Scores
+from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet, Refit
+from smajax.diagnosis.compiled_model import SLOTS
+from smajax.diagnosis.confusable_effects import refit_confusable_effects
+from smajax.diagnosis.data_split import TRAIN
+from smajax.diagnosis.detectability import (
+    Detectability,
+    NominalScore,
+    assess_detectability,
+    detectability_from_score,
+    undetectable,
+)
+from smajax.diagnosis.equivalence import is_equivalent
+from smajax.diagnosis.joint_refit import refit_jointly
+from smajax.diagnosis.onset_times import refine_onsets
+from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.screening import DETECTABLE
+from smajax.diagnosis.selection_state import SIGNIFICANCE, CandidateSummary, SelectionState, chi2_threshold
+from smajax.diagnosis.successive_halving import successive_halving
+from smajax.plant.effects import catalogue
+
+# Share of the base fit's excess that a cause explains at least; from the prototype study of the diagnosis, where the
+# nearest effect to a cause outside of the catalogue explained at most 0.54 (median 0.34).
+MIN_CAUSE_FRACTION = 0.5
+# A third effect is searched for where two explain at least this share of the excess, and another promises at least this
+# share of what they leave: less points to a cause outside of the catalogue. Chosen by trial.
+MIN_EXPLAINED_FRACTION = 0.75
+MIN_SCORE_GAIN = 1.0 / 3.0
+# Effects that are accepted at most.
+MAX_EFFECTS = 3
+# Effects, of the largest nominal scores, that are also refitted from the rig's nominal values. Chosen by trial.
+_FROM_NOMINAL = 4
+# Fits that get another effect, and how many candidates of each. Chosen by trial.
+_BEAM_WIDTH = 3
+_CANDIDATES_PER_FIT = 4
+# Unconverged fits that are refitted to convergence, and fits at the noise that are refitted jointly. Chosen by trial.
+_MAX_CONVERGED = 2
+_MAX_JOINT = 2
+# Alternatives that are kept of each accepted effect: what the next experiment can distinguish.
+_MAX_ALTERNATIVES = 3
+# Difference of chi-squared that says nothing: of two fits this close the one with the more typical effect comes first.
+# Chosen by trial.
+_SAME_CHI2 = 2.0
+# Rounding that is coarser than the noise errs all the same way where nothing moves: the threshold of chi-squared is at
+# least this. Chosen by trial.
+_MIN_LIMIT_IF_ROUNDED = 1.5
+# Reduced chi-squared of the training split from which a further effect is searched for. Chosen by trial.
+_MIN_CHI2_TO_GO_ON = 1.02
+
+Report = Callable[[str], None]
+
+
+def select_effects(
+    problem: DiagnosisProblem,
+    *,
+    seed: int = 0,
+    starts: int = 2,
+    min_explained_fraction: float = MIN_EXPLAINED_FRACTION,
+    min_score_gain: float = MIN_SCORE_GAIN,
+    known_noise: Mapping[str, float] = MappingProxyType({}),
+    report_progress: Report = lambda text: None,
+) -> tuple[CandidateEvaluator, SelectionState]:
+    """Select the effects that the training split lacks, by their prediction of the selection split.
+
+    Args:
+        problem: The diagnosis problem.
+        seed: Seed of the start points and of the null distribution.
+        starts: Least number of starts of the base fit.
+        min_explained_fraction: Share of the excess over the noise that two effects have to explain for a third to be
+            searched for.
+        min_score_gain: Share of what they leave that the third has to promise, to first order.
+        known_noise: Standard deviations of channels' noise that are known, SI; the others are estimated.
+        report_progress: Called with a line for each stage.
+
+    Returns:
+        The evaluator of the problem, and the state at the end of the selection.
+
+    Raises:
+        NumericsError: If the simulation fails at the rig's own values.
+    """
+    base, detectability, nominal_scores = _prepare(problem, seed, starts, report_progress)
+    noise = base.noise | {c: (value, "rig file") for c, value in known_noise.items() if c in base.noise}
+    if not base.converged:
+        report_progress("the base fit did not converge; its residual is not reliable")
+    problem.set_noise({c: value for c, (value, _) in noise.items()})
+    evaluator = CandidateEvaluator(problem, seed)
+    base_fit = evaluator.evaluate(evaluator.base_refit(base.point, base.status))
+    limit = chi2_threshold(problem.samples)
+    limit = max(limit, _MIN_LIMIT_IF_ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
+    state = SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
+    beam = [base_fit]
+    for turn in range(MAX_EFFECTS):
+        if turn > 1 and state.explained < min_explained_fraction:
+            break
+        beam = _select_next(evaluator, state, beam, turn, min_score_gain if turn > 1 else 0.0, report_progress)
+        if not beam:
+            break
+    drop_unneeded_effects(evaluator, state)
+    swap_confusable_effects(evaluator, state)
+    state.current = refine_onsets(evaluator, state.current)
+    return evaluator, state
+
+
+def _prepare(
+    problem: DiagnosisProblem, seed: int, starts: int, report_progress: Report
+) -> tuple[BaseFit, dict[str, Detectability], dict[str, NominalScore]]:
+    """The base fit, which runs while the large programs are compiled, and what the input can show of each effect."""
+    report_progress("preflight: what these inputs can show")
+    with ThreadPoolExecutor(1) as pool:
+        base_fit: Future[BaseFit] = pool.submit(fit_base, problem, seed, starts)
+        problem.wait_for_compilation()
+        if not np.all(np.isfinite(problem.predict(EffectSet(), problem.nominal, TRAIN))):
+            base_fit.result()
+        detectability, nominal_scores = assess_detectability(problem)
+        statuses = [d.status for d in detectability.values()]
+        counts = [statuses.count(status) for status in ("testable", "absorbed", "blind")]
+        report_progress("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
+        report_progress("fitting the rig as its file has it")
+        return base_fit.result(), detectability, nominal_scores
+
+
+def _select_next(
+    evaluator: CandidateEvaluator,
+    state: SelectionState,
+    beam: list[CandidateFit],
+    turn: int,
+    min_score_gain: float,
+    report_progress: Report,
+) -> list[CandidateFit]:
+    """One round: adds an effect to each fit of the beam; returns the next beam, empty if no effect was accepted."""
+    problem, current = evaluator.problem, state.current
+    beam = [fit for fit in beam if len(problem.free_effect_parameters(fit.refit.effect_set)) < SLOTS]
+    if not beam or (turn and current.train_chi2 < max(state.chi2_limit, _MIN_CHI2_TO_GO_ON)):
+        return []
+    others = len(problem.effects) - len(problem.modelled_effects) - turn
+    report_progress(f"round {turn + 1}: scoring {others} effects")
+    if turn == 0:
+        fits = _fit_first_effects(evaluator, state, report_progress)
+    else:
+        fits = _fit_further_effects(evaluator, beam, turn, min_score_gain, report_progress)
+    fits = _converge_worse_fits(evaluator, fits, current)
+    if not fits:
+        return []
+    best, fits = _refine_best(evaluator, fits, state.acceptable_chi2)
+    if turn == 0:
+        for fit in fits:
+            summary = state.ranking[fit.key]
+            state.ranking[fit.key] = dataclasses.replace(summary, refit_rmse_select=fit.rmse_select)
+    if reason := rejection_reason(current, best, problem.samples):
+        state.rejected.append((next((k for k in best.keys if k not in current.keys), best.key), reason))
+        return []
+    before, after = math.sqrt(state.base_fit.select_chi2), math.sqrt(best.select_chi2)
+    report_progress(f"with {' and '.join(best.keys)}: error over noise {before:.3g} -> {after:.3g}, selected")
+    return _accept(state, best, fits, problem.samples)
+
+
+def _fit_first_effects(
+    evaluator: CandidateEvaluator, state: SelectionState, report_progress: Report
+) -> list[CandidateFit]:
+    """Scores all effects at the base fit and refits with one effect each; empty if nothing is missing."""
+    base = state.current.refit
+    scores = evaluator.scores(base)
+    state.stage_shares = evaluator.stage_shares(base, scores)
+    state.ranking = _rank(evaluator, scores, base)
+    if scores.p_value > SIGNIFICANCE and state.current.train_chi2 < state.chi2_limit:
+        return []
+    return _fit_single_effects(evaluator, state, scores, report_progress)
+
+
+def _fit_single_effects(
+    evaluator: CandidateEvaluator, state: SelectionState, scores: Scores, report_progress: Report
+) -> list[CandidateFit]:
+    """Refits with every detectable effect: at a biased fit even the cause may gain nothing to first order."""
+    problem, refit = evaluator.problem, state.current.refit
+    keys = [key for key, s in scores.best.items() if math.isfinite(s.minimum_detectable_strength)]
+    nominal = state.nominal_scores
+    from_nominal = sorted((k for k in keys if nominal[k].gain > 0.0), key=lambda k: -nominal[k].gain)[:_FROM_NOMINAL]
+    report_progress(f"round 1: refitting {len(keys)} effects")
+    fits = successive_halving(
+        evaluator,
+        [Candidate(refit, k, scores.best[k].strength, scores.shapes[k], scores.best[k].gain) for k in keys],
+        [Candidate(refit, k, nominal[k].strength, nominal[k].shape) for k in from_nominal],
+    )
+    best = min(fits, key=lambda fit: fit.total_chi2, default=None)
+    if best is not None and (best.at_noise or _explains_enough(state, best)):
+        return fits
+    # A large effect gains nothing to first order, neither at the fit nor at the rig's own values: each in its typical
+    # strength.
+    report_progress("round 1: refitting them from the rig's own values")
+    typical = [
+        Candidate(refit, key, sign, shape)
+        for key in keys
+        for shape in problem.shape_grid(key)
+        for sign in (-1.0, 1.0)
+        if problem.plausible_range(key)[0] < sign < problem.plausible_range(key)[1]
+    ]
+    return [*fits, *successive_halving(evaluator, (), typical)]
+
+
+def _explains_enough(state: SelectionState, fit: CandidateFit) -> bool:
+    """Whether a fit explains enough of a reliable base residual that no other start is tried."""
+    explained = min(state.explained_by(fit), state.explained_in_training_by(fit))
+    return state.base_fit_converged and explained > MIN_CAUSE_FRACTION
+
+
+def _fit_further_effects(
+    evaluator: CandidateEvaluator,
+    beam: list[CandidateFit],
+    turn: int,
+    min_score_gain: float,
+    report_progress: Report,
+) -> list[CandidateFit]:
+    """Refits the beam's fits with one effect more.
+
+    None if on the first of them no score promises the share ``min_score_gain`` of its excess.
+    """
+    candidates: list[Candidate] = []
+    queued: set[frozenset] = set()
+    for fit in beam:
+        scores = evaluator.scores(fit.refit)
+        excess = (fit.train_chi2 - 1.0) * evaluator.problem.samples
+        largest = max((score.gain for score in scores.best.values()), default=0.0)
+        if fit is beam[0] and largest < min_score_gain * excess:
+            return []
+        for key, score in sorted(scores.best.items(), key=lambda item: -item[1].gain)[:_CANDIDATES_PER_FIT]:
+            keys = frozenset((*fit.keys, key))
+            if score.gain > 0.0 and keys not in queued:
+                queued.add(keys)
+                candidates.append(Candidate(fit.refit, key, score.strength, scores.shapes[key], score.gain))
+    report_progress(f"round {turn + 1}: refitting {len(candidates)} sets of effects")
+    return successive_halving(evaluator, candidates)
+
+
+def _converge_worse_fits(
+    evaluator: CandidateEvaluator, fits: list[CandidateFit], current: CandidateFit
+) -> list[CandidateFit]:
+    """The fits that leave less of the training split than ``current``, and the best others, converged.
+
+    With one effect more nothing gets worse there but by a search that was held, or stopped early, whatever it predicts
+    of another input.
+    """
+    better = [fit for fit in fits if fit.train_chi2 < current.train_chi2]
+    least = min((fit.total_chi2 for fit in better), default=math.inf)
+    worse = [fit for fit in fits if fit.train_chi2 >= current.train_chi2 and fit.total_chi2 < least]
+    worse = sorted(worse, key=lambda fit: fit.total_chi2)[:_MAX_CONVERGED]
+    return [*better, *map_in_pairs(evaluator.refit_to_convergence, worse)]
+
+
+def _refine_best(
+    evaluator: CandidateEvaluator, fits: list[CandidateFit], acceptable_chi2: float
+) -> tuple[CandidateFit, list[CandidateFit]]:
+    """The best fit, converged and compared with confusable effects, and all fits, one a set of effects."""
+    samples = evaluator.problem.samples
+    best = evaluator.refit_to_convergence(min(fits, key=lambda fit: fit.total_chi2))
+    by_effects: dict[frozenset, CandidateFit] = {}
+    everyone = [best, *fits, *refit_confusable_effects(evaluator, best)]
+    for fit in sorted(everyone, key=lambda fit: fit.total_chi2):
+        by_effects.setdefault(frozenset(fit.keys), fit)
+    fits = list(by_effects.values())
+    # From where it has converged before, a search would only get to the same end.
+    fall = MIN_CHI2_FALL * max(1.0, best.train_chi2) / samples
+    if set(fits[0].keys) != set(best.keys) and fits[0].total_chi2 < best.total_chi2 - fall:
+        best = evaluator.refit_to_convergence(fits[0])
+    fits = _refit_open_fits_jointly(evaluator, fits, acceptable_chi2)
+    best = min([best, *fits], key=lambda fit: fit.total_chi2)
+    others = set(best.keys) - {best.key}
+    same = [
+        fit
+        for fit in fits
+        if fit.key not in others
+        and set(fit.keys) - {fit.key} == others
+        and (fit.total_chi2 - best.total_chi2) * samples < _SAME_CHI2
+    ]
+    return min([best, *same], key=evaluator.log_distance_from_typical), fits
+
+
+def _refit_open_fits_jointly(
+    evaluator: CandidateEvaluator, fits: list[CandidateFit], acceptable_chi2: float
+) -> list[CandidateFit]:
+    """The fits, those that explain the training split to the noise refitted to both splits where that explains both.
+
+    Else a cause with an instant at which nothing moves would be rejected for a prediction that the training split does
+    not determine.
+    """
+    if any(fit.at_noise for fit in fits):
+        return fits
+    explaining = (fit for fit in fits if fit.train_chi2 < acceptable_chi2)
+    open_fits = sorted(explaining, key=lambda fit: fit.train_chi2)[:_MAX_JOINT]
+
+    def refit(fit: CandidateFit) -> CandidateFit:
+        return evaluator.evaluate(refit_jointly(evaluator.problem, fit.refit))
+
+    pairs = zip(open_fits, map_in_pairs(refit, open_fits), strict=True)
+    joint = {id(fit): refitted for fit, refitted in pairs if refitted.at_noise}
+    return [joint.get(id(fit), fit) for fit in fits]
+
+
+def _accept(state: SelectionState, best: CandidateFit, fits: list[CandidateFit], samples: int) -> list[CandidateFit]:
+    """Notes the best fit as accepted, with the alternatives and equivalents of its effects; returns the next beam."""
+    state.current = best
+    state.accepted_fits.append(best)
+    others = sorted((fit for fit in fits if set(fit.keys) != set(best.keys)), key=lambda fit: fit.total_chi2)
+    for key in best.keys:
+        swapped = [fit for fit in others if set(best.keys) - {key} <= set(fit.keys) and key not in fit.keys]
+        if key == best.key or swapped:
+            state.alternatives[key] = swapped[:_MAX_ALTERNATIVES]
+            equivalent = (fit for fit in swapped if is_equivalent(fit, best, samples))
+            state.equivalent[key] = tuple((set(fit.keys) - set(best.keys)).pop() for fit in equivalent)
+    return [best, *others[: _BEAM_WIDTH - 1]]
+
+
+def _rank(evaluator: CandidateEvaluator, scores: Scores, base: Refit) -> dict[str, CandidateSummary]:
+    """A summary of every effect by its score at the base fit, with a 95 % interval widened by the misfit."""
+    problem, ranking = evaluator.problem, {}
+    free = zip(problem.problems[TRAIN].unknowns, evaluator.free_columns(base), strict=True)
+    names = [unknown.label for unknown, is_free in free if is_free]
+    inflation = math.sqrt(max(problem.reduced_chi2(base.residual, TRAIN), 1.0))
+    for key, kind in catalogue().items():
+        if key not in scores.best:
+            ranking[key] = CandidateSummary(undetectable(problem, kind))
+            continue
+        score, sensitivity = scores.best[key], scores.sensitivities[key, scores.shapes[key]]
+        detectability = detectability_from_score(kind, score, sensitivity, scores.jacobian, names)
+        detectable = detectability.minimum_detectable_strength
+        if detectability.status != "testable" or detectable is None:
+            ranking[key] = CandidateSummary(detectability)
+            continue
+        estimate, half_width = score.strength * kind.typical, 1.96 / DETECTABLE * detectable * inflation
+        ranking[key] = CandidateSummary(
+            detectability, estimate, estimate - half_width, estimate + half_width, score.gain, scores.p_values[key]
+        )
+    return ranking

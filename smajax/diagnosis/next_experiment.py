@@ -1,0 +1,181 @@
+"""The next experiment: the input on which the remaining effects differ most, beyond the free parameters.
+
+Inputs are taken from a library (steps, pulses and ramps of several levels and paces) within the range of the inputs
+recorded so far; one that makes a wire hotter than training or selection input do, by the fitted plant without its
+effects, is left out. Each costs the derivatives of one simulation. The measure is the distance between the two most
+similar effects in standard deviations, a T-optimal design for discrimination (atkinson1975) to first order.
+"""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import jax
+import numpy as np
+
+from smajax.diagnosis.candidates import Refit
+from smajax.diagnosis.compiled_model import SLOTS
+from smajax.diagnosis.data_split import SELECT, TRAIN
+from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.screening import orthonormal_basis, project_out
+from smajax.fitting.problem import Problem
+from smajax.recordings.recording import Recording
+
+# Inputs that are evaluated: in the prototype study of the diagnosis the distance between two effects varied by factors
+# of 3 to 14 among 24 random inputs, so that the best of them was worth four times as much data.
+_MAX_EVALUATED = 24
+# Distance in standard deviations that makes an input worth its experiment, and by how much it has to exceed that of the
+# training input. Chosen by trial.
+_MIN_DISCRIMINATION = 5.0
+_MIN_IMPROVEMENT = 1.2
+# Temperature by which an input may exceed the hottest one recorded, K. Chosen by trial.
+_MAX_EXCESS_TEMPERATURE = 1.0
+# Levels of the library's inputs between the lowest and the highest recorded value, so that heating is often
+# partial. Chosen by trial.
+_LEVELS = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
+# Pieces into which the library's inputs divide the recording, and the share of its piece that a pulse lasts.
+_PIECES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
+_PULSE_SHARE = 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class NextExperiment:
+    """The input to run next (``None`` if none helps), the effects it separates, by how many sigma, and advice."""
+
+    recording: Recording | None
+    separates: tuple[str, ...]
+    sigma: float | None
+    advice: str
+
+
+def propose_experiment(
+    problem: DiagnosisProblem, refit: Refit, rivals: Mapping[str, Mapping[str, float]], seed: int
+) -> NextExperiment | None:
+    """Search for the input that distinguishes effects.
+
+    Args:
+        problem: The diagnosis problem.
+        refit: The last refit.
+        rivals: The effects with the strength and shapes that each was fitted with, by parameter name.
+        seed: Seed of the library's inputs.
+
+    Returns:
+        The proposal; ``None`` where there are fewer than two effects.
+    """
+    keys = [key for key in rivals if key in problem.effects]
+    if len(keys) < 2:
+        return None
+
+    def separation(candidate: Problem) -> float:
+        return discrimination(problem, refit, rivals, keys, candidate)
+
+    present = separation(problem.problems[TRAIN])
+    limit = max(_highest_temperature(problem, refit, problem.problems[k]) for k in (TRAIN, SELECT))
+    options: list[tuple[Recording, Problem]] = []
+    for recording in input_library(problem.splits[TRAIN].recordings[0], problem.base_problem.plant.signals, seed):
+        candidate = problem.problem_for_inputs(recording)
+        if candidate is None:
+            continue
+        if _highest_temperature(problem, refit, candidate) <= limit + _MAX_EXCESS_TEMPERATURE:
+            options.append((recording, candidate))
+        if len(options) == _MAX_EVALUATED:
+            break
+    separations = map_in_pairs(lambda option: separation(option[1]), options)
+    best = max(range(len(options)), key=lambda i: separations[i]) if options else -1
+    if best < 0 or separations[best] < max(_MIN_DISCRIMINATION, _MIN_IMPROVEMENT * present):
+        return NextExperiment(None, tuple(keys), max([present, *separations]), _advise_channel(problem, keys))
+    recording, sigma = options[best][0], separations[best]
+    names = " and ".join(keys)
+    advice = (
+        f"{recording.name}; it sets {names} {sigma:.0f} standard deviations apart, the training input {present:.0f}"
+    )
+    return NextExperiment(recording, tuple(keys), sigma, advice)
+
+
+def input_library(like: Recording, signals: Sequence[str], seed: int) -> list[Recording]:
+    """Make steps, pulse trains and ramps on a recording's own clock, within the range of its inputs.
+
+    Args:
+        like: The recording.
+        signals: Its driving channels.
+        seed: Seed of the levels.
+    """
+    rng, time = np.random.default_rng(seed), like.time
+    span = time[-1] - time[0]
+    recordings = []
+    kinds = itertools.cycle(("steps of several levels", "pulses of several levels", "ramps of several levels"))
+    for kind, pieces in zip(kinds, np.repeat(_PIECES, 3), strict=False):
+        channels = {}
+        for name in signals:
+            low, high = float(like.channels[name].min()), float(like.channels[name].max())
+            levels = low + (high - low) * rng.choice(_LEVELS, pieces + 1)
+            position = (time - time[0]) / span * pieces
+            k = np.minimum(position.astype(int), pieces - 1)
+            if kind.startswith("steps"):
+                channels[name] = levels[k]
+            elif kind.startswith("pulses"):
+                channels[name] = np.where(position - k < _PULSE_SHARE, levels[k], low)
+            else:
+                channels[name] = levels[k] + (position - k) * (levels[k + 1] - levels[k])
+        title = f"{kind}, {span / pieces:.3g} {'s' if like.has_clock else 'rows'} each"
+        recordings.append(Recording.from_arrays(title, time if like.has_clock else None, channels, like.units))
+    return recordings
+
+
+def discrimination(
+    problem: DiagnosisProblem,
+    refit: Refit,
+    rivals: Mapping[str, Mapping[str, float]],
+    keys: Sequence[str],
+    inputs: Problem,
+) -> float:
+    """Return the least distance between two effects in standard deviations, under the inputs of a problem.
+
+    With the projected sensitivities a and b, each times its fitted strength, it is min(|a|, |b|) sqrt(1 - cos(a, b)^2):
+    the weaker of the two is present, and the other fitted in its place.
+    """
+    others = refit.effect_set
+    for key in keys:
+        others = others.without(key)
+    shapes = [item for key in keys for item in rivals[key].items() if not item[0].endswith(".strength")]
+    effect_set = dataclasses.replace(others, values=(*others.values, *shapes))
+    sensitivities, base_jacobian = [], np.zeros((0, problem.size))
+    for batch in (keys[i : i + SLOTS] for i in range(0, len(keys), SLOTS)):
+        strengths = [f"effects.{key}.strength" for key in batch]
+        _, jacobian = problem.evaluate_on(inputs, effect_set, refit.base, strengths)
+        base_jacobian = jacobian[:, : problem.size]
+        sensitivities += [jacobian[:, problem.size + j] for j in range(len(batch))]
+    basis = orthonormal_basis(base_jacobian)
+    size = {k: abs(rivals[k].get(f"effects.{k}.strength", 0.0)) / problem.effects[k].typical or 1.0 for k in keys}
+    projected = {k: project_out(basis, c) * size[k] for k, c in zip(keys, sensitivities, strict=True)}
+    least = math.inf
+    for a, b in itertools.combinations(keys, 2):
+        norms = np.linalg.norm(projected[a]), np.linalg.norm(projected[b])
+        if min(norms) == 0.0 or not all(map(np.isfinite, norms)):
+            return 0.0
+        cosine = float(projected[a] @ projected[b]) / (norms[0] * norms[1])
+        least = min(least, float(min(norms)) * math.sqrt(max(0.0, 1.0 - cosine**2)))
+    return least
+
+
+def _highest_temperature(problem: DiagnosisProblem, refit: Refit, inputs: Problem) -> float:
+    """Highest temperature under a problem's inputs, degC."""
+    count = inputs.data.measured.shape[0]
+    each = [jax.tree.map(lambda leaf, k=k: leaf[k], inputs.data.inputs) for k in range(count)]
+    return max(float(np.max(np.asarray(problem.states(refit, single).temperature))) for single in each)
+
+
+def _advise_channel(problem: DiagnosisProblem, keys: Sequence[str]) -> str:
+    """What to record instead, where no input within the limits distinguishes the effects."""
+    stages = {problem.effects[key].stage for key in keys}
+    thermal = stages & {"drive", "heat", "material"}
+    channels = [c for c in ("temperature", "voltage") if c not in problem.channels and thermal]
+    if stages & {"mechanism", "sensor"}:
+        channels.append("a second sensor of the motion")
+    record = f"record {' or '.join(channels)} as well, or " if channels else ""
+    return (
+        f"no input within these limits distinguishes {' and '.join(keys)}: {record}repeat the recording under another "
+        "load or with another wire"
+    )

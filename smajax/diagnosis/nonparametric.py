@@ -1,0 +1,134 @@
+"""Nonparametric terms: what a stage would have to add, as a piecewise linear function of time or of a state.
+
+They describe a residual and name no cause. As functions of time they show in which stage a residual can live; as
+functions of a state, the form of a term that the catalogue lacks.
+"""
+
+import dataclasses
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smajax.numerics.nonsmooth import clip
+from smajax.parameters import parameter
+from smajax.plant.effects.base import AbstractEffect, HeatEffect, MaterialEffect, StageContext, WireState
+from smajax.plant.plant import Plant
+
+# Knots of a term: as a function of time they resolve a twenty-fourth of the recording. Chosen by trial;
+# tests/unit/diagnosis holds it.
+KNOTS = 24
+# What a term may be a function of: words of diagnosis.json.
+VARIABLES = ("time", "temperature", "martensite", "travel")
+
+
+class NonparametricEffect(AbstractEffect):
+    """A piecewise linear function of one of ``VARIABLES``.
+
+    ``selection``, ``low`` and ``high`` have one entry a variable: 1 for the one that counts and 0 for the others, and
+    the range of each. ``knots`` are the values at equal distances of that range.
+    """
+
+    knots: Float[Array, " knots"]
+    selection: Float[Array, " variables"]
+    low: Float[Array, " variables"]
+    high: Float[Array, " variables"]
+    strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
+    typical = 1.0
+    source = "nonparametric"
+    adds: ClassVar[str]
+
+    def term(self, state: WireState) -> Float[Array, " wires"]:
+        """Return the value of the term; without a variable it is not computed."""
+        return jax.lax.cond(
+            jnp.any(self.selection != 0.0), lambda: self._interpolate(state), lambda: jnp.zeros_like(state.temperature)
+        )
+
+    def _interpolate(self, state: WireState) -> Float[Array, " wires"]:
+        variables = (
+            jnp.broadcast_to(state.time, state.temperature.shape),
+            state.temperature,
+            state.fractions.martensite,
+            state.accumulated_transformation,
+        )
+        each = zip(self.selection, variables, self.low, self.high, strict=True)
+        position = sum(selected * (value - low) / (high - low) for selected, value, low, high in each)
+        position = clip(position, 0.0, 1.0) * (KNOTS - 1)
+        left = jnp.clip(jnp.floor(position).astype(int), 0, KNOTS - 2)
+        return self.strength * (self.knots[left] * (left + 1 - position) + self.knots[left + 1] * (position - left))
+
+
+class FreeHeat(NonparametricEffect, HeatEffect):
+    """Heat added to the wire."""
+
+    key = "free-heat"
+    adds = "W/m^3"
+
+    def power(self, state: WireState, memory: Any, context: StageContext) -> Float[Array, " wires"]:
+        """Return the heat added, W/m^3."""
+        return self.term(state)
+
+
+class FreeShift(NonparametricEffect, MaterialEffect):
+    """Shift of the transformation temperatures."""
+
+    key = "free-shift"
+    adds = "K"
+
+    def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
+        """Return the shift, K."""
+        return self.term(state)
+
+
+class FreeStrain(NonparametricEffect, MaterialEffect):
+    """Strain added to the wire."""
+
+    key = "free-strain"
+    adds = "1"
+
+    def strain(self, state: WireState, memory: Any, context: StageContext) -> Float[Array, " wires"]:
+        """Return the strain added."""
+        return self.term(state)
+
+
+KINDS = (FreeHeat, FreeShift, FreeStrain)
+
+
+def zero_terms() -> tuple[FreeHeat, FreeShift, FreeStrain]:
+    """Return one term of each kind, all zero."""
+    knots, zeros, ones = jnp.zeros(KNOTS), jnp.zeros(len(VARIABLES)), jnp.ones(len(VARIABLES))
+    ranges = {"selection": zeros, "low": zeros, "high": ones}
+    return FreeHeat(knots=knots, **ranges), FreeShift(knots=knots, **ranges), FreeStrain(knots=knots, **ranges)
+
+
+def set_terms(
+    plant: Plant,
+    knots: Float[Array, "kinds knots"],
+    selection: Float[Array, " variables"],
+    low: Float[Array, " variables"],
+    high: Float[Array, " variables"],
+) -> Plant:
+    """Return a plant whose nonparametric terms have these values."""
+    effects = tuple(
+        dataclasses.replace(e, knots=knots[KINDS.index(type(e))], selection=selection, low=low, high=high)
+        if isinstance(e, KINDS)
+        else e
+        for e in plant.effects
+    )
+    return dataclasses.replace(plant, effects=effects)
+
+
+def hat_functions(positions: np.ndarray, nodes: int) -> np.ndarray:
+    """Evaluate the hat functions of equally spaced nodes on 0 to 1.
+
+    Args:
+        positions: Points, shape ``(n,)``.
+        nodes: Number of nodes.
+
+    Returns:
+        The value of each hat function at each point, shape ``(n, nodes)``.
+    """
+    position = np.clip(positions, 0.0, 1.0) * (nodes - 1)
+    return np.maximum(0.0, 1.0 - np.abs(position[:, None] - np.arange(nodes)[None, :]))

@@ -1,0 +1,210 @@
+"""The outcome of a diagnosis: effects are selected, the holdout is predicted once, and the result is classified."""
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import jax.numpy as jnp
+
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
+from smajax.diagnosis.candidates import EffectSet, Refit
+from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
+from smajax.diagnosis.forward_selection import MIN_CAUSE_FRACTION, select_effects
+from smajax.diagnosis.joint_refit import refit_jointly
+from smajax.diagnosis.localisation import most_likely_stage
+from smajax.diagnosis.next_experiment import propose_experiment
+from smajax.diagnosis.nonparametric_fit import NonparametricFit, fit_nonparametric_term
+from smajax.diagnosis.onset_times import onset_prediction_error
+from smajax.diagnosis.parallel import map_in_pairs
+from smajax.diagnosis.prediction_uncertainty import expected_reduced_chi2
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summarise
+from smajax.diagnosis.selection_state import SelectionState
+from smajax.errors import NumericsError
+
+# Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise; of the
+# holdout, whose inputs may reach further, the square of it. Chosen by trial.
+_MAX_MISS = 1.2
+# Reduced chi-squared of the training split above which something is missing, where the threshold asks for less. Chosen
+# by trial.
+_MIN_MISSING = 1.1
+# Alternatives, at most, from which the next experiment distinguishes each accepted effect, or effects where none is
+# accepted.
+_MAX_RIVALS = 2
+
+
+def diagnose(
+    problem: DiagnosisProblem,
+    *,
+    seed: int = 0,
+    known_noise: Mapping[str, float] = MappingProxyType({}),
+    report_progress: Callable[[str], None] = lambda text: None,
+) -> Diagnosis:
+    """Select effects, classify the outcome, and propose what to do next.
+
+    Args:
+        problem: The diagnosis problem, with three splits for training, selection and holdout.
+        seed: Seed of all random samples.
+        known_noise: Standard deviations of channels' noise that are known, SI; the others are estimated.
+        report_progress: Called with a line for each stage.
+
+    Raises:
+        NumericsError: If the base fit did not converge, is not at the noise either, and no effect is accepted; its
+        ``state`` holds the
+            parameters where it ended.
+    """
+    evaluator, state = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
+    reject_if_little_explained(state)
+    _check_convergence(problem, state)
+    report_progress("predicting the holdout")
+    before, after = _joint_refits(problem, state)
+    verdict = _verdict(evaluator, state, after)
+    if verdict == "partial" and not improves_holdout(evaluator, before, after):
+        _reject_all(state, "does not reduce the error on the holdout")
+        after, verdict = before, "unresolved"
+    stage = term = experiment = None
+    if verdict in ("unresolved", "partial"):
+        report_progress("searching for the stage where the residual lives")
+        stage, term = _locate_residual(evaluator, state)
+    if verdict not in ("named", "nothing-missing"):
+        report_progress("designing the next experiment")
+        experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
+    return summarise(evaluator, state, before, after, Conclusion(verdict, stage, term, experiment))
+
+
+def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
+    """Return the first of the refits whose predictions of selection and holdout split are finite; else the last one.
+
+    The simulation of a bad fit may diverge under another input.
+    """
+    for refit in refits:
+        predictions = ((k, problem.predict(refit.effect_set, refit.base, k)) for k in (SELECT, HOLDOUT))
+        if all(math.isfinite(problem.reduced_chi2(residual, k)) for k, residual in predictions):
+            return refit
+    return refits[-1]
+
+
+def reject_if_little_explained(state: SelectionState) -> None:
+    """Reject all effects if they leave most of the excess unexplained."""
+    if state.accepted and state.explained < MIN_CAUSE_FRACTION and state.current.train_chi2 > state.acceptable_chi2:
+        explained = f"together the effects found explain {100 * state.explained:.0f} % of what is missing"
+        _reject_all(state, f"{explained}, too little for a cause")
+
+
+def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
+    """Say whether the holdout's error falls in any channel by more than chance, or is finite only afterwards."""
+    problem = evaluator.problem
+    first, last = (
+        problem.series(problem.predict(refit.effect_set, refit.base, HOLDOUT), HOLDOUT) for refit in (before, after)
+    )
+    return any(not bootstrap_cut(first[c], last[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
+
+
+def classify_outcome(state: SelectionState, joint: tuple[float, ...], expected_chi2: tuple[float, float]) -> str:
+    """Return the verdict.
+
+    Effects are named if they predict selection split and holdout as well as expected. Where the training split
+    determines less than it seems to, such as an instant at which nothing moves, it is enough that one fit explains the
+    first two splits and predicts the holdout, all three to the noise.
+
+    Args:
+        state: The state at the end of the selection.
+        joint: Reduced chi-squared of the fit to training and selection split on all three splits.
+        expected_chi2: What noise and the parameters' uncertainty would leave on the selection split, by the fit to the
+            training split, and on the holdout.
+    """
+    current, acceptable = state.current, state.acceptable_chi2
+    select, holdout = current.select_chi2 / expected_chi2[0], joint[HOLDOUT] / expected_chi2[1]
+    if not state.accepted:
+        limit = max(state.chi2_limit, _MIN_MISSING)
+        missing = current.train_chi2 > limit or select > _MAX_MISS or holdout > _MAX_MISS**2
+        return "unresolved" if missing else "nothing-missing"
+    predicted = current.train_chi2 < acceptable and max(select, holdout) < _MAX_MISS**2
+    if predicted or max(*joint[:HOLDOUT], holdout) < acceptable:
+        return "named-up-to-class" if any(state.equivalent.get(key) for key in state.accepted) else "named"
+    return "partial"
+
+
+def _check_convergence(problem: DiagnosisProblem, state: SelectionState) -> None:
+    if state.base_fit_converged or state.accepted or state.base_fit.train_chi2 < state.acceptable_chi2:
+        return
+    values, _ = problem.problems[TRAIN].values(jnp.asarray(state.base_fit.refit.base))
+    raise NumericsError(
+        "the base fit did not converge, so its residual is not reliable: widen fit.bounds",
+        {name: float(v) for name, v in values.items()},
+    )
+
+
+def _joint_refits(problem: DiagnosisProblem, state: SelectionState) -> tuple[Refit, Refit]:
+    """The fits by which the holdout is predicted, without and with the accepted effects."""
+    base, current = state.base_fit.refit, state.current.refit
+    nominal = Refit(EffectSet(), problem.nominal, *problem.evaluate(EffectSet(), problem.nominal, TRAIN), base.status)
+    refits = [base, current] if state.accepted else [base]
+    joint = map_in_pairs(lambda refit: refit_jointly(problem, refit), refits)
+    before = first_predicting_refit(problem, joint[0], base, nominal)
+    after = first_predicting_refit(problem, joint[1], current) if state.accepted else before
+    return before, after
+
+
+def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit) -> str:
+    """The verdict; onsets that the recordings leave open count only where it would else be partial."""
+    problem, current = evaluator.problem, state.current
+    splits = range(len(problem.splits))
+    joint = tuple(problem.reduced_chi2(problem.predict(after.effect_set, after.base, k), k) for k in splits)
+    fitted = (TRAIN,) if problem.own_count else (TRAIN, SELECT)
+    # Where nothing is accepted and no effect is significant, whatever is left is noise.
+    autocorrelated = not state.accepted and state.base_residual_may_be_noise
+    expected_chi2 = (
+        expected_reduced_chi2(evaluator, current.refit, SELECT, autocorrelated=autocorrelated),
+        expected_reduced_chi2(evaluator, after, HOLDOUT, fitted, autocorrelated=autocorrelated),
+    )
+    verdict = classify_outcome(state, joint, expected_chi2)
+    if verdict == "partial" and min(current.train_chi2, max(joint[:HOLDOUT])) < state.acceptable_chi2:
+        # An instant may be more uncertain than its derivative says.
+        onset_errors = (
+            onset_prediction_error(problem, current.refit, SELECT),
+            onset_prediction_error(problem, after, HOLDOUT, fitted),
+        )
+        return classify_outcome(state, joint, (expected_chi2[0] + onset_errors[0], expected_chi2[1] + onset_errors[1]))
+    return verdict
+
+
+def _reject_all(state: SelectionState, reason: str) -> None:
+    state.rejected += [(key, reason) for key in state.accepted]
+    state.equivalent, state.current = {}, state.base_fit
+
+
+def _locate_residual(
+    evaluator: CandidateEvaluator, state: SelectionState
+) -> tuple[str | None, NonparametricFit | None]:
+    """The stage where the unexplained residual lives, and its form.
+
+    If only another input shows the residual, it is the stage of the effect that stands in for the cause, or ``None``
+    without one.
+    """
+    refit = state.current.refit
+    if state.accepted and state.current.train_chi2 < state.acceptable_chi2:
+        return evaluator.problem.effects[state.current.key].stage, None
+    scores = evaluator.scores(refit)
+    shares = evaluator.stage_shares(refit, scores) if state.accepted else state.stage_shares
+    stage = most_likely_stage(shares)
+    if stage is None:
+        return None, None
+    stride = evaluator.stride(state.current.train_chi2)
+    return stage, fit_nonparametric_term(evaluator.problem, refit, scores.basis, scores.residual, stage, stride)
+
+
+def _rivals(state: SelectionState) -> dict[str, dict[str, float]]:
+    """Effects to be distinguished, with their values: accepted ones and alternatives, or the two largest gains."""
+    rivals: dict[str, dict[str, float]] = {}
+    for key in state.accepted:
+        equivalent = state.equivalent.get(key, ())
+        if equivalent or state.current.train_chi2 > state.chi2_limit:
+            fits = [f for f in state.alternatives.get(key, ()) if f.key in equivalent or not equivalent][:_MAX_RIVALS]
+            rivals |= {fit.key: fit.refit.values_of(fit.key) for fit in fits}
+            rivals[key] = state.current.refit.values_of(key)
+    if not rivals:
+        scored = sorted((r for r in state.ranking.values() if r.gain), key=lambda r: -(r.gain or 0.0))[:_MAX_RIVALS]
+        keys = [(r.detectability.key, r.strength) for r in scored]
+        rivals = {key: {f"effects.{key}.strength": strength or 0.0} for key, strength in keys}
+    return rivals

@@ -1,0 +1,333 @@
+"""The plant with every effect that its rig could have, and the recordings of a diagnosis on grids of one shape.
+
+Fits, scores, refits and predictions all run on the same compiled programs (``smajax.diagnosis.compiled_model``).
+"""
+
+import dataclasses
+import math
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters
+from smajax.diagnosis.candidates import EffectSet, NonparametricTerm, Refit, RefitSearch
+from smajax.diagnosis.compiled_model import (
+    SLOTS,
+    SlottedModel,
+    simulate,
+    slotted_model,
+    start_compilation,
+    start_solver,
+)
+from smajax.diagnosis.data_split import TRAIN, DataSplit
+from smajax.diagnosis.effect_parameters import EffectParameters, possible_effects
+from smajax.diagnosis.nonparametric import zero_terms
+from smajax.diagnosis.problem_layout import GriddedSplits, with_weights
+from smajax.diagnosis.screening import Score, score_test
+from smajax.errors import InputError
+from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.multi_start import MultiStartResult
+from smajax.fitting.problem import Problem, build_problem
+from smajax.fitting.unknowns import Settings
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+from smajax.simulation.inputs import Inputs
+from smajax.simulation.run import simulate_states
+
+# Steps on all samples after a search on some of them: its end is near, chosen by trial.
+_STEPS_ON_ALL_SAMPLES = 8
+# Steps for the own parameters of recordings outside of the training split, which are few and start at the rig's values;
+# chosen by trial.
+_ANCHOR_STEPS = 15
+
+_states = eqx.filter_jit(simulate_states)
+
+
+class DiagnosisProblem(GriddedSplits):
+    """A rig's augmented plant with its recordings on grids of one shape.
+
+    ``base_problem`` is the rig as its file has it, on the training split. ``effects`` are all effects that the rig has
+    or could have; those of the rig file (``modelled_effects``) stay, fitted where they are free, and candidates are the
+    others. A *base vector* holds the rig's free parameters, then those of each training recording; residuals are model
+    minus measurement over the noise. Data and their noise are those of ``GriddedSplits``.
+
+    Args:
+        plant: The plant of the rig file.
+        splits: Training, selection and holdout split, in this order; a recording stands for a split of its own.
+        settings: The fit settings of the rig file.
+        interpolation: How inputs are interpolated (``discretise``).
+        step: Length of the steps, s; ``None`` for the default.
+
+    Raises:
+        InputError: If start values are free, or a recording has rows without a value of an observed channel.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        splits: Sequence[DataSplit | Recording],
+        settings: Settings,
+        *,
+        interpolation: str,
+        step: float | None = None,
+    ):
+        if settings.initial:
+            raise InputError("a diagnosis takes no free start values: leave out fit.initial")
+        splits = [DataSplit((s,)) if isinstance(s, Recording) else s for s in splits]
+        _check_complete(splits, settings.observe)
+        train = splits[TRAIN].recordings
+        without_clock = set() if all(r.has_clock for r in train) else {"clock"}
+        self.capabilities = plant.capabilities(tuple(settings.observe)) - without_clock
+        self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
+        self.modelled_effects, self.effects = possible_effects(plant, settings.free, train, self.capabilities)
+        augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *zero_terms()))
+        self.effect_parameters = EffectParameters(self.effects, augmented, self.duration)
+        super().__init__(augmented, splits, settings, {"interpolation": interpolation, "step": step})
+        self.nominal, *bounds = self._vector_bounds[TRAIN]
+        self.bounds = tuple(bounds)
+        base = build_problem(plant, train, settings, interpolation=interpolation, step=step)
+        self.base_problem = with_weights(base, splits[TRAIN].rows(), self.noise)
+        self.simulations, self._counting = 0, threading.Lock()
+        empty = EffectSet()
+        start = self._vector(empty, self.nominal, ())
+        self._compiling = start_compilation(self._model(empty, (), self.problems[TRAIN]), start)
+
+    def wait_for_compilation(self) -> None:
+        """Wait until the large programs are compiled."""
+        for thread in self._compiling:
+            thread.join()
+
+    def count_simulations(self, count: int) -> None:
+        """Add to the number of simulations."""
+        with self._counting:  # searches run two at a time
+            self.simulations += count
+
+    @property
+    def size(self) -> int:
+        """Length of the base vector."""
+        return len(self.nominal)
+
+    def padded(self, point: np.ndarray) -> np.ndarray:
+        """Return the base vector of a point of ``base_problem``."""
+        return np.append(point, self.nominal[len(point) :])
+
+    def plausible_range(self, key: str) -> tuple[float, float]:
+        """Return an effect's plausible strengths in units of the typical one."""
+        return self.effect_parameters.plausible_range(key)
+
+    def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
+        """Return the shapes at which an effect is tried."""
+        return self.effect_parameters.shape_grid(key)
+
+    def free_effect_parameters(self, effect_set: EffectSet) -> list[str]:
+        """Return the names of the parameters that a fit of a set of effects frees: strengths first, then shapes."""
+        return self.effect_parameters.free(effect_set)
+
+    def vector_bounds(self, free: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper bounds of the base vector followed by these effect parameters."""
+        lower, upper = self.effect_parameters.bounds(free)
+        return np.append(self.bounds[0], lower), np.append(self.bounds[1], upper)
+
+    def score_effect(self, key: str, basis: np.ndarray, residual: np.ndarray, sensitivity: np.ndarray) -> Score:
+        """Score one effect's sensitivity against a projected residual (``score_test``)."""
+        return score_test(basis, residual, sensitivity, self.plausible_range(key), self.effects[key].absorbed_from)
+
+    def fitted_plant(self, refit: Refit) -> Plant:
+        """Return the plant with a refit's parameters and effects, without each recording's own parameters."""
+        shared, _ = self.problems[TRAIN].values(jnp.asarray(refit.base))
+        keys = refit.effect_set.keys
+        effects = tuple(self.effects[key] for key in (*self.modelled_effects, *keys))
+        plant = dataclasses.replace(self.base_problem.plant, effects=effects)
+        values = {name: value for name, value in refit.values.items() if name.split(".")[1] in keys}
+        return parameters.replace(plant, {**shared, **values})
+
+    def states(self, refit: Refit, inputs: Inputs) -> Any:
+        """Simulate the plant without effects, at a refit's parameters; ``inputs`` have the problem's shapes."""
+        return _states(dataclasses.replace(self.fitted_plant(refit), effects=()), inputs)[0]
+
+    def fit(
+        self,
+        effect_set: EffectSet,
+        base: np.ndarray,
+        *,
+        max_steps: int = 25,
+        rtol: float = 1e-5,
+        term: NonparametricTerm | None = None,
+        stride: int = 1,
+    ) -> Refit:
+        """Fit a set of effects to the training split, from a base vector and the set's own values.
+
+        Args:
+            effect_set: The effects, with start values of their parameters.
+            base: Start of the base vector, shape ``(p,)``.
+            max_steps: Largest number of steps.
+            rtol: Relative fall of the cost at which the search ends.
+            term: A nonparametric term that is fitted as well.
+            stride: Distance of the samples that are used (``strided_problem``).
+        """
+        return self.refit_from(
+            self.start_search(effect_set, base, rtol=rtol, term=term, stride=stride).advance(max_steps)
+        )
+
+    def start_search(
+        self,
+        effect_set: EffectSet,
+        base: np.ndarray,
+        *,
+        rtol: float = 1e-6,
+        term: NonparametricTerm | None = None,
+        near_nominal: bool = False,
+        hold_shapes: bool = False,
+        stride: int = 1,
+    ) -> RefitSearch:
+        """Set up the search of ``fit`` without a step.
+
+        With ``near_nominal`` the base parameters are held near the rig's own values, with ``hold_shapes`` the effects'
+        shapes at theirs.
+        """
+        free, nodes = self.free_effect_parameters(effect_set), term.matrix.shape[1] if term else 0
+        lower, upper = (np.append(side, np.zeros(SLOTS - len(free))) for side in self.vector_bounds(free))
+        if near_nominal:
+            lower[: self.size], upper[: self.size] = map(self.padded, self.base_problem.search_bounds())
+        first_node = self.size + len(free)
+        lower[first_node:][:nodes], upper[first_node:][:nodes] = -math.inf, math.inf
+        problem = self.strided_problem(stride)
+        stride = 1 if problem is self.problems[TRAIN] else stride
+        model = self._model(effect_set, free, problem, term)
+        start = self._vector(effect_set, base, free)
+        if hold_shapes:
+            shapes = slice(self.size + len(effect_set.keys), self.size + len(free))
+            lower[shapes] = upper[shapes] = start[shapes]
+        solver = start_solver(model, start, lower, upper, rtol)
+        return RefitSearch(solver, effect_set, term, stride, near_nominal, rtol, self.count_simulations)
+
+    def continue_on_all_samples(self, search: RefitSearch, steps: int = _STEPS_ON_ALL_SAMPLES) -> RefitSearch:
+        """Continue a search that uses some of the samples with all of them, by at most so many steps."""
+        if search.stride == 1:
+            return search
+        effect_set, base, _ = self._end_of(search)
+        return self.start_search(effect_set, base, near_nominal=search.near_nominal, rtol=search.rtol).advance(steps)
+
+    def refit_from(self, search: RefitSearch) -> Refit:
+        """Return the refit at the end of a search, with residual and Jacobian of all samples."""
+        effect_set, base, result = self._end_of(search)
+        free = self.free_effect_parameters(effect_set)
+        columns = self.size + len(free)
+        nodes = result.points[0][columns:][: search.term.matrix.shape[1] if search.term else 0]
+        if search.stride == 1:
+            residual, jacobian = result.residuals[0], result.jacobians[0]
+        else:
+            residual, jacobian = self.evaluate(effect_set, base, TRAIN, free, search.term, nodes)
+        status = result.statuses[0] if np.all(np.isfinite(residual)) else SolverStatus.failed
+        return Refit(effect_set, base, residual, jacobian[:, :columns], status, nodes)
+
+    def _end_of(self, search: RefitSearch) -> tuple[EffectSet, np.ndarray, MultiStartResult]:
+        """The set of effects with the values where a search is, the base vector there, and the solver's result."""
+        result, free = search.solver.result(), self.free_effect_parameters(search.effect_set)
+        point = result.points[0]
+        scale = self.effect_parameters.scale
+        values = {name: float(point[self.size + j] * scale(name)) for j, name in enumerate(free)}
+        return search.effect_set.with_values(values), point[: self.size], result
+
+    def cost(self, effect_set: EffectSet, base: np.ndarray, stride: int) -> float:
+        """Return the sum of the squared residuals on the samples of ``strided_problem``; infinite where it fails."""
+        residual = self.predict_on(self.strided_problem(stride), effect_set, base)
+        return float(residual @ residual) if np.all(np.isfinite(residual)) else math.inf
+
+    def evaluate(
+        self,
+        effect_set: EffectSet,
+        base: np.ndarray,
+        split: int,
+        free: Sequence[str] = (),
+        term: NonparametricTerm | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute residual and Jacobian on a split.
+
+        Returns:
+            The residual, shape ``(m,)``, and its derivatives with respect to the base vector, the effect parameters
+            ``free`` and the nodes of a nonparametric term, shape ``(m, columns)``.
+        """
+        if split and self.own_count:
+            base = self._with_own_parameters(effect_set, base, split)
+        return self.evaluate_on(self.problems[split], effect_set, base, free, term, nodes)
+
+    def evaluate_on(
+        self,
+        problem: Problem,
+        effect_set: EffectSet,
+        base: np.ndarray,
+        free: Sequence[str] = (),
+        term: NonparametricTerm | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Compute residual and Jacobian as ``evaluate`` does, on a problem of the same shapes."""
+        columns = self.size + len(free) + (term.matrix.shape[1] if term else 0)
+        start, unbounded = self._vector(effect_set, base, free, nodes), np.full(self.size + SLOTS, math.inf)
+        model = self._model(effect_set, free, problem, term)
+        result = start_solver(model, start, -unbounded, unbounded).advance(1).result()
+        self.count_simulations(result.simulations)
+        failed = result.statuses[0] is SolverStatus.failed
+        return np.where(failed, math.nan, result.residuals[0]), result.jacobians[0][:, :columns]
+
+    def predict(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
+        """Compute the residual on a split, shape ``(m,)``, without derivatives; NaN where the simulation fails."""
+        if split and self.own_count:
+            base = self._with_own_parameters(effect_set, base, split)
+        return self.predict_on(self.problems[split], effect_set, base)
+
+    def predict_on(
+        self,
+        problem: Problem,
+        effect_set: EffectSet,
+        base: np.ndarray,
+        free: Sequence[str] = (),
+        term: NonparametricTerm | None = None,
+        nodes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Compute the residual as ``predict`` does, on a problem of the same shapes."""
+        start = jnp.asarray(self._vector(effect_set, base, free, nodes))
+        residual = np.asarray(simulate(start, self._model(effect_set, free, problem, term)).residual)
+        self.count_simulations(1)
+        return residual if math.isfinite(float(residual @ residual)) else np.full(len(residual), math.nan)
+
+    def _model(
+        self, effect_set: EffectSet, free: Sequence[str], problem: Problem, term: NonparametricTerm | None = None
+    ) -> SlottedModel:
+        own = self.effect_parameters
+        scales = [(name, own.scale(name)) for name in free]
+        return slotted_model(problem, (own.names, own.values), effect_set, scales, term)
+
+    def _vector(
+        self, effect_set: EffectSet, base: np.ndarray, free: Sequence[str], nodes: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The programs' vector: base vector, then the slots."""
+        values, own = dict(effect_set.values), self.effect_parameters
+        slots = [values.get(name, own.value(name)) / own.scale(name) for name in free]
+        slots += [] if nodes is None else list(nodes)
+        return np.concatenate([base, slots, np.zeros(SLOTS - len(slots))])
+
+    def _with_own_parameters(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
+        """The base vector on a split: shared parameters of ``base``, each recording's own fitted to its anchor rows."""
+        start, lower, upper = (
+            np.concatenate([base[: self.shared_count], own[self.shared_count :], np.zeros(SLOTS)])
+            for own in self._vector_bounds[split]
+        )
+        problem = with_weights(self.problems[split], self.splits[split].anchor_rows(), self.noise)
+        result = start_solver(self._model(effect_set, (), problem), start, lower, upper).advance(_ANCHOR_STEPS).result()
+        self.count_simulations(result.simulations)
+        return result.points[0][: self.size]
+
+
+def _check_complete(splits: Sequence[DataSplit], observe: Sequence[str]) -> None:
+    for recording in (r for split in splits for r in split.recordings):
+        gaps = [c for c in observe if not np.all(np.isfinite(recording.channels.get(c, 0.0)))]
+        if gaps:
+            raise InputError(
+                f"{recording.name}: a diagnosis needs {gaps[0]} at every row: leave out the rows without a value"
+            )

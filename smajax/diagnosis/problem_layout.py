@@ -1,0 +1,174 @@
+"""The recordings of a diagnosis on grids of one shape: one fit problem, divided into one a split."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.diagnosis.compiled_model import PADDING_MULTIPLE
+from smajax.diagnosis.data_split import TRAIN, DataSplit
+from smajax.diagnosis.step_lengths import steps_per_sample, with_longer_steps
+from smajax.fitting.problem import Problem, build_problem
+from smajax.fitting.unknowns import Settings
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+from smajax.simulation.inputs import discretise
+
+
+class VectorBounds(NamedTuple):
+    """Nominal values and bounds of a split's base parameters, each of shape ``(p,)``."""
+
+    nominal: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Problem], list[VectorBounds]]:
+    """Make a problem of each split, and the bounds of its vector: shared parameters, then those of its own recordings.
+
+    Splits with fewer recordings than the largest are filled up with their last one, whose own parameters are held then.
+
+    Args:
+        whole: The problem of all recordings, split after split.
+        splits: The splits.
+    """
+    shared, own = len(whole.shared), len(whole.per_recording)
+    size, first = max(len(split.recordings) for split in splits), 0
+    problems: list[Problem] = []
+    bounds: list[VectorBounds] = []
+    unknowns: tuple = ()
+    for split in splits:
+        count = len(split.recordings)
+        recordings = first + np.minimum(np.arange(size), count - 1)
+        own_entries = shared + (recordings[:, None] * own + np.arange(own)).ravel()
+        entries = np.concatenate([np.arange(shared), own_entries]).astype(int)
+        # The first split's unknowns serve all, as static data of one program.
+        unknowns = unknowns or tuple(whole.unknowns[i] for i in entries)
+        data = jax.tree.map(lambda leaf, at=recordings: leaf[at] if leaf.ndim else leaf, whole.data)
+        problems.append(dataclasses.replace(whole, data=data, scales=whole.scales[entries], unknowns=unknowns))
+        nominal, (lower, upper) = whole.nominal[entries], (side[entries] for side in whole.bounds)
+        held = np.arange(len(entries)) >= shared + own * count
+        bounds.append(VectorBounds(nominal, np.where(held, nominal, lower), np.where(held, nominal, upper)))
+        first += count
+    return problems, bounds
+
+
+def with_weights(problem: Problem, rows: Sequence[np.ndarray], noise: Mapping[str, float]) -> Problem:
+    """Return the problem with only these rows of each recording weighted; recordings without rows have no weight.
+
+    Args:
+        problem: The problem of a split.
+        rows: Indices of the scored rows of each recording.
+        noise: Standard deviation of each channel, SI.
+    """
+    weight = np.zeros(problem.data.weight.shape)
+    inverse = np.array([1.0 / noise[c] for c in problem.channels])
+    for k, scored in enumerate(rows):
+        weight[k][:, scored] = inverse[:, None]
+    return dataclasses.replace(problem, data=eqx.tree_at(lambda d: d.weight, problem.data, jnp.asarray(weight)))
+
+
+class GriddedSplits:
+    """The splits of a diagnosis, each as a fit problem of the same shapes, with the noise of their channels.
+
+    Args:
+        plant: The plant of all problems.
+        splits: Training, selection and holdout split, in this order.
+        settings: The fit settings of the rig file.
+        grid_options: ``interpolation`` and ``step`` of ``discretise``.
+    """
+
+    def __init__(self, plant: Plant, splits: Sequence[DataSplit], settings: Settings, grid_options: dict[str, Any]):
+        self.splits = list(splits)
+        self.channels = tuple(settings.observe)
+        self._grid_options = grid_options
+        self._pieces = 1  # usual steps that one step of the problems replaces
+        self._rows = [split.rows() for split in self.splits]
+        self._has_clock = all(r.has_clock for r in self.splits[TRAIN].recordings)
+        # Built together, so that all have the length of the longest.
+        everything = [r for split in self.splits for r in split.recordings]
+        whole = build_problem(plant, everything, settings, **grid_options, multiple=PADDING_MULTIPLE)
+        end = jnp.max(whole.data.inputs.sample_indices)
+        whole = dataclasses.replace(whole, data=dataclasses.replace(whole.data, end_index=end))
+        largest_weight = np.max(np.asarray(whole.data.weight), axis=(0, 2))
+        self.noise: dict[str, float] = dict(zip(self.channels, 1.0 / largest_weight, strict=True))
+        self.shared_count, self.own_count = len(whole.shared), len(whole.per_recording)
+        self.problems, self._vector_bounds = divide_problem(whole, self.splits)
+        self.set_noise(self.noise)
+
+    def set_noise(self, noise: dict[str, float]) -> None:
+        """Weight all recordings by these standard deviations of the channels, SI."""
+        self.noise = dict(noise)
+        self.problems = [with_weights(p, rows, self.noise) for p, rows in zip(self.problems, self._rows, strict=True)]
+        self._strided: dict[int, Problem] = {}
+
+    @property
+    def samples(self) -> int:
+        """Number of scored samples of the training split."""
+        return int(np.sum(np.asarray(self.problems[TRAIN].data.weight) > 0.0))
+
+    def series(self, residual: np.ndarray, split: int = TRAIN) -> dict[str, np.ndarray]:
+        """Return a residual of a split as a series of scored samples a channel, recording after recording."""
+        by_recording = residual.reshape(len(self.problems[split].data.measured), len(self.channels), -1)
+        return {
+            c: np.concatenate([by_recording[r, i, rows] for r, rows in enumerate(self._rows[split])])
+            for i, c in enumerate(self.channels)
+        }
+
+    def inputs(self, split: int = TRAIN) -> dict[str, np.ndarray]:
+        """Return the driving channels of a split on the rows of ``series``."""
+        pairs = list(zip(self.splits[split].recordings, self._rows[split], strict=True))
+        signals = self.problems[split].plant.signals
+        return {name: np.concatenate([r.channels[name][rows] for r, rows in pairs]) for name in signals}
+
+    def counted_samples(self, residual: np.ndarray, split: int = TRAIN) -> np.ndarray:
+        """Return the scored samples of a residual of a split, channel after channel."""
+        return np.concatenate(list(self.series(residual, split).values()))
+
+    def reduced_chi2(self, residual: np.ndarray, split: int) -> float:
+        """Return the mean square of a residual over the noise: 1 where only noise is left."""
+        return float(np.mean(self.counted_samples(residual, split) ** 2))
+
+    def strided_problem(self, stride: int) -> Problem:
+        """Return the training split at every ``stride``-th sample, on steps as many times as long.
+
+        A split without a clock, or whose steps would be too long for it, stays what it is.
+        """
+        if stride > 1 and stride not in self._strided:
+            longer = self._with_longer_steps(TRAIN, stride, self._pieces)
+            self._strided[stride] = longer or self.problems[TRAIN]
+        return self._strided[stride] if stride > 1 else self.problems[TRAIN]
+
+    def _with_longer_steps(self, split: int, stride: int, pieces: int) -> Problem | None:
+        if not self._has_clock:
+            return None
+        recordings = self.splits[split].recordings
+        return with_longer_steps(self.problems[split], recordings, stride, pieces=pieces, **self._grid_options)
+
+    def lengthen_steps(self, is_accurate: Callable[[Problem], bool]) -> None:
+        """Take one step from sample to sample, where there usually are more, if that ``is_accurate``.
+
+        ``is_accurate`` is called with the problem of the training split on these steps."""
+        pieces = steps_per_sample(self.problems[TRAIN], self.splits[TRAIN].recordings)
+        if pieces > 1 and (first := self._with_longer_steps(TRAIN, 1, pieces)) and is_accurate(first):
+            others = [self._with_longer_steps(k, 1, pieces) or p for k, p in enumerate(self.problems[1:], 1)]
+            self._pieces, self.problems, self._strided = pieces, [first, *others], {}
+
+    def problem_for_inputs(self, recording: Recording) -> Problem | None:
+        """Return a problem of the same shapes under a recording's inputs; ``None`` if these need a longer grid."""
+        train = self.problems[TRAIN]
+        inputs = discretise(train.plant, recording, **self._grid_options)
+        if self._pieces > 1:
+            inputs = inputs.coarsen(1, held=self._grid_options["interpolation"] == "hold", pieces=self._pieces)
+        count, points = train.data.inputs.time.shape
+        samples = train.data.inputs.sample_indices.shape[1]
+        if len(inputs.time) > points or len(inputs.sample_indices) > samples:
+            return None
+        padded = inputs.pad(points, samples)
+        inputs = jax.tree.map(lambda leaf: jnp.asarray(np.repeat(np.asarray(leaf)[None], count, axis=0)), padded)
+        data = dataclasses.replace(train.data, inputs=inputs, end_index=jnp.max(inputs.sample_indices))
+        return with_weights(dataclasses.replace(train, data=data), [np.arange(len(recording))], self.noise)

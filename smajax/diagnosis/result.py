@@ -1,0 +1,239 @@
+"""The result of a diagnosis, in numbers: errors before and after, intervals, and what is excluded."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
+from smajax.diagnosis.candidates import EffectSet, Refit
+from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
+from smajax.diagnosis.detectability import Detectability, detectability_from_score
+from smajax.diagnosis.next_experiment import NextExperiment
+from smajax.diagnosis.nonparametric_fit import NonparametricFit
+from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
+from smajax.diagnosis.screening import DETECTABLE
+from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
+from smajax.diagnosis.step_errors import estimate_step_error
+from smajax.fitting.intervals import estimate_covariance
+from smajax.plant.effects import catalogue
+
+# Half width of a 95 % interval in standard deviations.
+_NORMAL_95 = 1.96
+# Blocks into which a residual is divided for the bootstrap, each longer than its correlation. Chosen by trial.
+_BLOCKS = 50
+# Random samples of the bootstrap: its 2.5 % quantile then rests on 25 of them.
+_DRAWS = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class Conclusion:
+    """The conclusion of a diagnosis: verdict, stage of the residual, its form, and the next experiment."""
+
+    verdict: str
+    unresolved_stage: str | None = None
+    nonparametric_fit: NonparametricFit | None = None
+    next_experiment: NextExperiment | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosis:
+    """The result of a diagnosis. RMSEs in SI by channel.
+
+    Attributes:
+        verdict: "named", "named-up-to-class", "partial", "unresolved" or "nothing-missing".
+        effects: Keys of the accepted effects.
+        equivalent: For each of them the effects that explain the recordings as well.
+        unresolved_stage: The stage where an unexplained residual lives.
+        detectability: What the training input can show of each effect.
+        ranking: What the first round says of each effect.
+        excluded: Effects that would have been seen from their minimum detectable strength on.
+        stage_shares: Share of the base fit's residual that can live in each stage.
+        noise: Standard deviation of each channel, SI, and its source.
+        before: The base fit, fitted to training and selection split together.
+        after: The fit with the accepted effects, fitted likewise.
+        base_fit_converged: Whether the base fit of the training split converged.
+        reduced_chi2: Reduced chi-squared of ``before`` and ``after`` on the training split, and its limit.
+        rmse: RMSE by channel and "train_before", ..., "holdout_after".
+        cut95: 95 % interval of the cut of the holdout's RMSE by channel.
+        rejected: Effects that were not accepted, and why.
+        intervals: 95 % intervals of the effects' parameters, SI.
+        predictions: Model minus measurement, SI, by "before" and "after", split and channel.
+        residual_statistics: Those of the training residual by "before" and "after", and channel.
+        nonparametric_fit: The form of an unexplained residual.
+        next_experiment: The input to run next.
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    equivalent: dict[str, tuple[str, ...]]
+    unresolved_stage: str | None
+    detectability: tuple[Detectability, ...]
+    ranking: tuple[CandidateSummary, ...]
+    excluded: tuple[Detectability, ...]
+    stage_shares: dict[str, float]
+    noise: dict[str, tuple[float, str]]
+    before: Refit
+    after: Refit
+    base_fit_converged: bool
+    reduced_chi2: tuple[float, float, float]
+    rmse: dict[str, dict[str, float]]
+    cut95: dict[str, tuple[float, float]]
+    rejected: tuple[tuple[str, str], ...]
+    intervals: dict[str, tuple[float, float]]
+    predictions: dict[str, list[dict[str, np.ndarray]]]
+    residual_statistics: dict[str, dict[str, ResidualStatistics]]
+    nonparametric_fit: NonparametricFit | None
+    next_experiment: NextExperiment | None
+
+
+def summarise(
+    evaluator: CandidateEvaluator, state: SelectionState, before: Refit, after: Refit, conclusion: Conclusion
+) -> Diagnosis:
+    """Put the result of a diagnosis together.
+
+    Args:
+        evaluator: The evaluator.
+        state: The state at the end of the selection.
+        before: The base fit by which the holdout is predicted.
+        after: The fit with the accepted effects by which the holdout is predicted.
+        conclusion: The outcome.
+    """
+    problem, noise = evaluator.problem, evaluator.problem.noise
+    series = _residual_series(evaluator, before, after)
+    predictions = {
+        when: [{c: v * noise[c] for c, v in by_channel.items()} for by_channel in splits]
+        for when, splits in series.items()
+    }
+    cut95 = {
+        c: bootstrap_cut(predictions["before"][HOLDOUT][c], predictions["after"][HOLDOUT][c], evaluator.seed)
+        for c in problem.channels
+    }
+    statistics = {
+        when: {c: residual_statistics(v, problem.inputs()) for c, v in splits[TRAIN].items()}
+        for when, splits in predictions.items()
+    }
+    unexplained = conclusion.verdict in ("partial", "unresolved")
+    return Diagnosis(
+        verdict=conclusion.verdict,
+        effects=tuple(state.accepted),
+        equivalent={key: state.equivalent[key] for key in state.accepted if state.equivalent.get(key)},
+        unresolved_stage=conclusion.unresolved_stage,
+        detectability=tuple(state.detectability.values()),
+        ranking=tuple(state.ranking.values()),
+        excluded=() if unexplained else _excluded_effects(evaluator, state),
+        stage_shares=state.stage_shares,
+        noise=state.noise,
+        before=before,
+        after=after,
+        base_fit_converged=state.base_fit_converged,
+        reduced_chi2=(
+            problem.reduced_chi2(before.residual, TRAIN),
+            problem.reduced_chi2(after.residual, TRAIN),
+            state.chi2_limit,
+        ),
+        rmse=_errors(series, noise),
+        cut95=cut95,
+        rejected=tuple(state.rejected),
+        intervals=effect_intervals(evaluator, after),
+        predictions=predictions,
+        residual_statistics=statistics,
+        nonparametric_fit=conclusion.nonparametric_fit,
+        next_experiment=conclusion.next_experiment,
+    )
+
+
+def _residual_series(
+    evaluator: CandidateEvaluator, before: Refit, after: Refit
+) -> dict[str, list[dict[str, np.ndarray]]]:
+    """Residuals over the noise by "before" and "after", split and channel."""
+    problem = evaluator.problem
+    residuals = {
+        "before": [before.residual, *(problem.predict(EffectSet(), before.base, k) for k in (SELECT, HOLDOUT))],
+        "after": [after.residual, *(problem.predict(after.effect_set, after.base, k) for k in (SELECT, HOLDOUT))],
+    }
+    return {when: [problem.series(r, k) for k, r in enumerate(splits)] for when, splits in residuals.items()}
+
+
+def _errors(series: dict[str, list[dict[str, np.ndarray]]], noise: dict[str, float]) -> dict[str, dict[str, float]]:
+    """RMSE, SI, by channel and split, before and after."""
+    return {
+        c: {
+            f"{name}_{when}": float(np.sqrt(np.mean(series[when][k][c] ** 2))) * noise[c]
+            for k, name in enumerate(SPLIT_NAMES)
+            for when in ("before", "after")
+        }
+        for c in series["before"][TRAIN]
+    }
+
+
+def _excluded_effects(evaluator: CandidateEvaluator, state: SelectionState) -> tuple[Detectability, ...]:
+    """Effects of which the last fit's residual, which is noise, has no trace: their strength there may as well be 0."""
+    scores = evaluator.scores(state.current.refit)
+    doubtful = {key for keys in state.equivalent.values() for key in keys} | {key for key, _ in state.rejected}
+    excluded = []
+    for key, score in scores.best.items():
+        sensitivity = scores.sensitivities[key, scores.shapes[key]]
+        detectability = detectability_from_score(catalogue()[key], score, sensitivity, scores.jacobian, [])
+        half_width = _NORMAL_95 / DETECTABLE * score.minimum_detectable_strength
+        if detectability.status == "testable" and key not in doubtful and abs(score.strength) < half_width:
+            excluded.append(detectability)
+    return tuple(excluded)
+
+
+def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, tuple[float, float]]:
+    """Compute 95 % intervals of the effects' parameters, SI.
+
+    Their width is that by the residual's own autocorrelation, and the change of the estimates by the finite length of
+    the steps.
+
+    Args:
+        evaluator: The evaluator.
+        refit: The fit to training and selection split.
+    """
+    problem, free_parameters = evaluator.problem, evaluator.problem.free_effect_parameters(refit.effect_set)
+    if not free_parameters:
+        return {}
+    free = evaluator.free_columns(refit)
+    jacobians, residuals, by_split = [], [], []
+    for k in (TRAIN,) if problem.own_count else (TRAIN, SELECT):
+        residual, jacobian = problem.evaluate(refit.effect_set, refit.base, k, free_parameters)
+        columns = [problem.series(c, k) for c in jacobian[:, free].T]
+        for name, series in problem.series(residual, k).items():
+            jacobians.append(np.column_stack([c[name] for c in columns]))
+            residuals.append(series)
+        by_split.append(np.concatenate(jacobians[-len(problem.channels) :]))
+    covariance = estimate_covariance(jacobians, residuals, int(np.sum(free)))
+    spread = _NORMAL_95 * np.sqrt(np.diag(covariance))
+    # Steps of finite length pull the parameters on the other recordings as they do on the first one.
+    inverse = np.linalg.pinv(sum(j.T @ j for j in by_split), hermitian=True)
+    spread += np.abs(inverse @ (by_split[0].T @ estimate_step_error(problem, refit))) * len(by_split)
+    scale = problem.effect_parameters.scale
+    return {
+        name: (refit.values[name] - s * scale(name), refit.values[name] + s * scale(name))
+        for name, s in zip(free_parameters, spread[-len(free_parameters) :], strict=True)
+        if math.isfinite(s)
+    }
+
+
+def bootstrap_cut(before: np.ndarray, after: np.ndarray, seed: int, draws: int = _DRAWS) -> tuple[float, float]:
+    """Compute a 95 % interval of the fall of the RMSE by a bootstrap of blocks, each a fiftieth of the recording.
+
+    Args:
+        before: Residual without effects, shape ``(n,)``.
+        after: Residual with them, shape ``(n,)``.
+        seed: Seed of the random samples.
+        draws: Their number.
+
+    Returns:
+        Lower and upper end, in the unit of the residuals.
+
+    Source: carlstein1986.
+    """
+    length = max(1, len(before) // _BLOCKS)
+    count = len(before) // length
+    squares = [np.mean((v[: count * length] ** 2).reshape(count, length), axis=1) for v in (before, after)]
+    pick = np.random.default_rng(seed).integers(0, count, (draws, count))
+    cut = np.sqrt(np.mean(squares[0][pick], axis=1)) - np.sqrt(np.mean(squares[1][pick], axis=1))
+    low, high = np.quantile(cut, [0.025, 0.975])
+    return float(low), float(high)

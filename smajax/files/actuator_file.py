@@ -1,0 +1,169 @@
+"""An actuator's rig.toml: ``kind`` under ``[rig]``, and a section for each part with its declared parameters.
+
+schema = 1
+
+[rig]
+kind = "flexural"
+
+[wire]
+diameter = "0.3 mm"
+"""
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import equinox as eqx
+from pydantic import BaseModel, Field
+
+from smajax import parameters
+from smajax.actuators.base import AbstractActuator
+from smajax.actuators.flexural import FlexuralActuator
+from smajax.actuators.knee import Knee
+from smajax.actuators.soft_bending import SoftBending
+from smajax.errors import InputError
+from smajax.files.renamed_keys import current_line_numbers, with_current_keys
+from smajax.files.rig_checks import check_coil, check_order, check_whole
+from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, render_toml, validate, write_text
+from smajax.files.validators import one_of, section_model
+from smajax.parameters import as_float, declarations
+from smajax.plant.coil import Coil
+from smajax.recordings.datasets import data_path
+from smajax.units import as_text, example_of
+
+ACTUATORS: Mapping[str, type[AbstractActuator]] = {
+    "flexural": FlexuralActuator,
+    "soft-bending": SoftBending,
+    "knee": Knee,
+}
+
+
+class _Head(BaseModel):
+    """``[rig]``."""
+
+    model_config = STRICT
+    kind: Annotated[str, one_of(ACTUATORS)] = Field(examples=['"flexural"'])
+
+
+def is_actuator(text: str) -> bool:
+    """Whether a TOML text is an actuator's, by its kind, and not a rig's."""
+    try:
+        head = tomllib.loads(text).get("rig")
+    except tomllib.TOMLDecodeError:
+        return False
+    return isinstance(head, dict) and head.get("kind") in ACTUATORS
+
+
+def kind_of(actuator: AbstractActuator) -> str:
+    """Return the kind by which files name an actuator."""
+    return next(kind for kind, actuator_class in ACTUATORS.items() if actuator_class is type(actuator))
+
+
+def read_actuator(path: str | Path) -> AbstractActuator:
+    """Read and check an actuator's file.
+
+    Raises:
+        InputError: one sentence with file, section and key, and the cure.
+    """
+    return parse_actuator(read_text(Path(path), "actuator"), str(path))
+
+
+def parse_actuator(text: str, name: str = "actuator.toml") -> AbstractActuator:
+    """Parse and check the text of an actuator's file.
+
+    Args:
+        text: The text.
+        name: Name of the file in messages.
+
+    Raises:
+        InputError: one sentence with file, section and key, and the cure.
+    """
+    data = parse_toml(text, name)
+    try:
+        return _build(with_current_keys(data), Path(name).name, current_line_numbers(text))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def to_toml(actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> str:
+    """Return the text of a file that holds every parameter; read back it gives the same actuator.
+
+    Args:
+        actuator: The actuator.
+        values: Values by name in internal units, in place of its own.
+
+    Raises:
+        InputError: if the values make no actuator.
+    """
+    for name in values or {}:
+        parameters.declaration(actuator, name)
+    actuator = parameters.replace(actuator, values or {})
+    data: dict[str, Any] = {"schema": 1, "rig": {"kind": kind_of(actuator)}}
+    for section, part in parameters.sections(actuator).items():
+        units = {key: d.unit for key, d in declarations(part).items() if getattr(part, key) is not None}
+        data[section] = {key: as_text(float(getattr(part, key)), unit) for key, unit in units.items()}
+    text = render_toml(data)
+    parse_actuator(text, "the actuator with new values")
+    return text
+
+
+def write(path: str | Path, actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> None:
+    """Write ``to_toml`` to a file, completely or not at all."""
+    write_text(Path(path), to_toml(actuator, values))
+
+
+def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> AbstractActuator:
+    check_schema(data)
+    if "rig" not in data:
+        raise InputError('the section [rig] is missing: add [rig] with a line kind = "flexural"')
+    kind = validate(_Head, data["rig"], "rig").kind
+    actuator_class = ACTUATORS[kind]
+    typed = [(f.name, f.type) for f in dataclasses.fields(actuator_class)]
+    parts = {n: part for n, part in typed if isinstance(part, type) and issubclass(part, eqx.Module)}
+    for section, content in data.items():
+        if section not in parts and section not in ("schema", "rig"):
+            unknown = f"[{section}] is not a section of this actuator"
+            what = unknown if isinstance(content, dict | list) else f"{section} is not known"
+            raise InputError(f"{what}{advice(section, ['rig', *parts], 'the sections are')}")
+    built: dict[str, Any] = {
+        section: _build_part(kind, section, part, data.get(section, {})) for section, part in parts.items()
+    }
+    actuator = actuator_class(**built)
+    names = parameters.all_declarations(actuator)
+    _check(actuator, {n: f"{name} line {rows[n]}" if n in rows else name for n in names})
+    return actuator
+
+
+def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
+    """Refuse what no actuator, rig or coil can be, then what this actuator cannot be.
+
+    ``place`` says where each parameter stands.
+    """
+    table = parameters.all_declarations(actuator)
+
+    def value(name: str) -> float | None:
+        number = float(parameters.get(actuator, name)) if name in table else math.nan
+        return None if math.isnan(number) else number
+
+    check_whole(table, value, place)
+    check_order(value, lambda n: table[n].unit, place)
+    for part in parameters.sections(actuator).values():
+        if isinstance(part, Coil):
+            check_coil(part)
+    actuator.check()
+
+
+def _build_part(kind: str, section: str, part: type[eqx.Module], content: Any) -> eqx.Module:
+    table = declarations(part)
+    values = validate(section_model(section, table), content, section).model_dump(exclude_unset=True)
+    for key, declaration in table.items():
+        if key not in values and declaration.default is None:
+            path = data_path("actuators", kind, "rig.toml")
+            template = parse_toml(path.read_text("utf-8"), str(path))
+            example = template.get(section, {}).get(key, example_of(declaration.unit))
+            needs = f'an actuator of kind {kind} needs a line like {key} = "{example}" under [{section}]'
+            raise InputError(f"{section}.{key} is missing: {needs}")
+    return part(**{key: as_float(value) for key, value in values.items()})

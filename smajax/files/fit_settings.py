@@ -1,0 +1,205 @@
+"""The section ``[fit]`` of a rig file: free parameters with their bounds, and fitted channels with their noise."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from smajax import parameters
+from smajax.channels import channel_of, channel_unit
+from smajax.errors import InputError, suggestion
+from smajax.files.rig_kinds import KINDS, rig_phrase
+from smajax.files.rig_schema import FitSection
+from smajax.files.toml import flatten_keys, show
+from smajax.parameters import TIES, Declaration
+from smajax.plant.plant import Plant
+from smajax.plant.wire import Initial
+from smajax.units import as_text, parse_quantity
+
+# Starting points of a fit by default.
+_STARTS = 4
+# Free parameters above which there is one starting point for each; chosen by trial, tests/unit/files/test_rig_file.py
+# holds it.
+_MAX_PARAMETERS_OF_DEFAULT_STARTS = 10
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """The section ``[fit]``.
+
+    Attributes:
+        model: Material law.
+        free: Parameters with one value for all recordings.
+        per_recording: Parameters with a value for each recording, whether or not they are in ``free``.
+        initial: Initial states that are free: temperature, detwinned, twinned.
+        bounds: Bounds in internal units by parameter name.
+        observe: Channels that are fitted.
+        noise: Standard deviations in SI (K) by channel.
+        starts: Number of starting points.
+        seed: Seed of the random starting points.
+    """
+
+    model: str
+    free: tuple[str, ...]
+    per_recording: tuple[str, ...]
+    initial: tuple[str, ...]
+    bounds: Mapping[str, tuple[float, float]]
+    observe: tuple[str, ...]
+    noise: Mapping[str, float]
+    starts: int = _STARTS
+    seed: int = 0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters that a fit may change, by name."""
+        return tuple(dict.fromkeys([*self.free, *self.per_recording, *(f"initial.{state}" for state in self.initial)]))
+
+
+def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
+    """Return the channels that are fitted: those of the file, else the coordinate of this kind of rig."""
+    if fit.observe is None:
+        return ("stress" if kind == "testing-machine" else KINDS[kind].coordinate,)
+    if not fit.observe:
+        cure = 'name at least one channel, as in observe = ["displacement"], or leave the line out'
+        raise InputError(f"fit.observe is empty: {cure}")
+    refuse_duplicates(fit.observe, "fit.observe")
+    return tuple(fit.observe)
+
+
+def channels_of_sensors(names: Iterable[str]) -> list[str]:
+    """Return the channels whose sensor gain or offset is among the parameter names."""
+    keys = [name.removeprefix("sensor.") for name in names if name.startswith("sensor.")]
+    return [key.rpartition("_")[0] for key in keys if channel_of(key.rpartition("_")[0])]
+
+
+def check_observed(observe: Sequence[str], plant: Plant, kind: str) -> None:
+    """Refuse channels that this plant does not give, or that drive it."""
+    possible = [channel for channel in plant.observable if channel not in plant.signals]
+    for channel in observe:
+        if channel in plant.signals:
+            drives = f"fit.observe has {channel}, which drives this {kind} rig"
+            raise InputError(f"{drives}: observe one of {', '.join(possible)}")
+        if channel not in possible:
+            what = f"fit.observe has '{channel}', which {rig_phrase(kind)} does not give"
+            raise InputError(f"{what}{suggestion(channel, possible)}: it gives {', '.join(possible)}")
+
+
+def fit_settings(
+    fit: FitSection,
+    observe: tuple[str, ...],
+    plant: Plant,
+    inert: frozenset[str],
+    set_bounds: Mapping[str, tuple[float, float]],
+) -> FitSettings:
+    """Return the settings, checked against the plant.
+
+    Args:
+        fit: The section of the file.
+        observe: Channels that are fitted.
+        plant: The plant with its nominal values.
+        inert: Parameters of the plant that this kind of rig does not use.
+        set_bounds: Bounds of the parameter set, which hold where the rig gives none.
+    """
+    table = {name: d for name, d in parameters.all_declarations(plant).items() if name not in inert}
+    states = [f.name for f in fields(Initial) if f"initial.{f.name}" in table]
+    # An initial state may stand in either list, with or without its section; it is kept in one place.
+    among_free = [name.removeprefix("initial.") for name in fit.free if name.startswith("initial.")]
+    initial = [name.removeprefix("initial.") for name in fit.initial] + among_free
+    free = [name for name in fit.free if not name.startswith("initial.")]
+    _check_names(free, table, "fit.free")
+    _check_names(fit.per_recording, table, "fit.per_recording")
+    for state in initial:
+        if state not in states:
+            what = f"fit.initial has '{state}', which is no initial state of this rig"
+            raise InputError(f"{what}{suggestion(state, states)}: it can be {', '.join(states)}")
+    refuse_duplicates(initial, "fit.initial")
+    _refuse_overlap([*dict.fromkeys([*free, *fit.per_recording])])
+    bounds = _read_bounds(fit.bounds, table, plant)
+    names = {*free, *fit.per_recording, *(f"initial.{state}" for state in initial)}
+    bounds = {name: span for name, span in set_bounds.items() if name in names} | bounds
+    noise = _read_noise(fit.noise, observe, plant)
+    starts = fit.starts or (_STARTS if len(names) <= _MAX_PARAMETERS_OF_DEFAULT_STARTS else len(names))
+    return FitSettings(
+        fit.model, tuple(free), tuple(fit.per_recording), tuple(initial), bounds, observe, noise, starts, fit.seed
+    )
+
+
+def refuse_duplicates(names: Sequence[str], place: str) -> None:
+    """Refuse a list in which a name stands twice."""
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"{place} lists {name} twice: take one of them out")
+
+
+def _check_names(names: Sequence[str], table: Mapping[str, Declaration], place: str) -> None:
+    """Refuse names that are no parameters of the plant."""
+    refuse_duplicates(names, place)
+    for name in names:
+        if name not in table:
+            same_key = [other for other in table if other.split(".", 1)[1] == name.rpartition(".")[2]]
+            hint = f" (did you mean '{same_key[0]}'?)" if same_key else suggestion(name, table)
+            unknown = f"{place} has '{name}', which is no parameter of this rig{hint}"
+            raise InputError(f"{unknown}: name it by section and key, as in heat.h0")
+
+
+def _refuse_overlap(names: Sequence[str]) -> None:
+    """Refuse a tie together with one of its members."""
+    for tie in (name for name in names if name in TIES):
+        for member in TIES[tie]:
+            if member in names:
+                raise InputError(f"fit.free has {tie} and {member}, which it contains: keep the one or the other")
+
+
+def _read_bounds(
+    bounds: Mapping[str, Any], table: Mapping[str, Declaration], plant: Plant
+) -> dict[str, tuple[float, float]]:
+    spans = {}
+    for name, ends in flatten_keys(bounds).items():
+        _check_names([name], table, "fit.bounds")
+        low, high = _read_span(name, ends, table[name])
+        for member in TIES.get(name, (name,)):
+            nominal = float(parameters.get(plant, member))
+            if not math.isnan(nominal) and not low <= nominal <= high:
+                value = as_text(nominal, table[name].unit)
+                without = f"fit.bounds of {name}, {show(ends)}, leave out its nominal value {value}"
+                raise InputError(f"{without}: widen them, or correct the value")
+        spans[name] = (low, high)
+    return spans
+
+
+def _read_span(name: str, ends: Any, declaration: Declaration) -> tuple[float, float]:
+    """Return the bounds of one parameter in its internal unit."""
+    if not isinstance(ends, list) or len(ends) != 2:
+        cure = 'write two quantities like ["50 W/m^2/K", "200 W/m^2/K"]'
+        raise InputError(f"fit.bounds of {name} = {show(ends)} are not a pair: {cure}")
+    try:
+        low, high = (parse_quantity(end, declaration.unit) for end in ends)
+    except InputError as error:
+        raise InputError(f"fit.bounds of {name}: {error}") from None
+    if not low < high:
+        backwards = "run backwards: put the smaller one first"
+        what = backwards if low > high else "leave no room between them: move them apart"
+        raise InputError(f"fit.bounds of {name}, {show(ends)}, {what}")
+    for end, text in ((low, ends[0]), (high, ends[1])):
+        if not declaration.lower <= end <= declaration.upper:
+            limit = as_text(declaration.lower if end < declaration.lower else declaration.upper, declaration.unit)
+            beyond = f"{show(text)} is beyond {limit}, where the model ends"
+            raise InputError(f"fit.bounds of {name}: {beyond}: stay within")
+    return low, high
+
+
+def _read_noise(noise: Mapping[str, Any], observe: Sequence[str], plant: Plant) -> dict[str, float]:
+    deviations = {}
+    for channel, text in noise.items():
+        if channel not in plant.observable:
+            hint = suggestion(channel, observe) or suggestion(channel, plant.observable)
+            unknown = f"fit.noise has '{channel}', which is no channel of this rig{hint}"
+            raise InputError(f"{unknown}: name one of fit.observe")
+        try:
+            deviations[channel] = parse_quantity(text, channel_unit(channel, difference=True))
+        except InputError as error:
+            raise InputError(f"fit.noise of {channel}: {error}") from None
+        if deviations[channel] <= 0:
+            cure = "give its standard deviation, or leave it out"
+            raise InputError(f"fit.noise of {channel} = {show(text)} is not positive: {cure}")
+    return deviations

@@ -1,0 +1,154 @@
+"""Checks of a rig file against the sections and keys of its kind, and of values that no rig can have."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import equinox as eqx
+
+from smajax.errors import InputError
+from smajax.files.parameter_names import owners
+from smajax.files.rig_kinds import Stages, rig_phrase
+from smajax.files.rig_schema import FitSection, RigSection
+from smajax.files.toml import advice, parse_toml
+from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
+from smajax.plant.coil import Coil
+from smajax.plant.wire import AbstractWire, Wire
+from smajax.recordings.datasets import data_path
+from smajax.units import as_text, example_of
+
+OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
+# Excess of the sum of phase fractions over 1 that counts as rounding of decimals.
+_FRACTION_ROUNDING = 1e-12
+
+
+def check_sections(data: Mapping[str, Any]) -> None:
+    """Refuse a top-level key that is a section of no rig."""
+    sections = [*dict.fromkeys(["rig", *(section for section, _, _ in owners()), *OTHER_SECTIONS])]
+    homes = {key: section for section, part, _ in reversed(list(owners())) for key in declarations(part)}
+    homes |= {key: "fit" for key in FitSection.model_fields} | {key: "rig" for key in RigSection.model_fields}
+    for section, value in data.items():
+        if section in sections or section == "schema":
+            continue
+        if section in homes and not isinstance(value, dict):
+            raise InputError(f"{section} stands outside of its section: write it below a line [{homes[section]}]")
+        what = f"[{section}] is not a section of a rig" if isinstance(value, dict | list) else f"{section} is not known"
+        raise InputError(f"{what}{advice(section, sections, 'the sections are')}")
+
+
+def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) -> None:
+    """Refuse sections and keys of another kind, control or law, and unknown keys with the most similar one."""
+    if stages.kind == "path" and control is not None:
+        cure = "take it out, since the recording gives the temperature itself"
+        raise InputError(f"rig.control has no place on a path rig: {cure}")
+    for section, content in data.items():
+        if section == "schema" or section in OTHER_SECTIONS:
+            continue
+        choices = {words: part for other, part, words in owners() if other == section}
+        if section not in stages.parts:
+            kinds = [words for words in choices if words.startswith("kind")]
+            cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
+            raise InputError(f"[{section}] has no place on {rig_phrase(stages.kind)}: take it out{cure}")
+        if not isinstance(content, dict):
+            continue
+        for key in content:
+            if key not in stages.keys(section):
+                raise InputError(_misplaced_key(section, key, stages, choices))
+
+
+def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str, type[eqx.Module]]) -> str:
+    """Return the sentence about a key that a section of this rig does not have."""
+    if f"{section}.{key}" in stages.inert:
+        cure = "take it out, since the recording gives it"
+        return f"{section}.{key} has no place on {rig_phrase(stages.kind)}: {cure}"
+    others = [words for words, part in choices.items() if key in declarations(part)]
+    if others:
+        chosen = next(words for words, part in choices.items() if part is stages.parts[section])
+        cure = f"it goes with {' or '.join(others)}, or take it out"
+        return f"{section}.{key} has no place with {chosen}: {cure}"
+    homes = [home for home, part, _ in owners() if home in stages.parts and key in declarations(part)]
+    if homes:
+        return f"{section}.{key} is not known (did you mean '{homes[0]}.{key}'?): write it under [{homes[0]}]"
+    return f"{section}.{key} is not known{advice(key, stages.keys(section), f'the keys of [{section}] are')}"
+
+
+def require_values(names: Iterable[str], values: Mapping[str, Any], stages: Stages) -> None:
+    """Refuse a rig in which one of the parameters ``names`` has neither a value nor a default."""
+    for name in names:
+        if name not in values:
+            section, key = name.split(".", 1)
+            line = f"{key} = {_example(stages, name)}"
+            or_set = ', or name a parameter set under [rig], as in parameters = "NAME"' if section == "material" else ""
+            needs = f"{rig_phrase(stages.kind)} needs a line like {line} under [{section}]{or_set}"
+            raise InputError(f"{name} is missing: {needs}")
+
+
+def _example(stages: Stages, name: str) -> str:
+    """Return the parameter's value in the shipped template of this kind, else any quantity of its unit."""
+    section, key = name.split(".", 1)
+    path = data_path("templates", f"{stages.kind}.toml")
+    template = parse_toml(path.read_text("utf-8"), path.name) if path.is_file() else {}
+    value = template.get(section, {}).get(key) or example_of(stages.table()[name].unit)
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def check_order(
+    value_of: Callable[[str], float | None], unit_of: Callable[[str], str], origin: Mapping[str, str]
+) -> None:
+    """Refuse transformations without a width or that run backwards, and phase fractions that add up to more than 1.
+
+    Args:
+        value_of: Value of a parameter, ``None`` where there is none.
+        unit_of: Internal unit of a parameter.
+        origin: Where each value comes from, for messages.
+    """
+    for low, high in ORDERED_PAIRS:
+        below, above = value_of(low), value_of(high)
+        if below is not None and above is not None and not below < above:
+            upper, lower = (
+                f"{name} = {as_text(value, unit_of(name))} ({origin[name]})"
+                for name, value in ((high, above), (low, below))
+            )
+            raise InputError(f"{upper} is not above {lower}: correct one of the two")
+    detwinned, twinned = value_of("initial.detwinned"), value_of("initial.twinned")
+    if detwinned is not None and twinned is not None and detwinned + twinned > 1.0 + _FRACTION_ROUNDING:
+        total = f"initial.detwinned and initial.twinned add up to {detwinned + twinned:.6g}"
+        raise InputError(f"{total}: keep their sum at 1 or below")
+
+
+def check_whole(
+    table: Mapping[str, Declaration], value_of: Callable[[str], float | None], origin: Mapping[str, str]
+) -> None:
+    """Refuse a fraction where something is counted.
+
+    Args:
+        table: Declarations of the parameters to check.
+        value_of: Value of a parameter, ``None`` where there is none.
+        origin: Where each value comes from, for messages.
+    """
+    for name, declaration in table.items():
+        value = value_of(name) if declaration.whole else None
+        if value is not None and value != round(value):
+            place = f"{name} = {value:.6g} ({origin[name]})"
+            raise InputError(f"{place} is not a whole number, and it is the {declaration.meaning}: give a whole one")
+
+
+def check_coil(wire: AbstractWire) -> None:
+    """Refuse a coil that cannot exist: its turns, its stretch, or the wiring of a bundle."""
+    if not isinstance(wire, Coil):
+        return
+    if wire.free_length is not None and not wire.fits:
+        length, diameter = as_text(float(wire.free_length), "m"), as_text(float(wire.diameter), "m")
+        turns = f"{wire.turns:.6g} turns of a wire of {diameter} take {1e3 * wire.solid_length:.6g} mm side by side"
+        sizes = "wire.turns, wire.diameter or wire.free_length"
+        cure = f"correct {sizes} (a radius taken for a diameter makes twice as much)"
+        raise InputError(f"wire.free_length = {length} is too short: {turns}: {cure}")
+    most = declarations(Wire)["prestrain"].upper
+    if wire.prestrain > most:
+        stretch = f"wire.prestretch = {as_text(float(wire.prestretch), 'm')} is too much"
+        strain = f"it strains this coil's wire like a tension of {100 * wire.prestrain:.3g} %"
+        limit = f"at most {100 * most:g} % is possible"
+        raise InputError(f"{stretch}: {strain}, and {limit}: give less, or correct the coil's sizes")
+    if wire.paths > wire.springs:
+        more = f"wire.paths = {wire.paths:.6g} is more than wire.springs = {wire.springs:.6g}"
+        cure = "a bundle has at most as many ways for the current as springs, and 1 where all are in series"
+        raise InputError(f"{more}: {cure}")

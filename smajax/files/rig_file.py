@@ -1,0 +1,257 @@
+"""The rig: what stood on the bench, read from ``rig.toml``, checked, and made into a plant.
+
+The sections of the file are checked one by one against models made from the stages' declarations. A value comes from
+the rig file, else from the parameter set that it names, else from the declaration's default; ``Rig.sources`` says
+which.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from smajax import parameters
+from smajax.errors import InputError
+from smajax.files.channel_settings import ChannelSettings, channel_settings
+from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
+from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
+from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
+from smajax.files.rig_kinds import DEFAULTS, KINDS, choose_stages
+from smajax.files.rig_plant import build_effects, build_plant, build_sensor, value_of
+from smajax.files.rig_schema import FitSection, RigSection
+from smajax.files.rig_text import rig_toml
+from smajax.files.rig_values import (
+    ParameterSet,
+    by_leaf,
+    entries_for,
+    entry_values,
+    file_values,
+    has_exponent,
+    read_parameter_set,
+    section_values,
+    set_bounds,
+    value_sources,
+)
+from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
+from smajax.parameters import TIES, Declaration
+from smajax.plant.plant import Plant
+from smajax.plant.sensor import Sensor
+from smajax.recordings.read import read_recording
+from smajax.recordings.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """One rig file.
+
+    Attributes:
+        name: Name of the file.
+        path: Its path; ``None`` for a text.
+        kind: Kind of the rig.
+        plant: The plant with the nominal values.
+        interpolation: Of the inputs between samples.
+        fit: The section ``[fit]``.
+        channels: The section ``[channels]``.
+        sources: Where the value of each parameter comes from: a line of the rig file, a parameter set, or "default".
+        notes: What was read and is not used.
+        misplaced: Effects that such a rig cannot have and that were left out, with the reason.
+    """
+
+    name: str
+    path: Path | None
+    kind: str
+    plant: Plant
+    interpolation: Literal["hold", "linear"]
+    fit: FitSettings
+    channels: ChannelSettings
+    sources: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    misplaced: Mapping[str, str] = field(default_factory=dict)
+
+    def read(self, path: str | Path, *, drop_bad_rows: bool = False, observed: bool = True) -> Recording:
+        """Read a recording of this rig.
+
+        Args:
+            path: The file; the inputs of the plant have to be in it.
+            drop_bad_rows: Whether to leave out rows that cannot be used.
+            observed: Whether the channels that are fitted have to be in it, too.
+        """
+        return read_recording(
+            path,
+            mapping=self.channels.columns,
+            ignore=self.channels.ignore,
+            required=self.plant.signals,
+            observed=self.fit.observe if observed else (),
+            clock=self.kind != "path",
+            skip_rows=self.channels.skip_rows,
+            delimiter=self.channels.delimiter,
+            decimal=self.channels.decimal,
+            sheet=self.channels.sheet,
+            drop_bad_rows=drop_bad_rows,
+        )
+
+    def to_toml(self, values: Mapping[str, Any] | None = None) -> str:
+        """Return the text of a rig file that holds every parameter's value; read back it gives the same plant.
+
+        Args:
+            values: Values by name in internal units, in place of the nominal ones.
+
+        Raises:
+            InputError: if the values make no rig, such as an austenite finish below its start.
+        """
+        for name in values or {}:
+            parameters.declaration(self.plant, name)
+        plant = parameters.replace(self.plant, values or {})
+        text = rig_toml(self.kind, self.interpolation, plant, self.channels, self.fit)
+        parse_rig(text, f"{self.name} with new values")
+        return text
+
+    def write(self, path: str | Path, values: Mapping[str, Any] | None = None) -> None:
+        """Write ``to_toml`` to a file, completely or not at all."""
+        write_text(Path(path), self.to_toml(values))
+
+
+def read_rig(path: str | Path, *, drop_misplaced: bool = False) -> Rig:
+    """Read and check a rig file.
+
+    Args:
+        path: The file.
+        drop_misplaced: Whether effects that such a rig cannot have are left out (``Rig.misplaced`` says why) instead of
+            refused.
+
+    Raises:
+        InputError: one sentence with file, section and key, and the cure.
+    """
+    path = Path(path)
+    rig = parse_rig(read_text(path, "rig"), str(path), path.parent, drop_misplaced=drop_misplaced)
+    return replace(rig, name=path.name, path=path)
+
+
+def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, drop_misplaced: bool = False) -> Rig:
+    """Parse and check the text of a rig file.
+
+    Args:
+        text: The text.
+        name: Name of the file in messages.
+        folder: Folder where parameter sets given by a path are looked for; the current one by default.
+        drop_misplaced: Whether effects that such a rig cannot have are left out instead of refused.
+
+    Raises:
+        InputError: one sentence with file, section and key, and the cure.
+    """
+    data = parse_toml(text, name)
+    try:
+        rig = _build_rig(with_current_rig_keys(data), Path(name).name, current_line_numbers(text), folder or Path())
+        if rig.misplaced and not drop_misplaced:
+            key, reason = next(iter(rig.misplaced.items()))
+            raise InputError(f"effects.{key} has no place on this rig: {reason}")
+        return rig
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path) -> Rig:
+    head, fit = _read_head_and_fit(data)
+    observe = observed_channels(fit, head.kind)
+    parameter_set = read_parameter_set(data, folder)
+    stages = choose_stages(head.kind, head.control, fit.model, observe, has_exponent(data, parameter_set))
+    check_belongs(data, stages, head.control)
+    place = {n: f"{name} line {rows[n]}" if n in rows else name for n in _names_in(data)}
+    free = [*fit.free, *fit.per_recording]
+
+    # The stages, with values of the rig file, else of the set, else of the kind and the declarations.
+    table = stages.table()
+    leaves = [n for n in table if n not in TIES]
+    values = file_values(data, stages)
+    entries = entries_for(parameter_set, table, by_leaf(values))
+    leaf_values = {**DEFAULTS.get(head.kind, {}), **by_leaf(entry_values(entries)), **by_leaf(values)}
+    require_values([n for n in leaves if table[n].default is None], leaf_values, stages)
+    plant = build_plant(stages, leaf_values, free)
+    sources = value_sources(leaves, entries, values, parameter_set.name, place)
+    _check_values(plant, table, free, sources)
+
+    # Effects and sensors, which depend on the stages.
+    check_observed(observe, plant, head.kind)
+    sensor_table = {f"sensor.{key}": d for key, d in Sensor.identity(plant.observable).declarations().items()}
+    sensor_values = section_values("sensor", data.get("sensor", {}), sensor_table)
+    sensor_entries = {n: e for n, e in parameter_set.entries.items() if n in sensor_table and n not in sensor_values}
+    effects, misplaced = build_effects(data.get("effects", {}), plant.capabilities(tuple(observe)))
+    plant, fit = replace(plant, effects=effects), _without_effects(fit, misplaced)
+    readings = entry_values(sensor_entries) | sensor_values
+    sensor = build_sensor([*observe, *channels_of_sensors([*readings, *free])], plant, readings)
+    plant = replace(plant, sensor=sensor)
+    sensor_leaves = [f"sensor.{key}" for key in plant.sensor.declarations()]
+    sources |= value_sources(sensor_leaves, sensor_entries, sensor_values, parameter_set.name, place)
+    sources |= {n: "rig file" for n in parameters.all_declarations(plant) if n.startswith("effects.")}
+
+    bounds = set_bounds(entries | sensor_entries, by_leaf(values))
+    settings = fit_settings(fit, observe, plant, stages.inert, bounds)
+    return Rig(
+        name=name,
+        path=None,
+        kind=head.kind,
+        plant=plant,
+        interpolation=cast(Literal["hold", "linear"], head.interpolation),
+        fit=settings,
+        channels=channel_settings(data.get("channels", {})),
+        sources=sources | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
+        notes=tuple(_notes(parameter_set, {*table, *sensor_table}, settings)),
+        misplaced=misplaced,
+    )
+
+
+def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]:
+    """Check the sections of the file, and return those that do not depend on the plant."""
+    _refuse_actuator(data.get("rig"))
+    check_sections(data)
+    check_schema(data)
+    if "rig" not in data:
+        cure = 'add [rig] with lines like kind = "dead-weight" and control = "current"'
+        raise InputError(f"the section [rig] is missing: {cure}")
+    head = validate(RigSection, data["rig"], "rig")
+    fit = validate(FitSection, data.get("fit", {}), "fit")
+    if head.control is None and head.kind != "path":
+        cure = 'add the electrical input that is recorded, as in control = "current"'
+        raise InputError(f"rig.control is missing: {cure}")
+    return head, fit
+
+
+def _refuse_actuator(head: Any) -> None:
+    """Refuse the file of an actuator, which is no rig's."""
+    kind = head.get("kind") if isinstance(head, dict) else None
+    if not isinstance(kind, str) or kind in KINDS:
+        return
+    from smajax.files.actuator_file import ACTUATORS
+
+    if kind in ACTUATORS:
+        what = f'rig.kind = "{kind}" is an actuator, which gives its metrics without a recording'
+        raise InputError(f"{what}: 'smajax sweep' computes them, 'smajax check' shows its file")
+
+
+def _check_values(
+    plant: Plant, table: Mapping[str, Declaration], free: Iterable[str], sources: Mapping[str, str]
+) -> None:
+    """Refuse values that no rig can have; of what is fitted, a count may be any number."""
+    counted = {n: d for n, d in table.items() if n not in TIES and n not in set(free)}
+    check_order(lambda n: value_of(plant, n), lambda n: table[n].unit, sources)
+    check_whole(counted, lambda n: value_of(plant, n), sources)
+    check_coil(plant.wire)
+
+
+def _names_in(data: Mapping[str, Any]) -> list[str]:
+    return [f"{section}.{key}" for section, content in data.items() if isinstance(content, dict) for key in content]
+
+
+def _without_effects(fit: FitSection, effects: Iterable[str]) -> FitSection:
+    """Return the section without the parameters of these effects."""
+    prefixes = tuple(f"effects.{key}." for key in effects)
+    lists = {name: [n for n in getattr(fit, name) if not n.startswith(prefixes)] for name in ("free", "per_recording")}
+    bounds = {name: ends for name, ends in flatten_keys(fit.bounds).items() if not name.startswith(prefixes)}
+    return fit.model_copy(update=lists | {"bounds": bounds}) if prefixes else fit
+
+
+def _notes(parameter_set: ParameterSet, usable: set[str], settings: FitSettings) -> list[str]:
+    unused = [*(n for n in parameter_set.entries if n not in usable), *parameter_set.per_recording]
+    notes = [f"parameter set {parameter_set.name}: not used here are {', '.join(unused)}"] if unused else []
+    idle = [n for n in settings.bounds if n not in settings.names]
+    return notes + ([f"fit.bounds without effect, since these are not free: {', '.join(idle)}"] if idle else [])

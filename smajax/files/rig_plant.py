@@ -1,0 +1,91 @@
+"""The plant of a rig: its stages with their values, its effects and its sensors."""
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+from smajax import parameters
+from smajax.errors import InputError, suggestion
+from smajax.files.rig_kinds import Stages, parts_of
+from smajax.files.rig_values import section_values
+from smajax.parameters import as_float, declarations
+from smajax.plant.effects import catalogue
+from smajax.plant.effects.base import AbstractEffect
+from smajax.plant.mechanisms.rotary import MasslessRotary, Rotary
+from smajax.plant.plant import Plant
+from smajax.plant.sensor import Sensor
+
+
+def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[str]) -> Plant:
+    """Build the plant, its sensors still without channels.
+
+    A pulley of two wires with neither inertia nor damping, and neither of them fitted, is massless; a sheath with
+    neither friction nor heat conduction, and nothing of it fitted, is left out.
+
+    Args:
+        stages: Classes of the stages.
+        values: Values by leaf, in internal units.
+        free: Names of the parameters that are fitted.
+    """
+
+    def build(section: str, part: type) -> Any:
+        keys = [key for key in declarations(part) if f"{section}.{key}" in values]
+        return part(**{key: as_float(values[f"{section}.{key}"]) for key in keys})
+
+    mechanism = stages.mechanism
+    if mechanism is Rotary and not any(values.get(n) or n in free for n in ("pulley.inertia", "pulley.damping")):
+        mechanism = MasslessRotary
+    stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
+    built = {section: build(section, part) for section, part in stage_classes.items()}
+    mechanism_parts = {section: built.pop(section) for section in parts_of(stages.mechanism)}
+    if "sheath" in mechanism_parts:
+        acts = values.get("sheath.friction") or values.get("sheath.conductance_ratio")
+        if not acts and not any(n.startswith("sheath.") for n in free):
+            mechanism_parts["sheath"] = None
+    return Plant(mechanism=mechanism(**mechanism_parts), sensor=Sensor.identity(()), **built)
+
+
+def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:
+    """Build the effects of the ``[effects.KEY]`` sections.
+
+    Args:
+        content: Content of ``[effects]``.
+        capabilities: What the plant and its observed channels offer to effects.
+
+    Returns:
+        The effects, and for those that such a rig cannot have the reason by key.
+
+    Raises:
+        InputError: for an effect that is not in the catalogue.
+    """
+    if not isinstance(content, dict):
+        cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it'
+        raise InputError(f"effects is not a section: {cure}")
+    effects, misplaced = [], {}
+    for key, keys in content.items():
+        effect = catalogue().get(key)
+        if effect is None:
+            raise InputError(f"effects.{key} is not in the catalogue{suggestion(key, catalogue())}")
+        section = f"effects.{key}"
+        values = section_values(section, keys, {f"{section}.{n}": d for n, d in declarations(effect).items()})
+        if reason := effect.unavailable_reason(capabilities):
+            misplaced[key] = reason
+            continue
+        effects.append(effect(**{n.rsplit(".", 1)[1]: as_float(v) for n, v in values.items()}))
+    return tuple(effects), misplaced
+
+
+def build_sensor(channels: Iterable[str], plant: Plant, values: Mapping[str, float]) -> Sensor:
+    """Build the sensors of those channels that the plant has, with the gains and offsets among ``values``."""
+    observable = [channel for channel in dict.fromkeys(channels) if channel in plant.observable]
+    gain = {channel: as_float(float(values.get(f"sensor.{channel}_gain", 1.0))) for channel in observable}
+    offset = {channel: as_float(float(values.get(f"sensor.{channel}_offset", 0.0))) for channel in observable}
+    return Sensor(gain, offset)
+
+
+def value_of(plant: Plant, name: str) -> float | None:
+    """Return the value of a parameter; ``None`` where the plant has no such parameter or derives an initial value."""
+    if name not in parameters.all_declarations(plant):
+        return None
+    value = float(parameters.get(plant, name))
+    return None if math.isnan(value) else value

@@ -1,0 +1,41 @@
+"""Sections of a rig file that do not depend on the plant: ``[rig]`` and ``[fit]``."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
+
+from smajax.files.rig_kinds import KINDS, MATERIALS
+from smajax.files.toml import STRICT
+from smajax.files.validators import one_of
+from smajax.plant.drive import DRIVES
+
+INTERPOLATIONS = ("hold", "linear")
+# Largest seed of NumPy's and JAX's random generators.
+_MAX_SEED = 2**32 - 1
+# Largest number of starting points; chosen by trial.
+_MAX_STARTS = 10_000
+
+
+class RigSection(BaseModel):
+    """``[rig]``."""
+
+    model_config = STRICT
+    kind: Annotated[str, one_of(KINDS)] = Field(examples=['"dead-weight"'])
+    control: Annotated[str, one_of(DRIVES)] | None = Field(None, examples=['"current"'])
+    interpolation: Annotated[str, one_of(INTERPOLATIONS)] = "hold"
+    parameters: Any = Field(None, examples=['"my-wire.toml"'])
+
+
+class FitSection(BaseModel):
+    """``[fit]``, as far as it can be checked without the plant."""
+
+    model_config = STRICT
+    model: Annotated[str, one_of(MATERIALS)] = "brinson"
+    free: list[str] = Field([], examples=['["heat.h0", "heat.capacity"]'])
+    per_recording: list[str] = Field([], examples=['["environment.ambient"]'])
+    initial: list[str] = Field([], examples=['["temperature"]'])
+    bounds: dict[str, Any] = Field({}, examples=['{"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"]}'])
+    observe: list[str] | None = Field(None, examples=['["displacement"]'])
+    noise: dict[str, Any] = Field({}, examples=['{displacement = "0.02 mm"}'])
+    starts: int | None = Field(None, ge=1, le=_MAX_STARTS, examples=["4"])
+    seed: int = Field(0, ge=0, le=_MAX_SEED, examples=["0"])

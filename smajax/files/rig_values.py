@@ -1,0 +1,147 @@
+"""Values of a rig's parameters: from the rig file, else from the parameter set that it names, else defaults."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from smajax.errors import InputError, suggestion
+from smajax.files.parameter_sets import Entry, read_parameters
+from smajax.files.rig_kinds import Stages
+from smajax.files.toml import show, validate
+from smajax.files.validators import section_model
+from smajax.parameters import TIES, Declaration
+from smajax.recordings.datasets import data_path
+
+
+class ParameterSet(NamedTuple):
+    """A parameter set that a rig names.
+
+    Attributes:
+        name: Its name as the rig has it; empty if there is none.
+        entries: Entries by parameter name.
+        per_recording: Names of the entries that belong to one recording only, which a rig does not use.
+    """
+
+    name: str
+    entries: Mapping[str, Entry]
+    per_recording: tuple[str, ...] = ()
+
+
+def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
+    """Read the parameter set that ``rig.parameters`` names.
+
+    Args:
+        data: Sections of the rig file.
+        folder: Folder where a set given by a path is looked for.
+    """
+    name = data["rig"].get("parameters")
+    if name is None:
+        return ParameterSet("", {})
+    shipped = sorted(path.stem for path in data_path("parameters").glob("*.toml"))
+    if not isinstance(name, str) or not name:
+        cure = f'write it like parameters = "{shipped[0] if shipped else "my-wire.toml"}"'
+        raise InputError(f"rig.parameters = {show(name)} is not a name: {cure}")
+    if name in shipped:
+        path = data_path("parameters", f"{name}.toml")
+    elif name.endswith(".toml") or "/" in name:
+        path = folder / name
+    else:
+        there = f"the shipped ones are {', '.join(shipped)}" if shipped else "none is shipped"
+        unknown = f"rig.parameters = '{name}' is not known{suggestion(name, shipped)}"
+        raise InputError(f"{unknown}: {there}, and a file of your own ends in .toml")
+    try:
+        entries = read_parameters(path)
+    except InputError as error:
+        raise InputError(f"rig.parameters: {error}") from None
+    per_recording = tuple(n for n in entries if "@" in n)
+    return ParameterSet(name, {n: entry for n, entry in entries.items() if n not in per_recording}, per_recording)
+
+
+def entries_for(
+    parameter_set: ParameterSet, table: Mapping[str, Declaration], leaf_values: Mapping[str, Any]
+) -> dict[str, Entry]:
+    """Return the entries of a parameter set that the rig uses.
+
+    These are the entries whose leaves the rig file does not all give itself.
+
+    Args:
+        parameter_set: The set.
+        table: Declarations of the rig's parameters by name.
+        leaf_values: Values in the rig file by leaf.
+
+    Raises:
+        InputError: if an entry is in another unit than the rig's parameter.
+    """
+    used = {
+        n: entry
+        for n, entry in parameter_set.entries.items()
+        if n in table and not leaf_values.keys() >= set(TIES.get(n, (n,)))
+    }
+    for n, entry in used.items():
+        if entry.unit != table[n].unit:
+            units = f"{n} is in {entry.unit}, and this rig's is in {table[n].unit}"
+            raise InputError(f"parameter set {parameter_set.name}: {units}: give it in the rig, in that unit")
+    return used
+
+
+def file_values(data: Mapping[str, Any], stages: Stages) -> dict[str, float]:
+    """Return the parameters that the rig file itself gives, by name, ties among them."""
+    values: dict[str, float] = {}
+    for section in stages.parts:
+        table = {n: d for n, d in stages.table().items() if n.startswith(f"{section}.")}
+        values |= section_values(section, data.get(section, {}), table)
+    return values
+
+
+def section_values(section: str, content: Any, table: Mapping[str, Declaration]) -> dict[str, float]:
+    """Return the parameters of one section that the rig file gives, by name, checked against their declarations."""
+    keys = {name.rsplit(".", 1)[1]: declaration for name, declaration in table.items()}
+    checked = validate(section_model(section, keys), content, section)
+    return {f"{section}.{key}": value for key, value in checked.model_dump(exclude_unset=True).items()}
+
+
+def entry_values(entries: Mapping[str, Entry]) -> dict[str, float]:
+    """Return the values of entries by name."""
+    return {n: entry.value for n, entry in entries.items()}
+
+
+def by_leaf(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by leaf: a tie's goes to its members, and a member's own has precedence."""
+    tied = {member: value for name, value in values.items() for member in TIES.get(name, ())}
+    return tied | {name: value for name, value in values.items() if name not in TIES}
+
+
+def value_sources(
+    leaves: Sequence[str],
+    set_entries: Mapping[str, Any],
+    values: Mapping[str, Any],
+    set_name: str,
+    place: Mapping[str, str],
+) -> dict[str, str]:
+    """Return where the value of each parameter comes from.
+
+    Args:
+        leaves: Names of the parameters.
+        set_entries: Entries that are used of the parameter set, by name.
+        values: Values in the rig file by name.
+        set_name: Name of the parameter set.
+        place: Place of each of these values in the rig file.
+    """
+    from_set = dict.fromkeys(by_leaf(set_entries), f"parameter set {set_name}")
+    return dict.fromkeys(leaves, "default") | from_set | by_leaf({n: place[n] for n in values})
+
+
+def set_bounds(entries: Mapping[str, Entry], leaf_values: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return the bounds that a parameter set gives for those of its values that the rig uses as they are."""
+    bounded = {n: entry for n, entry in entries.items() if entry.upper - entry.lower < math.inf}
+    return {
+        n: (entry.lower, entry.upper) for n, entry in bounded.items() if not leaf_values.keys() & set(TIES.get(n, (n,)))
+    }
+
+
+def has_exponent(data: Mapping[str, Any], parameter_set: ParameterSet) -> bool:
+    """Whether h(T) has an exponent: the rig's coefficients decide, else the set's."""
+    heat = data.get("heat")
+    keys = heat.keys() if isinstance(heat, dict) else set()
+    return "exponent" in keys or ("heat.exponent" in parameter_set.entries and not {"h1", "h2"} & keys)

@@ -1,0 +1,92 @@
+"""Files of ``smajax init``: a rig file to start from, and an example."""
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+from smajax.errors import InputError
+from smajax.recordings.datasets import data_path
+
+# Keys of [rig] that depend on the recording.
+_OF_RECORDING = ("control", "interpolation")
+
+
+def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
+    """Write the files to start from with a kind of rig.
+
+    These are a commented rig.toml for the user's own wire, a recording example.csv and the rig example.toml that it was
+    made on; where there are ones, also controller.toml for ``smajax tune`` and sweep.toml for ``smajax sweep``.
+
+    Returns:
+        The paths of rig.toml, example.toml and example.csv, and a list of the others.
+
+    Raises:
+        InputError: and nothing is written, if one of them is there already.
+    """
+    example = _example_of(kind)
+    template = data_path("templates", f"{kind}.toml").read_text("utf-8")
+    recorded = tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
+    for key in _OF_RECORDING:
+        if key in recorded:
+            template = re.sub(rf'^{key} = "[^"]*"', f'{key} = "{recorded[key]}"', template, count=1, flags=re.MULTILINE)
+    files = {
+        out / "rig.toml": template.encode(),
+        out / "example.toml": (example / "rig.toml").read_bytes(),
+        out / "example.csv": (example / "train.csv").read_bytes(),
+    }
+    controller = data_path("controllers") / f"{example.name}.toml"
+    if controller.is_file():
+        files[out / "controller.toml"] = controller.read_bytes()
+    sweep = data_path("sweeps") / f"{example.name}.toml"
+    if sweep.is_file():
+        text = sweep.read_text("utf-8").replace(f"../recordings/{example.name}/rig.toml", "example.toml")
+        files[out / "sweep.toml"] = text.encode()
+    _write(files, out)
+    rig, example_rig, recording, *others = files
+    return rig, example_rig, recording, others
+
+
+def is_actuator_kind(kind: str) -> bool:
+    """Whether a kind is an actuator's, which has metrics of its own and no recordings."""
+    return data_path("actuators", kind, "rig.toml").is_file()
+
+
+def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
+    """Write an actuator's commented rig.toml and a sweep.toml of it.
+
+    Returns:
+        The two paths.
+
+    Raises:
+        InputError: and nothing is written, if one of them is there already.
+    """
+    sweep = data_path("sweeps", f"{kind}.toml").read_text("utf-8").replace(f"../actuators/{kind}/", "")
+    rig = data_path("actuators", kind, "rig.toml").read_bytes()
+    _write({out / "rig.toml": rig, out / "sweep.toml": sweep.encode()}, out)
+    return out / "rig.toml", out / "sweep.toml"
+
+
+def _write(files: Mapping[Path, bytes], out: Path) -> None:
+    for path in files:
+        if path.exists():
+            cure = "name another folder with --out"
+            raise InputError(f"{path}: this file is there already and is not overwritten: {cure}")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for path, content in files.items():
+            with path.open("xb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{out}: the files cannot be written ({reason}): name another folder with --out") from None
+
+
+def _example_of(kind: str) -> Path:
+    for path in sorted(data_path("recordings").glob("*/rig.toml")):
+        if tomllib.loads(path.read_text("utf-8"))["rig"]["kind"] == kind:
+            return path.parent
+    raise InputError(f"there is no example recording of a {kind} rig")

@@ -1,0 +1,56 @@
+"""Checks of single values in files, for the models of their sections."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, create_model
+
+from smajax.errors import InputError, suggestion
+from smajax.files.toml import STRICT, show
+from smajax.parameters import Declaration
+from smajax.units import as_text, parse_quantity
+
+
+def quantity(value: Any, declaration: Declaration) -> float:
+    """Return a quantity from a file in the declaration's unit.
+
+    Raises:
+        InputError: if it has another unit or is outside of the declaration's bounds.
+    """
+    number = parse_quantity(value, declaration.unit)
+    if not declaration.lower <= number <= declaration.upper:
+        bounds = (declaration.lower, declaration.upper)
+        low, high = (as_text(end, declaration.unit) if math.isfinite(end) else "" for end in bounds)
+        span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
+        raise InputError(f"{show(value)} is not possible for the {declaration.meaning}: give a value {span}")
+    return number
+
+
+def section_model(section: str, keys: Mapping[str, Declaration]) -> type[BaseModel]:
+    """Return the pydantic model of a parameter section.
+
+    Args:
+        section: Name of the section.
+        keys: Declarations by key. Each key is a quantity; none is required here, since a parameter set may give it.
+    """
+
+    def field_type(declaration: Declaration) -> Any:
+        return Annotated[Any, BeforeValidator(lambda value: quantity(value, declaration))]
+
+    fields: dict[str, Any] = {key: (field_type(d), None) for key, d in keys.items()}
+    return create_model(section, __config__=STRICT, **fields)
+
+
+def one_of(choices: Iterable[str]) -> BeforeValidator:
+    """Return a validator that accepts one of some words, and suggests the most similar of them otherwise."""
+    words = tuple(choices)
+
+    def check(value: Any) -> str:
+        if value in words:
+            return value
+        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in words]
+        hint = suggestion(str(value), shown)
+        raise InputError(f"{show(value)} is not known{hint}: it is one of {', '.join(shown)}")
+
+    return BeforeValidator(check)

@@ -1,0 +1,58 @@
+"""The interface between a fit problem and a search, and the two functions of a problem that are compiled."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smajax.fitting.compilation import vmap_unless_single
+
+
+class AbstractFitProblem(eqx.Module):
+    """A weighted residual as a function of one vector of ``p`` numbers of order one, with bounds.
+
+    ``data.measured`` has a leading axis of recordings: each evaluation simulates all of them.
+    """
+
+    data: eqx.AbstractVar[Any]
+
+    @property
+    def size(self) -> int:
+        """Length of the residual."""
+        return self.data.measured.size
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """The vector at which a search starts, shape ``(p,)``."""
+        raise NotImplementedError
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the vector, each of shape ``(p,)``."""
+        raise NotImplementedError
+
+    def search_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return finite bounds within ``bounds``, each of shape ``(p,)``, for random starts and populations."""
+        return self.bounds
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Return model minus measurement over the noise, shape ``(size,)``; zero where nothing was measured."""
+        raise NotImplementedError
+
+
+def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[Array, " size"]:
+    """Return the weighted residual of a problem, with the arguments in the order of a solver."""
+    return problem.residual(vector)
+
+
+@eqx.filter_jit
+def costs(problem: AbstractFitProblem, vectors: jax.Array) -> jax.Array:
+    """Compute the sums of squares at ``m`` vectors, shape ``(m, p)``, as one batch; shape ``(m,)``."""
+
+    def cost(vector: jax.Array) -> jax.Array:
+        return jnp.sum(problem.residual(vector) ** 2)
+
+    return vmap_unless_single(cost, vectors.shape[0], vectors)

@@ -1,0 +1,122 @@
+"""The effect of noise in a fit's input columns on its parameters.
+
+A material law takes the temperatures, stresses and strains that drive it as exact. Where these scatter from row to row,
+a hysteretic law oscillates, and its parameters are biased by more than their intervals say, which count the noise of
+the fitted channels only. The bias is found by adding as much noise once more and fitting again from the end of the fit:
+what that moves, the first noise has moved about as far (the first step of simulation-extrapolation). Currents and
+voltages act through the wire's heat, which averages them.
+
+Source: cook1994.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from smajax.channels import channel_unit
+from smajax.fitting.abstract_problem import residual
+from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartSolver
+from smajax.fitting.noise import MEDIAN_TO_DEVIATION
+from smajax.fitting.problem import build_problem
+from smajax.fitting.result import FitResult
+from smajax.fitting.unknowns import Settings
+from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+from smajax.units import as_text
+
+# Random samples of the added noise whose effects are averaged; chosen by trial, tests/unit/fitting/test_input_noise.py
+# holds it.
+_DRAWS = 3
+# Most steps of a fit with added noise, which starts at the end of the first fit; chosen by trial, held by the same
+# tests.
+_MAX_STEPS = 20
+# Noise below this share of a column's range has no effect; chosen by trial, held by the same tests.
+_MIN_NOISE = 1e-4
+# Above this share of the range it is no noise but the input itself; chosen by trial, held by the same tests.
+_MAX_NOISE = 0.05
+# Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 times its variance.
+_FOURTH_DIFFERENCE_GAIN = math.sqrt(70.0)
+# A bias is reported from this share of the interval's width.
+_REPORTED_SHARE = 0.5
+
+
+def row_noise(values: np.ndarray) -> float:
+    """Estimate the standard deviation of a column's scatter from row to row, from its fourth differences.
+
+    Returns:
+        In the column's unit; 0 where it has none, or so much that it is the input itself.
+    """
+    fourth = np.diff(values, 4)
+    fourth = fourth[np.isfinite(fourth)]
+    noise = MEDIAN_TO_DEVIATION * float(np.median(np.abs(fourth))) / _FOURTH_DIFFERENCE_GAIN if len(fourth) else 0.0
+    span = float(np.nanmax(values) - np.nanmin(values))
+    return noise if _MIN_NOISE * span < noise < _MAX_NOISE * span else 0.0
+
+
+def input_noise_warnings(
+    result: FitResult, plant: Plant, recordings: Sequence[Recording], settings: Settings
+) -> list[str]:
+    """Return a sentence for each input column whose noise biases a parameter by more than half its interval's width.
+
+    Args:
+        result: A fit.
+        plant: The plant that it began with.
+        recordings: Its training recordings.
+        settings: Its settings.
+    """
+    temperature = ["temperature"] if isinstance(plant.heat, PrescribedTemperature) else []
+    warnings = []
+    for channel in [*temperature, *plant.mechanism.prescribed]:
+        noise = [row_noise(r.channels[channel]) for r in recordings]
+        if not any(noise):
+            continue
+        changes = [_refit_change(result, plant, recordings, settings, channel, noise, k) for k in range(_DRAWS)]
+        biases = _large_biases(result, np.mean(changes, axis=0))
+        if biases:
+            size = as_text(float(f"{max(noise):.2g}"), channel_unit(channel, difference=True))
+            warnings.append(
+                f"{channel} goes up and down by {size} from row to row, which the model takes as exact. As much noise "
+                f"again moves {', '.join(biases)}: the estimates have moved about as far already. Smooth the column, "
+                "or average rows, before the fit."
+            )
+    return warnings
+
+
+def _large_biases(result: FitResult, change: np.ndarray) -> list[str]:
+    """The parameters that ``change`` (p,) moves by more than half the width of their intervals, in words."""
+    biases = []
+    for estimate, bias in zip(result.estimates, change, strict=True):
+        low, high = estimate.lower95, estimate.upper95
+        if low is not None and high is not None and abs(bias) > _REPORTED_SHARE * (high - low):
+            unit = "K" if estimate.unit == "degC" else estimate.unit
+            moved, half_width = (as_text(float(f"{v:.2g}"), unit) for v in (bias, 0.5 * (high - low)))
+            biases.append(f"{estimate.name} by {moved} (interval +- {half_width})")
+    return biases
+
+
+def _refit_change(
+    result: FitResult,
+    plant: Plant,
+    recordings: Sequence[Recording],
+    settings: Settings,
+    channel: str,
+    noise: Sequence[float],
+    seed: int,
+) -> np.ndarray:
+    """Change of the estimates (p,) when noise is added to a channel, in internal units; uses the program of the fit."""
+    rng = np.random.default_rng(seed)
+    noisy = []
+    for recording, deviation in zip(recordings, noise, strict=True):
+        values = recording.channels[channel]
+        scattered = values + deviation * rng.standard_normal(len(values))
+        noisy.append(dataclasses.replace(recording, channels={**recording.channels, channel: scattered}))
+    problem = build_problem(plant, noisy, settings, interpolation=result.interpolation, step=result.step)
+    starts = np.tile(result.vector, (result.starts, 1))
+    sequential = len(recordings) >= SEQUENTIAL_FROM
+    solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
+    solved = solver.advance(_MAX_STEPS).result()
+    scales = np.array([u.scale for u in result.problem.unknowns])
+    return (solved.points[0] - result.vector) * scales

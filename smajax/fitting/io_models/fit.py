@@ -1,0 +1,298 @@
+"""Fit an input-output model to recordings.
+
+Here is the search for models of few parameters, and the result of any fit: the model, its parameters and their
+intervals. The search for networks is in ``smajax.fitting.io_models.networks``.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from smajax.errors import NumericsError
+from smajax.fitting import intervals
+from smajax.fitting.abstract_problem import costs, residual
+from smajax.fitting.io_models.networks import fit_network
+from smajax.fitting.io_models.problem import (
+    IOModelProblem,
+    ModelSpec,
+    Series,
+    build_io_problem,
+    check_rows,
+    check_sampling,
+)
+from smajax.fitting.multi_start import MultiStartSolver
+from smajax.laws import response
+from smajax.laws.base import AbstractInputOutputModel
+
+# All constants of the search were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py,
+# which holds its ends.
+# A parameter whose bounds differ by more than this factor may be of any size and is drawn by its logarithm.
+_LOGARITHMIC_FACTOR = 30.0
+# Random points per start.
+_POINTS_PER_START = 8
+# Share of their entries that are the first guess's.
+_FIRST_GUESS_SHARE = 0.5
+# Most rounds of starts.
+_MAX_ROUNDS = 5
+# Points near the best end so far at which each round but the first begins.
+_POINTS_PER_ROUND = 3
+# Standard deviation of these points, as a share of the distance between the bounds.
+_ROUND_SPREAD = 0.01
+# A round that lowers the cost by less than this share is the last.
+_MIN_DECREASE = 1e-3
+# A parameter at most this share of the distance between its bounds away from one is at the bound.
+_BOUND_MARGIN = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class IOModelFit:
+    """A fitted input-output model.
+
+    Attributes:
+        spec: The kind of model.
+        model: The model.
+        parameters: Its parameters, a pytree.
+        rmse: Pooled RMSE of the training series, in the output's unit.
+        samples: Measured rows.
+        simulations: Simulations that the search took.
+        wall_time: Time including compiling, s.
+        step: Time between the rows that it was fitted to, s.
+        ridge: Strength of the ridge that held a network's weights; 0 for other models.
+        divergence_rate: Share of reordered inputs on which a network diverges; 0 for other models.
+        half_widths: Half-widths of the parameters' 95 % intervals, a pytree: infinite where the recording does not
+            determine the parameter, NaN for those held or at a bound. ``None`` for networks, whose weights have no
+            intervals.
+    """
+
+    spec: ModelSpec
+    model: AbstractInputOutputModel
+    parameters: Any
+    rmse: float
+    samples: int
+    simulations: int
+    wall_time: float
+    step: float
+    ridge: float = 0.0
+    divergence_rate: float = 0.0
+    half_widths: Any = None
+
+    def _leaves(self) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Name, value, lower and upper bound, and half-width of each leaf of the parameters."""
+        trees = (
+            self.parameters,
+            self.spec.lower,
+            self.spec.upper,
+            self.parameters if self.half_widths is None else self.half_widths,
+        )
+        for (path, value), *others in zip(*(jax.tree_util.tree_leaves_with_path(tree) for tree in trees), strict=True):
+            low, high, half = (np.asarray(other) for _, other in others)
+            half = half if self.half_widths is not None else np.full(low.shape, np.nan)
+            yield ".".join(str(key.key) for key in path), np.asarray(value), low, high, half
+
+    @property
+    def values(self) -> dict[str, dict[str, Any]]:
+        """The parameters by name, as lists, with the ends of their 95 % intervals; ``None`` where there are none."""
+
+        def shown(values: Any) -> Any:
+            return np.asarray(np.where(np.isfinite(values), values, None)).tolist()
+
+        return {
+            name: {
+                "value": shown(value),
+                "lower95": shown(value - half),
+                "upper95": shown(value + half),
+                "free": bool(np.any(low < high)),
+            }
+            for name, value, low, high, half in self._leaves()
+        }
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """The free parameters whose interval is wider than their bounds; of an array, how many of its entries."""
+        names = []
+        for name, value, low, high, half in self._leaves():
+            wider = 2.0 * half > high - low
+            if np.any(wider):
+                names.append(f"{name} ({np.sum(wider)} of {value.size})" if value.ndim else name)
+        return tuple(names)
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """The free parameters that ended at a bound, each with that bound; of an array, how many of its entries."""
+        names = []
+        for name, value, low, high, _ in self._leaves():
+            held = _at_bound(value, low, high)
+            if np.any(held):
+                end = low if np.all(value - low < high - value) else high
+                names.append(f"{name} ({f'{np.sum(held)} of {held.size}' if held.ndim else f'{float(end):.4g}'})")
+        return tuple(names)
+
+    def respond(self, series: Series) -> np.ndarray:
+        """Return the model's output on a series, shape ``(n,)``.
+
+        Raises:
+            InputError: The model needs rows of the step that it was fitted to, and these are others.
+        """
+        check_sampling(self.spec, series, self.step)
+        return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input)))
+
+
+_respond = eqx.filter_jit(response.compute_response)
+_weighted_residual = eqx.filter_jit(residual)
+
+
+def _at_bound(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which free parameters are at a bound."""
+    return np.asarray((np.minimum(value - low, high - value) <= _BOUND_MARGIN * (high - low)) & (low < high))
+
+
+class _SearchEnd(NamedTuple):
+    """End of a search; residual and Jacobian at the vector are ``None`` for networks."""
+
+    vector: np.ndarray | None
+    simulations: int
+    ridge: float = 0.0
+    divergence_rate: float = 0.0
+    residual: np.ndarray | None = None
+    jacobian: np.ndarray | None = None
+
+
+def fit_io_model(
+    spec: ModelSpec, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150
+) -> IOModelFit:
+    """Fit an input-output model to series by least squares from several starts.
+
+    Args:
+        spec: The kind of model.
+        series: Training recordings.
+        starts: Number of starts.
+        seed: Seed of the random starts.
+        max_steps: Most steps of each search.
+
+    Raises:
+        InputError: No more rows are measured than the model has parameters.
+        NumericsError: No start gives finite numbers.
+    """
+    began = time.perf_counter()
+    problem = build_io_problem(spec, series)
+    samples = int(np.sum(np.asarray(problem.data.weight) > 0))
+    check_rows(" and ".join(s.name for s in series), samples, spec.size, spec.name)
+    nested = []
+    if spec.weight_mask is None:
+        nested = [
+            (fit_io_model(simpler, series, starts=starts, seed=seed, max_steps=max_steps), embed)
+            for simpler, embed in spec.nested
+        ]
+        nested_points = [problem.scaled_vector(embed(simpler.parameters)) for simpler, embed in nested]
+        end = _least_squares(problem, spec, nested_points, starts, seed, max_steps)
+        end = end._replace(simulations=end.simulations + sum(simpler.simulations for simpler, _ in nested))
+    else:
+        mask = ravel_pytree(spec.weight_mask)[0]
+        network = fit_network(problem, mask, starts, seed, max_steps)
+        end = _SearchEnd(network.vector, network.simulations, network.ridge, network.divergence_rate)
+    if end.vector is None:
+        raise NumericsError(f"{spec.name}: no point between its bounds gives numbers: check the recordings' units")
+    fitted = _fit_at(problem, spec, series, samples, end)
+    if spec.prefers_simpler:
+        simpler = nested[-1][0]
+        gain = 2.0 * samples * math.log(simpler.rmse / fitted.rmse)
+        if gain < (spec.size - simpler.spec.size) * math.log(samples):
+            fitted = dataclasses.replace(simpler, simulations=end.simulations)
+    return dataclasses.replace(fitted, wall_time=time.perf_counter() - began)
+
+
+def _fit_at(
+    problem: IOModelProblem, spec: ModelSpec, series: Sequence[Series], samples: int, end: _SearchEnd
+) -> IOModelFit:
+    """The fit at the end of a search, without its wall time."""
+    vector: Any = end.vector
+    weighted = np.asarray(_weighted_residual(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
+    flat = problem.lower + jnp.asarray(vector) * problem.width
+    maker: Any = problem.make
+    half_widths = None
+    if end.residual is not None and end.jacobian is not None:
+        half_widths = maker.unravel(jnp.asarray(_half_widths(problem, vector, end.residual, end.jacobian)))
+    return IOModelFit(
+        spec=spec,
+        model=problem.make(flat),
+        parameters=maker.unravel(flat),
+        rmse=float(np.sqrt(np.sum(weighted**2) / samples)),
+        samples=samples,
+        simulations=end.simulations,
+        wall_time=0.0,
+        step=float(np.median(np.diff(series[0].time))),
+        ridge=end.ridge,
+        divergence_rate=end.divergence_rate,
+        half_widths=half_widths,
+    )
+
+
+def _half_widths(problem: IOModelProblem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Half-widths of the parameters' 95 % intervals at a fit's end, shape ``(p,)``: see ``IOModelFit``."""
+    low, high = problem.bounds
+    free = np.flatnonzero((low < high) & ~_at_bound(vector, low, high))
+    measured = np.asarray(problem.data.weight) > 0
+    residuals, columns = (v.reshape(*measured.shape, *v.shape[1:]) for v in (residual, jacobian))
+    spread = intervals.estimate_covariance(
+        [columns[k][rows][:, free] for k, rows in enumerate(measured)],
+        [residuals[k][rows] for k, rows in enumerate(measured)],
+        len(free),
+    )
+    half = np.full(len(vector), np.nan)
+    half[free] = intervals.student_quantile(int(np.sum(measured)), len(free)) * np.sqrt(np.diag(spread))
+    return half * np.asarray(problem.width)
+
+
+def _least_squares(
+    problem: IOModelProblem,
+    spec: ModelSpec,
+    nested_points: Sequence[np.ndarray],
+    starts: int,
+    seed: int,
+    max_steps: int,
+) -> _SearchEnd:
+    """Levenberg-Marquardt from the first guess, the fits of nested models, and the best of many random points."""
+    lower, upper = problem.bounds
+    guesses = (np.clip(problem.scaled_vector(guess), lower, upper)[None] for guess in spec.extra_starts)
+    screened = np.vstack([_random_points(problem, _POINTS_PER_START * starts, seed), *guesses])
+    screened_costs = np.asarray(costs(problem, jnp.asarray(screened)))
+    order = np.argsort(np.where(np.isfinite(screened_costs), screened_costs, np.inf))
+    nested = (np.clip(point, lower, upper)[None] for point in nested_points)
+    points = np.vstack([problem.nominal, *nested, screened[order[: starts - 1]]])
+    rng, simulations, best, least = np.random.default_rng(seed), len(screened), _SearchEnd(None, 0), math.inf
+    for _ in range(_MAX_ROUNDS):
+        before = least
+        for point in points:
+            solver = MultiStartSolver(residual, problem, point[None], lower, upper, size=problem.size)
+            solved = solver.advance(max_steps).result()
+            simulations += solved.simulations
+            if solved.costs[0] < least:
+                least = float(solved.costs[0])
+                best = _SearchEnd(solved.points[0], 0, residual=solved.residuals[0], jacobian=solved.jacobians[0])
+        if best.vector is None or not spec.nonsmooth or not least < (1.0 - _MIN_DECREASE) * before:
+            break
+        points = best.vector + _ROUND_SPREAD * rng.standard_normal((_POINTS_PER_ROUND, len(best.vector)))
+    return best._replace(simulations=simulations * problem.data.measured.shape[0])
+
+
+def _random_points(problem: IOModelProblem, count: int, seed: int) -> np.ndarray:
+    """Random points between the bounds, shape ``(count, p)``; half of their entries are the first guess's.
+
+    Parameters that may be of any size, such as time constants, are drawn by their logarithm.
+    """
+    low, width = np.asarray(problem.lower), np.asarray(problem.width)
+    rng = np.random.default_rng(seed)
+    share = rng.uniform(*problem.bounds, (count, len(low)))
+    wide = (low > 0.0) & (low + width > _LOGARITHMIC_FACTOR * low)
+    safe = np.where(wide, low, 1.0)
+    logarithmic = safe * (((safe + width) / safe) ** share - 1.0) / np.where(width > 0.0, width, 1.0)
+    points = np.where(wide, logarithmic, share)
+    return np.where(rng.random(points.shape) < _FIRST_GUESS_SHARE, problem.nominal, points)

@@ -1,0 +1,237 @@
+"""The fit of an input-output model: recordings as it sees them, a kind of model with its bounds, and the residual.
+
+A ``ModelSpec`` says how a model is made of its parameters and between which bounds these lie; both are pytrees of one
+structure. A search runs in the unit box between the bounds. Recordings of different length are filled up, unobserved,
+and run as one batch.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from smajax.errors import InputError
+from smajax.fitting.abstract_problem import AbstractFitProblem
+from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.response import compute_response
+
+# Rows may be this share of a step off and still count as evenly sampled; chosen by trial, for clocks that jitter.
+_STEP_TOLERANCE = 0.01
+
+
+class Series(NamedTuple):
+    """One recording as an input-output model sees it.
+
+    Attributes:
+        name: Name for messages.
+        time: Times (n,), s.
+        input: Input (n,).
+        output: Output (n,); NaN where not measured.
+    """
+
+    name: str
+    time: np.ndarray
+    input: np.ndarray
+    output: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelSpec:
+    """A kind of input-output model that can be fitted.
+
+    Attributes:
+        name: Name of the model.
+        make: Makes the model of its parameters, a pytree of arrays.
+        lower: Lower bounds of the parameters, a pytree of the same structure.
+        upper: Upper bounds; parameters whose bounds are equal are held.
+        start: A first guess.
+        needs_even_rows: Whether the model needs rows that are equally far apart.
+        nonsmooth: Whether the cost has kinks, as where plays begin to move, with shallow minima next to them. The
+            search then continues from random points near its best end for as long as that lowers the cost.
+        prefers_simpler: Whether the last of ``nested`` is taken instead where this model lowers the error by no more
+            than Schwarz's criterion (BIC) asks of its additional parameters.
+        weight_mask: 1 for the weights of a network and 0 for its other parameters; ``None`` for models without weights.
+            Networks are fitted by ``smajax.fitting.io_models.networks``.
+        extra_starts: Further first guesses.
+        nested: Simpler specs, each with the function that writes its parameters as parameters of this model with the
+            same output. A search starts at their fits, too.
+    """
+
+    name: str
+    make: Callable[[Any], AbstractInputOutputModel]
+    lower: Any
+    upper: Any
+    start: Any
+    needs_even_rows: bool = False
+    nonsmooth: bool = False
+    prefers_simpler: bool = False
+    weight_mask: Any = None
+    extra_starts: tuple[Any, ...] = ()
+    nested: tuple[tuple["ModelSpec", Callable[[Any], Any]], ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of free parameters."""
+        lower, upper = (ravel_pytree(side)[0] for side in (self.lower, self.upper))
+        return int(np.sum(np.asarray(lower < upper)))
+
+
+class SeriesData(eqx.Module):
+    """Times (s), inputs, measured outputs and weights of ``r`` series, each of shape ``(r, n)``."""
+
+    time: jax.Array
+    input: jax.Array
+    measured: jax.Array
+    weight: jax.Array
+
+
+class IOModelProblem(AbstractFitProblem):
+    """The weighted residual of an input-output model as a function of a vector in the unit box.
+
+    Attributes:
+        data: The series.
+        lower: Lower bounds of the flat parameters (p,).
+        width: Distances of the bounds (p,).
+        first_guess: First guess in the unit box (p,).
+        reset_interval: Rows after which the past outputs are reset, where ``resets_outputs`` is set.
+        make: Makes the model of the flat parameters.
+        resets_outputs: Whether the model's past outputs are set to the measured ones every ``reset_interval`` rows: 1
+            is open loop, the number of rows closed loop.
+    """
+
+    data: SeriesData
+    lower: jax.Array
+    width: jax.Array
+    first_guess: jax.Array
+    reset_interval: jax.Array
+    make: Callable[[jax.Array], AbstractInputOutputModel] = eqx.field(static=True)
+    resets_outputs: bool = eqx.field(static=True, default=False)
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """The first guess, shape ``(p,)``."""
+        return np.asarray(self.first_guess)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds of the vector; equal for parameters that are held."""
+        return np.zeros(len(self.lower)), np.where(np.asarray(self.width) > 0, 1.0, 0.0)
+
+    def model(self, vector: jax.Array) -> AbstractInputOutputModel:
+        """Return the model at a vector."""
+        return self.make(self.lower + vector * self.width)
+
+    def scaled_vector(self, parameters: Any) -> np.ndarray:
+        """Return the place of parameters, a pytree, in the unit box, shape ``(p,)``."""
+        return np.asarray(_scale(ravel_pytree(parameters)[0], self.lower, self.width))
+
+    def predict(self, vector: jax.Array) -> jax.Array:
+        """Return the outputs, shape ``(r, n)``."""
+        model: Any = self.model(vector)
+        if self.resets_outputs:
+            return jax.vmap(lambda t, u, y: model.predict_ahead(t, u, y, self.reset_interval))(
+                self.data.time, self.data.input, self.data.measured
+            )
+        return jax.vmap(lambda t, u: compute_response(model, t, u))(self.data.time, self.data.input)
+
+    def residual(self, vector: jax.Array) -> jax.Array:
+        """Return model minus measurement, weighted, shape ``(r * n,)``."""
+        weighted = (self.predict(vector) - self.data.measured) * self.data.weight
+        return jnp.where(self.data.weight > 0, weighted, 0.0).ravel()
+
+
+def build_io_problem(spec: ModelSpec, series: Sequence[Series], weight: float | None = None) -> IOModelProblem:
+    """Build the fit problem of an input-output model.
+
+    Args:
+        spec: The kind of model.
+        series: The recordings.
+        weight: One over the noise; by default one over the standard deviation of the output.
+
+    Raises:
+        InputError: The rows of a series are not as far apart as the model needs them.
+    """
+    steps = [float(np.median(np.diff(s.time))) for s in series]
+    for s in series:
+        check_sampling(spec, s, steps[0])
+    spread = float(np.nanstd(np.concatenate([s.output for s in series])))
+    lower, unravel = ravel_pytree(spec.lower)
+    width = ravel_pytree(spec.upper)[0] - lower
+    first_guess = _scale(ravel_pytree(spec.start)[0], lower, width)
+    count = max(len(s.time) for s in series)
+    data = _series_data(series, steps, count, weight or 1.0 / (spread or 1.0))
+    return IOModelProblem(data, lower, width, first_guess, jnp.asarray(count), _Maker(spec.make, unravel))
+
+
+def _series_data(series: Sequence[Series], steps: Sequence[float], count: int, weight: float) -> SeriesData:
+    """The series filled up to ``count`` rows; gaps in the output are interpolated, with weight 0."""
+
+    def filled(values: np.ndarray, last: float = math.nan) -> np.ndarray:
+        end = values[-1] if math.isnan(last) else last
+        return np.append(values, np.full(count - len(values), end))
+
+    outputs = [np.interp(s.time, s.time[np.isfinite(s.output)], s.output[np.isfinite(s.output)]) for s in series]
+    further = [s.time[-1] + step * np.arange(1, count - len(s.time) + 1) for s, step in zip(series, steps, strict=True)]
+    return SeriesData(
+        *(
+            jnp.asarray(np.stack(rows))
+            for rows in (
+                [np.append(s.time, more) for s, more in zip(series, further, strict=True)],
+                [filled(s.input) for s in series],
+                [filled(o) for o in outputs],
+                [filled(np.where(np.isfinite(s.output), weight, 0.0), 0.0) for s in series],
+            )
+        )
+    )
+
+
+def is_evenly_sampled(time: np.ndarray, step: float) -> bool:
+    """Tell whether all rows are ``step`` s apart."""
+    return bool(np.max(np.abs(np.diff(time) - step)) <= _STEP_TOLERANCE * step)
+
+
+def check_sampling(spec: ModelSpec, series: Series, step: float) -> None:
+    """Check that the rows of a series are ``step`` s apart where the model needs that.
+
+    Raises:
+        InputError: They are not.
+    """
+    if spec.needs_even_rows and not is_evenly_sampled(series.time, step):
+        gaps = np.diff(series.time)
+        raise InputError(
+            f"{series.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {spec.name} needs rows "
+            f"every {step:.4g} s as it was fitted with: resample it (Recording.resample)"
+        )
+
+
+def _scale(flat: jax.Array, lower: jax.Array, width: jax.Array) -> jax.Array:
+    """Flat parameters in the unit box; 0 for those that are held."""
+    return jnp.where(width > 0, (flat - lower) / jnp.where(width > 0, width, 1.0), 0.0)
+
+
+class _Maker(NamedTuple):
+    """Makes a model of a flat vector."""
+
+    make: Callable[[Any], AbstractInputOutputModel]
+    unravel: Callable[[jax.Array], Any]
+
+    def __call__(self, flat: jax.Array) -> AbstractInputOutputModel:
+        return self.make(self.unravel(flat))
+
+
+def check_rows(names: str, rows: int, count: int, model: str) -> None:
+    """Check that more rows are measured than a model has parameters; otherwise it can go through all of them.
+
+    Raises:
+        InputError: They are not.
+    """
+    if rows <= count:
+        raise InputError(
+            f"{names}: {rows} measured rows do not determine the {count} parameters of {model}: record more rows"
+        )

@@ -1,0 +1,237 @@
+"""Bounded Levenberg-Marquardt as an optimistix least-squares solver.
+
+Each step solves the normal equations, damped in proportion to their diagonal, for the parameters that no bound holds:
+
+    (J' J + lambda diag(J' J)) d = -J' r
+
+A parameter on its bound whose gradient pushes it outwards stays there; the rest of the step is cut to the bounds.
+Residual and Jacobian are evaluated together at the trial point, because with forward tangents the pair costs less than
+two residuals. A trial that does not lower the cost raises the damping, the more so the more trials were rejected in a
+row. A parameter whose two bounds are equal is fixed, so that profiles and nested models need no other program.
+
+The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``smajax.fitting.multi_start`` drives it.
+
+Source: marquardt1963 (scaled damping), nielsen1999 (reduction of the damping by the gain ratio).
+"""
+
+import enum
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+from jaxtyping import Array, Float
+
+# All damping constants were chosen by trial on fits of rigs; tests/unit/fitting/test_fit.py holds the ends of the
+# search.
+_INITIAL_DAMPING = 1e-3
+# Least factor by which an accepted trial reduces the damping (nielsen1999 has 1/3).
+_MIN_REDUCTION = 0.1
+# A rejected trial multiplies the damping by this ...
+_REJECTION_FACTOR = 5.0
+# ... and by this once more for each rejection in a row before it.
+_REPEATED_REJECTION_FACTOR = 3.0
+# Least damping, so that it can be raised again.
+_MIN_DAMPING = 1e-12
+# Beyond this damping a step is below rounding: no step lowers the cost any more.
+_MAX_DAMPING = 1e12
+# Least diagonal as a share of the largest, so that a parameter without effect leaves the matrix regular.
+_MIN_DIAGONAL = 1e-12
+# So many small decreases of the cost in a row end the search.
+_SMALL_DECREASES = 2
+# A predicted decrease this much below the relative tolerance ends it at once.
+_PREDICTED_SHARE = 1e-2
+
+
+class SolverStatus(enum.IntEnum):
+    """Why a search from one start ended; ``text`` says it in words."""
+
+    running = 0
+    converged = 1
+    stalled = 2
+    failed = 3
+    steps = 4
+    interrupted = 5
+
+    @property
+    def text(self) -> str:
+        """One sentence for people."""
+        return {
+            SolverStatus.running: "still running",
+            SolverStatus.converged: "the cost falls by less than its tolerance",
+            SolverStatus.stalled: "no step lowers the cost any more",
+            SolverStatus.failed: "the simulation fails at the start point: see its result code",
+            SolverStatus.steps: "the number of steps ran out before the cost settled: allow more, or start nearer",
+            SolverStatus.interrupted: "interrupted; the best point so far is kept",
+        }[self]
+
+
+class LMState(NamedTuple):
+    """State of one search.
+
+    Attributes:
+        trial: Trial point (p,).
+        residual: Residual at the best point (m,).
+        jacobian: Jacobian there (m, p).
+        cost: Sum of squares there.
+        damping: Damping lambda.
+        predicted: Decrease of the cost that the linear model predicts for the trial.
+        small_decreases: Small decreases in a row.
+        rejections: Rejected trials in a row.
+        steps: Steps so far.
+        status: ``SolverStatus``.
+    """
+
+    trial: jax.Array
+    residual: jax.Array
+    jacobian: jax.Array
+    cost: jax.Array
+    damping: jax.Array
+    predicted: jax.Array
+    small_decreases: jax.Array
+    rejections: jax.Array
+    steps: jax.Array
+    status: jax.Array
+
+
+class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt within bounds.
+
+    The unknown ``y``, shape ``(p,)``, and the residual, shape ``(m,)``, are flat arrays. ``args`` of the optimistix
+    interface is ``(lower, upper, args)``; the residual function is called with the last.
+
+    Attributes:
+        rtol: Relative decrease of the cost; two smaller ones in a row end the search.
+        lazy_jacobian: Evaluate the Jacobian after the residual, and only at trials that are accepted. That pays where
+            the Jacobian costs several residuals, and not in a batch.
+    """
+
+    rtol: Any  # an array of no dimensions: as a number, each value would be a program of its own
+    atol: float = 0.0
+    lazy_jacobian: bool = eqx.field(static=True, default=False)
+    norm: Callable = eqx.field(static=True, default=optx.max_norm)
+
+    def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
+        """Return a state in which nothing is evaluated yet: the first step accepts the start point."""
+        # Types are spelt out: a weakly typed start would compile the step twice.
+        size, real, whole = f_struct.shape[0], jnp.float64, jnp.int64
+        return LMState(
+            trial=y,
+            residual=jnp.zeros(size, real),
+            jacobian=jnp.zeros((size, y.shape[0]), real),
+            cost=jnp.asarray(jnp.inf, real),
+            damping=jnp.asarray(_INITIAL_DAMPING, real),
+            predicted=jnp.zeros((), real),
+            small_decreases=jnp.zeros((), whole),
+            rejections=jnp.zeros((), whole),
+            steps=jnp.zeros((), whole),
+            status=jnp.asarray(SolverStatus.running.value, whole),
+        )
+
+    def step(
+        self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any
+    ) -> tuple[Any, LMState, Any]:
+        """Evaluate the trial point, accept or reject it, and propose the next one."""
+        lower, upper, fn_args = args
+        residual, jacobian, cost = self._evaluate(lambda v: fn(v, fn_args)[0], state)
+        finite = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
+        accept = finite & (cost < state.cost)
+        first = state.steps == 0
+        decrease = state.cost - cost
+        damping = _next_damping(state, decrease, accept, first)
+        small = accept & (decrease <= self.rtol * state.cost) & ~first
+        small_decreases = jnp.where(small, state.small_decreases + 1, jnp.where(accept, 0, state.small_decreases))
+        y = jnp.where(accept, state.trial, y)
+        residual = jnp.where(accept, residual, state.residual)
+        jacobian = jnp.where(accept, jacobian, state.jacobian)
+        cost = jnp.where(accept, cost, state.cost)
+        trial, predicted = _propose(y, residual, jacobian, damping, lower, upper)
+        still = (predicted >= 0) & (predicted <= self.rtol * _PREDICTED_SHARE * cost)
+        converged = (small_decreases >= _SMALL_DECREASES) | (still & ~first) | (first & (predicted == 0))
+        status = jnp.select(
+            [first & ~finite, converged, damping > _MAX_DAMPING],
+            [SolverStatus.failed.value, SolverStatus.converged.value, SolverStatus.stalled.value],
+            SolverStatus.running.value,
+        ).astype(jnp.int64)
+        state = LMState(
+            trial=trial,
+            residual=residual,
+            jacobian=jacobian,
+            cost=cost,
+            damping=jnp.maximum(damping, _MIN_DAMPING),
+            predicted=predicted,
+            small_decreases=small_decreases,
+            rejections=jnp.where(accept, 0, state.rejections + 1),
+            steps=state.steps + 1,
+            status=status,
+        )
+        return y, state, residual
+
+    def _evaluate(self, fn: Callable, state: LMState) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Residual, Jacobian and cost at the trial point."""
+
+        def twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+            r = fn(v)
+            return r, r
+
+        if self.lazy_jacobian:
+            residual = twice(state.trial)[0]
+            cost = jnp.sum(residual**2)
+            slopes = jax.jacfwd(twice, has_aux=True)
+            jacobian = jax.lax.cond(cost < state.cost, lambda v: slopes(v)[0], lambda _: state.jacobian, state.trial)
+        else:
+            jacobian, residual = jax.jacfwd(twice, has_aux=True)(state.trial)
+            cost = jnp.sum(residual**2)
+        return residual, jacobian, cost
+
+    def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
+        """Tell optimistix whether the search has ended, and how."""
+        done = (state.status == SolverStatus.converged) | (state.status == SolverStatus.stalled)
+        failed = state.status == SolverStatus.failed
+        result = optx.RESULTS.where(failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)
+        return done | failed, result
+
+    def postprocess(
+        self, fn: Callable, y: Any, aux: Any, args: Any, options: Any, state: LMState, tags: Any, result: Any
+    ) -> tuple:
+        """Return the solution as it is."""
+        return y, aux, {}
+
+
+def _next_damping(state: LMState, decrease: jax.Array, accept: jax.Array, first: jax.Array) -> jax.Array:
+    """Damping after a trial: reduced by the gain ratio if it was accepted, raised if not."""
+    gain = decrease / jnp.where(state.predicted > 0, state.predicted, 1.0)
+    reduced = state.damping * jnp.clip(1.0 - (2.0 * gain - 1.0) ** 3, _MIN_REDUCTION, 1.0)
+    raised = _REJECTION_FACTOR * _REPEATED_REJECTION_FACTOR**state.rejections * state.damping
+    return jnp.where(first, state.damping, jnp.where(accept, reduced, raised))
+
+
+def _propose(
+    y: Float[Array, " p"],
+    residual: Float[Array, " m"],
+    jacobian: Float[Array, "m p"],
+    damping: Float[Array, ""],
+    lower: Float[Array, " p"],
+    upper: Float[Array, " p"],
+) -> tuple[Float[Array, " p"], Float[Array, ""]]:
+    """Next trial point within the bounds, and the decrease of the cost that the linear model predicts for it."""
+    gradient = jacobian.T @ residual
+    normal = jacobian.T @ jacobian
+    held = ((y <= lower) & (gradient > 0)) | ((y >= upper) & (gradient < 0)) | (lower >= upper)
+
+    diagonal = jnp.diag(normal)
+    damped = normal + damping * jnp.diag(jnp.maximum(diagonal, _MIN_DIAGONAL * jnp.max(diagonal) + 1e-300))
+
+    def solve(right: jax.Array, held: jax.Array) -> jax.Array:
+        matrix = jnp.where(held[:, None] | held[None, :], jnp.eye(y.shape[0]), damped)
+        return jnp.where(held, 0.0, jnp.linalg.solve(matrix, jnp.where(held, 0.0, right)))
+
+    # Parameters whose step leaves the bounds go to their bound, and the others are solved for again, given that.
+    change = solve(-gradient, held)
+    leaving = ~held & ((y + change < lower) | (y + change > upper))
+    cut = jnp.where(leaving, jnp.clip(y + change, lower, upper) - y, 0.0)
+    change = jnp.clip(y + cut + solve(-gradient - normal @ cut, held | leaving), lower, upper) - y
+    predicted = -(2.0 * gradient @ change + change @ normal @ change)
+    return y + change, predicted

@@ -1,0 +1,216 @@
+"""Least-squares searches from several starts, step by step.
+
+``MultiStartSolver`` drives ``BoundedLevenbergMarquardt`` on a batch of starts, so that progress can be shown, an
+interruption keeps the best point so far, and one start's failure leaves the others alone.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smajax.fitting.abstract_problem import AbstractFitProblem, costs
+from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, vmap_unless_single
+from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
+
+# Least number of random points that are simulated to choose starts from. Chosen by trial on fits of rigs;
+# tests/unit/fitting/test_fit.py holds the number.
+_MIN_SCREENED = 48
+# Least number of these per start; chosen by trial on fits of rigs.
+_SCREENED_PER_START = 4
+# With this many recordings each simulation is a wide batch by itself, and starts are searched one after another. Chosen
+# by trial for speed.
+SEQUENTIAL_FROM = 4
+
+
+def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[np.ndarray, int]:
+    """Choose the best of many random points, simulated as one batch, as starts in addition to the nominal one.
+
+    Most random points never transform at all, and gradients say little there.
+
+    Returns:
+        The nominal point and ``starts - 1`` others, shape ``(starts, p)``, and the number of simulations.
+    """
+    if starts <= 1:
+        return problem.nominal[None], 0
+    lower, upper = problem.search_bounds()
+    count = max(_MIN_SCREENED, _SCREENED_PER_START * starts)
+    points = np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
+    point_costs = np.asarray(costs(problem, jnp.asarray(points)))
+    order = np.argsort(np.where(np.isfinite(point_costs), point_costs, np.inf))
+    return np.vstack([problem.nominal, points[order[: starts - 1]]]), len(points) * problem.data.measured.shape[0]
+
+
+class MultiStartResult(NamedTuple):
+    """The ends of ``s`` searches.
+
+    Attributes:
+        points: Best points (s, p).
+        residuals: Residuals there (s, m).
+        jacobians: Jacobians there (s, m, p).
+        costs: Sums of squares there (s,).
+        statuses: Why each search ended.
+        steps: Steps taken.
+        simulations: Evaluations of the residual; a Jacobian counts p.
+        wall_time: s.
+        history: After each step: simulations, wall time in s, best cost.
+    """
+
+    points: np.ndarray
+    residuals: np.ndarray
+    jacobians: np.ndarray
+    costs: np.ndarray
+    statuses: list[SolverStatus]
+    steps: int
+    simulations: int
+    wall_time: float
+    history: list[tuple[int, float, float]]
+
+
+class MultiStartSolver:
+    """Searches from several starts that can be continued where they stopped.
+
+    Minimises ``sum(fn(vector, args)**2)`` within bounds.
+    """
+
+    def __init__(
+        self,
+        fn: Callable[[jax.Array, Any], jax.Array],
+        args: Any,
+        starts: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        size: int,
+        rtol: float = 1e-7,
+        sequential: bool = False,
+        primal_fn: Callable[[jax.Array, Any], Any] | None = None,
+    ):
+        """Place the searches at their starts; nothing is evaluated yet.
+
+        Args:
+            fn: Residual function of a vector (p,) and ``args``, shape ``(size,)``.
+            args: Second argument of ``fn``.
+            starts: Start points (s, p).
+            lower: Lower bounds (p,) or (s, p).
+            upper: Upper bounds of the same shape.
+            size: Length of the residual.
+            rtol: Relative tolerance of ``BoundedLevenbergMarquardt``.
+            sequential: Take the starts' steps one after another instead of as one batch. That is as fast where ``fn``
+                is a batch itself, and searches that have ended cost nothing.
+            primal_fn: A program of its own for a single start, called with the trial point and ``args`` before each
+                step. ``fn`` is then called with ``(args, result)``, and only a step that is taken costs derivatives.
+        """
+        self._fn, self._args, self._primal_fn = fn, args, primal_fn
+        self._solver = BoundedLevenbergMarquardt(jnp.asarray(rtol), lazy_jacobian=sequential or primal_fn is not None)
+        low, high = (np.broadcast_to(b, starts.shape) for b in (lower, upper))
+        self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
+        self._states = _initial_states(self._solver, self._points, size)
+        self._wall_time, self._history = 0.0, []
+        self.steps = self.simulations = 0
+        self._interrupted, self._sequential = False, sequential
+
+    def advance(
+        self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None
+    ) -> "MultiStartSolver":
+        """Take at most ``steps`` more steps. Ctrl-C ends the search and keeps the best points.
+
+        Args:
+            steps: Number of steps.
+            progress: Called after each with its number and the best cost so far.
+        """
+        began, last = time.perf_counter() - self._wall_time, self.steps + steps
+        try:
+            while self.steps < last and (running := self._count_running()):
+                self.simulations += running * (1 + self._points.shape[1])
+                self._points, self._states = jax.block_until_ready(self._program(*self._arguments()))
+                self.steps += 1
+                self._wall_time = time.perf_counter() - began
+                best = self.cost
+                self._history.append((self.simulations, self._wall_time, best))
+                progress(self.steps, best)
+        except KeyboardInterrupt:
+            self._interrupted = True
+        return self
+
+    def trace_program(self) -> None:
+        """Trace the program of a step, so that its compilation needs no more Python."""
+        self._program.lower(*self._arguments())
+
+    @property
+    def cost(self) -> float:
+        """The best cost so far."""
+        return float(np.min(self._states.cost))
+
+    def result(self) -> MultiStartResult:
+        """Return the state of all searches."""
+        unfinished = SolverStatus.interrupted if self._interrupted else SolverStatus.steps
+        statuses = [SolverStatus(int(s)) for s in np.asarray(self._states.status)]
+        return MultiStartResult(
+            points=np.asarray(self._points),
+            residuals=np.asarray(self._states.residual),
+            jacobians=np.asarray(self._states.jacobian),
+            costs=np.asarray(self._states.cost),
+            statuses=[unfinished if s is SolverStatus.running else s for s in statuses],
+            steps=self.steps,
+            simulations=self.simulations,
+            wall_time=self._wall_time,
+            history=self._history,
+        )
+
+    def _count_running(self) -> int:
+        return int(np.sum(np.asarray(self._states.status) == SolverStatus.running))
+
+    @property
+    def _program(self) -> Any:
+        return _step_starts if self._primal_fn is None else _step_starts_large
+
+    def _arguments(self) -> tuple:
+        args = self._args
+        if self._primal_fn is not None:
+            args = (args, self._primal_fn(self._states.trial[0], args))
+        return self._solver, self._fn, self._points, self._states, self._bounds, args, self._sequential
+
+
+@eqx.filter_jit
+def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
+    struct = jax.ShapeDtypeStruct((size,), jnp.float64)
+    return jax.vmap(lambda y: solver.init(lambda y, args: y, y, None, {}, struct, None, frozenset()))(points)
+
+
+def _step_all(
+    solver: BoundedLevenbergMarquardt,
+    fn: Callable,
+    points: jax.Array,
+    states: LMState,
+    bounds: tuple,
+    args: Any,
+    sequential: bool,
+) -> tuple:
+    """One step of every search that has not ended: the points and states after it."""
+
+    def step(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
+        return solver.step(lambda v, a: (fn(v, a), None), y, (*bounds, args), {}, state, frozenset())[:2]
+
+    def batched(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
+        running = state.status == SolverStatus.running
+        return jax.tree.map(lambda a, b: jnp.where(running, a, b), step(y, state, bounds), (y, state))
+
+    def conditional(search: tuple) -> tuple:
+        running = search[1].status == SolverStatus.running
+        return jax.lax.cond(running, step, lambda y, state, bounds: (y, state), *search)
+
+    if sequential and points.shape[0] > 1:
+        return jax.lax.map(conditional, (points, states, bounds))
+    return vmap_unless_single(batched, points.shape[0], points, states, bounds)
+
+
+_step_starts = eqx.filter_jit(_step_all)
+_step_starts_large = eqx.filter_jit(
+    _step_all,
+    compiler_options=LARGE_PROGRAM_OPTIONS,  # pyright: ignore[reportCallIssue]
+)

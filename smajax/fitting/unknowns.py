@@ -1,0 +1,132 @@
+"""The unknowns of a fit: which parameters are free, their start values, bounds and scales."""
+
+import dataclasses
+import math
+from collections.abc import Collection, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+
+from smajax import parameters
+from smajax.parameters import ORDERED_PAIRS
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+
+# Least band of a transformation, relative to where its first end lies: enough for a material law to run through.
+MIN_RELATIVE_BAND = 1e-3
+# Steps of order one where a start value of zero gives no scale; typical sizes by unit.
+_TYPICAL_SCALES = {"K": 10.0, "W/m^2/K": 100.0, "W/m^2/K^2": 0.5, "W/m^2/K^3": 0.005, "1/K": 1e-5, "ohm": 0.1}
+
+
+@runtime_checkable
+class Settings(Protocol):
+    """What a fit needs to know; ``smajax.files.rig_file.FitSettings`` has it.
+
+    Attributes:
+        free: Names of the free parameters.
+        per_recording: Those that each recording has for itself.
+        initial: Start values that are free, such as ``temperature``.
+        bounds: Bounds by name, where they differ from the declared ones.
+        observe: Channels that are fitted.
+        noise: Standard deviation by channel, SI; estimated where absent.
+        starts: Number of starts.
+        seed: Seed of the random starts.
+    """
+
+    free: Sequence[str]
+    per_recording: Sequence[str]
+    initial: Sequence[str]
+    bounds: Any
+    observe: Sequence[str]
+    noise: Any
+    starts: int
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Unknown:
+    """One entry of the vector: a parameter of one recording, or (``recording`` is ``None``) of all.
+
+    Unknowns are equal if name and unit are: what else differs needs no other program.
+
+    Attributes:
+        name: ``section.key``.
+        recording: Name of its recording.
+        nominal: Start value, internal unit.
+        lower: Lower bound.
+        upper: Upper bound.
+        scale: The vector's entry is the value over this scale.
+        unit: Internal unit.
+    """
+
+    name: str
+    recording: str | None = dataclasses.field(compare=False)
+    nominal: float = dataclasses.field(compare=False)
+    lower: float = dataclasses.field(compare=False)
+    upper: float = dataclasses.field(compare=False)
+    scale: float = dataclasses.field(compare=False)
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """``section.key``, followed by ``@recording`` where each recording has its own."""
+        return self.name if self.recording is None else f"{self.name}@{self.recording}"
+
+
+def make_unknown(
+    plant: Plant, name: str, recording: str | None, bounds: tuple[float, float], sample: Recording
+) -> Unknown:
+    """Make an unknown, with a scale that gives steps of order one.
+
+    Args:
+        plant: Gives the start value; one that is NaN follows from the plant's state at the first row of ``sample``.
+        name: The parameter.
+        recording: Name of the recording whose parameter it is, or ``None``.
+        bounds: Lower and upper bound.
+        sample: Its channel gives the scale of a sensor's offset.
+    """
+    declared = parameters.declaration(plant, name)
+    nominal = float(parameters.get(plant, name))
+    if math.isnan(nominal):
+        nominal = _state_value(plant, name, sample)
+    lower, upper = bounds
+    if name.startswith("sensor.") and name.endswith("_offset"):
+        channel = sample.channels.get(name.removeprefix("sensor.").removesuffix("_offset"))
+        scale = float(np.nanmax(channel) - np.nanmin(channel)) if channel is not None else 1.0
+    else:
+        scale = abs(nominal) or _TYPICAL_SCALES.get(declared.unit) or min(abs(upper), abs(lower), 1.0) or 1.0
+        if declared.unit in ("degC", "K"):
+            scale = _TYPICAL_SCALES["K"]
+    return Unknown(name, recording, nominal, lower, upper, scale, declared.unit)
+
+
+def bounds_of(plant: Plant, name: str, settings: Settings, free: Collection[str]) -> tuple[float, float]:
+    """Return the bounds of a parameter.
+
+    A free end of a transformation stays on its side of the other end where that is not in ``free``.
+    """
+    declared = parameters.declaration(plant, name)
+    lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))
+    for low, high in ORDERED_PAIRS:
+        other = high if name == low else low
+        if name not in (low, high) or other in free or other not in parameters.all_declarations(plant):
+            continue
+        other_value = float(parameters.get(plant, other))
+        band = MIN_RELATIVE_BAND * abs(other_value)
+        lower, upper = (
+            (lower, min(upper, other_value - band)) if name == low else (max(lower, other_value + band), upper)
+        )
+    return lower, upper
+
+
+def _state_value(plant: Plant, name: str, sample: Recording) -> float:
+    """Start value of a state that the plant derives from the first row of its inputs."""
+    first = jnp.asarray([sample.channels[c][0] for c in plant.signals])
+    state = plant.start(first)
+    values = {
+        "temperature": state.temperature,
+        "detwinned": state.fractions.detwinned,
+        "twinned": state.fractions.twinned,
+    }
+    return float(values[name.removeprefix("initial.")][0])

@@ -1,0 +1,75 @@
+"""NARX network: the next output from past outputs and inputs, by two layers.
+
+    y(k) = b + v . y_past + c . tanh(W [y_past, u_past] + d),     y_past = y(k-1)..y(k-n),  u_past = u(k-1)..u(k-n)
+
+Source: copaci2020, equation 10. The linear term v lets a small network begin as a linear model. Inside, outputs and
+inputs are scaled to a size of about 1. In *open loop* it predicts one row ahead from measured outputs; in *closed
+loop*, which ``response`` is, from its own. In between, ``predict_ahead`` restarts it from measured outputs every so
+many rows: a fit that goes from 1 row to all of them finds a network that does not diverge on the recording it was
+fitted to. That it does not diverge on other inputs either requires small weights: a ridge penalty holds them, chosen by
+cross-validation on the training recordings (``smajax.fitting.io_models.networks``).
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.laws.base import AbstractInputOutputModel
+from smajax.numerics.nonsmooth import clip
+
+# Bound of the scaled output, in halves of the range of the outputs, that stops a diverging closed loop. Chosen by
+# trial; tests/unit/laws/test_input_output_models.py holds it.
+_OUTPUT_BOUND = 3.0
+
+
+class Narx(AbstractInputOutputModel):
+    """NARX network with ``m`` neurons and ``n`` past rows.
+
+    ``hidden`` is W, shape ``(m, 2 n)``; ``shift`` d and ``outer`` c, shape ``(m,)``; ``straight`` v, shape ``(n,)``;
+    ``constant`` b. ``scale``, shape ``(4,)``, holds middle and size of the input and of the output; ``rest`` is the
+    output before the first row.
+    """
+
+    hidden: jax.Array
+    shift: jax.Array
+    outer: jax.Array
+    straight: jax.Array
+    constant: jax.Array
+    rest: jax.Array
+    scale: jax.Array
+
+    def init(self, first: Float[Array, ""]) -> tuple[jax.Array, jax.Array]:
+        """Return past outputs and inputs, scaled, newest first, shape ``(n,)`` each."""
+        past = jnp.ones_like(self.straight)
+        return self.with_history(((), past * self._scaled_input(first)), past * self.rest)
+
+    def step(
+        self, state: tuple, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return past outputs and inputs at the next row."""
+        outputs, inputs = state
+        inputs = jnp.append(self._scaled_input(before), inputs[:-1])
+        new = clip(self._next_output(outputs, inputs), -_OUTPUT_BOUND, _OUTPUT_BOUND)
+        return jnp.append(new, outputs[:-1]), inputs
+
+    def output(self, state: tuple, value: Float[Array, ""]) -> Float[Array, ""]:
+        """Return the newest output."""
+        return self.scale[2] + self.scale[3] * state[0][0]
+
+    @property
+    def history_length(self) -> int:
+        """Number n of past outputs that the state holds."""
+        return len(self.straight)
+
+    def with_history(self, state: tuple, outputs: Float[Array, " history"]) -> tuple[jax.Array, jax.Array]:
+        """Return the state with its past outputs replaced by ``outputs``, newest first."""
+        return (outputs - self.scale[2]) / self.scale[3], state[1]
+
+    def _next_output(self, outputs: jax.Array, inputs: jax.Array) -> jax.Array:
+        past = jnp.concatenate([outputs, inputs])
+        # Sums instead of matrix products: the matrices are too small to pay for a call in every row.
+        inner = jnp.tanh(jnp.sum(self.hidden * past[None, :], axis=1) + self.shift)
+        return self.constant + jnp.sum(self.straight * outputs) + jnp.sum(self.outer * inner)
+
+    def _scaled_input(self, value: jax.Array) -> jax.Array:
+        return (value - self.scale[0]) / self.scale[1]

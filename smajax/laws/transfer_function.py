@@ -1,0 +1,92 @@
+"""Linear transfer functions with a delay, in four structures.
+
+    one pole             K / (tau_1 s + 1)
+    two poles            K / ((tau_1 s + 1)(tau_2 s + 1))
+    underdamped          K / (tau^2 s^2 + 2 zeta tau s + 1)
+    underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
+
+each times exp(-delay s). Source: ali2026. Before its first row a recording was at rest, in the steady state of its
+first input, or between the two (``settled``). The input is held between rows, which are equally spaced; the step from
+row to row is then exact, and so is that from a row to an instant before the next one, where a delay of some rows and a
+fraction reads the response. So the delay is a continuous parameter, however few rows the lag has. At whole rows the
+response of one pole has a kink in the delay; the derivative there is that towards longer delays.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smajax.laws.base import AbstractInputOutputModel
+
+Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
+STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")
+
+
+class TransferFunction(AbstractInputOutputModel):
+    """Transfer function of one of the ``STRUCTURES``; parameters that a structure does not use are ignored.
+
+    ``gain`` is in output per input, ``rest`` the output at zero input, ``first`` and ``second`` are time constants in s
+    (``first`` is tau of an underdamped pair), ``damping`` is its zeta, ``delay`` is in s; ``settled`` is the share of
+    the first input to which the states had settled before the recording, 0 from rest.
+    """
+
+    gain: jax.Array
+    rest: jax.Array
+    first: jax.Array
+    second: jax.Array
+    damping: jax.Array
+    delay: jax.Array
+    settled: jax.Array = eqx.field(default=0.0, converter=jnp.asarray)
+    structure: Structure = eqx.field(static=True, kw_only=True)
+
+    def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """Return the outputs at all rows; ``time`` is equally spaced."""
+        step = (time[-1] - time[0]) / (len(time) - 1)
+        transition, input_gain = self.zero_order_hold(step)
+        before = self.settled * values[0]
+        # The rate of an underdamped pair, which is 0 at rest.
+        is_rate = np.arange(self.order) == (1 if "underdamped" in self.structure else -1)
+        initial = jnp.where(is_rate, 0.0, before)
+
+        def advance(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return transition @ state + input_gain * value, state
+
+        _, states = jax.lax.scan(advance, initial, values)
+        whole = jnp.floor(self.delay / step)
+        last = jnp.arange(len(values)) - whole.astype(int) - 1  # the row before the instant that is read
+        transition, input_gain = self.zero_order_hold((whole + 1) * step - self.delay)
+        undelayed = states @ transition[0] + values * input_gain[0]
+        return self.rest + self.gain * jnp.where(last >= 0, undelayed[jnp.maximum(last, 0)], before)
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return {"one-pole": 1, "two-poles": 2, "underdamped": 2, "underdamped-and-pole": 3}[self.structure]
+
+    def zero_order_hold(
+        self, duration: Float[Array, ""]
+    ) -> tuple[Float[Array, "states states"], Float[Array, " states"]]:
+        """Return transition matrix and input gain of a step of ``duration`` s with a constant input; exact."""
+        rates, drive = self._equations()
+        size = self.order
+        augmented = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)
+        exponential = jax.scipy.linalg.expm(augmented * duration)
+        return exponential[:size, :size], exponential[:size, size]
+
+    def _equations(self) -> tuple[jax.Array, jax.Array]:
+        """x' = rates x + drive u with output x[0] and unit gain; in an underdamped pair x[1] is the rate of x[0]."""
+        a, b = 1.0 / self.first, 1.0 / self.second
+        zero = jnp.zeros_like(a)
+        if self.structure == "one-pole":
+            return jnp.array([[-a]]), jnp.array([a])
+        if self.structure == "two-poles":
+            return jnp.array([[-a, a], [zero, -b]]), jnp.array([zero, b])
+        oscillation = [[zero, 1.0 + zero], [-a * a, -2.0 * self.damping * a]]
+        if self.structure == "underdamped":
+            return jnp.array(oscillation), jnp.array([zero, a * a])
+        (p, q), (r, s) = oscillation
+        return jnp.array([[p, q, zero], [r, s, a * a], [zero, zero, -b]]), jnp.array([zero, zero, b])

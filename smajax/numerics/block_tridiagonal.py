@@ -1,0 +1,121 @@
+"""Symmetric linear systems on a grid of cells coupled to their four neighbours: factored once, solved repeatedly.
+
+With the cells of a row in one block, the matrix is block tridiagonal and its off-diagonal blocks are diagonal.
+Eliminated row by row, the remaining blocks D_i - U_(i-1) S_(i-1) U_(i-1) are inverted once (S_i). A solution is then a
+sweep down the rows and one up, with two products by S_i a row. It is differentiated by the implicit function theorem:
+its tangent and its cotangent are solutions of the same system, which the same factors give.
+
+For speed, ``_product`` has a batching rule of its own, and ``invert_positive_definite`` stands in for LAPACK (see
+there).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+# Up to as many vectors a product with one matrix is computed vector by vector: a CPU does so faster than as one product
+# of matrices. As many as a Jacobian by that many parameters has tangents. Chosen by trial;
+# tests/unit/actuators/test_cross_section.py holds the values.
+_MAX_SEPARATE_PRODUCTS = 16
+
+
+@jax.custom_batching.custom_vmap
+def _product(symmetric: jax.Array, vector: jax.Array) -> jax.Array:
+    """A symmetric matrix times a vector, as a sum of columns: on a CPU faster than a product of matrices."""
+    return jnp.sum(symmetric * vector[:, None], axis=0)
+
+
+@_product.def_vmap
+def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.Array) -> tuple[jax.Array, bool]:
+    """Products of a batch; of one matrix with few vectors, vector by vector."""
+    if batched[0]:
+        vector = vector if batched[1] else jnp.broadcast_to(vector, (size, *vector.shape))
+        return jnp.einsum("bij,bj->bi", symmetric, vector), True
+    if size > _MAX_SEPARATE_PRODUCTS:
+        return vector @ symmetric, True
+    return jnp.stack([_product(symmetric, row) for row in vector]), True
+
+
+def invert_positive_definite(matrix: Float[Array, "c c"]) -> Float[Array, "c c"]:
+    """Invert a symmetric positive definite matrix by the sweep operator, one pivot after the other.
+
+    LAPACK would distribute so small a matrix over threads that wait for each other; on a busy machine they wait a
+    hundred times as long as they compute.
+
+    Args:
+        matrix: The matrix.
+    """
+
+    def sweep(k: jax.Array, matrix: jax.Array) -> jax.Array:
+        column = matrix[:, k]
+        row = column / column[k]
+        pivot = jnp.arange(len(matrix)) == k
+        swept = matrix - column[:, None] * row[None, :]
+        swept = jnp.where(pivot[:, None], row[None, :], jnp.where(pivot[None, :], row[:, None], swept))
+        return jnp.where(pivot[:, None] & pivot[None, :], -1.0 / column[k], swept)
+
+    return -jax.lax.fori_loop(0, len(matrix), sweep, matrix)
+
+
+class FivePointMatrix(NamedTuple):
+    """A symmetric matrix over a grid of ``r`` rows of ``c`` cells, of which each is coupled to its neighbours.
+
+    Attributes:
+        diagonal: The diagonal, shape ``(r, c)``.
+        along_rows: Couplings of neighbours in a row, shape ``(r, c - 1)``; the matrix has them with a minus sign.
+        across_rows: Couplings of neighbours in a column, shape ``(r - 1, c)``; the matrix has them with a minus sign.
+    """
+
+    diagonal: jax.Array
+    along_rows: jax.Array
+    across_rows: jax.Array
+
+    def apply(self, x: Float[Array, "r c"]) -> Float[Array, "r c"]:
+        """Multiply the matrix with ``x``."""
+        product = self.diagonal * x
+        product = product.at[:, 1:].add(-self.along_rows * x[:, :-1]).at[:, :-1].add(-self.along_rows * x[:, 1:])
+        return product.at[1:].add(-self.across_rows * x[:-1]).at[:-1].add(-self.across_rows * x[1:])
+
+    def factor(self) -> Float[Array, "r c c"]:
+        """Compute the inverses S_i of the eliminated rows, without derivatives, which no solution needs of them."""
+        cells = self.diagonal.shape[1]
+        constant = jax.lax.stop_gradient(self)
+        above = jnp.concatenate([jnp.zeros((1, cells)), constant.across_rows])
+
+        def eliminate(inverse: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+            diagonal, along_row, coupling = row
+            block = jnp.diag(diagonal) - jnp.diag(along_row, 1) - jnp.diag(along_row, -1)
+            inverse = invert_positive_definite(block - coupling[:, None] * inverse * coupling[None, :])
+            return inverse, inverse
+
+        rows = (constant.diagonal, constant.along_rows, above)
+        return jax.lax.scan(eliminate, jnp.zeros((cells, cells)), rows)[1]
+
+    def solve(self, factors: Float[Array, "r c c"], right: Float[Array, "r c"]) -> Float[Array, "r c"]:
+        """Solve for a right-hand side; differentiable in the matrix and the right-hand side.
+
+        Args:
+            factors: What ``factor`` gives.
+            right: The right-hand side.
+        """
+        across_rows = jax.lax.stop_gradient(self.across_rows)
+        zero = jnp.zeros((1, right.shape[1]))
+
+        def substitute(right: jax.Array) -> jax.Array:
+            def down(eliminated: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+                inverse, right, coupling = row
+                eliminated = _product(inverse, right + coupling * eliminated)
+                return eliminated, eliminated
+
+            def up(x: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+                inverse, eliminated, coupling = row
+                x = eliminated + _product(inverse, coupling * x)
+                return x, x
+
+            _, eliminated = jax.lax.scan(down, zero[0], (factors, right, jnp.concatenate([zero, across_rows])))
+            couplings = jnp.concatenate([across_rows, zero])
+            return jax.lax.scan(up, zero[0], (factors, eliminated, couplings), reverse=True)[1]
+
+        return jax.lax.custom_linear_solve(self.apply, right, lambda _, b: substitute(b), symmetric=True)

@@ -1,0 +1,68 @@
+"""Settings of the process that runs smajax: JAX's platform and cache, garbage collection, processor cores."""
+
+import gc
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+# Objects made before the garbage collector runs (Python's default is 700 to 2000). Writing a compiled program down
+# makes many small objects, none of which is garbage. Chosen by trial.
+_GARBAGE_THRESHOLD = 200_000
+
+
+def prepare_jax(accelerator: bool = False) -> None:
+    """Set JAX up for a process: CPU unless an accelerator is asked for, and compiled programs cached between runs.
+
+    The cache is in the user's cache folder or where ``JAX_COMPILATION_CACHE_DIR`` says. Where no folder can be written,
+    nothing is cached, and everything else works. A few simulations at a time, step after step, are many times as slow
+    on a GPU, which pays off where thousands of designs run in parallel. Equinox's run-time checks are switched off
+    first: they call Python from the compiled program, which then cannot be cached; smajax's simulations carry status
+    codes instead.
+
+    Args:
+        accelerator: Whether JAX may take an accelerator; otherwise the CPU, unless ``JAX_PLATFORMS`` says something
+            else.
+
+    Raises:
+        RuntimeError: Equinox has been imported before, so that its checks cannot be switched off any more.
+    """
+    if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
+        raise RuntimeError("prepare_jax has to be called before anything imports equinox")
+    os.environ.setdefault("EQX_ON_ERROR", "off")
+    gc.set_threshold(_GARBAGE_THRESHOLD, 20, 50)
+    import jax
+
+    from smajax.numerics import jax_setup  # noqa: F401
+
+    if not accelerator and not os.environ.get("JAX_PLATFORMS"):
+        jax.config.update("jax_platforms", "cpu")
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        folder = cache_folder("jax")
+        if folder is None:
+            return
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def count_cores() -> int:
+    """Count the processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def cache_folder(name: str) -> Path | None:
+    """Make a folder in the user's cache, and return it; ``None`` if none can be written.
+
+    Args:
+        name: Name of the folder.
+    """
+    import pooch
+
+    folder = Path(pooch.os_cache("smajax")) / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError):
+        return None

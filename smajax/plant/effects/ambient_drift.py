@@ -1,0 +1,21 @@
+"""Drift of the ambient temperature during the recording."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import HeatEffect, StageContext, WireState
+
+
+class AmbientDrift(HeatEffect):
+    """Ambient temperature T_ambient + s t in the wire's convection."""
+
+    strength: jax.Array = parameter("K/s", "rate at which the ambient temperature changes", -0.3, 0.3, 0.0)
+    key = "ambient-drift"
+    typical = 0.03
+    source = "estimate: 1 to 5 K during a recording"
+    confused_with = ("end-conduction", "airflow-change")
+
+    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+        """Return the heat added to the wires, W/m^3."""
+        return context.heat.conductance(state.temperature, context.wire) * self.strength * state.time

@@ -1,0 +1,35 @@
+"""Bias spring with a cubic stiffness."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import MechanismEffect, StageContext, WireState
+
+
+class BiasNonlinearity(MechanismEffect):
+    """Additional spring force s x^3, with x the contraction since the first row."""
+
+    strength: jax.Array = parameter("N/m^3", "cubic stiffness of the spring", -1e9, 1e10, 0.0)
+    key = "bias-nonlinearity"
+    typical = 1e6
+    source = "estimate: 0 to 10 % at full stroke"
+    confused_with = ("load-change",)
+    needs = ("drag", "spring")
+    has_drag = True
+
+    def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:
+        """Return the contraction at the first row."""
+        return state.contraction
+
+    def drag(
+        self,
+        before: WireState,
+        after: WireState,
+        memory: Float[Array, ""],
+        step: Float[Array, ""],
+        context: StageContext,
+    ) -> Float[Array, ""]:
+        """Return the stress against contraction, Pa."""
+        motion = context.wire.motion_per_strain * (after.contraction - memory)
+        return self.strength * motion**3 / context.wire.force_per_stress

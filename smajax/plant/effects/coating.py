@@ -1,0 +1,18 @@
+"""Coating or sleeve: a second thermal node around the wire."""
+
+import jax
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import ThermalNode
+
+
+class Coating(ThermalNode):
+    """Thermal node that follows the wire's temperature; heat flow s times the convection at ambient per kelvin."""
+
+    strength: jax.Array = parameter("1", "conduction into the coating over convection", 0.0, 6.0, 0.0)
+    time_constant: jax.Array = parameter("s", "time in which the coating follows the wire", 0.2, 60.0, 3.0)
+    key = "coating"
+    typical = 0.5
+    source = "estimate: time constants 0.5 to 10 s, capacities 0.3 to 3 of the wire's"
+    confused_with = ("latent-heat", "end-conduction", "heat-capacity")
+    shapes = (("time_constant", (1.0, 5.0)),)

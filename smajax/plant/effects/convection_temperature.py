@@ -1,0 +1,22 @@
+"""Convection that depends on the temperature difference, as natural convection does."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import HeatEffect, StageContext, WireState
+
+
+class ConvectionTemperature(HeatEffect):
+    """Convection coefficient h (1 + s (T - T_ambient) / 50 K)."""
+
+    strength: jax.Array = parameter("1", "relative rise of h per 50 K above ambient", -0.4, 1.0, 0.0)
+    key = "convection-temperature"
+    typical = 0.11
+    source = "Churchill and Chu's correlation for thin wires: 0.10 to 0.12 per 50 K"
+    confused_with = ("radiation", "current-limit")
+
+    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+        """Return the heat added to the wires, W/m^3."""
+        excess = state.temperature - context.environment.ambient
+        return -self.strength * context.heat.conductance(state.temperature, context.wire) * excess * excess / 50.0

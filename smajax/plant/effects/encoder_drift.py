@@ -1,0 +1,24 @@
+"""Drift of the displacement or angle sensor."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import SensorEffect
+
+
+class EncoderDrift(SensorEffect):
+    """Reading y = x + s t."""
+
+    strength: jax.Array = parameter("m/s", "drift of the reading", -1e-3, 1e-3, 0.0)
+    key = "encoder-drift"
+    typical = 2e-6
+    source = "estimate: a displacement or angle that drifts with time"
+    confused_with = ("ratcheting",)
+    needs = ("clock",)
+
+    def reading(
+        self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
+    ) -> Float[Array, " rows"]:
+        """Return the change of the reading."""
+        return self.strength * (time - time[0])

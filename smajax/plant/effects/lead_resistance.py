@@ -1,0 +1,23 @@
+"""Resistance of leads and contacts in the measured voltage."""
+
+import jax
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import DriveEffect
+
+
+class LeadResistance(DriveEffect):
+    """Measured voltage i (R + s): the voltmeter includes the leads, while only R heats the wire."""
+
+    strength: jax.Array = parameter(
+        "ohm", "resistance of leads and contacts inside the measured voltage", -1.0, 5.0, 0.0
+    )
+    key = "lead-resistance"
+    typical = 0.2
+    source = "estimate: 0.05 to 0.5 ohm"
+    confused_with = ("resistivity-temperature",)
+    needs = ("voltage observed",)
+
+    def voltage(self, current: jax.Array) -> jax.Array:
+        """Return what is added to the measured voltage, V."""
+        return self.strength * current

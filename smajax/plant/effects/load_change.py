@@ -1,0 +1,39 @@
+"""Load that changes with the position, such as a weight on an arm."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import MechanismEffect, StageContext, WireState
+
+# Contraction to which the strength refers: a usual stroke of an actuator wire.
+_STROKE = 0.04
+
+
+class LoadChange(MechanismEffect):
+    """Load that grows by s per 4 % of contraction since the first row."""
+
+    strength: jax.Array = parameter(
+        "Pa", "change of the load, as stress in the wire, over a contraction of 4 %", -2e8, 4e8, 0.0
+    )
+    key = "load-change"
+    typical = 3e7
+    source = "estimate: the lever arm of a weight changes with the position"
+    confused_with = ("bias-nonlinearity",)
+    needs = ("drag",)
+    has_drag = True
+
+    def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:
+        """Return the contraction at the first row."""
+        return state.contraction
+
+    def drag(
+        self,
+        before: WireState,
+        after: WireState,
+        memory: Float[Array, ""],
+        step: Float[Array, ""],
+        context: StageContext,
+    ) -> Float[Array, ""]:
+        """Return the stress against contraction, Pa."""
+        return self.strength * (after.contraction - memory) / _STROKE

@@ -1,0 +1,25 @@
+"""Lag of the displacement, angle or force sensor."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import SensorEffect
+from smajax.plant.sensor import lag_series
+
+
+class SensorLag(SensorEffect):
+    """First-order lag of the reading: s dy/dt = x - y."""
+
+    strength: jax.Array = parameter("s", "time constant of the sensor", 0.0, 2.0, 0.0)
+    key = "sensor-lag"
+    typical = 0.03
+    source = "estimate: 10 to 100 ms"
+    confused_with = ("time-skew", "viscous-friction")
+    needs = ("clock",)
+
+    def reading(
+        self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
+    ) -> Float[Array, " rows"]:
+        """Return the change of the reading."""
+        return lag_series(series, time, self.strength) - series

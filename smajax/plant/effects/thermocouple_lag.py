@@ -1,0 +1,26 @@
+"""Lag of the thermocouple."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import SensorEffect
+from smajax.plant.sensor import lag_series
+
+
+class ThermocoupleLag(SensorEffect):
+    """First-order lag of the reading: s dy/dt = T - y."""
+
+    strength: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, 5.0, 0.0)
+    key = "thermocouple-lag"
+    typical = 0.3
+    source = "estimate: 0.05 to 1 s"
+    confused_with = ("time-skew",)
+    needs = ("temperature observed",)
+    channel = "temperature"
+
+    def reading(
+        self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
+    ) -> Float[Array, " rows"]:
+        """Return the change of the reading."""
+        return lag_series(series, time, self.strength) - series

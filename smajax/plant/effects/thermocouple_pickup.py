@@ -1,0 +1,26 @@
+"""Thermocouple that picks up a voltage from the heating current."""
+
+import jax
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import SensorEffect
+
+
+class ThermocouplePickup(SensorEffect):
+    """Reading y = T + s i."""
+
+    strength: jax.Array = parameter("K/A", "reading per current", -100.0, 100.0, 0.0)
+    key = "thermocouple-pickup"
+    typical = 1.0
+    source = "Ma 2010: the reading jumps and changes sign with the current"
+    confused_with = ("current-limit",)
+    other_channels = ("current",)
+    needs = ("temperature observed",)
+    channel = "temperature"
+
+    def reading(
+        self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
+    ) -> Float[Array, " rows"]:
+        """Return the change of the reading."""
+        return self.strength * channels["current"]

@@ -1,1 +1,0 @@
-"""Constitutive laws: phase fractions, strain and resistivity of a material point."""

@@ -1,0 +1,143 @@
+"""Base class of the constitutive laws: their common parameters, strain and resistivity.
+
+A law is written in increments: from the fractions at the start of a step, and temperature and stress at both ends, it
+gives the fractions at the end. Stress is the argument and strain the result, so that a wire under a given load needs no
+solving, and the mechanism's balance is a monotone equation in the stress. Temperatures are in degC, stresses in Pa
+(tension positive), strains and fractions are pure numbers. All methods work elementwise on arrays of any shape.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from smajax.numerics.nonsmooth import clip
+from smajax.parameters import parameter
+
+
+class Fractions(NamedTuple):
+    """Detwinned (stress-induced) and twinned (temperature-induced) martensite fractions; the rest is austenite."""
+
+    detwinned: jax.Array
+    twinned: jax.Array
+
+    @property
+    def martensite(self) -> jax.Array:
+        """The whole martensite fraction xi."""
+        return self.detwinned + self.twinned
+
+
+class AbstractMaterial(eqx.Module):
+    """Base class of the constitutive laws: the parameters that all of them have, and what follows from these alone.
+
+    A law adds how the fractions evolve (``evolve``), the transformation strain of martensite that grows under a stress
+    (``current_transformation_strain``), and how the phases share the modulus (``modulus``). The Clausius-Clapeyron
+    slopes C_A and C_M say by how much stress raises the transformation temperatures: by sigma / C_A those of austenite,
+    by sigma / C_M those of martensite.
+    """
+
+    martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
+    martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
+    austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
+    austenite_finish: jax.Array = parameter("degC", "austenite finish temperature at zero stress", -200.0, 600.0)
+    clausius_clapeyron_austenite: jax.Array = parameter(
+        "Pa/K", "stress per kelvin of the reverse transformation, C_A", 1e5, 5e7
+    )
+    clausius_clapeyron_martensite: jax.Array = parameter(
+        "Pa/K", "stress per kelvin of the forward transformation, C_M", 1e5, 5e7
+    )
+    modulus_austenite: jax.Array = parameter("Pa", "Young's modulus of austenite", 1e9, 2e11)
+    modulus_martensite: jax.Array = parameter("Pa", "Young's modulus of martensite", 1e9, 2e11)
+    max_transformation_strain: jax.Array = parameter("1", "largest transformation strain, eps_L", 1e-4, 0.12)
+    resistivity_austenite: jax.Array = parameter("ohm m", "resistivity of austenite", 1e-8, 1e-5, 1.0e-6)
+    resistivity_martensite: jax.Array = parameter("ohm m", "resistivity of martensite", 1e-8, 1e-5, 0.8e-6)
+    thermal_expansion_austenite: jax.Array = parameter("1/K", "thermal expansion of austenite", -1e-3, 1e-3, 0.0)
+    thermal_expansion_martensite: jax.Array = parameter("1/K", "thermal expansion of martensite", -1e-3, 1e-3, 0.0)
+    austenite_shift: jax.Array = parameter("K", "shift of austenite start and finish together", -200.0, 200.0, 0.0)
+    martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
+
+    def with_scaled_moduli(self, factor: Float[Array, "..."] | float) -> "AbstractMaterial":
+        """Return the law with both phases' moduli multiplied by a factor.
+
+        Args:
+            factor: The factor, such as ``AbstractWire.modulus_factor``.
+        """
+        moduli = {
+            "modulus_austenite": factor * self.modulus_austenite,
+            "modulus_martensite": factor * self.modulus_martensite,
+        }
+        return dataclasses.replace(self, **moduli)
+
+    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+        """Advance the fractions over a step in which temperature and stress change monotonically.
+
+        Args:
+            fractions: Fractions at the start.
+            temperature: Temperatures in degC at start and end.
+            stress: Stresses in Pa at start and end.
+        """
+        raise NotImplementedError
+
+    def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the transformation strain H_cur of martensite that grows under a stress in Pa."""
+        raise NotImplementedError
+
+    @property
+    def forward_start(self) -> Float[Array, "..."]:
+        """Temperature at which the forward transformation starts at zero stress, in degC."""
+        return self.martensite_start + self.martensite_shift
+
+    def transformation_strain(self, fractions: Fractions) -> Float[Array, "..."]:
+        """Compute the transformation strain of fractions: eps_L xi_s."""
+        return self.max_transformation_strain * fractions.detwinned
+
+    def strain(
+        self,
+        fractions: Fractions,
+        temperature: Float[Array, "..."],
+        stress: Float[Array, "..."],
+        reference: Float[Array, "..."],
+    ) -> Float[Array, "..."]:
+        """Compute the strain sigma / E(xi) + eps_L xi_s + alpha(xi) (T - T_ref): elastic, transformation and thermal.
+
+        Args:
+            fractions: Martensite fractions.
+            temperature: Temperature T in degC.
+            stress: Stress sigma in Pa.
+            reference: Temperature T_ref without thermal strain, in degC.
+        """
+        expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
+        elastic = stress / self.modulus(fractions)
+        return elastic + self.transformation_strain(fractions) + expansion * (temperature - reference)
+
+    def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
+        """Compute Young's modulus in Pa."""
+        raise NotImplementedError
+
+    def resistivity(self, fractions: Fractions) -> Float[Array, "..."]:
+        """Compute the electrical resistivity in ohm m, linear in the martensite fraction."""
+        return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
+
+    def installed_fractions(self, strain: Float[Array, "..."]) -> Fractions:
+        """Compute the fractions of a cold, stress-free wire that was stretched to a strain.
+
+        Args:
+            strain: The strain; detwinned martensite makes it as far as it can, the rest is twinned.
+        """
+        detwinned = clip(strain / self.max_transformation_strain, 0.0, 1.0)
+        return Fractions(detwinned, 1.0 - detwinned)
+
+
+def mix(
+    martensite: Float[Array, "..."], austenite_value: Float[Array, "..."], martensite_value: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    """Mix a property of the phases linearly in the martensite fraction.
+
+    Args:
+        martensite: Martensite fraction.
+        austenite_value: Property of austenite.
+        martensite_value: Property of martensite.
+    """
+    return austenite_value + martensite * (martensite_value - austenite_value)

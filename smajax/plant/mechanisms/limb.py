@@ -1,0 +1,181 @@
+"""A limb turned by wires through a tendon and a pulley: an elbow, a wrist, a finger.
+
+``count`` alike wires pull in parallel. A transmission multiplies their contraction by ``ratio`` (2 behind a pulley that
+doubles it) and divides their force by it:
+
+    theta = ratio l (eps_0 - eps) / r        count A sigma_joint r / ratio = I theta'' + c theta' + M(theta)
+
+sigma_joint is the stress that the sheath's friction passes on from the wires (``smajax.plant.mechanisms.sheath``),
+eps_0 the strain at angle 0, and M the moment of gravity and spring. Above the height where gravity's moment is largest,
+the load falls as the wires contract, and faster than they relax: the limb then runs ahead of the equilibrium, held by
+inertia and damping alone. Such a rig needs one of the two.
+
+Source: copaci2020 for the actuator and the elbow.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.numerics.nonsmooth import maximum, minimum
+from smajax.parameters import parameter
+from smajax.plant.effects.base import AbstractEffect
+from smajax.plant.effects.memory import presliding_state
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.pulley import Pulley
+from smajax.plant.mechanisms.sheath import Liner, Sheath
+
+
+class Limb(eqx.Module):
+    """What the wires lift: M(theta) = m g a sin(theta + tilt) + stiffness theta + preload.
+
+    The moment M is positive where it stretches the wires.
+    """
+
+    mass: jax.Array = parameter("kg", "mass of the limb", 0.0, 1e3)
+    lever: jax.Array = parameter("m", "distance of the limb's centre of mass from the joint", 0.0, 10.0)
+    tilt: jax.Array = parameter("rad", "angle between the limb and straight down at angle 0", -3.2, 3.2, 0.0)
+    stiffness: jax.Array = parameter("N m/rad", "stiffness of joint and return spring", 0.0, 1e4, 0.0)
+    preload: jax.Array = parameter("N m", "moment of the return spring at angle 0", 0.0, 1e4, 0.0)
+
+    def moment(self, angle: Float[Array, ""], gravity: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the moment against the wires in N m.
+
+        Args:
+            angle: Angle in rad.
+            gravity: Gravitational acceleration in m/s^2.
+        """
+        weight = self.mass * gravity * self.lever * jnp.sin(angle + self.tilt)
+        return weight + self.stiffness * angle + self.preload
+
+
+class Transmission(eqx.Module):
+    """How many wires pull, and how their motion reaches the pulley."""
+
+    count: jax.Array = parameter(
+        "1", "number of wires that pull in parallel, each driven as the recording says", 1e-2, 1e4, 1.0, whole=True
+    )
+    ratio: jax.Array = parameter("1", "motion at the pulley over contraction of the wires", 1e-3, 1e3, 1.0)
+
+
+class TendonLimb(AbstractMechanism):
+    """Wires that turn a limb.
+
+    It starts at rest at angle 0, its wires stretched to the prestrain and then loaded. The unknown is the wires'
+    stress. It remembers the strain at angle 0, the strain, the friction's presliding state, and the angle, its rate and
+    the integration rule's acceleration.
+    """
+
+    limb: Limb
+    pulley: Pulley
+    transmission: Transmission
+    sheath: Sheath | None = None
+    wires, unknowns, prescribed, coordinate, extra_channels = 1, 1, (), "angle", ("torque",)
+
+    @property
+    def effects(self) -> tuple[AbstractEffect, ...]:
+        """The heat of the sheath's liner, if there is a sheath."""
+        return (Liner(self.sheath.conductance_ratio, self.sheath.time_constant),) if self.sheath else ()
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether there is a sheath, in which the wires rub."""
+        return self.sheath is not None
+
+    @property
+    def wire_motion_per_coordinate(self) -> Float[Array, "..."]:
+        """Motion of the wire's end in m per rad: the pulley's radius over the ratio."""
+        return self.pulley.radius / self.transmission.ratio
+
+    @property
+    def parallel_wires(self) -> Float[Array, "..."]:
+        """Number of wires that pull in parallel."""
+        return self.transmission.count
+
+    def fractions(
+        self,
+        material: AbstractMaterial,
+        temperature: Float[Array, " wires"],
+        prescribed: dict,
+        context: MechanismContext,
+    ) -> Fractions:
+        """Compute the fractions after a stretch to the prestrain, the rest twinned, and then under the limb's load."""
+        prestrain = jnp.broadcast_to(context.wire.prestrain, temperature.shape)
+        stretched = detwinned_fractions(material, temperature, prestrain)
+        load = self.stress(self.initial_unknowns(prescribed, context), prescribed, context)
+        return material.evolve(stretched, (temperature, temperature), (jnp.zeros_like(load), load))
+
+    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+        """Compute the stress under the load at angle 0, or zero where the load does not pull."""
+        moment = self.limb.moment(jnp.zeros(()), context.environment.gravity)
+        return maximum(self._stress_under(moment, context), 0.0)[None]
+
+    def stress(
+        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+    ) -> Float[Array, " wires"]:
+        """Return the unknown, or zero for slack wires."""
+        return maximum(unknown, 0.0)
+
+    def balance(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate the wires' pull at the joint less the limb's moments; without duration the limb does not move."""
+        after = self.update_motion(unknown, strain, motion, context, step)
+        moment = self.pulley.moment(motion[3:], after[3:], self.pulley.inertia) + self.limb.moment(
+            after[3], context.environment.gravity
+        )
+        ratio = self.sheath.tension_ratio(after[2]) if self.sheath else 1.0
+        pull = maximum(unknown, 0.0) * ratio - self._stress_under(moment, context)
+        standing = (
+            context.modulus * (motion[3] - after[3]) * self.wire_motion_per_coordinate / context.wire.motion_per_strain
+        )
+        return jnp.where(step > 0, pull, standing)
+
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+        """Return the strain at angle 0, the strain, and zeros: presliding state, angle, rate, acceleration."""
+        return strain[0], strain[0], *(jnp.zeros(()) for _ in range(4))
+
+    def update_motion(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> tuple:
+        """Compute the motion at the end of a step; a slack wire does not move the limb."""
+        installed, before, z, *rotation = motion
+        slack = minimum(unknown[0], 0.0) / context.modulus
+        angle = (installed - strain[0] - slack) * context.wire.motion_per_strain / self.wire_motion_per_coordinate
+        return (
+            installed,
+            strain[0],
+            presliding_state(z, before - strain[0]),
+            *self.pulley.step(tuple(rotation), angle, step),
+        )
+
+    def channels(
+        self,
+        strain: Float[Array, " wires"],
+        stress: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+    ) -> dict[str, Float[Array, ""]]:
+        """Compute the angle in rad, and the moment in N m that turns the limb."""
+        _, _, _, angle, rate, acceleration = motion
+        inertial = self.pulley.inertia * acceleration + self.pulley.damping * rate
+        return {"angle": angle, "torque": inertial + self.limb.moment(angle, context.environment.gravity)}
+
+    def _stress_under(self, moment: jax.Array, context: MechanismContext) -> jax.Array:
+        """Stress of each wire at the joint that balances a moment."""
+        return moment / (self.transmission.count * context.wire.force_per_stress * self.wire_motion_per_coordinate)

@@ -1,0 +1,245 @@
+"""Two antagonistic wires on a pulley: heating wire 1 turns the angle positive.
+
+Strains follow the angle: eps_1 = prestrain - r theta / l, eps_2 = prestrain + r theta / l. Both wires are stress-free
+at angle 0. A massless pulley follows the force balance at once: both wires then carry the same force, and the angle
+between two slack wires stays where it is. With inertia or damping the rotation obeys I theta'' + c theta' + M(theta) =
+r (F_1 - F_2), integrated by the generalised-alpha rule that damps what the step cannot resolve (chung1993, spectral
+radius 0 at infinity): of second order, and equal to the massless pulley as I and c go to 0. M is 0 for a pulley and m g
+l sin(theta) for a link.
+
+Source: fast_rotary_actuator, equations 9 (integrated) and 10.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.numerics.nonsmooth import clip, maximum, minimum
+from smajax.parameters import parameter
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.pulley import Pulley
+from smajax.plant.wire import Environment
+
+# s. An oscillation faster than this resolves is so small that its damping by the integration rule does not show. Chosen
+# by trial.
+_SHORTEST_LIMIT = 0.01
+# Steps per period of the link's free oscillation. Chosen by trial.
+_STEPS_PER_PERIOD = 12.0
+
+
+class Link(eqx.Module):
+    """A limb that hangs down from the pulley's axis at angle 0."""
+
+    mass: jax.Array = parameter("kg", "mass of the link", 0.0, 500.0)
+    centre: jax.Array = parameter("m", "distance from the axis to the link's centre of mass", 0.0, 10.0)
+
+
+class MasslessRotary(AbstractMechanism):
+    """Two wires on a pulley without inertia or damping. The unknown is their common stress; the motion is the angle."""
+
+    pulley: Pulley
+    wires, unknowns, prescribed, coordinate, extra_channels = 2, 1, (), "angle", ("torque",)
+
+    @property
+    def wire_motion_per_coordinate(self) -> Float[Array, "..."]:
+        """Motion of the wire's end in m per rad: the pulley's radius."""
+        return self.pulley.radius
+
+    def fractions(
+        self,
+        material: AbstractMaterial,
+        temperature: Float[Array, " wires"],
+        prescribed: dict,
+        context: MechanismContext,
+    ) -> Fractions:
+        """Compute the fractions of wires stretched to the prestrain: detwinned by it, the rest twinned."""
+        prestrain = jnp.broadcast_to(context.wire.prestrain, temperature.shape)
+        return detwinned_fractions(material, temperature, prestrain)
+
+    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+        """Return zero stress."""
+        return jnp.zeros((1,))
+
+    def stress(
+        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+    ) -> Float[Array, " wires"]:
+        """Return the unknown in both wires, or zero for slack wires."""
+        return jnp.broadcast_to(maximum(unknown, 0.0), (2,))
+
+    def balance(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate the mean strain less the prestrain, times the modulus, or the slack of both wires."""
+        return context.modulus * (0.5 * jnp.sum(strain) - context.wire.prestrain)[None] + minimum(unknown, 0.0)
+
+    def initial_motion(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
+        """Return the angle 0."""
+        return jnp.zeros(())
+
+    def update_motion(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, ""]:
+        """Compute the angle: common to both wires while they are taut, else between those at which each is."""
+        per_strain = context.wire.motion_per_strain / self.pulley.radius
+        first = (context.wire.prestrain - strain[0]) * per_strain
+        second = (strain[1] - context.wire.prestrain) * per_strain
+        taut = 0.5 * (first + second)
+        return jnp.where(unknown[0] < 0.0, clip(motion, first, second), taut)
+
+    def channels(
+        self,
+        strain: Float[Array, " wires"],
+        stress: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+    ) -> dict[str, Float[Array, ""]]:
+        """Compute the angle in rad, and the moment of the wires in N m."""
+        torque = (stress[0] - stress[1]) * context.wire.force_per_stress * self.pulley.radius
+        return {"angle": motion, "torque": torque}
+
+
+class AbstractInertialRotary(AbstractMechanism):
+    """Base class of pulleys with inertia, damping, or a moment that acts on them.
+
+    The unknowns are the wires' stresses, and the angle as the stress that it makes in a wire. The motion is the angle,
+    its rate, and the integration rule's acceleration.
+    """
+
+    pulley: eqx.AbstractVar[Pulley]
+    wires, unknowns, prescribed, coordinate, extra_channels = 2, 3, (), "angle", ("torque", "rate")
+
+    @property
+    def wire_motion_per_coordinate(self) -> Float[Array, "..."]:
+        """Motion of the wire's end in m per rad: the pulley's radius."""
+        return self.pulley.radius
+
+    @property
+    def inertia(self) -> Float[Array, "..."]:
+        """Moment of inertia of all that turns, in kg m^2."""
+        return self.pulley.inertia
+
+    def moment(self, angle: Float[Array, ""], environment: Environment) -> Float[Array, ""] | float:
+        """Compute the moment in N m that opposes the angle, in addition to inertia and damping; by default none.
+
+        Args:
+            angle: Angle in rad.
+            environment: Gravity and air.
+        """
+        return 0.0
+
+    def fractions(
+        self,
+        material: AbstractMaterial,
+        temperature: Float[Array, " wires"],
+        prescribed: dict,
+        context: MechanismContext,
+    ) -> Fractions:
+        """Compute the fractions of wires stretched to the prestrain: detwinned by it, the rest twinned."""
+        prestrain = jnp.broadcast_to(context.wire.prestrain, temperature.shape)
+        return detwinned_fractions(material, temperature, prestrain)
+
+    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+        """Return zero stresses and angle 0."""
+        return jnp.zeros((3,))
+
+    def stress(
+        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+    ) -> Float[Array, " wires"]:
+        """Return the unknown stresses, or zero for slack wires."""
+        return maximum(unknown[:2], 0.0)
+
+    def balance(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate both wires' strains less those at the angle, and the balance of moments."""
+        strain_of_angle = unknown[2] / context.modulus * jnp.array([-1.0, 1.0])
+        wires = context.modulus * (strain - context.wire.prestrain - strain_of_angle) + minimum(unknown[:2], 0.0)
+        after = self.update_motion(unknown, strain, motion, context, step)
+        moments = self.pulley.moment(motion, after, self.inertia) + self.moment(after[0], context.environment)
+        pull = maximum(unknown[0], 0.0) - maximum(unknown[1], 0.0)
+        return jnp.append(wires, moments / (self.pulley.radius * context.wire.force_per_stress) - pull)
+
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+        """Return zeros: angle, rate, and the rule's acceleration."""
+        return jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
+
+    def update_motion(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> tuple:
+        """Compute angle, rate and acceleration at the end of a step."""
+        angle = unknown[2] / context.modulus * context.wire.motion_per_strain / self.pulley.radius
+        return self.pulley.step(motion, angle, step)
+
+    def channels(
+        self,
+        strain: Float[Array, " wires"],
+        stress: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+    ) -> dict[str, Float[Array, ""]]:
+        """Compute the angle in rad, its rate in rad/s, and the moment of the wires in N m."""
+        torque = (stress[0] - stress[1]) * context.wire.force_per_stress * self.pulley.radius
+        return {"angle": motion[0], "torque": torque, "rate": motion[1]}
+
+
+class Rotary(AbstractInertialRotary):
+    """Two wires on a pulley with inertia or damping."""
+
+    pulley: Pulley
+
+
+class Joint(AbstractInertialRotary):
+    """Two wires, or bundles of springs, that turn a hanging link.
+
+    I theta'' + c theta' + m g l sin(theta) = r (F_1 - F_2), where I includes m l^2.
+    """
+
+    pulley: Pulley
+    link: Link
+
+    def longest_step(self, context: MechanismContext) -> Float[Array, "..."]:
+        """Compute the longest step in s: a twelfth of the period in which the link oscillates between taut wires."""
+        stiffness = (
+            2.0
+            * context.modulus
+            * context.wire.force_per_stress
+            / context.wire.motion_per_strain
+            * self.pulley.radius**2
+        )
+        return maximum(_SHORTEST_LIMIT, 2.0 * math.pi / _STEPS_PER_PERIOD * jnp.sqrt(self.inertia / stiffness))
+
+    @property
+    def inertia(self) -> Float[Array, "..."]:
+        """Moment of inertia in kg m^2: the pulley's, and that of the link's mass at its centre."""
+        return self.pulley.inertia + self.link.mass * self.link.centre**2
+
+    def moment(self, angle: Float[Array, ""], environment: Environment) -> Float[Array, ""]:
+        """Compute the moment of the link's weight in N m."""
+        return self.link.mass * environment.gravity * self.link.centre * jnp.sin(angle)

@@ -1,0 +1,60 @@
+"""A sheath around a wire: a Bowden cable with a PTFE liner, in which the wire rubs and which it heats.
+
+Capstan friction: where the sheath is bent through the angle phi in all, the tension at the joint over that at the far
+end of the wire is exp(-mu phi) while the wire contracts, and exp(mu phi) while it is stretched. At a reversal it passes
+from one to the other over a small motion, with the presliding state z in -1..1 of all dry friction here: exp(-mu phi
+z).
+
+Heat flows wire -> liner -> air. With conductances g_w and g_a from wire to liner and from liner to air, and the liner's
+capacity C_p,
+
+    C dT/dt = joule - g_w (T - T_p)        C_p dT_p/dt = g_w (T - T_p) - g_a (T_p - T_ambient)
+
+In terms of the steady conductance G = g_w g_a / (g_w + g_a), which h(T) of the heat stage stands for, this is
+
+    C dT/dt = joule - G (T - T_ambient) - s G (T - T_ambient - u)        tau du/dt = T - T_ambient - u
+
+with s = g_w / g_a, tau = C_p / (g_w + g_a) and u = (T_p - T_ambient) (g_w + g_a) / g_w: a second thermal node, absent
+at s = 0.
+
+Source: copaci2020 for the PTFE tube in a Bowden cable.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.parameters import parameter
+from smajax.plant.effects.base import ThermalNode
+
+
+class Sheath(eqx.Module):
+    """Friction and heat of a sheath; without friction and conduction the wire hangs free in air."""
+
+    friction: jax.Array = parameter("1", "coefficient of friction between wire and sheath", 0.0, 2.0, 0.0)
+    wrap_angle: jax.Array = parameter(
+        "rad", "angle through which the sheath is bent, all bends together", 0.0, 100.0, 0.0
+    )
+    conductance_ratio: jax.Array = parameter(
+        "1", "conductance from wire to sheath over that from sheath to air", 0.0, 1e3, 0.0
+    )
+    time_constant: jax.Array = parameter("s", "time in which the sheath follows a steady wire", 1e-3, 1e4, 5.0)
+
+    def tension_ratio(self, z: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the tension at the joint over that at the far end by the capstan equation, exp(-mu phi z).
+
+        Args:
+            z: Presliding state of the friction, -1..1.
+        """
+        return jnp.exp(-self.friction * self.wrap_angle * z)
+
+
+class Liner(ThermalNode):
+    """The PTFE tube as a second thermal node."""
+
+    strength: jax.Array = parameter("1", "conductance from wire to liner over that from liner to air", 0.0, 1e3, 0.0)
+    time_constant: jax.Array = parameter("s", "time in which the liner follows a steady wire", 1e-3, 1e4, 5.0)
+    key = "sheath-liner"
+    typical = 1.0
+    source = "copaci2020: a PTFE tube between wire and Bowden cable"

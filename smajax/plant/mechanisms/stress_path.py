@@ -1,0 +1,77 @@
+"""A path through prescribed temperatures and stresses."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
+
+# degC. Above every transformation temperature that a rig file takes (600 degC), also at the largest stress.
+_HOT = 1e4
+
+
+class StressPath(AbstractMechanism):
+    """A material point under a prescribed stress; it starts as if cooled from austenite under its first stress."""
+
+    wires, unknowns, prescribed, coordinate = 1, 0, ("stress",), "strain"
+
+    def fractions(
+        self,
+        material: AbstractMaterial,
+        temperature: Float[Array, " wires"],
+        prescribed: dict,
+        context: MechanismContext,
+    ) -> Fractions:
+        """Compute the fractions after cooling from austenite under the first stress."""
+        hot, zero = jnp.full_like(temperature, _HOT), jnp.zeros_like(temperature)
+        stress = jnp.broadcast_to(prescribed["stress"], temperature.shape)
+        return material.evolve(Fractions(zero, zero), (hot, temperature), (stress, stress))
+
+    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+        """Return no unknowns."""
+        return jnp.zeros((0,))
+
+    def stress(
+        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+    ) -> Float[Array, " wires"]:
+        """Return the prescribed stress."""
+        return prescribed["stress"][None]
+
+    def balance(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, " unknowns"]:
+        """Return no residual: the stress is prescribed."""
+        return jnp.zeros((0,))
+
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+        """Return nothing to remember."""
+        return ()
+
+    def update_motion(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> tuple:
+        """Return nothing to remember."""
+        return ()
+
+    def channels(
+        self,
+        strain: Float[Array, " wires"],
+        stress: Float[Array, " wires"],
+        motion: Any,
+        context: MechanismContext,
+    ) -> dict[str, Float[Array, ""]]:
+        """Compute the strain, counted from ``wire.prestrain``."""
+        return {"strain": strain[0] - context.wire.prestrain}

@@ -1,0 +1,180 @@
+"""The equations of the plant's five stages, each with the effects that act on it.
+
+A stage is a part of the plant: drive, heat, material, mechanism, sensor. An effect adds a term to an equation of its
+stage (``smajax.plant.effects``). Here each equation is written once, as the stage's own value plus the sum of its
+effects' terms.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.channels import numbered
+from smajax.plant.drive import AbstractDrive
+from smajax.plant.effects.base import (
+    AbstractEffect,
+    DriveEffect,
+    HeatEffect,
+    MaterialEffect,
+    MechanismEffect,
+    StageContext,
+    WireState,
+)
+from smajax.plant.heat import AbstractHeat, PrescribedTemperature
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
+from smajax.plant.sensor import Sensor
+from smajax.plant.state import State
+from smajax.plant.wire import AbstractWire, Environment, Initial
+
+# Key of the accumulated transformation in a state's memory. Flat states keep the alphabetical order of the keys.
+_ACCUMULATED = "transformation"
+
+
+class PlantStages(eqx.Module):
+    """The parts of a plant, and the equations of its stages with their effects."""
+
+    wire: AbstractWire
+    environment: Environment
+    initial: Initial
+    drive: AbstractDrive
+    heat: AbstractHeat
+    material: AbstractMaterial
+    mechanism: AbstractMechanism
+    sensor: Sensor
+    effects: tuple[AbstractEffect, ...] = ()
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The recorded channels that drive the plant, in the order of the entries of a ``signal``."""
+        wires = self.mechanism.wires
+        control = [self.drive.control] if self.drive.control else []
+        control = [n for c in control for n in numbered(c, wires)]
+        temperature = ["temperature"] if isinstance(self.heat, PrescribedTemperature) else []
+        return (*control, *temperature, *self.mechanism.prescribed)
+
+    @property
+    def all_effects(self) -> tuple[AbstractEffect, ...]:
+        """The effects that the mechanism always has, and those that were added to the plant."""
+        return (*self.mechanism.effects, *self.effects)
+
+    @property
+    def effective_material(self) -> AbstractMaterial:
+        """The material law with the elastic moduli of the wire's geometry (``AbstractWire.modulus_factor``)."""
+        return self.material.with_scaled_moduli(self.wire.modulus_factor)
+
+    def _effects_of(self, kind: type | tuple[type, ...]) -> tuple:
+        return tuple(e for e in self.all_effects if isinstance(e, kind))
+
+    @property
+    def _has_drag(self) -> bool:
+        """Whether an effect works against the contraction with a drag, which is then an unknown of its own."""
+        return any(e.has_drag for e in self._effects_of(MechanismEffect))
+
+    # What stages and effects see of the plant.
+
+    def _stage_context(self) -> StageContext:
+        return StageContext(self.wire, self.environment, self.effective_material, self.heat)
+
+    def _mechanism_context(self) -> MechanismContext:
+        austenite = Fractions(jnp.zeros(()), jnp.zeros(()))
+        return MechanismContext(self.wire, self.environment, self.effective_material.modulus(austenite))
+
+    def _wire_state(self, state: State) -> WireState:
+        zero = jnp.zeros(())
+        memory = {"time": zero, "contraction": zero, _ACCUMULATED: jnp.zeros_like(state.temperature)} | state.memory
+        return WireState(
+            memory["time"],
+            state.temperature,
+            state.fractions,
+            state.stress,
+            memory["contraction"],
+            memory[_ACCUMULATED],
+        )
+
+    def _shared_memory(self, wire_state: WireState) -> dict[str, Array]:
+        """The entries of a state's memory that all effects share."""
+        return {
+            "time": wire_state.time,
+            "contraction": wire_state.contraction,
+            _ACCUMULATED: wire_state.accumulated_transformation,
+        }
+
+    def _begin_step(self, state: State, step: Float[Array, ""]) -> State:
+        """The state with what heat effects hold constant throughout a step of ``step`` seconds."""
+        memory = state.memory
+        begun = {e.key: e.begin_step(memory[e.key], memory["time"], step) for e in self._effects_of(HeatEffect)}
+        return state._replace(memory=memory | begun)
+
+    def _updated_memory(
+        self, kinds: type | tuple, memory: dict, first: WireState, last: WireState, step: Float[Array, ""]
+    ) -> dict[str, Any]:
+        """What the effects of some kinds remember after a step from ``first`` to ``last``, by their keys."""
+        context = self._stage_context()
+        return {e.key: e.update_memory(memory[e.key], first, last, step, context) for e in self._effects_of(kinds)}
+
+    # Drive.
+
+    def _prescribed_channels(self, signal: Float[Array, " signals"]) -> dict[str, Float[Array, ""]]:
+        """Prescribed temperature, strain or stress by channel: the entries of a signal without the electrical input."""
+        skip = self.mechanism.wires if self.drive.control else 0
+        return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
+
+    def _electrical_input(
+        self, signal: Float[Array, " signals"], resistivity: Float[Array, " wires"]
+    ) -> Float[Array, " wires"]:
+        """The electrical input as it reaches the wires."""
+        wires, zero = self.mechanism.wires, jnp.zeros(())
+        control = signal[:wires] if self.drive.control else jnp.zeros((wires,))
+        ratio = resistivity / self.material.resistivity(Fractions(zero, zero))
+        return control + sum(e.signal(control, ratio) for e in self._effects_of(DriveEffect))
+
+    # Material.
+
+    def _resistivity(self, wire_state: WireState) -> Float[Array, " wires"]:
+        base, context = self.material.resistivity(wire_state.fractions), self._stage_context()
+        return base + sum(base * e.resistivity(wire_state, context) for e in self._effects_of(MaterialEffect))
+
+    def _strain(self, wire_state: WireState, memory: dict) -> Float[Array, " wires"]:
+        context = self._stage_context()
+        base = context.material.strain(
+            wire_state.fractions, wire_state.temperature, wire_state.stress, self.environment.ambient
+        )
+        return base + sum(e.strain(wire_state, memory[e.key], context) for e in self._effects_of(MaterialEffect))
+
+    def _evolve_fractions(
+        self, first: WireState, temperature: Float[Array, " wires"], stress: Float[Array, " wires"]
+    ) -> Fractions:
+        """The fractions after a step from ``first`` to a temperature and a stress."""
+        context = self._stage_context()
+        material, shift = context.material, 0.0
+        for e in self._effects_of(MaterialEffect):
+            material, shift = e.modify_material(material), shift + e.shift(first, context)
+        fractions = material.evolve(
+            first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress)
+        )
+        for e in self._effects_of(MaterialEffect):
+            fractions = e.modify_fractions(first.fractions, fractions)
+        return fractions
+
+    # Heat.
+
+    def _heat_capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
+        base = self.heat.capacity(martensite)
+        return base + sum(base * e.capacity(martensite) for e in self._effects_of(HeatEffect))
+
+    def _net_heat(
+        self, wire_state: WireState, memory: dict, signal: Float[Array, " signals"]
+    ) -> Float[Array, " wires"]:
+        """Net heat into each wire per volume in W/m^3: Joule heat less convection, and the effects' heat."""
+        resistivity, context = self._resistivity(wire_state), self._stage_context()
+        joule = self.drive.joule(self._electrical_input(signal, resistivity), resistivity, self.wire)
+        rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, self.environment)
+        return rate + sum(e.power(wire_state, memory[e.key], context) for e in self._effects_of(HeatEffect))
+
+    def _stored_heat(self, first: WireState, last: WireState) -> Float[Array, " wires"] | float:
+        """Heat per volume in J/m^3 stored between two instants otherwise than by warming, such as latent heat."""
+        context = self._stage_context()
+        return sum((e.enthalpy(last, context) - e.enthalpy(first, context) for e in self._effects_of(HeatEffect)), 0.0)

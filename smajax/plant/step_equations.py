@@ -1,0 +1,164 @@
+"""The equations of one implicit step: the heat balance of each wire and the mechanism's force balance.
+
+The unknowns ``end`` of a step are the wires' temperatures in K (degC), then the mechanism's unknowns in Pa and, where
+an effect has a drag, that drag in Pa; shape ``(unknowns,)``. The residual has an equation for each of them, in the same
+units. Both balances are evaluated with the fractions that the material law gives at the end of the step, so that heat,
+phase fractions, stress and motion agree with each other at that instant.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from smajax.plant.effects.base import HeatEffect, MaterialEffect, MechanismEffect, WireState
+from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.stages import PlantStages
+from smajax.plant.state import State
+
+
+class StepEquations(PlantStages):
+    """A plant's equations over one step, and the state that follows from their unknowns."""
+
+    def step_residual(
+        self,
+        state: State,
+        before: Float[Array, " signals"],
+        after: Float[Array, " signals"],
+        step: Float[Array, ""],
+        end: Float[Array, " unknowns"],
+    ) -> tuple[Float[Array, " unknowns"], State]:
+        """Evaluate the residual of the heat and force balance for a step that ends at given unknowns; differentiable.
+
+        Args:
+            state: The state at the start of the step.
+            before: Signals at the start, in the order of ``signals``.
+            after: Signals at the end.
+            step: Duration in s.
+            end: Unknowns at the end (see the module's text).
+
+        Returns:
+            The residual in K and Pa, zero where ``end`` solves the step, and the state at ``end``.
+        """
+        state = self._begin_step(state, step)
+        rate = self._net_heat(self._wire_state(state), state.memory, before)
+        return self._residual(state, rate, before, after, step, end)
+
+    def _residual(
+        self,
+        state: State,
+        rate: Float[Array, " wires"],
+        before: Float[Array, " signals"],
+        after: Float[Array, " signals"],
+        step: Float[Array, ""],
+        end: Float[Array, " unknowns"],
+        coarse: bool = False,
+    ) -> tuple[Float[Array, " unknowns"], State]:
+        """``step_residual`` with the net heat ``rate`` at the start; ``coarse`` holds the heat by the trapezoidal rule.
+
+        The trapezoidal rule is accurate enough for a search, since the last Newton step closes the difference.
+        """
+        context, prescribed = self._mechanism_context(), self._prescribed_channels(after)
+        first, wires = self._wire_state(state), self.mechanism.wires
+        unknown = end[wires : wires + self.mechanism.unknowns]
+        last, memory = self._end_of_step(state, first, unknown, prescribed, step, end)
+        strain = self._strain(last, memory)
+        if self.all_effects:
+            last = last._replace(contraction=self.mechanism.contraction(strain))
+            memory |= self._updated_memory((MechanismEffect,), memory, first, last, step)
+            memory |= self._shared_memory(last)
+        if isinstance(self.heat, PrescribedTemperature):
+            heat = end[:wires] - last.temperature
+        else:
+            heat = self._heat_residual(first, last, state.memory, memory, (rate, before, after), step, coarse)
+        balance = self.mechanism.balance(unknown, strain, state.motion, prescribed, context, step)
+        motion = self.mechanism.update_motion(unknown, strain, state.motion, context, step)
+        residual = [heat, balance]
+        if self._has_drag:
+            residual.append((end[-1] - self._drag(first, last, memory, step))[None])
+        return jnp.concatenate(residual), State(
+            last.temperature, last.fractions, last.stress, end[wires:], motion, memory
+        )
+
+    def _end_of_step(
+        self,
+        state: State,
+        first: WireState,
+        unknown: Float[Array, " balances"],
+        prescribed: dict,
+        step: Float[Array, ""],
+        end: Float[Array, " unknowns"],
+    ) -> tuple[WireState, dict]:
+        """The wires at the end, with the contraction of the start, and the memory of heat and material effects."""
+        temperature = end[: self.mechanism.wires]
+        if "temperature" in prescribed:
+            temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
+        stress = self.mechanism.stress(unknown, prescribed, self._mechanism_context())
+        if self._has_drag:
+            stress = self.mechanism.with_drag(stress, end[-1])
+        fractions = self._evolve_fractions(first, temperature, stress)
+        last = WireState(
+            first.time + step, temperature, fractions, stress, first.contraction, first.accumulated_transformation
+        )
+        memory = dict(state.memory)
+        if self.all_effects:
+            transformed = jnp.abs(fractions.martensite - first.fractions.martensite)
+            last = last._replace(accumulated_transformation=first.accumulated_transformation + transformed)
+            memory |= self._updated_memory((HeatEffect, MaterialEffect), memory, first, last, step)
+        return last, memory
+
+    def _drag(self, first: WireState, last: WireState, memory: dict, step: Float[Array, ""]) -> Float[Array, ""]:
+        """Stress in Pa that all effects with a drag put against the contraction at the end of a step."""
+        context = self._stage_context()
+        effects = [e for e in self._effects_of(MechanismEffect) if e.has_drag]
+        total: Any = sum(e.drag(first, last, memory[e.key], step, context) for e in effects)
+        return total
+
+    def _heat_residual(
+        self,
+        first: WireState,
+        last: WireState,
+        memory: dict,
+        memory_at_end: dict,
+        inputs: tuple,
+        step: Float[Array, ""],
+        coarse: bool,
+    ) -> Float[Array, " wires"]:
+        """Residual of the heat balance in K, by the Hermite-Simpson (``smajax.plant.heat``) or the trapezoidal rule.
+
+        Args:
+            first: The wires at the start of the step.
+            last: The wires at the end.
+            memory: What effects remember at the start.
+            memory_at_end: What they remember at the end.
+            inputs: Net heat at the start in W/m^3, and the signals at start and end.
+            step: Duration in s.
+            coarse: Whether to take the trapezoidal rule.
+        """
+        rate, before, after = inputs
+        ends = (first.temperature, last.temperature)
+        rates = (rate, self._net_heat(last, memory_at_end, after))
+        capacity = (self._heat_capacity(first.fractions.martensite), self._heat_capacity(last.fractions.martensite))
+        stored = self._stored_heat(first, last)
+        if coarse:
+            return self.heat.trapezoidal_residual(ends, capacity, rates, stored, step)
+        half = self.heat.midpoint_temperature(ends, capacity, rates, step)
+        middle = self._middle_of_step(first, last, half, step)
+        memory_at_middle = memory | self._updated_memory((HeatEffect,), memory, first, middle, 0.5 * step)
+        rates = (rates[0], self._net_heat(middle, memory_at_middle, 0.5 * (before + after)), rates[1])
+        capacities = (capacity[0], self._heat_capacity(middle.fractions.martensite), capacity[1])
+        return self.heat.residual(ends, capacities, rates, stored, step)
+
+    def _middle_of_step(
+        self, first: WireState, last: WireState, temperature: Float[Array, " wires"], step: Float[Array, ""]
+    ) -> WireState:
+        """The wires in the middle of a step, where they have a given temperature and the mean stress."""
+        stress = 0.5 * (first.stress + last.stress)
+        return WireState(
+            first.time + 0.5 * step,
+            temperature,
+            self._evolve_fractions(first, temperature, stress),
+            stress,
+            0.5 * (first.contraction + last.contraction),
+            0.5 * (first.accumulated_transformation + last.accumulated_transformation),
+        )

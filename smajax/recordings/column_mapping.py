@@ -1,0 +1,161 @@
+"""Columns of a file as channels: by their headers ``name [unit]``, or as the rig's ``[channels]`` maps them."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from smajax.channels import CHANNELS, channel_of, channel_suggestion, channel_unit
+from smajax.errors import InputError, suggestion
+from smajax.units import conversion
+
+_HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """Source of a channel, as ``[channels]`` in a rig file gives it.
+
+    Attributes:
+        column: Header of the column, with or without its unit.
+        unit: Unit of the column; ``None`` if the header has one.
+        any_scale: Whether values beyond those of usual benches are accepted.
+    """
+
+    column: str
+    unit: str | None = None
+    any_scale: bool = False
+
+
+@dataclass(frozen=True)
+class FileColumn:
+    """A column of a file that is read.
+
+    Attributes:
+        index: Number of the column in the file, from 0.
+        header: Its header.
+        name: The channel.
+        unit: Unit of the numbers in the file.
+        any_scale: Whether values beyond those of usual benches are accepted.
+        mapped: Whether the rig maps the column to the channel.
+        note: What has to be noted about it, if anything.
+    """
+
+    index: int
+    header: str
+    name: str
+    unit: str
+    any_scale: bool = False
+    mapped: bool = False
+    note: str = ""
+
+
+def assign_columns(
+    path: Path, headers: Sequence[str], mapping: Mapping[str, ChannelMap], ignore: Sequence[str]
+) -> list[FileColumn]:
+    """Return the columns that are channels, in the order of the file.
+
+    Args:
+        path: The file, for messages.
+        headers: Headers of all its columns.
+        mapping: Sources by channel, as the rig gives them.
+        ignore: Headers (or names without unit) of columns that are no channels.
+
+    Raises:
+        InputError: for a header that is neither a channel nor mapped nor ignored, and for a channel with two columns.
+    """
+    for name in mapping:
+        if channel_of(name) is None:
+            unknown = f"[channels] {name} in the rig is not a known channel{channel_suggestion(name)}"
+            raise InputError(f"{path}: {unknown}: choose of {', '.join(CHANNELS)}")
+    columns: list[FileColumn] = []
+    for index, header in enumerate(headers):
+        match = _HEADER.fullmatch(header)
+        name, unit = (match["name"], match["unit"]) if match else (header, None)
+        sources = {channel: source for channel, source in mapping.items() if source.column in (header, name)}
+        if header in ignore or name in ignore:
+            if sources:
+                both = f"column '{header}' is both ignored and mapped to {next(iter(sources))}"
+                raise InputError(f"{path}: {both}: decide for one of them")
+            continue
+        if not header:
+            cure = "write one like 'current [A]', or take the column out"
+            raise InputError(f"{path}: column {index + 1} has no header: {cure}")
+        for channel, source in sources.items():
+            columns.append(_mapped_column(path, index, header, unit, channel, source))
+        if not sources:
+            if channel_of(name) is None:
+                raise InputError(_unknown_header(path, header, name, headers, mapping, ignore))
+            columns.append(FileColumn(index, header, name, _column_unit(path, header, name, unit)))
+    _refuse_double_channels(path, columns)
+    if not columns:
+        raise InputError(f"{path}: every column is ignored: leave at least one in, of {', '.join(headers)}")
+    return columns
+
+
+def require_channels(
+    path: Path, columns: Sequence[FileColumn], names: Sequence[str], mapping: Mapping[str, ChannelMap]
+) -> None:
+    """Refuse a file without one of the channels ``names``."""
+    present = [column.name for column in columns]
+    for name in names:
+        if channel_of(name) is None:
+            unknown = f"'{name}' is not a known channel{channel_suggestion(name)}"
+            raise InputError(f"{path}: {unknown}: choose of {', '.join(CHANNELS)}")
+        if name not in present:
+            source = f", which the rig maps to column '{mapping[name].column}'," if name in mapping else ""
+            missing = f"the channel {name}{source} is missing{suggestion(name, present)}"
+            cure = f"add a column '{_example_header(name)}' or map one to {name} under [channels] in the rig"
+            raise InputError(f"{path}: {missing}: the file has {', '.join(present)}, so {cure}")
+
+
+def _mapped_column(
+    path: Path, index: int, header: str, unit: str | None, channel: str, source: ChannelMap
+) -> FileColumn:
+    used = _column_unit(path, header, channel, source.unit or unit)
+    note = f"column '{header}' was read in {used}, as the rig says" if unit and unit.strip() != used else ""
+    return FileColumn(index, header, channel, used, source.any_scale, True, note)
+
+
+def _unknown_header(
+    path: Path,
+    header: str,
+    name: str,
+    headers: Sequence[str],
+    mapping: Mapping[str, ChannelMap],
+    ignore: Sequence[str],
+) -> str:
+    recognised = [other for other in headers if channel_of(other.partition("[")[0].strip()) or other in ignore]
+    lower = "" if recognised or mapping else ", or set skip_rows if the header comes further down"
+    unknown = f"column '{header}' is not a known channel{channel_suggestion(name)}"
+    cure = "rename it, map it under [channels] in the rig, or leave it out"
+    return f'{path}: {unknown}: {cure} with [channels] ignore = ["{header}"]{lower}'
+
+
+def _refuse_double_channels(path: Path, columns: Sequence[FileColumn]) -> None:
+    first_of: dict[str, FileColumn] = {}
+    for column in columns:
+        first = first_of.setdefault(column.name, column)
+        if first is not column:
+            both = f"columns {first.index + 1} ('{first.header}') and {column.index + 1} ('{column.header}')"
+            cure = f"number them {column.name}_1 and {column.name}_2, or ignore one"
+            raise InputError(f"{path}: {both} are both {column.name}: {cure}")
+
+
+def _column_unit(path: Path, header: str, name: str, unit: str | None) -> str:
+    """Return the unit of a column, checked; a fraction may do without."""
+    canonical = channel_unit(name)
+    if not unit or not unit.strip():
+        if canonical == "1":
+            return "1"
+        cure = f"write the header like '{_example_header(name)}', or give the unit under [channels]"
+        raise InputError(f"{path}: column '{header}' has no unit: {cure}")
+    try:
+        conversion(unit.strip(), canonical)
+    except InputError as error:
+        raise InputError(f"{path}: column '{header}': {error}") from None
+    return unit.strip()
+
+
+def _example_header(name: str) -> str:
+    return f"{name} [{CHANNELS[channel_of(name) or name].units[0]}]"

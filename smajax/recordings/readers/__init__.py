@@ -1,0 +1,79 @@
+"""Readers of files as tables of numbers, chosen by the ending: CSV and text, MATLAB .mat, Parquet, Excel .xlsx.
+
+Each format has one file with a subclass of ``Table``; it is loaded when a file of that format is opened.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from smajax.errors import InputError, suggestion
+from smajax.recordings.readers.base import Table
+
+SUFFIXES = (".csv", ".txt", ".mat", ".parquet", ".xlsx")
+
+
+def open_table(
+    path: Path,
+    *,
+    skip_rows: int = 0,
+    delimiter: str = ",",
+    decimal: str = ".",
+    sheet: str | None = None,
+    headers: Sequence[str] | None = None,
+) -> Table:
+    """Open a file as a table: its headers are read, its numbers not yet.
+
+    Args:
+        path: The file.
+        skip_rows: Rows of a text file or sheet before the header.
+        delimiter: Character between the cells of a text file.
+        decimal: Decimal sign of a text file.
+        sheet: Sheet of a workbook; the first by default.
+        headers: Headers of a text file without a header row.
+
+    Raises:
+        InputError: one sentence with the file and the cure.
+    """
+    suffix = path.suffix.lower()
+    try:
+        _refuse_other_than_file(path)
+        if suffix in (".csv", ".txt"):
+            from smajax.recordings.readers.csv import CsvTable
+
+            return CsvTable(path, skip_rows, delimiter, decimal, headers)
+        if headers is not None:
+            cure = "give the file headers like 'temperature [degC]'"
+            raise InputError(f"{path}: only columns of text files can be named: {cure}")
+        if suffix == ".mat":
+            from smajax.recordings.readers.mat import MatTable
+
+            return MatTable(path)
+        if suffix == ".parquet":
+            from smajax.recordings.readers.parquet import ParquetTable
+
+            return ParquetTable(path)
+        if suffix == ".xlsx":
+            from smajax.recordings.readers.xlsx import XlsxTable
+
+            return XlsxTable(path, skip_rows, decimal, sheet)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{path}: the file cannot be read ({reason}): check its permissions") from None
+    cure = f"save the recording as {', '.join(SUFFIXES)}"
+    raise InputError(f"{path}: files ending in '{path.suffix}' are not read: {cure}")
+
+
+def _refuse_other_than_file(path: Path) -> None:
+    """Refuse a path without a file, and an empty file."""
+    if not path.exists():
+        there = [other.name for other in path.parent.iterdir()] if path.parent.is_dir() else []
+        raise InputError(f"{path}: there is no such file{suggestion(path.name, there)}: check the path")
+    if not path.is_file():
+        what = "a folder" if path.is_dir() else "not a regular file"
+        raise InputError(f"{path}: this is {what}: name a recording, a file ending in {', '.join(SUFFIXES)}")
+    if path.stat().st_size == 0:
+        cure = "record a header like 'time [s],current [A]' and rows of numbers"
+        raise InputError(f"{path}: the file is empty: {cure}")
+
+
+__all__ = ["SUFFIXES", "Table", "open_table"]

@@ -1,0 +1,267 @@
+"""CSV and text files: strict, exact, and quick on files of ten million rows.
+
+The file is read in blocks. A block of nothing but plain numbers is parsed by NumPy's C reader as a whole. Any other
+block is halved until few rows are left, and only these are read cell by cell, which handles quotes and finds the row
+and column of a bad cell.
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from smajax.errors import InputError
+from smajax.recordings.readers.base import REPAIR_HINT, Table, number_error, parse_number, refuse_if_too_large
+
+# Bytes that are read at a time: without effect on the numbers, large enough that the overhead of a block does not
+# matter.
+BLOCK = 4 * 2**20
+# Bytes of the longest row that is a row: beyond it the file is no table.
+_LONGEST_ROW = 2**20
+# Rows of a block with other than plain numbers from which it is no longer halved; chosen for speed.
+_ROWS_READ_SINGLY = 32
+# Bytes at the beginning of the file in which UTF-16 is looked for.
+_ENCODING_SAMPLE = 2000
+_UTF8_MARK = b"\xef\xbb\xbf"
+_DELIMITER_TEXTS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
+
+
+@final
+class CsvTable(Table):
+    """A text file with one header row.
+
+    Args:
+        path: The file.
+        skip_rows: Rows before the header.
+        delimiter: One character.
+        decimal: Decimal sign, ``.`` or ``,``.
+        headers: Headers of a file without a header row.
+    """
+
+    def __init__(self, path: Path, skip_rows: int, delimiter: str, decimal: str, headers: Sequence[str] | None = None):
+        self.path, self.delimiter, self.decimal = path, delimiter, decimal
+        self._check_dialect(skip_rows)
+        self._digest = hashlib.sha256()
+        with path.open("rb") as file:
+            self._refuse_other_than_text(file.read(BLOCK))
+            file.seek(len(_UTF8_MARK) if self._marked else 0)
+            for skipped in range(skip_rows):
+                if not file.readline():
+                    nothing = f"the file has {skipped} rows, and skip_rows = {skip_rows} leaves nothing"
+                    raise InputError(f"{path}: {nothing}: lower skip_rows")
+            begins = file.tell()
+            line = file.readline(_LONGEST_ROW)
+            self._data_begins = file.tell() if headers is None else begins
+            next_line = file.readline(_LONGEST_ROW)
+        self._header_row = skip_rows + 1
+        self.first_row = skip_rows + (2 if headers is None else 1)
+        self.headers = self._read_headers(line, next_line) if headers is None else self._check_headers(headers, line)
+
+    def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
+        """Return columns of numbers, read block by block."""
+        refuse_if_too_large(self.path, self._estimate_rows(), len(indices))
+        parts: list[list[np.ndarray]] = [[] for _ in indices]
+        rows = 0
+        for block in self._blocks():
+            numbers = self._numbers(block, self.first_row + rows, indices, lenient)
+            rows += len(numbers)
+            refuse_if_too_large(self.path, rows, len(indices))
+            for part, column in zip(parts, numbers.T, strict=True):
+                part.append(column.copy())
+        if not rows:
+            end = f"the file ends after the header in row {self._header_row}"
+            raise InputError(f"{self.path}: {end}: record at least two rows of data")
+        columns = []
+        for part in parts:
+            columns.append(np.concatenate(part))
+            part.clear()
+        return columns
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the bytes that ``load`` has read."""
+        return self._digest.hexdigest()
+
+    def _check_dialect(self, skip_rows: int) -> None:
+        if skip_rows < 0:
+            cure = "give the number of rows before the header"
+            raise InputError(f"{self.path}: skip_rows = {skip_rows} is negative: {cure}")
+        if self.decimal not in (".", ","):
+            raise InputError(f'{self.path}: decimal = "{self.decimal}" is not known: it is "." or ","')
+        single = len(self.delimiter) == 1 and self.delimiter.isascii()
+        if not single or self.delimiter.isalnum() or self.delimiter in '+-."\r\n':
+            cure = 'give one such as ",", ";" or "\\t"'
+            raise InputError(f"{self.path}: delimiter = {self.delimiter!r} is not possible: {cure}")
+        if self.delimiter == self.decimal:
+            both = f'delimiter and decimal are both "{self.decimal}"'
+            raise InputError(f'{self.path}: {both}: set delimiter = ";" or "\\t"')
+
+    def _refuse_other_than_text(self, head: bytes) -> None:
+        """Check the beginning of the file: text in UTF-8, with or without its mark, rows that end with a line feed."""
+        self._marked = head.startswith(_UTF8_MARK)
+        sample = head[:_ENCODING_SAMPLE]
+        # Latin text in UTF-16 has a zero in every other byte.
+        fewer, more = sorted((sample[0::2].count(0), sample[1::2].count(0)))
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or more > len(sample) // 4 > 5 * fewer:
+            raise InputError(f"{self.path}: row 1: the text is encoded in UTF-16: save the file as UTF-8")
+        if head.startswith(b"PK\x03\x04"):
+            cure = "save it as CSV in UTF-8, or name it .xlsx"
+            raise InputError(f"{self.path}: the file is a workbook or archive and not text: {cure}")
+        control = head.translate(None, bytes(range(32, 256)) + b"\t\n\r\f")
+        if control:
+            row = head[: head.index(control[:1])].count(b"\n") + 1
+            binary = f"the file is binary (byte 0x{control[0]:02x}), not text"
+            raise InputError(f"{self.path}: row {row}: {binary}: save it as CSV in UTF-8")
+        if not head[3 * self._marked :].strip():
+            cure = "record a header like 'time [s],current [A]' and rows of numbers"
+            raise InputError(f"{self.path}: the file is empty: {cure}")
+        if b"\n" not in head and b"\r" in head:
+            cure = "save the file as Unix or Windows text"
+            raise InputError(f"{self.path}: row 1: rows end in a bare carriage return: {cure}")
+
+    def _read_headers(self, line: bytes, next_line: bytes) -> tuple[str, ...]:
+        place = f"{self.path}: row {self._header_row}"
+        if len(line) >= _LONGEST_ROW:
+            long = f"the row is longer than {_LONGEST_ROW} bytes, so this is no table"
+            raise InputError(f"{place}: {long}: end every row with a line feed")
+        cells = self._cells(line, self._header_row)
+        if not any(cells):
+            cure = "give names and units, or set skip_rows"
+            raise InputError(f"{place}: the row is blank where the header is expected: {cure}")
+        filled = [cell for cell in cells if cell]
+        if all(parse_number(cell, self.decimal) is not None or cell.lower() == "nan" for cell in filled):
+            cure = "begin with a row like 'time [s],current [A]'"
+            raise InputError(f"{place}: the header is missing ('{filled[0]}' is a number): {cure}")
+        self._refuse_other_delimiter(place, cells, next_line)
+        return tuple(cells)
+
+    def _refuse_other_delimiter(self, place: str, cells: Sequence[str], next_line: bytes) -> None:
+        """Refuse a header of one cell that another delimiter would divide."""
+        others = [other for other in _DELIMITER_TEXTS if other != self.delimiter and other in cells[0]]
+        if len(cells) == 1 and not others and self.delimiter != " " and self._is_spaced(next_line):
+            cure = 'set delimiter = " " under [channels] in the rig'
+            raise InputError(f"{place}: the columns are separated by spaces: {cure}")
+        if len(cells) == 1 and others:
+            comma = 'and decimal = "," ' if others[0] != "," and b"," in next_line and b"." not in next_line else ""
+            raise InputError(
+                f"{place}: the columns are separated by {_DELIMITER_TEXTS[others[0]]}: "
+                f"set delimiter = {_DELIMITER_TEXTS[others[0]]} {comma}under [channels] in the rig"
+            )
+
+    def _is_spaced(self, line: bytes) -> bool:
+        """Whether a row is several numbers with spaces between (a header may have a space before its unit)."""
+        texts = [part.strip() for part in line.decode("utf-8", "replace").split(" ") if part.strip()]
+        return len(texts) > 1 and all(parse_number(text, self.decimal) is not None for text in texts)
+
+    def _check_headers(self, headers: Sequence[str], line: bytes) -> tuple[str, ...]:
+        """Return the headers that the caller gives, if they fit the first row of data."""
+        place = f"{self.path}: row {self.first_row}"
+        cells = self._cells(line, self.first_row)
+        others = [text for c, text in _DELIMITER_TEXTS.items() if c != self.delimiter and c in cells[0]]
+        if len(cells) == 1 and others:
+            raise InputError(f"{place}: the columns are separated by {others[0]}: set delimiter = {others[0]}")
+        if len(cells) != len(headers):
+            count = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
+            raise InputError(f"{place}: {count}: name every column, those that are not wanted by -")
+        if parse_number(cells[0], self.decimal) is None:
+            raise InputError(f"{place}: '{cells[0]}' is not a number: if this is a header, name no columns")
+        return tuple(headers)
+
+    def _estimate_rows(self) -> float:
+        with self.path.open("rb") as file:
+            size = file.seek(0, io.SEEK_END) - self._data_begins
+            file.seek(self._data_begins)
+            sample = file.read(BLOCK)
+        return size * max(sample.count(b"\n"), 1) / max(len(sample), 1)
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Yield whole rows, about BLOCK bytes at a time; blank rows at the end of the file are no rows."""
+        with self.path.open("rb") as file:
+            self._digest.update(file.read(self._data_begins))
+            pending = b""
+            while piece := file.read(BLOCK):
+                self._digest.update(piece)
+                pending += piece
+                if len(pending) > 2 * BLOCK and b"\n" not in pending:
+                    raise InputError(f"{self.path}: a row is longer than {BLOCK} bytes: end every row with a line feed")
+                blank = b" \r\n" if self.delimiter != " " else b"\r\n"
+                end = len(pending[: pending.rfind(b"\n") + 1].rstrip(blank))
+                end = pending.find(b"\n", end) + 1 if end else 0
+                if end:
+                    yield pending[:end].replace(b"\r\n", b"\n")
+                pending = pending[end:]
+            if pending.strip():
+                yield pending.rstrip(b"\r\n").replace(b"\r\n", b"\n") + b"\n"
+
+    def _numbers(self, block: bytes, row: int, indices: Sequence[int], lenient: bool) -> np.ndarray:
+        """Return columns (rows, indices) of a block whose first row has the number ``row``."""
+        plain = self._plain_numbers(block)
+        if plain is not None:
+            return plain[:, indices]
+        rows = block.count(b"\n")
+        if rows > _ROWS_READ_SINGLY:
+            middle = block.find(b"\n", len(block) // 2) + 1
+            if middle < len(block):
+                first = self._numbers(block[:middle], row, indices, lenient)
+                return np.concatenate([first, self._numbers(block[middle:], row + len(first), indices, lenient)])
+        lines = block.split(b"\n")[:-1]
+        numbers = np.array([self._row(line, row + i, indices, lenient) for i, line in enumerate(lines)])
+        return numbers.reshape(rows, len(indices))
+
+    def _plain_numbers(self, block: bytes) -> np.ndarray | None:
+        """Return all columns of a block that holds nothing but finite numbers in full rows, else ``None``."""
+        allowed = b"0123456789+-eE \n" + self.decimal.encode() + self.delimiter.encode()
+        if block.translate(None, allowed) or not block.strip():
+            return None
+        if self.decimal == ",":
+            block = block.replace(b",", b".")
+        try:
+            numbers = np.loadtxt(io.BytesIO(block), delimiter=self.delimiter, comments=None, ndmin=2)
+        except ValueError:
+            return None
+        whole = numbers.shape == (block.count(b"\n"), len(self.headers)) and bool(np.isfinite(numbers).all())
+        return numbers if whole else None
+
+    def _row(self, line: bytes, row: int, indices: Sequence[int], lenient: bool) -> list[float]:
+        """Read one row, cell by cell; if ``lenient``, what is not a number becomes NaN."""
+        place = f"{self.path}: row {row}"
+        if len(line) > _LONGEST_ROW:
+            raise InputError(f"{place}: the row is longer than {_LONGEST_ROW} bytes: end every row with a line feed")
+        try:
+            cells = self._cells(line, row)
+            if len(cells) != len(self.headers):
+                raise InputError(self._ragged_error(place, cells))
+        except InputError:
+            if lenient:
+                return [np.nan] * len(indices)
+            raise
+        numbers = []
+        for index in indices:
+            number = parse_number(cells[index], self.decimal)
+            if number is None and not lenient:
+                error = number_error(cells[index], self.decimal)
+                raise InputError(f"{place}, column '{self.headers[index]}': {error}")
+            numbers.append(np.nan if number is None else number)
+        return numbers
+
+    def _ragged_error(self, place: str, cells: list[str]) -> str:
+        if not any(cells):
+            return f"{place}: the row is blank: {REPAIR_HINT}"
+        count = f"{place}: the row has {len(cells)} cells and the header {len(self.headers)}"
+        if self.delimiter == "," and len(self.headers) < len(cells) <= 2 * len(self.headers):
+            cure = "save with another delimiter and set delimiter and decimal under [channels]"
+            return f"{count}: if the commas are decimal commas, {cure}"
+        return f"{count}: {REPAIR_HINT}"
+
+    def _cells(self, line: bytes, row: int) -> list[str]:
+        try:
+            text = line.decode("utf-8").rstrip("\r\n")
+            return [cell.strip() for cell in next(csv.reader([text], delimiter=self.delimiter), [""])]
+        except UnicodeDecodeError as error:
+            byte = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"
+            raise InputError(f"{self.path}: row {row}: {byte}: save the file as UTF-8") from None
+        except csv.Error:
+            raise InputError(f"{self.path}: row {row}: the row cannot be divided into cells: {REPAIR_HINT}") from None

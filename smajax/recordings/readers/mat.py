@@ -1,0 +1,131 @@
+"""MATLAB .mat files (up to version 7.2): one vector per channel, named like the channel.
+
+The units come from the rig, or from a struct ``units`` in the file with one text per channel: ``units.current = 'A'``.
+"""
+
+import mmap
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from smajax.errors import InputError
+from smajax.recordings.readers.base import REPAIR_HINT, Table, file_sha256, first_line, refuse_if_too_large
+
+# Types of the elements of a version 5 file (MATLAB's "MAT-File Format").
+_MATRIX = 14
+_COMPRESSED = 15
+_ELEMENTS = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, _MATRIX, _COMPRESSED, 16, 17, 18}
+# Bytes of the header of such a file, with its version and byte order at the end.
+_HEADER_BYTES = 128
+
+
+@final
+class MatTable(Table):
+    """The vectors of a MATLAB file; the first sample is row 1."""
+
+    first_row = 1
+
+    def __init__(self, path: Path):
+        self.path = path
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            intact = _is_intact(data)
+        if not intact:
+            raise InputError(
+                f"{path}: the file is not readable as MATLAB data (it is damaged): save it again with '-v7'"
+            )
+        shapes = self._call_scipy("whosmat")
+        self._names = [name for name, _, _ in shapes if name != "units" and not name.startswith("__")]
+        self._rows = {name: int(np.prod(shape, dtype=float)) for name, shape, _ in shapes}
+        if not self._names:
+            raise InputError(
+                f"{path}: the file has no variables: save one vector per channel, such as time and current"
+            )
+        units = self._units() if any(name == "units" for name, _, _ in shapes) else {}
+        self.headers = tuple(f"{name} [{units[name]}]" if name in units else name for name in self._names)
+
+    def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
+        """Return variables as columns."""
+        names = [self._names[index] for index in indices]
+        refuse_if_too_large(self.path, max((self._rows[name] for name in names), default=0), len(names))
+        variables = self._call_scipy("loadmat", variable_names=names, squeeze_me=True)
+        columns = [self._column(name, np.asarray(variables[name]), lenient) for name in names]
+        for name, column in zip(names, columns, strict=True):
+            if len(column) != len(columns[0]):
+                raise InputError(
+                    f"{self.path}: variable '{name}' has {len(column)} values and '{names[0]}' {len(columns[0])}: "
+                    "give every channel one value per sample"
+                )
+        return columns
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the file's bytes."""
+        return file_sha256(self.path)
+
+    def _call_scipy(self, function: str, **options: Any) -> Any:
+        import scipy.io
+
+        try:
+            return getattr(scipy.io, function)(str(self.path), **options)
+        except NotImplementedError:
+            raise InputError(f"{self.path}: the file is of MATLAB version 7.3: save it with save(..., '-v7')") from None
+        except Exception as error:  # a broken file ends in any of a dozen kinds, from struct.error to zlib.error
+            unreadable = f"the file is not readable as MATLAB data ({first_line(error)})"
+            raise InputError(f"{self.path}: {unreadable}: save it again with '-v7'") from None
+
+    def _units(self) -> dict[str, str]:
+        texts = np.asarray(self._call_scipy("loadmat", variable_names=["units"], squeeze_me=True)["units"])
+        names = texts.dtype.names
+        if names is None or texts.shape != ():
+            wrong = "variable 'units' is not a struct with one text per channel"
+            raise InputError(f"{self.path}: {wrong}: set units.time = 's' and so on")
+        return {name: str(texts[name]).strip() for name in names}
+
+    def _column(self, name: str, values: np.ndarray, lenient: bool) -> np.ndarray:
+        place = f"{self.path}: variable '{name}'"
+        if values.dtype.kind not in "iuf":
+            wrong = f"the values are not real numbers (type {values.dtype.name})"
+            raise InputError(f"{place}: {wrong}: save a vector of doubles")
+        if values.ndim > 1:
+            wrong = f"the array of shape {values.shape} is not a vector"
+            raise InputError(f"{place}: {wrong}: save one vector per channel")
+        numbers = np.array(values, float, ndmin=1)
+        if not numbers.size:
+            raise InputError(f"{place}: the vector is empty: record at least two samples")
+        bad = np.flatnonzero(~np.isfinite(numbers))
+        if bad.size and not lenient:
+            raise InputError(f"{self.path}: row {bad[0] + 1}, column '{name}': the value is not finite: {REPAIR_HINT}")
+        numbers[bad] = np.nan
+        return numbers
+
+
+def _is_intact(data: bytes | mmap.mmap) -> bool:
+    """Whether the elements of a version 5 file nest and have types that exist; scipy's reader crashes where not.
+
+    Elements have 4 + 4 bytes of type and length, or 2 + 2 for the small ones, and are filled up to 8 bytes (MATLAB's
+    "MAT-File Format", level 5).
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None or data[124:126] not in (b"\0\1", b"\1\0"):
+        return True  # another version, which scipy refuses or reads in another way
+    spans = [(_HEADER_BYTES, len(data))]
+    while spans:
+        at, end = spans.pop()
+        while at < end:
+            if at + 8 > end:
+                return False
+            kind, length = struct.unpack_from(order + "II", data, at)
+            if kind >> 16:
+                kind, length, begin = kind & 0xFFFF, kind >> 16, at + 4
+                following = at + 8
+            else:
+                begin = at + 8
+                following = begin + length + (-length % 8 if kind != _COMPRESSED else 0)
+            if kind not in _ELEMENTS or begin + length > end or (begin == at + 4 and length > 4):
+                return False
+            if kind == _MATRIX:
+                spans.append((begin, begin + length))
+            at = following
+    return True

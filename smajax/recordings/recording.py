@@ -1,0 +1,191 @@
+"""A recording: one measured time series, or one path without a clock, with named channels in SI units."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smajax.channels import channel_unit
+from smajax.errors import InputError, suggestion
+from smajax.recordings.write import write_table
+from smajax.units import from_si, to_si
+
+Floats = NDArray[np.float64]
+
+# Rows that a resampled recording may have: 100 million of one channel take 0.8 GB, so that more is a mistake in the
+# step.
+_MAX_RESAMPLED_ROWS = 100_000_000
+# Relative slack by which the last multiple of the step may exceed the duration, so that rounding does not drop the last
+# row.
+_STEP_ROUNDING = 1e-12
+# Part of the shortest step by which a time may miss a sample and still count as at it: times that are computed as
+# multiples of a step differ by rounding; tests/unit/recordings/test_recording.py holds it.
+_HOLD_SLACK = 1e-6
+# Spacings of floats that always count as rounding.
+_HOLD_SPACINGS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording with n rows.
+
+    Attributes:
+        name: Name in messages and results.
+        time: Times (n,) in s, strictly increasing, or the row numbers 0, 1, 2, ... of a path without a clock.
+        channels: Read-only arrays (n,) in SI units (temperatures in degC) by name (``current``, ``current_2``). A
+            channel made of arrays may be NaN at rows at which it was not measured; a file that is read has a number in
+            every row.
+        units: Units of the columns in the file, in which results are reported; with ``time`` if there is a clock.
+        sha256: That of the file's bytes, empty if there was no file.
+        has_clock: Whether ``time`` is a time.
+        notes: What was changed on request.
+    """
+
+    name: str
+    time: Floats
+    channels: Mapping[str, Floats]
+    units: Mapping[str, str]
+    sha256: str = ""
+    has_clock: bool = True
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, values in self.channels.items():
+            if values.shape != self.time.shape:
+                shapes = f"channel '{name}' has shape {values.shape} and time {self.time.shape}"
+                raise InputError(f"{self.name}: {shapes}: make them equal")
+        channels = {name: _read_only(values) for name, values in self.channels.items()}
+        object.__setattr__(self, "time", _read_only(self.time))
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+
+    @classmethod
+    def from_arrays(
+        cls, name: str, time: Floats | None, channels: Mapping[str, Floats], units: Mapping[str, str]
+    ) -> "Recording":
+        """Make a recording of arrays in SI units (degC).
+
+        Values are rounded to what a column of float64 in ``units`` can hold, so that they survive writing and reading.
+
+        Args:
+            name: Name in messages and results.
+            time: Times (n,) in s, or ``None`` for a path.
+            channels: Arrays (n,) by channel.
+            units: Units in which the channels are written and reported; internal units by default.
+        """
+        columns = [*([] if time is None else ["time"]), *channels]
+        units = {channel: units.get(channel, channel_unit(channel)) for channel in columns}
+        rounded = {c: _as_in_file(np.asarray(values, float), c, units[c]) for c, values in channels.items()}
+        if time is None:
+            return cls(name, np.arange(len(next(iter(rounded.values()))), dtype=float), rounded, units, has_clock=False)
+        return cls(name, _as_in_file(np.asarray(time, float), "time", units["time"]), rounded, units)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def slice(self, start: float, stop: float) -> "Recording":
+        """Return the rows with start <= time < stop, with their times unchanged.
+
+        Args:
+            start: First time in s (row number if there is no clock).
+            stop: Time in s (row number) before which the part ends.
+        """
+        first, last = np.searchsorted(self.time, (start, stop))
+        unit = "s" if self.has_clock else "rows"
+        if last <= first:
+            ends = f"from {self.time[0]:g} to {self.time[-1]:g} {unit}"
+            missing = f"no row lies in [{start:g}, {stop:g}) {unit}"
+            raise InputError(f"{self.name}: {missing}: the recording runs {ends}, choose a part of that")
+        channels = {name: values[first:last] for name, values in self.channels.items()}
+        note = f"cut to {last - first} of {len(self)} rows, {start:g} <= time < {stop:g} {unit}"
+        return replace(self, time=self.time[first:last], channels=channels, notes=(*self.notes, note))
+
+    def resample(self, step: float, hold: Collection[str] = ()) -> "Recording":
+        """Return the recording at a fixed step.
+
+        Args:
+            step: Time between rows in s; the first row is the recording's.
+            hold: Channels that keep their last sample; the others are interpolated linearly.
+        """
+        if not self.has_clock:
+            raise InputError(f"{self.name}: a path without a clock cannot be resampled in time: give it a time column")
+        if not (step > 0 and np.isfinite(step)):
+            raise InputError(f"{self.name}: a step of {step} s is not possible: give a positive one")
+        count = int(np.floor((self.time[-1] - self.time[0]) / step * (1 + _STEP_ROUNDING))) + 1
+        if count > _MAX_RESAMPLED_ROWS:
+            raise InputError(f"{self.name}: a step of {step:g} s makes {count} rows: give a larger one")
+        times = self.time[0] + step * np.arange(count)
+        unknown = [name for name in hold if name not in self.channels]
+        if unknown:
+            hint = suggestion(unknown[0], self.channels)
+            raise InputError(f"{self.name}: there is no channel '{unknown[0]}' to hold{hint}: name one of it")
+        channels = {
+            name: sample_channels(self, [name], times, "hold" if name in hold else "linear")[:, 0]
+            for name in self.channels
+        }
+        resampled = Recording.from_arrays(self.name, times, channels, self.units)
+        note = f"resampled from {len(self)} rows to {count}, every {step:g} s"
+        return replace(resampled, sha256=self.sha256, notes=(*self.notes, note))
+
+    def write(self, path: str | Path) -> None:
+        """Write a .csv or .parquet file in the recording's units, completely or not at all.
+
+        Reading it returns the same floats.
+        """
+        columns = {"time": self.time} if self.has_clock else {}
+        columns |= self.channels
+        in_file = {
+            f"{name} [{self.units[name]}]": from_si(values, self.units[name], channel_unit(name))
+            for name, values in columns.items()
+        }
+        write_table(Path(path), in_file)
+
+
+def sample_channels(
+    recording: Recording, names: Sequence[str], times: Floats, interpolation: Literal["hold", "linear"]
+) -> Floats:
+    """Return channels at given times.
+
+    Args:
+        recording: The recording; outside its times the first and the last sample hold.
+        names: Channels.
+        times: Times (m,) in s.
+        interpolation: ``hold`` for the last sample at or before each time (a time that misses a sample by rounding
+            counts as at it), ``linear`` for linear interpolation.
+
+    Returns:
+        An array (m, len(names)) in SI units.
+    """
+    missing = [name for name in names if name not in recording.channels]
+    if missing:
+        hint = suggestion(missing[0], recording.channels)
+        raise InputError(f"{recording.name}: there is no channel '{missing[0]}'{hint}: name one of it")
+    times = np.asarray(times, float)
+    result = np.empty((len(times), len(names)))
+    if interpolation == "hold":
+        shortest = np.diff(recording.time).min() if len(recording) > 1 else 0.0
+        slack = max(_HOLD_SLACK * shortest, _HOLD_SPACINGS * np.spacing(abs(recording.time).max()))
+        last = np.searchsorted(recording.time, times + slack, side="right") - 1
+        for i, name in enumerate(names):
+            result[:, i] = recording.channels[name][np.maximum(last, 0)]
+    elif interpolation == "linear":
+        for i, name in enumerate(names):
+            result[:, i] = np.interp(times, recording.time, recording.channels[name])
+    else:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
+    return result
+
+
+def _as_in_file(values: Floats, name: str, unit: str) -> Floats:
+    """Round values to those that a column in ``unit`` can hold."""
+    return to_si(from_si(values, unit, channel_unit(name)), unit, channel_unit(name))
+
+
+def _read_only(values: Floats) -> Floats:
+    view = values.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,60 @@
+"""Figures of a diagnosis: autocorrelation of the residual, and the nonparametric term."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from smajax.report.figures import MEASURED, MODEL, Picture, axis_style, base_layout, noise_band
+
+_HEIGHT = 320
+# Units of the states against which a nonparametric term can stand; times in s.
+_UNITS = {"temperature": "degC", "martensite": "fraction", "travel": "full transformations"}
+
+
+def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Picture:
+    """Show the autocorrelation of a channel's residual before and after, with the 99 % band of white noise.
+
+    Args:
+        channel: The channel.
+        statistics: Statistics of the residual by name ("before", "after"), with ``autocorrelation`` and ``band_99``.
+    """
+    layout = base_layout()
+    layout["xaxis"] = axis_style("lag [samples]")
+    layout["yaxis"] = axis_style("correlation")
+    data = []
+    for (name, entry), colour in zip(statistics.items(), (MEASURED, MODEL), strict=False):
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": name,
+                "x": list(range(1, len(entry["autocorrelation"]) + 1)),
+                "y": entry["autocorrelation"],
+                "line": {"color": colour},
+            }
+        )
+        layout["shapes"] = layout.get("shapes", []) + noise_band(entry["band_99"] / 2.0, "y")
+    caption = "Autocorrelation of the residual; dotted lines: 99 % band of white noise."
+    figure = {"data": data, "layout": layout}
+    return Picture(f"Autocorrelation of the residual of {channel}", caption, figure, _HEIGHT, wide=False)
+
+
+def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
+    """Show a nonparametric term against its state; ``term`` is ``free_form`` of diagnosis.json."""
+    layout = base_layout()
+    layout["xaxis"] = axis_style(escape(f"{term['against']} [{_UNITS.get(term['against'], 's')}]"))
+    layout["yaxis"] = axis_style(escape(f"{term['adds']} [{term['unit']}]" if term["unit"] != "1" else term["adds"]))
+    line = {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "x": term["at"],
+        "y": term["term"],
+        "line": {"color": MODEL},
+        "showlegend": False,
+    }
+    caption = (
+        "What would have to be added to the stage, as a function of the state. It describes what is missing, not its "
+        "cause."
+    )
+    figure = {"data": [line], "layout": layout}
+    return Picture(f"Nonparametric term in the {term['stage']} stage", caption, figure, _HEIGHT, wide=False)

@@ -1,0 +1,123 @@
+"""The page of a diagnosis, made from ``diagnosis.json`` (schema 1 or 2) and ``prediction.csv``."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from smajax.diagnosis.data_split import SPLIT_NAMES
+from smajax.report import pages
+from smajax.report.diagnosis_figures import autocorrelation_picture, nonparametric_picture
+from smajax.report.diagnosis_summary import Document, sentences, significant
+from smajax.report.figures import Picture
+from smajax.report.prediction import Series
+from smajax.report.time_figures import time_picture
+
+_EFFECT_HEAD = (
+    "effect",
+    "stage",
+    "status",
+    "strength ± 95 %",
+    "unit",
+    "error after refit",
+    "detectable from",
+    "absorbed by, or why not",
+)
+
+
+def diagnosis_page(
+    doc: Document, series: Sequence[Series], inputs: Sequence[str], run: Mapping[str, Any], rig: str
+) -> str:
+    """Return the page.
+
+    Args:
+        doc: The document.
+        series: The predictions before and after.
+        inputs: The driving channels.
+        run: The record of the run.
+        rig: Text of the rig file.
+    """
+    pictures: list[Picture] = []
+    unexplained = doc["verdict"] in ("partial", "unresolved")
+    summary = "".join(f"<p>{escape(s)}</p>" for s in sentences(doc))
+    sections = [f'<div class="verdict{" bad" if unexplained else ""}">{summary}</div>']
+    sections += _error_section(doc)
+    sections += _residual_section(doc, pictures)
+    sections += _effects_section(doc)
+    sections += _detectability_section(doc)
+    sections.append("<h2>Measured against model</h2>")
+    floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
+    sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), inputs, floor), pictures) for s in series]
+    sections += ["<h2>Where this comes from</h2>", pages.provenance_section(run), pages.rig_section(rig)]
+    names = dict.fromkeys(s.name.removesuffix(" (before)").removesuffix(" (after)") for s in series)
+    lead = f"What {', '.join(names)} say of the rig."
+    return pages.render_page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
+
+
+def _error_section(doc: Document) -> list[str]:
+    rows = []
+    for channel, rmse in doc["rmse"].items():
+        noise = significant(doc["noise_floor"][channel]["value"], 4)
+        for name in SPLIT_NAMES:
+            before, after = (significant(rmse[f"{name}_{when}"], 4) for when in ("before", "after"))
+            rows.append((channel, name, before, after, noise, rmse["unit"]))
+    head = ("channel", "recording", "before", "after", "noise", "unit")
+    return ["<h2>Error before and after</h2>", pages.table(head, rows, numbers=(2, 3, 4))]
+
+
+def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
+    """The training recording's residual: its correlations, and the stages in which it can live."""
+    rows = [
+        (channel, when, name, significant(statistics["rms"], 4), f"{100 * share:.0f} %")
+        for channel, by_fit in doc["residual"].items()
+        for when, statistics in by_fit.items()
+        for name, share in statistics["outside"].items()
+    ]
+    head = ("channel", "fit", "correlated with", "RMS", "lags beyond 99 %")
+    sections = ["<h2>Residual of the training recording</h2>", pages.table(head, rows, numbers=(3, 4))]
+    for channel, by_fit in doc["residual"].items():
+        sections.append(pages.add_picture(autocorrelation_picture(channel, by_fit), pictures))
+    sections.append("<h2>Share of the residual that can live in each stage</h2>")
+    shares = [(stage, f"{100 * share:.0f} %") for stage, share in doc["stages"].items()]
+    sections.append(pages.table(("stage", "share"), shares, numbers=(1,)))
+    if doc["free_form"]:
+        sections.append(pages.add_picture(nonparametric_picture(doc["free_form"]), pictures))
+    return sections
+
+
+def _effects_section(doc: Document) -> list[str]:
+    """All effects, those that were rejected, and those that are excluded."""
+    sections = ["<h2>Effects</h2>"]
+    sections.append(pages.table(_EFFECT_HEAD, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
+    if doc["rejected"]:
+        rows = [(entry["key"], entry["why"]) for entry in doc["rejected"]]
+        sections.append(pages.table(("rejected", "because it"), rows))
+    if doc["excluded"]:
+        limits = [(e["key"], f"{e['above']:.3g}", pages.pretty_unit(e["unit"])) for e in doc["excluded"]]
+        sections.append("<h2>Excluded down to this size</h2>")
+        sections.append(pages.table(("effect", "above", "unit"), limits, numbers=(1,)))
+    return sections
+
+
+def _effect_row(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    strength = significant(entry["strength"])
+    if entry["lower95"] is not None:
+        strength += f" ± {0.5 * (entry['upper95'] - entry['lower95']):.2g}"
+    errors = (significant(entry[k]) for k in ("refit_rmse_select", "smallest_detectable"))
+    reason = ", ".join(entry["absorbed_by"]) or entry["why"]
+    unit = pages.pretty_unit(entry["unit"])
+    return (entry["key"], entry["stage"], entry["status"], strength, unit, *errors, reason)
+
+
+def _detectability_section(doc: Document) -> list[str]:
+    rows = [
+        (
+            entry["key"],
+            entry["status"],
+            significant(entry["smallest_detectable"]),
+            pages.pretty_unit(entry["unit"]),
+            ", ".join(entry["absorbed_by"]) or entry["why"],
+        )
+        for entry in doc["preflight"]
+    ]
+    head = ("effect", "status", "detectable from", "unit", "absorbed by, or why not")
+    return ["<h2>What this input can show, before any fit</h2>", pages.table(head, rows, numbers=(2,))]

@@ -1,0 +1,111 @@
+"""The summary of ``diagnosis.json`` in sentences that one can act on; documents of schema 1 and 2 are read alike."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from smajax.diagnosis.candidates import AT_NOISE
+from smajax.parameters import declarations
+from smajax.plant.effects import catalogue
+
+Document = Mapping[str, Any]
+
+
+def sentences(doc: Document) -> list[str]:
+    """Say what was found: effects, what remains, errors, what was left out, and what to do next.
+
+    Args:
+        doc: The document.
+    """
+    lines = [sentence for key in doc["effects"] for sentence in _effect_sentences(doc, key)]
+    if unexplained := _verdict_sentence(doc):
+        lines.append(unexplained)
+    if not doc.get("base_fit_at_rest", True):
+        lines.append(
+            "Without effects the fit did not converge, so that the errors before are only those where it stopped."
+        )
+    lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
+    for entry in doc.get("left_out", ()):
+        what = entry.get("channel") or f"{entry['effect']} of the rig file, which this rig cannot have"
+        lines.append(f"Done without {what}: {entry['why']}.")
+    lines += [f"{entry['name']}: {note}." for entry in doc.get("recordings", ()) for note in entry["notes"]]
+    if term := doc["free_form"]:
+        lines.append(
+            f"A nonparametric term in the {term['stage']} stage, {term['adds']} as a function of {term['against']}, "
+            f"would explain {100 * term['explains']:.0f} % of the residual; it describes what is missing and names no "
+            "cause."
+        )
+    experiment = doc["next_experiment"]
+    if experiment and experiment["separates"]:
+        what = f"Next, run {experiment['file']}" if experiment["file"] else "Next"
+        lines.append(f"{what}: {experiment['advice']}.")
+    return lines
+
+
+def text(doc: Document, folder: str) -> str:
+    """Return the summary for a terminal.
+
+    Args:
+        doc: The document.
+        folder: Where the results are.
+    """
+    lines = [f"Verdict: {doc['verdict']}", "", *sentences(doc), ""]
+    lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
+    lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s; all results in {folder}")
+    return "\n".join(lines)
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Return a value with so many significant digits; a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def _effect_sentences(doc: Document, key: str) -> list[str]:
+    """What an accepted effect is, how large, and from which it cannot be distinguished."""
+    entry = next(r for r in doc["ranking"] if r["key"] == key)
+    interval = f" (95 %: {entry['lower95']:.3g} to {entry['upper95']:.3g})" if entry["lower95"] is not None else ""
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+    meaning = declarations(catalogue()[key])["strength"].meaning
+    size = f"{entry['strength']:.3g}{unit}{interval}"
+    lines = [f"The rig has {key} of {size}, an effect of the {entry['stage']} stage: {meaning}."]
+    if equivalent := doc["equivalent"].get(key):
+        lines.append(f"These recordings cannot distinguish it from {', '.join(equivalent)}.")
+    return lines
+
+
+def _verdict_sentence(doc: Document) -> str:
+    """What a verdict says of what remains; empty where effects are named."""
+    stage, fit = doc["unresolved_stage"], doc["goodness_of_fit"]
+    if doc["verdict"] == "nothing-missing":
+        small = "; ".join(f"{entry['key']} {entry['why']}" for entry in doc["rejected"])
+        rest = f"a small effect may be present ({small})" if small else "nothing is missing that they could show"
+        return f"The model explains the recordings down to their noise: {rest}."
+    if doc["verdict"] == "partial" and fit["after"] < max(fit["critical"], AT_NOISE):
+        return (
+            "It does not predict another input down to the noise: "
+            f"it may stand in for another cause in the {stage} stage."
+        )
+    if doc["verdict"] == "partial":
+        return f"More than noise remains; the residual looks most like another effect in the {stage} stage."
+    if doc["verdict"] == "unresolved" and stage is None:
+        return (
+            "Something is missing that only the other recordings show: "
+            "their inputs excite what the training recording's does not."
+        )
+    if doc["verdict"] == "unresolved":
+        return (
+            "Something is missing that no effect of the catalogue explains; "
+            f"the residual looks most like the {stage} stage."
+        )
+    return ""
+
+
+def _error_sentence(doc: Document, channel: str) -> str:
+    """The holdout's error of a channel before and after."""
+    rmse, floor = doc["rmse"][channel], doc["noise_floor"][channel]["value"]
+    auxiliary = ", recorded and not observed," if channel in doc.get("evidence", ()) else ""
+    unit = rmse["unit"]
+    before, after = (significant(rmse[f"holdout_{when}"]) for when in ("before", "after"))
+    return (
+        f"On the holdout the error of {channel}{auxiliary} is {before} {unit} before and {after} {unit} after, "
+        f"with noise of {floor:.3g} {unit}."
+    )

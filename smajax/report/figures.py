@@ -1,0 +1,218 @@
+"""What all figures of a report share: plotly figures as plain dictionaries, without a plotting library.
+
+A figure of more than ``MAX_POINTS`` rows shows the lowest and the highest point of each of many short spans, so that
+no peak is lost, and its caption says so; prediction.csv has all rows. A figure of many models has fewer points of
+each, ``MAX_POINTS_OF_MANY``. The figures themselves are in ``time_figures``, ``phase_figures``,
+``parameter_figures`` and ``diagnosis_figures``.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from smajax.recordings.recording import Floats
+from smajax.report.prediction import Series, usual_unit
+
+# Points of a line: a browser zooms so many without delay.
+MAX_POINTS = 20_000
+# Points of each line where many models are compared: a page of twelve models stays at a few megabytes.
+MAX_POINTS_OF_MANY = 2_000
+MEASURED, MODEL, RESIDUAL, INPUT = "#8b95a1", "#c8501e", "#23648c", "#4a7a3f"
+# Colours of several models, in the order of their rank.
+MODEL_COLOURS = (
+    MODEL,
+    RESIDUAL,
+    INPUT,
+    "#7b4a94",
+    "#8a6d1d",
+    "#2f6f6f",
+    "#b0577f",
+    "#5d6b2f",
+    "#3c4f86",
+    "#a3452c",
+    "#6b6f76",
+    "#1f7a5c",
+)
+# Significant digits of the numbers in a figure: more than any screen shows.
+_DIGITS = 7
+# Height of a panel of weight 1, and the gap between two panels, in pixels.
+_PANEL_PIXELS = 58
+_GAP_PIXELS = 24
+# Height of the title, the legend and the axis of time, in pixels.
+_FRAME_PIXELS = 144
+# A panel of less weight than this has its axis title in two small lines.
+_LOW_PANEL = 3.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its title and caption.
+
+    Attributes:
+        title: What the figure shows.
+        caption: How to read it.
+        figure: The plotly figure: data and layout.
+        height: Height in pixels.
+        wide: Whether the figure takes the whole width of the page.
+    """
+
+    title: str
+    caption: str
+    figure: dict[str, Any]
+    height: int
+    wide: bool = True
+
+
+def base_layout() -> dict[str, Any]:
+    """Return the layout that all figures share."""
+    return {
+        "paper_bgcolor": "#ffffff",
+        "plot_bgcolor": "#ffffff",
+        "font": {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13, "color": "#22272e"},
+        "margin": {"l": 74, "r": 16, "t": 58, "b": 52},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"},
+        "hovermode": "closest",
+    }
+
+
+def axis_style(title: str) -> dict[str, Any]:
+    """Return the settings of an axis with this title."""
+    return {
+        "title": {"text": title, "standoff": 8},
+        "gridcolor": "#e7eaee",
+        "zerolinecolor": "#c9d0d8",
+        "linecolor": "#9aa4b0",
+        "showline": True,
+        "ticks": "outside",
+        "tickcolor": "#9aa4b0",
+        "automargin": True,
+        "exponentformat": "power",
+    }
+
+
+def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> dict[str, Any]:
+    """Lay out panels above one another over one axis of time.
+
+    Args:
+        panels: Name and weight of each panel; its height is proportional to the weight.
+        series: The series that is shown, for the title of the axis.
+    """
+    layout = base_layout()
+    total = sum(weight for _, weight in panels)
+    gap = _GAP_PIXELS / (_PANEL_PIXELS * total)
+    room = 1.0 - gap * (len(panels) - 1)
+    top = 1.0
+    for k, (_, weight) in enumerate(panels):
+        bottom = max(top - room * weight / total, 0.0)
+        layout[f"yaxis{k + 1 if k else ''}"] = axis_style("") | {"domain": [bottom, top], "anchor": "x"}
+        top = bottom - gap
+    layout["xaxis"] = axis_style(time_title(series)) | {"anchor": panel_axis(len(panels) - 1), "domain": [0, 1]}
+    layout["shapes"] = []
+    layout["hovermode"] = "x"
+    return layout
+
+
+def panel_height(panels: Sequence[tuple[str, float]]) -> int:
+    """Return the height in pixels of a figure of panels."""
+    return _FRAME_PIXELS + round(_PANEL_PIXELS * sum(weight for _, weight in panels))
+
+
+def panel_axis(panel: int) -> str:
+    """Return plotly's name of the y axis of a panel, counted from 0."""
+    return f"y{panel + 1 if panel else ''}"
+
+
+def set_panel_title(layout: dict[str, Any], panel: int, title: str, panels: Sequence[tuple[str, float]]) -> None:
+    """Set the title of a panel's y axis, in two small lines where the panel is low."""
+    low = panels[panel][1] < _LOW_PANEL
+    entry = layout[f"yaxis{panel + 1 if panel else ''}"]["title"]
+    entry["text"] = title.replace(" [", "<br>[") if low else title
+    if low:
+        entry["font"] = {"size": 11}
+
+
+def line_trace(
+    x: Floats,
+    y: Floats,
+    name: str,
+    colour: str,
+    y_axis: str,
+    *,
+    x_axis: str = "x",
+    in_legend: bool = True,
+    max_points: int = MAX_POINTS,
+) -> tuple[dict[str, Any], bool]:
+    """Make a line of values (n,), and tell whether points were left out."""
+    rows = thin_rows(y, max_points)
+    trace = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": round_for_json(x[rows]),
+        "y": round_for_json(y[rows]),
+        "xaxis": x_axis,
+        "yaxis": y_axis,
+        "line": {"color": colour, "width": 2.2 if colour == MEASURED else 1.2},
+        "showlegend": in_legend,
+        "hovertemplate": "%{y:.6g}",
+    }
+    return trace, len(rows) < len(y)
+
+
+def thin_rows(values: Floats, max_points: int = MAX_POINTS) -> np.ndarray:
+    """Choose the rows to draw of values (n,): all, or the extremes of ``max_points // 2`` equal spans."""
+    n = len(values)
+    if n <= max_points:
+        return np.arange(n)
+    edges = np.linspace(0, n, max_points // 2 + 1).astype(int)
+    finite = np.where(np.isfinite(values), values, 0.0)
+    rows = [
+        first + offset
+        for first, last in pairwise(edges.tolist())
+        for offset in (int(np.argmin(finite[first:last])), int(np.argmax(finite[first:last])))
+    ]
+    return np.unique([0, *rows, n - 1])
+
+
+def thin_note(rows: int, thinned: bool, max_points: int = MAX_POINTS) -> str:
+    """Return the sentence of a caption that says which rows are drawn; empty if all are."""
+    if not thinned:
+        return ""
+    return f" Of {rows:,} rows the picture draws the lowest and highest of every {math.ceil(2 * rows / max_points)}."
+
+
+def round_for_json(values: Floats) -> list[float | None]:
+    """Round values to seven digits for JSON; ``None``, which leaves a gap in a line, where they are not finite."""
+    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, float).tolist()]
+
+
+def noise_band(noise: float | None, axis: str) -> list[dict[str, Any]]:
+    """Return the dotted lines at two standard deviations of the noise to either side; none where it is unknown."""
+    if not noise:
+        return []
+    return [level_line(end, axis, {"dash": "dot", "color": MODEL, "width": 1}) for end in (-2 * noise, 2 * noise)]
+
+
+def level_line(value: float, axis: str, line: dict[str, Any]) -> dict[str, Any]:
+    """Return a horizontal line across the figure."""
+    return {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": value, "y1": value, "yref": axis, "line": line}
+
+
+def axis_title(channel: str, units: Mapping[str, str]) -> str:
+    """Return the title of an axis: the channel with its unit."""
+    unit = units.get(channel) or usual_unit(channel)
+    return channel if unit == "1" else f"{channel} [{unit}]"
+
+
+def time_title(series: Series) -> str:
+    """Return the title of the axis of time, or of rows where there is no clock."""
+    return f"time [{series.units['time']}]" if series.has_clock else "row"
+
+
+def has_residual(series: Series, channel: str) -> bool:
+    """Tell whether a channel was measured and is modelled."""
+    return channel in series.measured and channel in series.model

@@ -1,0 +1,219 @@
+"""``fit.json``: a fit as a plain document, schema ``smajax.fit/2`` (``fit.schema.json`` in this folder).
+
+Parameters are in their declared units (SI, temperatures degC), RMSE and noise in the unit of the recording's column.
+A number that does not exist is ``null``; nothing is NaN. What belongs to one recording only is named
+``section.key@recording``.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from smajax import __version__, parameters
+from smajax.files.documents import finite_or_none
+from smajax.files.fit_settings import FitSettings
+from smajax.files.rig_file import Rig
+from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.result import Estimate, FitResult
+from smajax.recordings.recording import Recording
+from smajax.report.document_entries import difference_unit, recording_entry
+from smajax.simulation.status import SimulationStatus
+
+# Parameter names changed with schema 2 (material.max_transformation_strain was material.max_strain); the keys are those
+# of schema 1.
+SCHEMA = "smajax.fit/2"
+_NOISE_SOURCE = "residual differences"
+
+
+def fit_document(
+    result: FitResult,
+    rig: Rig,
+    settings: FitSettings,
+    *,
+    profiles: Mapping[str, Mapping[str, Any]] | None = None,
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Build the document of a fit.
+
+    Args:
+        result: The fit.
+        rig: The rig that was fitted.
+        settings: The settings of the fit.
+        profiles: Profile likelihoods by parameter, as ``smajax.fitting.profile.profile_likelihood`` returns them.
+        warnings: Sentences for the reader.
+    """
+    failed = [
+        f"{r.recording.name}: {r.status.name}: {r.status.hint}"
+        for r in result.responses
+        if r.status is not SimulationStatus.done
+    ]
+    return _head(rig) | {
+        "parameters": {e.name: estimate_entry(e) for e in result.estimates},
+        "fixed": _fixed_entries(rig, result.plant, result.problem.shared + result.problem.per_recording),
+        **_channel_entries(result, settings),
+        "indistinct": [
+            {
+                "parameters": list(group.parameters),
+                "direction": [finite_or_none(d) for d in group.direction],
+                "shrink": finite_or_none(group.shrink),
+            }
+            for group in result.collinear_groups
+        ],
+        "correlations": {
+            "parameters": [e.name for e in result.estimates],
+            "matrix": [[finite_or_none(value) for value in row] for row in result.correlation],
+        },
+        "discretisation": _discretisation_entries(result, settings),
+        "profiles": {name: _profile_entry(profile) for name, profile in (profiles or {}).items()},
+        "solver": {
+            "code": result.status.name,
+            "text": result.status.text,
+            "steps": result.steps,
+            "simulations": result.simulations,
+            "wall_s": finite_or_none(result.wall_time),
+            "compile_s": finite_or_none(result.compile_time),
+            "starts": result.starts,
+            "starts_at_best": result.starts_at_best,
+        },
+        "recordings": [recording_entry(r.recording, r.role) for r in result.responses],
+        "warnings": [*failed, *warnings],
+        "seed": result.seed,
+        "smajax": __version__,
+    }
+
+
+def failed_document(
+    rig: Rig,
+    settings: FitSettings,
+    recordings: Sequence[tuple[Recording, str]],
+    reason: str,
+    *,
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Build the document of a fit that could not begin: the start values, and why the simulation failed there.
+
+    Args:
+        rig: The rig.
+        settings: The settings of the fit.
+        recordings: The recordings with their roles.
+        reason: Why it failed.
+        warnings: Sentences for the reader.
+    """
+    free = _start_entries(rig, settings)
+    units = {c: difference_unit(recordings[0][0], c)[0] for c in settings.observe}
+    return _head(rig) | {
+        "parameters": free,
+        "fixed": _fixed_entries(rig, rig.plant, tuple(free)),
+        "rmse": {c: {"train": None, "holdout": None, "unit": unit} for c, unit in units.items()},
+        "noise_floor": {c: {"value": None, "unit": unit, "from": _NOISE_SOURCE} for c, unit in units.items()},
+        "indistinct": [],
+        "correlations": {"parameters": [], "matrix": []},
+        "discretisation": {c: {"value": None, "unit": unit} for c, unit in units.items()},
+        "profiles": {},
+        "solver": {
+            "code": SolverStatus.failed.name,
+            "text": reason,
+            "steps": 0,
+            "simulations": 0,
+            "wall_s": None,
+            "compile_s": None,
+            "starts": settings.starts,
+            "starts_at_best": 0,
+        },
+        "recordings": [recording_entry(recording, role) for recording, role in recordings],
+        "warnings": list(warnings),
+        "seed": settings.seed,
+        "smajax": __version__,
+    }
+
+
+def estimate_entry(estimate: Estimate) -> dict[str, Any]:
+    """Return what a document says of a free parameter."""
+    return {
+        "estimate": finite_or_none(estimate.estimate),
+        "lower95": finite_or_none(estimate.lower95),
+        "upper95": finite_or_none(estimate.upper95),
+        "unit": estimate.unit,
+        "free": True,
+        "at_bound": estimate.at_bound,
+        "bounds": [finite_or_none(end) for end in estimate.bounds],
+    }
+
+
+def _head(rig: Rig) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "rig": rig.name,
+        "model": rig.fit.model,
+        "kind": rig.kind,
+        "inputs": list(rig.plant.signals),
+        "observed": list(rig.fit.observe),
+    }
+
+
+def _channel_units(result: FitResult, settings: FitSettings) -> dict[str, tuple[str, float]]:
+    """Unit and factor of each observed channel, as in the first training recording."""
+    sample = next(r.recording for r in result.responses if r.role == "train")
+    return {channel: difference_unit(sample, channel) for channel in settings.observe}
+
+
+def _channel_entries(result: FitResult, settings: FitSettings) -> dict[str, Any]:
+    """RMSE and noise floor by channel."""
+    rmse, floor = {}, {}
+    for channel, (unit, factor) in _channel_units(result, settings).items():
+        errors = {role: result.rmse(channel, role) for role in ("train", "holdout")}
+        rmse[channel] = {role: finite_or_none(value, factor) for role, value in errors.items()} | {"unit": unit}
+        noise = finite_or_none(result.noise_floor[channel], factor)
+        floor[channel] = {"value": noise, "unit": unit, "from": _NOISE_SOURCE}
+    return {"rmse": rmse, "noise_floor": floor}
+
+
+def _discretisation_entries(result: FitResult, settings: FitSettings) -> dict[str, Any]:
+    return {
+        channel: {"value": finite_or_none(result.discretisation_errors[channel], factor), "unit": unit}
+        for channel, (unit, factor) in _channel_units(result, settings).items()
+    }
+
+
+def _start_entries(rig: Rig, settings: FitSettings) -> dict[str, Any]:
+    """Start values of the free parameters."""
+    declared = parameters.all_declarations(rig.plant)
+    names = [*settings.free, *settings.per_recording, *(f"initial.{state}" for state in settings.initial)]
+    entries = {}
+    for name in dict.fromkeys(names):
+        bounds = settings.bounds.get(name, (declared[name].lower, declared[name].upper))
+        entries[name] = {
+            "estimate": finite_or_none(float(parameters.get(rig.plant, name))),
+            "lower95": None,
+            "upper95": None,
+            "unit": declared[name].unit,
+            "free": True,
+            "at_bound": False,
+            "bounds": [finite_or_none(end) for end in bounds],
+        }
+    return entries
+
+
+def _fixed_entries(rig: Rig, plant: Any, free: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The parameters that were not fitted and that the rig or its parameter set gives, without defaults."""
+    fitted = set(parameters.expand(free))
+    entries = {}
+    for name, declaration in parameters.all_declarations(plant).items():
+        if name in fitted or name in parameters.TIES or rig.sources.get(name, "default") == "default":
+            continue
+        entries[name] = {
+            "value": finite_or_none(float(parameters.get(plant, name))),
+            "unit": declaration.unit,
+            "source": rig.sources[name],
+        }
+    return entries
+
+
+def _profile_entry(profile: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "values": [finite_or_none(v) for v in np.asarray(profile["values"])],
+        "rise": [finite_or_none(v) for v in np.asarray(profile["rise"])],
+        "lower95": finite_or_none(profile["lower95"]),
+        "upper95": finite_or_none(profile["upper95"]),
+    }

@@ -1,0 +1,132 @@
+"""The parts of a report page: one HTML file that opens offline, with zoomable figures and everything that made it.
+
+plotly.js stands in the file once. Text from files goes through ``html.escape``; the figures stand as JSON in which
+no ``<`` is left, so that nothing in a file's name, header or comment can end the script or become one.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from smajax.report.figures import Picture
+
+_HERE = Path(__file__).parent
+# The page may run what stands in it, and fetch nothing.
+_CONTENT_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+
+
+def render_page(title: str, lead: str, sections: Iterable[str], pictures: Sequence[Picture]) -> str:
+    """Build a whole page.
+
+    Args:
+        title: Its title.
+        lead: A sentence below the title.
+        sections: Sections as HTML.
+        pictures: The figures whose places ``add_picture`` put into the sections.
+    """
+    from plotly.offline import get_plotlyjs  # here, since it takes time to load
+
+    style, script = ((_HERE / name).read_text("utf-8") for name in ("style.css", "page.js"))
+    figures = safe_json([picture.figure for picture in pictures])
+    return "\n".join(
+        [
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT_POLICY}">',
+            f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>",
+            f'<h1>{escape(title)}</h1>\n<p class="lead">{escape(lead)}</p>',
+            *sections,
+            '<footer class="small">Drag in a picture to zoom, double-click to return. '
+            "Includes plotly.js (MIT licence).</footer>",
+            f'</main>\n<script type="application/json" id="figures">{figures}</script>',
+            f"<script>{get_plotlyjs()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n",
+        ]
+    )
+
+
+def safe_json(value: Any) -> str:
+    """Format JSON that can stand inside a script element: no tag and no comment can begin in it."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return text.translate({ord(c): f"\\u{ord(c):04x}" for c in "<>&"})
+
+
+def add_picture(picture: Picture, pictures: list[Picture]) -> str:
+    """Return the HTML of the place where a figure goes, and append the figure to those of the page."""
+    pictures.append(picture)
+    kind = "picture" if picture.wide else "picture square"
+    return (
+        f'<h3>{escape(picture.title)}</h3>\n<p class="caption">{escape(picture.caption)}</p>\n'
+        f'<div class="{kind}" id="picture-{len(pictures) - 1}" style="height:{picture.height}px">'
+        "<noscript>This picture needs JavaScript; prediction.csv has its numbers.</noscript></div>"
+    )
+
+
+def recordings_table(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of recordings with their roles; ``entries`` as in a result document."""
+    rows = [(r["name"], r["role"], f"{r['rows']:,}", r["sha256"] or "-") for r in entries]
+    return "<h3>Recordings</h3>" + table(("file", "role", "rows", "SHA-256"), rows, numbers=(2,), hash_column=3)
+
+
+def provenance_section(run: Mapping[str, Any]) -> str:
+    """Return command, versions and timings of a run, folded; ``run`` is run.json."""
+    rows = [("command", " ".join(run["argv"])), ("started", run["started"]), ("machine", run["machine"])]
+    rows += [("versions", ", ".join(f"{name} {version}" for name, version in run["versions"].items()))]
+    rows += [("seconds", ", ".join(f"{name} {value:.2f}" for name, value in run["timings"].items()))]
+    return folded("Command, versions and timings", table(("", ""), rows))
+
+
+def rig_section(text: str) -> str:
+    """Return the text of the rig file, folded."""
+    return folded("The rig file", f"<pre>{escape(text)}</pre>")
+
+
+def folded(title: str, content: str) -> str:
+    """Return HTML content under a title that opens it."""
+    return f"<details><summary>{escape(title)}</summary>{content}</details>"
+
+
+def bullets(sentences: Sequence[str]) -> str:
+    """Return sentences as a list; an empty string if there are none."""
+    return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>" if sentences else ""
+
+
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    numbers: Sequence[int] = (),
+    remark: int = -1,
+    hash_column: int = -1,
+) -> str:
+    """Return a table; all text is escaped.
+
+    Args:
+        head: Titles of the columns; all empty for none.
+        rows: Cells, row by row.
+        numbers: Columns that are set flush right.
+        remark: The column of remarks, in a colour that stands out.
+        hash_column: The column of check sums, which may break anywhere.
+    """
+
+    styles = {remark: "remark", hash_column: "hash"} | dict.fromkeys(numbers, "number")
+
+    def style(column: int) -> str:
+        return f' class="{styles[column]}"' if column in styles else ""
+
+    def cells(tag: str, row: Sequence[str]) -> str:
+        return "".join(f"<{tag}{style(k)}>{escape(cell)}</{tag}>" for k, cell in enumerate(row))
+
+    top = f"<thead><tr>{cells('th', head)}</tr></thead>" if any(head) else ""
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f'<div class="scroll"><table>{top}<tbody>{body}</tbody></table></div>'
+
+
+def pretty_unit(unit: str) -> str:
+    """Return a unit with raised exponents and a degree sign."""
+    return (
+        unit.replace("^2", "\N{SUPERSCRIPT TWO}")
+        .replace("^3", "\N{SUPERSCRIPT THREE}")
+        .replace("degC", "\N{DEGREE SIGN}C")
+    )

@@ -1,0 +1,69 @@
+"""Figures of the uncertainty of parameters: profile likelihoods and correlations."""
+
+from collections.abc import Sequence
+from html import escape
+
+from smajax.report.figures import MODEL, RESIDUAL, Picture, axis_style, base_layout, level_line
+
+# Rise of the cost at the ends of a 95 % interval: the 0.95 quantile of the chi-squared distribution with one degree of
+# freedom.
+_CHI2_95 = 3.841
+_PROFILE_HEIGHT = 340
+# Height of a matrix: at least this, else so many pixels a parameter and a frame.
+_MIN_MATRIX_HEIGHT = 260
+_CELL_PIXELS = 46
+_MATRIX_FRAME_PIXELS = 130
+
+
+def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: Sequence[float | None]) -> Picture:
+    """Show the profile likelihood of a parameter, with the level that bounds its 95 % interval.
+
+    Args:
+        name: The parameter.
+        unit: Its unit.
+        values: Values at which it was held.
+        rise: Rise of the cost at each value.
+    """
+    layout = base_layout()
+    layout["xaxis"] = axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
+    layout["yaxis"] = axis_style("rise of the cost") | {"rangemode": "tozero"}
+    layout["shapes"] = [level_line(_CHI2_95, "y", {"dash": "dot", "color": MODEL, "width": 1.5})]
+    points = {"x": list(values), "y": list(rise)}
+    trace = {"type": "scatter", "mode": "lines+markers", "line": {"color": RESIDUAL}, "showlegend": False} | points
+    caption = (
+        "The smallest cost with the parameter held at each value and all others refitted; "
+        "the dotted line bounds the 95 % interval."
+    )
+    figure = {"data": [trace], "layout": layout}
+    return Picture(f"Profile likelihood of {name}", caption, figure, _PROFILE_HEIGHT, False)
+
+
+def correlation_picture(names: Sequence[str], matrix: Sequence[Sequence[float | None]]) -> Picture:
+    """Show the correlations of the estimates as a matrix of colours from -1 to 1.
+
+    Args:
+        names: The parameters.
+        matrix: Their correlations, row by row; ``None`` where there is none.
+    """
+    layout, labels = base_layout(), [escape(name) for name in names]
+    size = max(_MIN_MATRIX_HEIGHT, _CELL_PIXELS * len(names) + _MATRIX_FRAME_PIXELS)
+    layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -40, "constrain": "domain"}
+    layout["yaxis"] = {"autorange": "reversed", "automargin": True, "scaleanchor": "x", "constrain": "domain"}
+    layout["hovermode"] = "closest"
+    trace = {
+        "type": "heatmap",
+        "x": labels,
+        "y": labels,
+        "z": [list(row) for row in matrix],
+        "zmin": -1,
+        "zmax": 1,
+        "colorscale": [[0, "#23648c"], [0.5, "#ffffff"], [1, "#c8501e"]],
+        "text": [["" if v is None else f"{v:.2f}" for v in row] for row in matrix],
+        "texttemplate": "%{text}",
+        "hovertemplate": "%{x}<br>%{y}<br>%{z:.3f}<extra></extra>",
+        "colorbar": {"thickness": 12, "outlinewidth": 0},
+    }
+    caption = (
+        "Correlations of the estimates. Pairs near 1 or -1 can change together with almost no effect on the residual."
+    )
+    return Picture("Correlations", caption, {"data": [trace], "layout": layout}, size, False)

@@ -1,0 +1,148 @@
+"""The document and the text of ``smajax properties``: mean properties of thermal cycles with 95 % intervals."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from smajax import __version__
+from smajax.properties.branch_properties import Tangent
+from smajax.properties.stress_levels import StressGroup
+from smajax.properties.thermal_cycles import Value, mean_properties
+from smajax.report.summary import table
+
+SCHEMA = "smajax.properties/1"
+
+_LABELS = {
+    "martensite_start": "M_s",
+    "martensite_finish": "M_f",
+    "austenite_start": "A_s",
+    "austenite_finish": "A_f",
+    "transformation_strain": "transformation strain",
+    "actuation_strain": "actuation strain",
+    "width": "hysteresis width",
+    "span": "span A_f - M_f",
+}
+_STRAINS = ("transformation_strain", "actuation_strain")
+_TEMPERATURE_DIFFERENCES = ("width", "span")
+_DEFINITIONS: dict[str, str] = {
+    "lines": "Start and finish are where three straight lines, fitted by least squares, meet. Where a transformation "
+    "begins or ends "
+    "gradually, the tangent at its steepest point gives others (--tangent steepest).",
+    "steepest": "Start and finish are where the tangent at the steepest point of the transformation meets the plateau "
+    "lines.",
+}
+_SENTENCE_OF_A_CYCLE = re.compile(r"(?P<name>.*), cycle (?P<number>\d+) \((?P<rows>rows \d+ to \d+)\): (?P<reason>.*)")
+_BRANCH_NAMES = {True: "cooling", False: "heating"}
+_MISSING_PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
+# Stretches of cycle numbers that are listed: as many as fit on a line with the sentence.
+_MAX_LISTED = 6
+
+
+def properties_document(groups: Sequence[StressGroup], tangent: Tangent) -> dict[str, Any]:
+    """Build the document that ``smajax properties --json`` prints, schema ``smajax.properties/1``.
+
+    Args:
+        groups: The cycles of all recordings, by recording and stress.
+        tangent: The line along the transformation that was used.
+    """
+    return {
+        "schema": SCHEMA,
+        "tangent": tangent,
+        "definition": _DEFINITIONS[tangent],
+        "recordings": [_group_entry(group) for group in groups],
+        "refused": [sentence for group in groups for sentence in group.refused],
+        "smajax": __version__,
+    }
+
+
+def text(document: Mapping[str, Any]) -> str:
+    """Format what the command prints: mean properties of each recording and stress, with their intervals."""
+    lines = []
+    for entry in document["recordings"]:
+        if entry["mean"] is not None:
+            lines += [*_group_text(entry), ""]
+    sentences = merge_sentences(document["refused"])
+    lines += [document["definition"], *(f"Not read: {sentence}." for sentence in sentences)]
+    return "\n".join(lines).rstrip()
+
+
+def merge_sentences(refused: Sequence[str]) -> list[str]:
+    """Merge sentences about cycles of one recording that differ in their numbers only into one sentence each."""
+    matches: dict[tuple[str, str], list[re.Match[str]]] = {}
+    merged: dict[tuple[str, str], str] = {}
+    for sentence in refused:
+        match = _SENTENCE_OF_A_CYCLE.fullmatch(sentence)
+        key = (match["name"], re.sub(r"\d[\d.e+-]*", "", match["reason"])) if match else ("", sentence)
+        matches[key] = [*matches.get(key, []), *([match] if match else [])]
+        merged[key] = sentence
+        if len(matches[key]) > 1:
+            first, numbers = matches[key][0], _list_numbers([int(m["number"]) for m in matches[key]])
+            merged[key] = (
+                f"{first['name']}, {len(matches[key])} cycles ({numbers}), the first of them ({first['rows']}): "
+                f"{first['reason']}"
+            )
+    return list(merged.values())
+
+
+def _list_numbers(numbers: Sequence[int]) -> str:
+    """List rising numbers, successive ones as "3 to 7"."""
+    ends = [k for k in range(len(numbers)) if k + 1 == len(numbers) or numbers[k + 1] > numbers[k] + 1]
+    begins = [0, *(k + 1 for k in ends[:-1])]
+    parts = [f"{numbers[a]}" if a == b else f"{numbers[a]} to {numbers[b]}" for a, b in zip(begins, ends, strict=True)]
+    omitted = len(numbers) - begins[_MAX_LISTED] if len(parts) > _MAX_LISTED else 0
+    return ", ".join(parts[:_MAX_LISTED]) + (f" and {omitted} more" if omitted else "")
+
+
+def _group_entry(group: StressGroup) -> dict[str, Any]:
+    """The entry of the cycles of a recording under one stress; rows are counted from 1."""
+    return {
+        "name": group.recording.name,
+        "sha256": group.recording.sha256,
+        "stress_Pa": group.stress,
+        "smoothed_rows": group.smooth,
+        "mean": _value_entries(mean_properties(group.cycles)) if group.cycles else None,
+        "cycles": [
+            {
+                "number": cycle.number,
+                "rows": [cycle.rows[0] + 1, cycle.rows[1] + 1],
+                "loops_left_out": [[first + 1, last + 1] for first, last in cycle.loops],
+                "values": _value_entries(cycle.values),
+            }
+            for cycle in group.cycles
+        ],
+        "in_no_cycle": [
+            {"rows": [first + 1, last + 1], "branch": _BRANCH_NAMES[cools]} for first, last, cools in group.unpaired
+        ],
+    }
+
+
+def _value_entries(values: Mapping[str, Value]) -> dict[str, Any]:
+    return {
+        name: {"value": v.value, "lower95": v.lower95, "upper95": v.upper95, "unit": _unit(name)}
+        for name, v in values.items()
+    }
+
+
+def _unit(name: str) -> str:
+    return "1" if name in _STRAINS else "K" if name in _TEMPERATURE_DIFFERENCES else "degC"
+
+
+def _group_text(entry: Mapping[str, Any]) -> list[str]:
+    """Lines about the cycles of a recording under one stress."""
+    count, stress = len(entry["cycles"]), entry["stress_Pa"]
+    head = f"{entry['name']}: {count} cycle{'s' if count > 1 else ''}"
+    head += f" at {stress / 1e6:.4g} MPa" if stress is not None else ""
+    head += f", temperatures smoothed over {entry['smoothed_rows']} rows" if entry["smoothed_rows"] > 1 else ""
+    rows = []
+    for name, value in entry["mean"].items():
+        scale, digits, unit = (100.0, 3, "%") if name in _STRAINS else (1.0, 2, _unit(name))
+        numbers = (f"{scale * value[k]:.{digits}f}" for k in ("value", "lower95", "upper95"))
+        rows.append((_LABELS[name], *numbers, unit))
+    lines = [head, *table([("property", "mean", "95 % from", "to", "unit"), *rows], right=(1, 2, 3))]
+    for cycle in entry["cycles"]:
+        for first, last in cycle["loops_left_out"]:
+            lines.append(f"Left out of cycle {cycle['number']}: rows {first} to {last}, a loop within it.")
+    for branch in entry["in_no_cycle"]:
+        (first, last), kind = branch["rows"], branch["branch"]
+        lines.append(f"Left out: rows {first} to {last}, a {kind} without a {_MISSING_PARTNERS[kind]} it in the file.")
+    return lines

@@ -1,0 +1,156 @@
+"""The pages of a fit and of a simulation."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+from smajax.report import summary
+from smajax.report.figures import Picture
+from smajax.report.pages import (
+    add_picture,
+    bullets,
+    folded,
+    pretty_unit,
+    provenance_section,
+    recordings_table,
+    render_page,
+    rig_section,
+    table,
+)
+from smajax.report.parameter_figures import correlation_picture, profile_picture
+from smajax.report.phase_figures import phase_picture
+from smajax.report.prediction import Series
+from smajax.report.time_figures import time_picture
+
+
+def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
+    """Build the page of a fit.
+
+    Args:
+        doc: The document fit.json.
+        series: The recordings with their predictions.
+        run: The document run.json.
+        rig: The text of the rig file.
+    """
+    floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
+    pictures: list[Picture] = []
+    sections = [_verdict_section(doc), _rmse_table(doc), "<h2>Parameters</h2>", _parameter_table(doc)]
+    sections.append(bullets(summary.remarks(doc)))
+    sections.append("<h2>Measured against model</h2>")
+    for recording in series:
+        sections += _recording_pictures(recording, doc["observed"], doc["inputs"], floor, pictures)
+    sections += _uncertainty_pictures(doc, pictures)
+    sections += [
+        "<h2>Where this comes from</h2>",
+        recordings_table(doc["recordings"]),
+        _fixed_section(doc),
+        _solver_section(doc),
+        provenance_section(run),
+        rig_section(rig),
+    ]
+    return render_page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)
+
+
+def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
+    """Build the page of a simulation.
+
+    Args:
+        series: The recording with the simulated channels.
+        run: The document run.json, which names the observed channels and the inputs.
+        rig: The text of the rig file.
+    """
+    pictures: list[Picture] = []
+    observed = [c for c in run["observed"] if c in series.model] or list(series.model)
+    others = [c for c in series.model if c not in observed and c not in run["inputs"]]
+    sections = [f'<div class="verdict bad"><p>{escape(run["text"])}</p></div>'] if run["code"] != "done" else []
+    sections.append(bullets(run.get("warnings", ())))  # which earlier versions did not write
+    sections += _recording_pictures(series, observed, run["inputs"], {}, pictures)
+    if others:
+        sections.append("<h2>The other channels</h2>")
+        sections.append(add_picture(time_picture(series, others, [], {}), pictures))
+    sections += [
+        "<h2>Where this comes from</h2>",
+        recordings_table(run["recordings"]),
+        provenance_section(run),
+        rig_section(rig),
+    ]
+    lead = f"{run['rig']} driven by {series.name}: {len(series.time):,} rows."
+    return render_page(f"Simulation of {run['rig']}", lead, sections, pictures)
+
+
+def _verdict_section(doc: Mapping[str, Any]) -> str:
+    sentences = summary.verdicts(doc)
+    failed = doc["solver"]["code"] == "failed"
+    if failed:
+        sentences = [
+            "The simulation fails at the start values, so there is nothing to compare: the numbers below are those of "
+            "the rig."
+        ]
+    bad = failed or any(summary.is_bad_verdict(sentence) for sentence in sentences)
+    paragraphs = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+    return f'<div class="verdict{" bad" if bad else ""}">{paragraphs}</div>'
+
+
+def _rmse_table(doc: Mapping[str, Any]) -> str:
+    head = ("channel", "RMSE train", "holdout", "noise floor", "train / floor")
+    return table(head, summary.rmse_rows(doc), numbers=(1, 2, 3, 4))
+
+
+def _parameter_table(doc: Mapping[str, Any]) -> str:
+    rows = [
+        (name, estimate, low, high, pretty_unit(unit), note)
+        for name, estimate, low, high, unit, note in summary.parameter_rows(doc)
+    ]
+    return table(("parameter", "estimate", "95 % from", "to", "unit", ""), rows, numbers=(1, 2, 3), remark=5)
+
+
+def _recording_pictures(
+    series: Series,
+    observed: Sequence[str],
+    inputs: Sequence[str],
+    floor: Mapping[str, float | None],
+    pictures: list[Picture],
+) -> list[str]:
+    """A recording over time, and each observed channel as a loop where there is one."""
+    loops = (phase_picture(series, channel) for channel in observed)
+    return [
+        add_picture(picture, pictures)
+        for picture in (time_picture(series, observed, inputs, floor), *loops)
+        if picture is not None
+    ]
+
+
+def _uncertainty_pictures(doc: Mapping[str, Any], pictures: list[Picture]) -> list[str]:
+    """Profiles and correlations of the parameters."""
+    places = []
+    for name, profile in doc.get("profiles", {}).items():
+        unit = doc["parameters"][name]["unit"]
+        places.append(add_picture(profile_picture(name, unit, profile["values"], profile["rise"]), pictures))
+    correlations = doc["correlations"]
+    if len(correlations["parameters"]) > 1:
+        picture = correlation_picture(correlations["parameters"], correlations["matrix"])
+        places.append(add_picture(picture, pictures))
+    return ["<h2>How certain the parameters are</h2>", *places] if places else []
+
+
+def _fixed_section(doc: Mapping[str, Any]) -> str:
+    rows = []
+    for name, entry in doc["fixed"].items():
+        value, _, _, unit = summary.readable(entry["value"], None, None, unit=entry["unit"])
+        rows.append((name, value, pretty_unit(unit), entry["source"]))
+    if not rows:
+        return ""
+    return folded("Parameters that were held", table(("parameter", "value", "unit", "from"), rows, numbers=(1,)))
+
+
+def _solver_section(doc: Mapping[str, Any]) -> str:
+    solver = doc["solver"]
+    rows = [("result", f"{solver['code']}: {solver['text']}"), ("steps", str(solver["steps"]))]
+    rows.append(("simulations", f"{solver['simulations']:,}"))
+    if solver["wall_s"] is not None:
+        rows.append(("time", f"{solver['wall_s']:.2f} s, of it {solver['compile_s'] or 0:.2f} s to compile"))
+    rows += [
+        ("starts at the best minimum", f"{solver['starts_at_best']} of {solver['starts']}"),
+        ("seed", str(doc["seed"])),
+    ]
+    return folded("How it was solved", table(("", ""), rows))

@@ -1,0 +1,191 @@
+"""Figures over time: measurement and model, several models, closed-loop responses."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from smajax.channels import channel_of
+from smajax.report.figures import (
+    INPUT,
+    MAX_POINTS_OF_MANY,
+    MEASURED,
+    MODEL,
+    MODEL_COLOURS,
+    RESIDUAL,
+    Picture,
+    axis_title,
+    has_residual,
+    line_trace,
+    noise_band,
+    panel_axis,
+    panel_height,
+    panel_layout,
+    set_panel_title,
+    thin_note,
+)
+from smajax.report.prediction import Series
+
+_INPUT_COLOURS = (INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f")
+# Weights of panels: of a channel (smaller where many are observed), of a residual, of the inputs, and of the figures of
+# several models and of responses.
+_CHANNEL_WEIGHT = 5.0
+_CHANNEL_WEIGHT_OF_MANY = 2.6
+_MANY_CHANNELS = 3
+_RESIDUAL_WEIGHT = 2.2
+_INPUT_WEIGHT = 1.8
+_COMPARISON_WEIGHTS = (6.0, 4.0)
+_RESPONSE_WEIGHT = 5.0
+# Models that are shown at first; the others are switched on in the legend.
+_MODELS_SHOWN = 3
+_COMPARISON_HEIGHT = 760
+
+
+def time_picture(
+    series: Series, observed: Sequence[str], inputs: Sequence[str], floor: Mapping[str, float | None]
+) -> Picture:
+    """Show measurement and model, the residual with the band of the noise, and the inputs over time.
+
+    Args:
+        series: One recording with its model.
+        observed: Channels to show; those that were measured have a residual.
+        inputs: Input channels to show, those of one unit in one panel.
+        floor: Standard deviation of the noise by channel, in the unit of the series.
+    """
+    groups: dict[str, list[str]] = {}
+    for channel in inputs:
+        if channel in series.measured:
+            groups.setdefault(series.units[channel], []).append(channel)
+    panels: list[tuple[str, float]] = []
+    weight = _CHANNEL_WEIGHT if len(observed) < _MANY_CHANNELS else _CHANNEL_WEIGHT_OF_MANY
+    for channel in observed:
+        panels.append((channel, weight))
+        if has_residual(series, channel):
+            panels.append((f"residual of {channel}", _RESIDUAL_WEIGHT))
+    panels += [(", ".join(group), _INPUT_WEIGHT) for group in groups.values()]
+    layout = panel_layout(panels, series)
+    data: list[dict[str, Any]] = []
+    thinned, panel = False, 0
+    for channel in observed:
+        thinned |= _add_channel(data, series, channel, panel)
+        set_panel_title(layout, panel, axis_title(channel, series.units), panels)
+        panel += 1
+        if has_residual(series, channel):
+            residual, axis = series.residual(channel), panel_axis(panel)
+            trace, _ = line_trace(series.time, residual, f"residual of {channel}", RESIDUAL, axis, in_legend=False)
+            data.append(trace)
+            set_panel_title(layout, panel, "residual", panels)
+            layout["shapes"] += noise_band(floor.get(channel), axis)
+            panel += 1
+    for unit, group in groups.items():
+        for colour, channel in zip(_INPUT_COLOURS, group, strict=False):
+            values, axis = series.measured[channel], panel_axis(panel)
+            data.append(line_trace(series.time, values, channel, colour, axis, in_legend=len(group) > 1)[0])
+        title = axis_title(group[0], series.units) if len(group) == 1 else f"inputs [{unit}]"
+        set_panel_title(layout, panel, title, panels)
+        panel += 1
+    caption = _time_caption(any(has_residual(series, c) for c in observed), bool(floor))
+    caption += thin_note(len(series.time), thinned)
+    figure = {"data": data, "layout": layout}
+    return Picture(f"{series.name} ({series.role})", caption, figure, panel_height(panels))
+
+
+def comparison_picture(series: Mapping[str, Series], channel: str, role: str) -> Picture:
+    """Show the predictions of several models over time; the first three are visible, the others can be switched on.
+
+    Args:
+        series: The recording with the prediction of each model by its name, best first.
+        channel: The channel that is predicted.
+        role: The role of the recording, for the title.
+    """
+    first = next(iter(series.values()))
+    panels = list(zip((channel, "model minus measured"), _COMPARISON_WEIGHTS, strict=True))
+    layout = panel_layout(panels, first)
+    measured = first.measured[channel]
+    trace, thinned = line_trace(
+        first.time, measured, "measured", MEASURED, panel_axis(0), max_points=MAX_POINTS_OF_MANY
+    )
+    data = [trace]
+    for k, (name, prediction) in enumerate(series.items()):
+        colour = MODEL_COLOURS[k % len(MODEL_COLOURS)]
+        for panel, values in enumerate((prediction.model[channel], -prediction.residual(channel))):
+            trace, less = line_trace(
+                prediction.time,
+                values,
+                name,
+                colour,
+                panel_axis(panel),
+                in_legend=panel == 0,
+                max_points=MAX_POINTS_OF_MANY,
+            )
+            data.append(trace | {"legendgroup": name, "visible": True if k < _MODELS_SHOWN else "legendonly"})
+            thinned |= less
+    set_panel_title(layout, 0, axis_title(channel, first.units), panels)
+    set_panel_title(layout, 1, "model - measured", panels)
+    caption = "Grey is measured. Click a name to show or hide a model; below, the error of each model."
+    caption += thin_note(len(first.time), thinned, MAX_POINTS_OF_MANY)
+    title = f"{first.name.rpartition(' (')[0]} ({role})"
+    return Picture(title, caption, {"data": data, "layout": layout}, _COMPARISON_HEIGHT)
+
+
+def response_picture(series: Sequence[Series], channel: str) -> Picture:
+    """Show closed-loop rollouts over time: the channel with its reference, and a panel for each other kind of channel.
+
+    Args:
+        series: The rollouts; the reference is what the first one calls measured.
+        channel: The controlled channel.
+    """
+    first = series[0]
+    kinds: dict[str, list[str]] = {}
+    for name in first.model:
+        if name != channel:
+            kinds.setdefault(channel_of(name) or name, []).append(name)
+    panels = [(channel, _RESPONSE_WEIGHT), *((kind, _RESIDUAL_WEIGHT) for kind in kinds)]
+    layout = panel_layout(panels, first)
+    data = [line_trace(first.time, first.measured[channel], "reference", MEASURED, panel_axis(0))[0]]
+    thinned = False
+    for k, rollout in enumerate(series):
+        colour = (RESIDUAL, MODEL)[k % 2]
+        trace, less = line_trace(rollout.time, rollout.model[channel], rollout.name, colour, panel_axis(0))
+        data.append(trace | {"legendgroup": rollout.name})
+        thinned |= less
+        for panel, names in enumerate(kinds.values(), 1):
+            data += _dashed_traces(rollout, names, colour, panel)
+    set_panel_title(layout, 0, axis_title(channel, first.units), panels)
+    for panel, names in enumerate(kinds.values(), 1):
+        set_panel_title(layout, panel, axis_title(names[0], first.units), panels)
+    caption = "Grey is the reference, blue the start gains, orange the tuned ones." + thin_note(
+        len(first.time), thinned
+    )
+    if any(len(names) > 1 for names in kinds.values()):
+        caption += " Dotted is the second wire."
+    return Picture("Response", caption, {"data": data, "layout": layout}, panel_height(panels))
+
+
+def _add_channel(data: list[dict[str, Any]], series: Series, channel: str, panel: int) -> bool:
+    """Add the measurement and the model of a channel to a figure's data; tell whether points were left out."""
+    thinned = False
+    for name, values, colour in (("measured", series.measured, MEASURED), ("model", series.model, MODEL)):
+        if channel in values:
+            in_legend = not any(trace["name"] == name for trace in data)
+            trace, less = line_trace(series.time, values[channel], name, colour, panel_axis(panel), in_legend=in_legend)
+            data.append(trace)
+            thinned |= less
+    return thinned
+
+
+def _time_caption(with_residual: bool, with_noise: bool) -> str:
+    caption = "Grey is measured, orange the model."
+    if with_residual:
+        band = "; dotted lines: two standard deviations of the noise to either side." if with_noise else "."
+        caption += f" Below, the residual, measured minus model{band}"
+    return caption
+
+
+def _dashed_traces(series: Series, names: Sequence[str], colour: str, panel: int) -> list[dict[str, Any]]:
+    """Lines of the channels of one kind; the first is solid, the others are dotted."""
+    traces = []
+    for k, name in enumerate(names):
+        label = f"{series.name}, {name}"
+        trace, _ = line_trace(series.time, series.model[name], label, colour, panel_axis(panel), in_legend=False)
+        dash = "solid" if k == 0 else "dot"
+        traces.append(trace | {"legendgroup": series.name, "line": trace["line"] | {"dash": dash}})
+    return traces

@@ -1,0 +1,62 @@
+"""What serves the compiler only: blocks of steps, states as flat rows, and steps that are traced once.
+
+- Blocks: diffrax is handed ``BLOCK`` steps at a time, because its own work on a step costs more than the step itself.
+  The last block is filled up with steps of no duration. A simulation that may end early (``end_index``) ends with a
+  block.
+- Flat states: a trajectory stores each state as one row of numbers. A state has many small arrays, and storing each of
+  them on its own would cost a step as much as some of its equations do.
+- Steps traced once: ``traced_step`` and ``traced_step_residual`` are jitted functions of their own, so that all
+  programs share one trace; tracing a step takes longer than compiling some of these programs.
+
+None of this changes a result. The equations of a step are those of ``Plant.step`` and ``Plant.step_residual``.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int
+
+from smajax.plant.plant import Plant
+from smajax.plant.state import State
+from smajax.simulation.inputs import Inputs
+
+# Steps in a block. Chosen by trial for speed: fewer cost diffrax's overhead more often, more simulate beyond
+# ``end_index``.
+BLOCK = 64
+
+traced_step = eqx.filter_jit(lambda plant, *step: plant.step(*step))
+traced_step_residual = eqx.filter_jit(lambda plant, *step: plant.step_residual(*step))
+
+
+def in_blocks(rows: jax.Array, filling: jax.Array) -> jax.Array:
+    """Arrange rows of steps in blocks.
+
+    Args:
+        rows: One row a step, shape ``(steps, ...)``.
+        filling: Fills up the last block, of a row's shape.
+
+    Returns:
+        Shape ``(blocks, BLOCK, ...)``.
+    """
+    count = rows.shape[0]
+    filled = jnp.concatenate([rows, jnp.broadcast_to(filling, (-count % BLOCK, *rows.shape[1:]))])
+    return filled.reshape(-1, BLOCK, *rows.shape[1:])
+
+
+def block_count(end_index: Int[Array, ""]) -> Int[Array, ""]:
+    """Count the blocks up to a grid point, at least one."""
+    return jnp.maximum(1, -(-end_index // BLOCK))
+
+
+def flatten_state(plant: Plant, state: State, signal: Float[Array, " signals"]) -> Float[Array, " size"]:
+    """Write a state as one row of numbers; the arguments are those of an output function."""
+    return ravel_pytree(state)[0]
+
+
+def state_unflattener(plant: Plant, inputs: Inputs) -> Callable[[Float[Array, " size"]], State]:
+    """Return the function that makes a state of a row of ``flatten_state``."""
+    shape = jax.eval_shape(plant.start, inputs.sample_signals[0])
+    return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape))[1]

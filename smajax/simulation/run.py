@@ -1,0 +1,177 @@
+"""Simulate a plant: one recording, inputs on a grid, or a batch of plants.
+
+The time steps are those of ``Plant.step``, fixed and ended at every sample (``smajax.simulation.inputs``). What remains
+is the second-order error of the heat balance, which a simulation with half the step measures.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from smajax import parameters
+from smajax.errors import NumericsError
+from smajax.plant.plant import Plant
+from smajax.plant.state import State
+from smajax.recordings.recording import Recording
+from smajax.simulation.compilation import flatten_state, state_unflattener
+from smajax.simulation.diagnostics import describe_parameters
+from smajax.simulation.inputs import Inputs, discretise
+from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
+from smajax.simulation.status import SimulationStatus
+from smajax.simulation.time_stepping import integrate
+
+# Wide vectors pay in a batch; single simulations are slower with them.
+_BATCH_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+
+
+class Simulation(eqx.Module):
+    """A plant's response.
+
+    Attributes:
+        time: Times of the samples (samples,), s.
+        channels: Channels by name (samples,), SI and degC.
+        state: The states at the samples, each leaf with a leading axis.
+        status: Status code, see ``SimulationStatus``.
+    """
+
+    time: Float[Array, " samples"]
+    channels: dict[str, Float[Array, " samples"]]
+    state: State
+    status: Int[Array, ""]
+
+
+def simulate_states(plant: Plant, inputs: Inputs) -> tuple[State, Int[Array, ""]]:
+    """Simulate, and return the states at the samples; to be compiled and batched by the caller.
+
+    Differentiable once in the plant's parameters and in the inputs, in forward and in reverse mode.
+
+    Returns:
+        The states, each leaf with a leading axis of samples, and the status code.
+    """
+    flat, status = simulate_outputs(plant, inputs, None, flatten_state)
+    return jax.vmap(state_unflattener(plant, inputs))(flat[inputs.sample_indices]), status
+
+
+def observe(
+    plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]
+) -> dict[str, Float[Array, " samples"]]:
+    """Return the named channels of states at the samples."""
+    values = jax.vmap(plant.observe)(states, inputs.sample_signals)
+    read = plant.read_sensors(values, inputs.time[inputs.sample_indices])
+    return {c: read[c] for c in channels}
+
+
+def trajectory(plant: Plant, inputs: Inputs, end_index: jax.Array | None = None) -> Trajectory:
+    """Simulate, and return the trajectory.
+
+    With it, ``simulate_channels`` needs no simulation: simulation and derivatives are two programs. Not differentiable.
+    ``end_index`` as in ``simulate_channels``.
+    """
+    return Trajectory(*integrate(plant, inputs, flatten_state, end_index))
+
+
+def blank_trajectory(plant: Plant, inputs: Inputs) -> Trajectory:
+    """Return a trajectory of zeros with the right shapes, to compile with."""
+    signal = inputs.sample_signals[0]
+    size = jax.eval_shape(lambda: flatten_state(plant, plant.start(signal), signal)).shape[0]
+    return Trajectory(jnp.zeros((inputs.time.shape[0], size)), jnp.asarray(SimulationStatus.unsolved.value))
+
+
+def simulate_channels(
+    plant: Plant,
+    inputs: Inputs,
+    channels: Sequence[str],
+    end_index: jax.Array | None = None,
+    trajectory: Trajectory | None = None,
+) -> tuple[dict[str, Float[Array, " samples"]], Int[Array, ""]]:
+    """Simulate, and return channels at the samples; stores no states, for batches.
+
+    Differentiable as ``simulate_states`` is.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        channels: Names of the channels.
+        end_index: A whole number that is not batched: the grid point at which the simulation may end, because no sample
+            lies after it. There is no reverse mode then.
+        trajectory: The trajectory of this plant under these inputs where it is known.
+
+    Returns:
+        The channels by name and the status code.
+    """
+    names = list(dict.fromkeys([*channels, *(c for effect in plant.effects for c in effect.other_channels)]))
+
+    def outputs_of(plant: Plant, state: State, signal: jax.Array) -> jax.Array:
+        values = plant.observe(state, signal)
+        return jnp.stack([values[c] for c in names])
+
+    if trajectory is None:
+        values, status = simulate_outputs(plant, inputs, end_index, outputs_of)
+    else:
+        values, status = outputs_along(plant, inputs, end_index, outputs_of, trajectory), trajectory.status
+    series = dict(zip(names, values[inputs.sample_indices].T, strict=True))
+    read = plant.read_sensors(series, inputs.time[inputs.sample_indices])
+    return {c: read[c] for c in channels}, status
+
+
+@eqx.filter_jit
+def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
+    """Simulate a plant under inputs on a grid; compiled once per length of grid and recording."""
+    states, status = simulate_states(plant, inputs)
+    channels = observe(plant, states, inputs, plant.observable)
+    return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
+
+
+def simulate(
+    plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None, throw: bool = True
+) -> Simulation:
+    """Simulate a plant under a recording's inputs.
+
+    A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
+
+    Args:
+        plant: The plant; its effects of strength 0 are left out.
+        recording: Gives the inputs.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        step: Longest step in s; ``default_step`` if not given.
+        throw: Whether to raise if the simulation fails.
+
+    Raises:
+        NumericsError: The simulation fails; the message says what to do.
+    """
+    inputs = discretise(plant, recording, interpolation=interpolation, step=step)
+    effects = tuple(effect for effect in plant.effects if float(effect.strength) != 0.0)
+    result = simulate_inputs(dataclasses.replace(plant, effects=effects), inputs)
+    status = SimulationStatus(int(result.status))
+    if throw and status is not SimulationStatus.done:
+        raise NumericsError(f"{recording.name}: {status.name}: {status.hint}; parameters: {describe_parameters(plant)}")
+    return result
+
+
+@functools.partial(eqx.filter_jit, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]
+def simulate_batch(
+    plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]
+) -> tuple[dict, jax.Array]:
+    """Simulate plants that differ in named parameters under the same inputs.
+
+    One plant's failure leaves the others alone.
+
+    Args:
+        plant: The plant.
+        values: Values of the named parameters (plants,), internal units.
+        inputs: Inputs on a grid.
+        channels: Names of the channels.
+
+    Returns:
+        The channels by name, shape ``(plants, samples)``, and the status codes (plants,).
+    """
+
+    def single(values: dict) -> tuple[dict, jax.Array]:
+        return simulate_channels(parameters.replace(plant, values), inputs, channels)
+
+    return jax.vmap(single)(values)

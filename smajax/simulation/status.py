@@ -1,0 +1,28 @@
+"""Status codes of a simulation."""
+
+import enum
+
+# degC. Nickel-titanium melts at about 1310 degC: beyond it no equation of the plant holds.
+MELTING_TEMPERATURE = 1300.0
+
+
+class SimulationStatus(enum.IntEnum):
+    """How a simulation ended; ``hint`` says what to do about it."""
+
+    done = 0
+    unsolved = 1
+    diverged = 2
+    overheated = 3
+
+    @property
+    def hint(self) -> str:
+        """The meaning and the cure, in one sentence."""
+        return {
+            SimulationStatus.done: "done",
+            SimulationStatus.unsolved: "a step's balance of heat and forces was not met: make the step smaller, or "
+            "check stiffness and stress",
+            SimulationStatus.diverged: "the state is no longer a number: h(T) is negative somewhere, or an input or a "
+            "parameter is out of scale",
+            SimulationStatus.overheated: f"the wire passed {MELTING_TEMPERATURE:.0f} degC, where it melts: check the "
+            "input's unit, the wire's diameter and h(T)",
+        }[self]

@@ -1,0 +1,146 @@
+"""The section ``[parameters]`` of a SWEEP.toml: which parameters vary, over which ranges."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
+
+from smajax import parameters
+from smajax.errors import InputError
+from smajax.files.renamed_keys import current_name
+from smajax.files.toml import STRICT, advice, show, validate
+from smajax.files.validators import one_of, quantity
+from smajax.parameters import ORDERED_PAIRS, Declaration
+from smajax.sweeps.space import DEFAULT_POINTS, Axis
+from smajax.sweeps.subject import Subject
+from smajax.units import as_text
+
+SCALES = ("even", "log")
+# Keys that make a table a range, not a section with parameters in it.
+_RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points"))
+
+
+class _Range(BaseModel):
+    model_config = STRICT
+    from_: Any = Field(None, alias="from", examples=['"0.1 mm"'])
+    to: Any = Field(None, examples=['"0.4 mm"'])
+    scale: Annotated[str, one_of(SCALES)] = "even"
+    points: int = Field(DEFAULT_POINTS, ge=2, le=100_000, examples=["5"])
+    values: list[Any] | None = Field(None, max_length=100_000, examples=['["0.1 mm", "0.2 mm"]'])
+
+
+def read_axes(data: Mapping[str, Any], declarations: Mapping[str, Declaration], sampling: str) -> tuple[Axis, ...]:
+    """Read the axes of a sweep.
+
+    Args:
+        data: The sweep file's data.
+        declarations: Parameters that can vary, by name; names of earlier versions are read as the current ones.
+        sampling: How designs are drawn.
+
+    Raises:
+        InputError: one sentence with the key and the cure.
+    """
+    section = data.get("parameters")
+    if not isinstance(section, dict) or not section:
+        raise InputError(
+            'the section [parameters] is missing: say what varies, as in wire.diameter = ["0.1 mm", "0.4 mm"]'
+        )
+    axes: list[Axis] = []
+    for name, value in ((current_name(name), value) for name, value in _flatten(section)):
+        if any(axis.name == name for axis in axes):
+            raise InputError(f'parameters.{name} is given twice, as {name} and as "{name}": take one of the two out')
+        if name not in declarations:
+            raise InputError(
+                f"parameters.{name} is not a parameter of this rig{advice(name, declarations, 'its parameters are')}"
+            )
+        try:
+            axes.append(_read_axis(name, value, declarations[name]))
+        except InputError as error:
+            raise InputError(f"parameters.{name}: {error}") from None
+        if sampling != "grid" and isinstance(value, dict) and "points" in value:
+            raise InputError(f'parameters.{name}.points is of a grid only: set sweep.sampling = "grid", or take it out')
+    return tuple(axes)
+
+
+def _flatten(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Names with their values, whether written wire.diameter = ... or "wire.diameter" = ..."""
+    entries = []
+    for key, value in section.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict) and not set(value) & _RANGE_KEYS:
+            entries += _flatten(value, f"{name}.")
+        else:
+            entries.append((name, value))
+    return entries
+
+
+def _read_axis(name: str, value: Any, declaration: Declaration) -> Axis:
+    if isinstance(value, list):
+        if len(value) != 2:
+            raise InputError(f'{show(value)} is not a range: write ["low", "high"], or {{ values = [...] }} for a list')
+        settings = _Range.model_validate({"from": value[0], "to": value[1]})
+    elif isinstance(value, dict):
+        settings = validate(_Range, value, name)
+    else:
+        raise InputError(
+            f'{show(value)} is not a range: write ["low", "high"], or {{ from = "low", to = "high", scale = "log" }}'
+        )
+    if settings.values is not None:
+        extra = [key for key in ("scale", "points") if isinstance(value, dict) and key in value]
+        return _listed_axis(name, settings, extra, declaration)
+    return _ranged_axis(name, settings, declaration)
+
+
+def _listed_axis(name: str, settings: _Range, extra_keys: Sequence[str], declaration: Declaration) -> Axis:
+    listed = settings.values or []
+    if settings.from_ is not None or settings.to is not None:
+        raise InputError("it has both values and a range: take one of the two out")
+    if extra_keys:
+        raise InputError(f"{extra_keys[0]} has no place next to values: take one of the two out")
+    if not listed:
+        raise InputError("its list of values is empty: give at least one")
+    values = tuple(quantity(v, declaration) for v in listed)
+    if declaration.whole:
+        broken = [text for text, number in zip(listed, values, strict=True) if number != round(number)]
+        if broken:
+            raise InputError(f"{show(broken[0])} is not a whole number, and {name} counts something: give whole ones")
+    return Axis(name, declaration.unit, min(values), max(values), values=values)
+
+
+def _ranged_axis(name: str, settings: _Range, declaration: Declaration) -> Axis:
+    if settings.from_ is None or settings.to is None:
+        missing = "from" if settings.from_ is None else "to"
+        raise InputError(f"'{missing}' is missing: a range has both, or give values")
+    lower, upper = (quantity(v, declaration) for v in (settings.from_, settings.to))
+    shown = f"from {show(settings.from_)} to {show(settings.to)}"
+    if not lower < upper:
+        raise InputError(f"the range {shown} is empty: give a lower end and a higher one")
+    log = settings.scale == "log"
+    if log and not lower > 0.0:
+        raise InputError(f"a log scale cannot begin at {show(settings.from_)}: begin above 0")
+    if declaration.whole:
+        first, last = math.ceil(lower), math.floor(upper)
+        if not first < last:
+            raise InputError(
+                f"{name} counts something, and {shown} there are no two whole numbers: widen the range, or give values"
+            )
+        lower, upper = float(first), float(last)
+    return Axis(name, declaration.unit, lower, upper, log, settings.points, whole=declaration.whole)
+
+
+def check_order(axes: Sequence[Axis], subject: Subject) -> None:
+    """Raise InputError for ranges that overlap where one parameter has to stay below another in every design."""
+    declarations, ends = subject.declarations, {}
+    for axis in axes:
+        ends |= dict.fromkeys(parameters.TIES.get(axis.name, (axis.name,)), (axis.lower, axis.upper))
+    for low, high in ORDERED_PAIRS:
+        if low not in declarations or high not in declarations or not {low, high} & ends.keys():
+            continue
+        below, above = (ends.get(n) or (subject.value(n),) * 2 for n in (low, high))
+        if not below[1] < above[0]:
+            shown = [as_text(value, declarations[n].unit) for n, value in ((low, below[1]), (high, above[0]))]
+            raise InputError(
+                f"parameters: {low} up to {shown[0]} does not stay below {high} from {shown[1]}: "
+                "narrow one of the ranges"
+            )

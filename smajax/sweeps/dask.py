@@ -1,0 +1,251 @@
+"""Chunks simulated on a Dask cluster: an existing one, or one of this computer's cores. Needs the extra ``cluster``."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import socket
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from smajax import __version__
+from smajax.errors import InputError
+from smajax.numerics.process import count_cores, prepare_jax
+
+if TYPE_CHECKING:
+    from smajax.sweeps.chunks import Chunk, FinishedChunks, Submit
+
+# The address that stands for a cluster of this computer's cores.
+LOCAL = "local"
+# Seconds in which a scheduler has to answer, and to have a worker; chosen by trial.
+_TIMEOUT = 20
+# Characters of another library's message that an error message repeats.
+_MESSAGE_LENGTH = 160
+# Deaths of workers that a sweep survives: a chunk whose worker died is given to another one. Chosen so that only a
+# chunk that kills every worker ends a run; experiments/speed/sweep_interruptions.py kills workers.
+_MAX_DEATHS = 100
+# Evaluates to the version of smajax, or to None where it is not installed.
+_VERSION = (
+    "(lambda spec: spec and __import__('smajax').__version__)(__import__('importlib.util').util.find_spec('smajax'))"
+)
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Connect to a scheduler, or start a cluster of this computer's cores.
+
+    Args:
+        address: Address of the scheduler, such as ``tcp://host:8786``, or ``local``.
+
+    Yields:
+        A ``distributed.Client``.
+
+    Raises:
+        InputError: if no scheduler answers, it has no workers, or one of them has no smajax or another version of it.
+    """
+    if not address.strip():
+        raise InputError(
+            f"--scheduler is empty: give a Dask scheduler's address, like tcp://host:8786, or {LOCAL}, or leave it out"
+        )
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            '--scheduler needs Dask: run pip install "smajax[cluster]", or leave --scheduler out'
+        ) from None
+    import dask
+
+    settings = {"distributed.scheduler.allowed-failures": _MAX_DEATHS, "distributed.admin.log-format": "%(message)s"}
+    dask.config.set(settings)
+    with contextlib.ExitStack() as stack:
+        # Dask's log of lost connections is replaced by one sentence of ours.
+        stack.enter_context(_silenced("distributed", "distributed.client", "tornado.application", "asyncio"))
+        if address == LOCAL:
+            yield _start_local_cluster(stack, distributed)
+            return
+        try:
+            _open_connection(address)
+            _check_identity(address)
+            client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
+        except (OSError, ValueError, MemoryError) as error:
+            words = (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_LENGTH]
+            hint = "check its address, or leave --scheduler out to use this computer"
+            raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({words}): {hint}") from None
+        stack.enter_context(client)
+        _check_workers(client, address)
+        yield client
+
+
+def _start_local_cluster(stack: contextlib.ExitStack, distributed: Any) -> Any:
+    """A client of a cluster with one process for each core, which the stack closes."""
+    settings: Any = {"dashboard_address": None, "silence_logs": "ERROR"}
+    try:
+        cluster: Any = distributed.LocalCluster(
+            n_workers=count_cores(), threads_per_worker=1, processes=True, **settings
+        )
+    except RuntimeError as error:
+        hint = "run again, with --resume if chunks are there, or leave --scheduler out to use this process"
+        raise InputError(f"--scheduler {LOCAL}: the worker processes did not start ({error}): {hint}") from None
+    address = stack.enter_context(cluster).scheduler_address
+    return stack.enter_context(distributed.Client(address, set_as_default=False))
+
+
+def _open_connection(address: str) -> None:
+    """Opens a connection and closes it, where Dask's client would retry. OSError or ValueError if nothing answers."""
+    from distributed.comm import get_address_host_port
+
+    scheme, _, place = address.rpartition("://")
+    if scheme not in ("", "tcp", "tls"):
+        raise ValueError(f"an address begins with tcp:// or tls://, not with {scheme}://")
+    host, port = get_address_host_port(f"tcp://{place}", strict=True)
+    socket.create_connection((host, port), timeout=_TIMEOUT).close()
+
+
+def _check_identity(address: str) -> None:
+    """Raises OSError or ValueError if what answers is not a scheduler, or does not answer in time.
+
+    Dask's own client would retry for long. The question is asked in a thread, which is abandoned if it does not come
+    back.
+    """
+    answers: list[Any] = []
+
+    def ask() -> None:
+        try:
+            answers.append(asyncio.run(asyncio.wait_for(_identity(address), _TIMEOUT)))
+        except Exception as error:  # a foreign greeting is read as lengths and types, which can fail in any way
+            answers.append(error)
+
+    thread = threading.Thread(target=ask, daemon=True, name="smajax-handshake")
+    thread.start()
+    thread.join(_TIMEOUT + 1)
+    answer = answers[0] if answers else TimeoutError()
+    if isinstance(answer, TimeoutError):
+        raise TimeoutError(f"it sends nothing for {_TIMEOUT} s")
+    if isinstance(answer, OSError):
+        raise answer
+    if isinstance(answer, Exception):
+        raise ValueError("what answers does not speak Dask's protocol")
+    if answer != "Scheduler":
+        raise ValueError(f"it is the address of a {str(answer).lower()}")
+
+
+async def _identity(address: str) -> str:
+    """What answers at an address, in Dask's words: ``Scheduler``, ``Worker``."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    comm = await connect(address, timeout=_TIMEOUT, **Security().get_connection_args("client"))
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        return str((await comm.read())["type"])
+    finally:
+        comm.abort()
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """InputError unless there are workers, and they and the scheduler have this version of smajax."""
+    place = f"--scheduler {address}"
+    try:
+        client.wait_for_workers(1, timeout=_TIMEOUT)
+    except TimeoutError:
+        raise InputError(
+            f"{place}: it has no workers: start some (dask worker {address}), then run this again"
+        ) from None
+    # ``eval`` is there whatever is installed, where a function of ours would not be.
+    versions = {f"worker {name}": v for name, v in client.run(eval, _VERSION, on_error="return").items()}
+    with contextlib.suppress(Exception):  # a scheduler may forbid it; the workers do the work
+        versions["the scheduler"] = client.run_on_scheduler(eval, _VERSION)
+    for name, version in versions.items():
+        if version is None or isinstance(version, BaseException):
+            raise InputError(f'{place}: {name} has no smajax: run pip install "smajax[cluster]=={__version__}" there')
+        if version != __version__:
+            raise InputError(
+                f"{place}: {name} has smajax {version}, and this is {__version__}: install the same version everywhere"
+            )
+
+
+@contextlib.contextmanager
+def _silenced(*names: str) -> Iterator[None]:
+    loggers = [logging.getLogger(name) for name in names]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
+def submit_to_cluster(client: Any, header: Mapping[str, Any], gradients: bool) -> "Submit":
+    """Return a function that simulates chunks on a cluster; each worker builds the problem from the header once.
+
+    The chunk of a worker that dies is given to another one. The function raises InputError if workers die again and
+    again, or if the scheduler is gone.
+    """
+    text = json.dumps(header)
+
+    def submit(chunks: "Sequence[Chunk]") -> "Iterator[FinishedChunks]":
+        import distributed
+
+        def send(chunk: "Chunk") -> Any:
+            return client.submit(simulate_chunk, text, chunk.designs, chunk.steps, gradients, pure=False)
+
+        pending = {send(chunk): chunk for chunk in chunks}
+        deaths = 0
+        completed = distributed.as_completed(list(pending), loop=client.loop)
+        for future in completed:
+            chunk = pending.pop(future)
+            try:
+                results = future.result()
+            except distributed.KilledWorker:
+                deaths += 1
+                if deaths > _MAX_DEATHS:
+                    raise InputError(
+                        f"workers died {deaths} times: give them more memory, or a smaller sweep.chunk"
+                    ) from None
+                repeated = send(chunk)
+                pending[repeated] = chunk
+                completed.add(repeated)
+                continue
+            except (distributed.CancelledError, OSError):
+                raise InputError(
+                    "the Dask scheduler is gone: start it again, and run the sweep again with --resume"
+                ) from None
+            future.release()
+            yield [(chunk, results)]
+
+    return submit
+
+
+def simulate_chunk(text: str, designs: np.ndarray, steps: int, gradients: bool) -> dict[str, np.ndarray]:
+    """Simulate a chunk on a worker.
+
+    Args:
+        text: Header of the sweep as JSON.
+        designs: Designs of the chunk, shape ``(m, axes)``.
+        steps: Steps of each design.
+        gradients: Whether derivatives are computed.
+    """
+    with contextlib.suppress(RuntimeError):  # JAX is set up already on a worker that has simulated before
+        prepare_jax(accelerator=True)
+    from smajax.sweeps.chunks import evaluate_designs
+
+    return evaluate_designs(_problem(text), designs, steps, gradients=gradients)
+
+
+@lru_cache(maxsize=4)
+def _problem(text: str) -> Any:
+    from smajax.sweeps.sweep_file import from_header
+
+    header = json.loads(text)
+    if header["smajax"] != __version__:
+        raise InputError(
+            f"a worker has smajax {__version__}, and the sweep is of {header['smajax']}: "
+            "install the same version everywhere"
+        )
+    return from_header(header).problem()

@@ -1,0 +1,109 @@
+"""The sections ``[objectives]`` and ``[constraints]`` of a SWEEP.toml, and the metrics that are named in it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from smajax.errors import InputError
+from smajax.files.toml import STRICT, advice, quantity_at, show, validate
+from smajax.sweeps.space import Axis
+from smajax.sweeps.subject import METRIC_NAMES, Subject
+from smajax.units import unit_of
+
+GOALS = ("max", "min")
+# What some metrics cannot exceed, by their definition.
+_UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
+
+
+class _Limit(BaseModel):
+    model_config = STRICT
+    at_least: Any = Field(None, examples=['"5 mm"'])
+    at_most: Any = Field(None, examples=['"120 degC"'])
+
+
+def check_metrics(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequence[str]:
+    """Return the names if all are metrics with a unit; raise InputError, with the place in the file, if not."""
+    for name in names:
+        if name not in units:
+            raise InputError(f"{place}: {show(name)} is not a metric{_unknown_metric(name, units)}")
+    return names
+
+
+def _unknown_metric(name: str, units: Mapping[str, str]) -> str:
+    """End of a sentence about a metric that the subject does not have."""
+    if name in METRIC_NAMES:
+        return f" of this actuator, but of rigs with wires: its metrics are {', '.join(units)}"
+    return advice(name, units, "the metrics are")
+
+
+def read_objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
+    """Return ``max`` or ``min`` by metric. InputError: one sentence with the key and the cure."""
+    section = data.get("objectives", {})
+    if not isinstance(section, dict):
+        raise InputError('[objectives] is a section, not a value: write lines like stroke = "max" below it')
+    for name, goal in section.items():
+        if name not in units:
+            raise InputError(f"objectives.{name} is not a metric{_unknown_metric(name, units)}")
+        if goal not in GOALS:
+            raise InputError(f'objectives.{name} = {show(goal)} is not known: it is "max" or "min"')
+    return dict(section)
+
+
+def read_constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]) -> dict[str, tuple[float, float]]:
+    """Return lower and upper bound by metric, in internal units; infinite where there is none.
+
+    Raises:
+        InputError: one sentence with the key and the cure, also for a constraint that no design can keep.
+    """
+    section = data.get("constraints", {})
+    if not isinstance(section, dict):
+        raise InputError(
+            '[constraints] is a section: write lines like peak_temperature = { at_most = "120 degC" } below it'
+        )
+    constraints = {}
+    for name, value in section.items():
+        if name not in subject.units:
+            raise InputError(f"constraints.{name} is not a metric{_unknown_metric(name, subject.units)}")
+        limit = validate(_Limit, value, f"constraints.{name}")
+        constraints[name] = _read_bounds(name, limit, subject.units[name])
+        _check_possible(name, limit, constraints[name], subject, axes)
+    return constraints
+
+
+def _read_bounds(name: str, limit: _Limit, unit: str) -> tuple[float, float]:
+    bounds = []
+    for key, otherwise in (("at_least", -math.inf), ("at_most", math.inf)):
+        text = getattr(limit, key)
+        bounds.append(otherwise if text is None else quantity_at(text, unit, f"constraints.{name}.{key}"))
+    if bounds == [-math.inf, math.inf]:
+        raise InputError(f'constraints.{name} has no bound: write at_least = "..." or at_most = "..." in it')
+    if bounds[0] > bounds[1]:
+        shown = f"at least {show(limit.at_least)} and at most {show(limit.at_most)}"
+        raise InputError(f"constraints.{name}: nothing is {shown}: correct one of the two")
+    return bounds[0], bounds[1]
+
+
+def _check_possible(
+    name: str, limit: _Limit, bounds: tuple[float, float], subject: Subject, axes: Sequence[Axis]
+) -> None:
+    unit, (low, high) = subject.units[name], bounds
+    place = f"constraints.{name}: at_most = {show(limit.at_most)} can never be kept"
+    if high < 0.0 and unit != "degC":
+        raise InputError(f"{place}, as a {name} is not negative: correct it")
+    if high < (smallest := subject.lower_bound(name, axes)):
+        raise InputError(f"{place}, as it is never below {smallest:g} {unit}: correct it")
+    if low > (largest := _UPPER_BOUNDS.get(name, math.inf)):
+        raise InputError(
+            f"constraints.{name}: at_least = {show(limit.at_least)} can never be kept, as it is never above "
+            f"{largest:g}: correct it"
+        )
+
+
+def constraint_units(data: Mapping[str, Any]) -> dict[str, str]:
+    """Return the unit in which each constraint is written; of two bounds the lower one's."""
+    return {
+        name: unit_of(limit.get("at_least", limit.get("at_most")))
+        for name, limit in data.get("constraints", {}).items()
+    }

@@ -1,0 +1,341 @@
+"""What is swept: a rig under an input, or an actuator that computes its own metrics."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from smajax import parameters
+from smajax.actuators.base import AbstractActuator
+from smajax.channels import CHANNELS, numbered
+from smajax.errors import InputError
+from smajax.files import actuator_file
+from smajax.files.rig_file import Rig, parse_rig
+from smajax.files.toml import STRICT, quantity_at, read_text, show, validate
+from smajax.files.validators import one_of
+from smajax.parameters import Declaration
+from smajax.plant.mechanisms.rotary import MasslessRotary
+from smajax.recordings.recording import Recording
+from smajax.sweeps.actuator_problem import ActuatorSweepProblem
+from smajax.sweeps.excitation import SHAPES, Excitation
+from smajax.sweeps.metrics import METRICS
+from smajax.sweeps.problem import INPUT, AbstractSweepProblem
+from smajax.sweeps.rig_problem import RigSweepProblem
+from smajax.sweeps.space import Axis
+
+# Metrics of rigs.
+METRIC_NAMES = (*METRICS, "bandwidth")
+_DEFAULT_METRICS = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
+# Metrics that only a periodic input has.
+_NEEDS_WAVE = ("time_to_cool", "bandwidth")
+_ABSOLUTE_ZERO = -273.15
+# Range of an input's frequency in Hz: far beyond what a wire follows on either side.
+_MIN_FREQUENCY = 1e-6
+_MAX_FREQUENCY = 1e4
+_DEFAULT_DUTY = 0.5
+_DEFAULT_CYCLES = 4
+
+
+class _Input(BaseModel):
+    model_config = STRICT
+    shape: Annotated[str, one_of(SHAPES)] | None = Field(None, alias="wave", examples=['"square"'])
+    amplitude: Any = Field(None, examples=['"0.4 A"'])
+    frequency: Any = Field(None, examples=['"0.1 Hz"'])
+    highest: Any = Field(default=None, examples=['"10 Hz"'])
+    duty: Any = Field(None, examples=["0.5"])
+    cycles: int | None = Field(None, ge=1, le=10_000, examples=["4"])
+    recording: str | None = Field(None, examples=['"input.csv"'])
+
+
+@dataclass(frozen=True, eq=False)
+class RigSubject:
+    """A rig under a periodic input or a recording.
+
+    Args:
+        rig: The rig.
+        source: The input.
+        cycles: Number of cycles of the input.
+        max_frequency: Frequency in Hz up to which a bandwidth is searched for; 0 for none.
+    """
+
+    rig: Rig
+    source: Excitation | Recording
+    cycles: int
+    max_frequency: float
+
+    @property
+    def name(self) -> str:
+        """Name of the rig file."""
+        return self.rig.name
+
+    @property
+    def default_metrics(self) -> tuple[str, ...]:
+        """Metrics of a sweep that names none."""
+        return _DEFAULT_METRICS
+
+    @property
+    def required_metrics(self) -> tuple[str, ...]:
+        """Metrics of every sweep."""
+        return ("settling",)
+
+    @property
+    def declarations(self) -> dict[str, Declaration]:
+        """Parameters that can vary, by name."""
+        table = dict(parameters.all_declarations(self.rig.plant))
+        if isinstance(self.source, Excitation):
+            control = self.rig.plant.drive.control
+            largest = CHANNELS[control].plausible_range[1]
+            table[f"{INPUT}amplitude"] = Declaration(
+                CHANNELS[control].unit, f"amplitude of the {control}", 0.0, largest, None
+            )
+            table[f"{INPUT}frequency"] = Declaration(
+                "Hz", "frequency of the wave", _MIN_FREQUENCY, _MAX_FREQUENCY, None
+            )
+        return table
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Internal units of all metrics that can be computed."""
+        return self._problem((), METRIC_NAMES, 0.0).units
+
+    def lower_bound(self, metric: str, axes: Sequence[Axis]) -> float:
+        """Return what a metric never falls below in any design: for a peak temperature the lowest one at the start."""
+        if metric != "peak_temperature":
+            return -math.inf
+        lower = {axis.name: axis.lower for axis in axes}
+        starts = [lower.get(name, self.value(name)) for name in ("environment.ambient", "initial.temperature")]
+        return float(np.nanmin(starts))
+
+    def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
+        """Raise InputError if an axis would have no effect, or a metric cannot be computed under this input."""
+        for name in (axis.name for axis in axes):
+            if name in ("pulley.inertia", "pulley.damping") and isinstance(self.rig.plant.mechanism, MasslessRotary):
+                raise InputError(
+                    f"parameters.{name} has no effect while the rig has neither inertia nor damping: "
+                    "give it one in the rig"
+                )
+        if any(axis.name == f"{INPUT}amplitude" and not axis.upper > 0.0 for axis in axes):
+            raise InputError(
+                f"parameters.{INPUT}amplitude is 0 throughout, and nothing else heats a wire: give values above 0"
+            )
+        if not isinstance(self.source, Excitation) and (only := [n for n in _NEEDS_WAVE if n in metrics]):
+            raise InputError(
+                f"{only[0]} needs a wave, and [input] has a recording: take the metric out, or give a wave"
+            )
+        if "bandwidth" in metrics and not self.max_frequency:
+            raise InputError(
+                "input.highest is missing: a bandwidth is searched for up to a frequency, as in "
+                'highest = "10 Hz" under [input]'
+            )
+        top = max((axis.upper for axis in axes if axis.name == f"{INPUT}frequency"), default=0.0)
+        if "bandwidth" in metrics and top >= self.max_frequency:
+            raise InputError(
+                f"input.highest = {self.max_frequency:g} Hz is not above the range of {INPUT}frequency, which ends at "
+                f"{top:g} Hz: raise it, or narrow the range"
+            )
+
+    def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
+        """Return the map from a design to its metrics."""
+        return self._problem(axes, metrics, self.max_frequency)
+
+    def _problem(self, axes: tuple[str, ...], metrics: tuple[str, ...], max_frequency: float) -> RigSweepProblem:
+        rig = self.rig
+        return RigSweepProblem(axes, rig.plant, metrics, self.source, self.cycles, rig.interpolation, max_frequency)
+
+    def value(self, name: str) -> float:
+        """Return the value of a parameter in the rig file, in its internal unit."""
+        return float(parameters.get(self.rig.plant, name))
+
+    def to_toml(self, values: Mapping[str, float] | None = None) -> str:
+        """Return the text of the rig's file, with other values of some parameters."""
+        return self.rig.to_toml(values)
+
+    def recording_document(self) -> dict[str, Any] | None:
+        """Return the recording as a JSON document, for ``rebuild_subject``; ``None`` under a periodic input."""
+        if isinstance(self.source, Excitation):
+            return None
+        channels = {n: self.source.channels[n].tolist() for n in self.rig.plant.signals}
+        units = {n: unit for n, unit in self.source.units.items() if n in channels or n == "time"}
+        return {"name": self.source.name, "time": self.source.time.tolist(), "channels": channels, "units": units}
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorSubject:
+    """An actuator with declared parameters that computes its own metrics.
+
+    Args:
+        name: Name of its file.
+        actuator: The actuator.
+    """
+
+    name: str
+    actuator: AbstractActuator
+
+    @property
+    def default_metrics(self) -> tuple[str, ...]:
+        """Metrics of a sweep that names none: all."""
+        return tuple(self.actuator.units)
+
+    @property
+    def required_metrics(self) -> tuple[str, ...]:
+        """Metrics of every sweep: none."""
+        return ()
+
+    @property
+    def declarations(self) -> dict[str, Declaration]:
+        """Parameters that can vary, by name."""
+        return dict(parameters.all_declarations(self.actuator))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Internal units of all metrics."""
+        return dict(self.actuator.units)
+
+    def lower_bound(self, metric: str, axes: Sequence[Axis]) -> float:
+        """Return what a metric never falls below: an actuator may start at any temperature above the absolute zero."""
+        return _ABSOLUTE_ZERO if self.units[metric] == "degC" else -math.inf
+
+    def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
+        """Accept all axes and metrics."""
+
+    def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
+        """Return the map from a design to its metrics."""
+        return ActuatorSweepProblem(axes, self.actuator, metrics)
+
+    def value(self, name: str) -> float:
+        """Return the value of a parameter in the actuator's file, in its internal unit."""
+        return float(parameters.get(self.actuator, name))
+
+    def to_toml(self, values: Mapping[str, float] | None = None) -> str:
+        """Return the text of the actuator's file, with other values of some parameters."""
+        return actuator_file.to_toml(self.actuator, values)
+
+    def recording_document(self) -> None:
+        """Return ``None``: an actuator has no recording."""
+        return None
+
+
+Subject = RigSubject | ActuatorSubject
+
+
+def read_subject(path: Path, data: Mapping[str, Any], folder: Path) -> Subject:
+    """Read what is swept.
+
+    Args:
+        path: File of a rig or an actuator.
+        data: The sweep file's data, whose ``[input]`` belongs to a rig.
+        folder: Folder from which paths in ``data`` start.
+
+    Raises:
+        InputError: if a file or the input is not valid.
+    """
+    text = read_text(path, "rig")
+    if actuator_file.is_actuator(text):
+        return _actuator_subject(text, str(path), path.name, data)
+    rig = parse_rig(text, str(path), path.parent)
+    settings = _read_input(data)
+    recording = rig.read(folder / settings.recording, observed=False) if settings.recording is not None else None
+    return _rig_subject(rig, settings, recording)
+
+
+def rebuild_subject(
+    text: str, data: Mapping[str, Any], name: str, recording_document: Mapping[str, Any] | None
+) -> Subject:
+    """Return the subject of an earlier sweep.
+
+    Args:
+        text: What ``to_toml`` returned.
+        data: The sweep file's data.
+        name: Name of the subject's file.
+        recording_document: What ``recording_document`` returned.
+    """
+    if actuator_file.is_actuator(text):
+        return _actuator_subject(text, name, name, data)
+    recording = None
+    if recording_document is not None:
+        document = recording_document
+        channels = {n: np.array(v) for n, v in document["channels"].items()}
+        recording = Recording.from_arrays(document["name"], np.array(document["time"]), channels, document["units"])
+    return _rig_subject(parse_rig(text, name), _read_input(data), recording)
+
+
+def _actuator_subject(text: str, place: str, name: str, data: Mapping[str, Any]) -> ActuatorSubject:
+    actuator = actuator_file.parse_actuator(text, place)
+    if "input" in data:
+        raise InputError("[input] has no place with an actuator, which computes its metrics without one: take it out")
+    return ActuatorSubject(name, actuator)
+
+
+def _read_input(data: Mapping[str, Any]) -> _Input:
+    if "input" not in data:
+        lines = 'wave = "square", amplitude = "0.4 A" and frequency = "0.1 Hz"'
+        raise InputError(f"the section [input] is missing: add [input] with lines like {lines}, or with a recording")
+    return validate(_Input, data["input"], "input")
+
+
+def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> RigSubject:
+    if rig.kind == "path":
+        raise InputError("sweep.rig is a path, which has no clock: sweep a rig that runs in time")
+    if recording is not None:
+        _check_recording(rig, settings, recording)
+        return RigSubject(rig, recording, settings.cycles or 1, 0.0)
+    if rig.plant.mechanism.prescribed:
+        raise InputError(
+            f"[input] needs a recording, since this rig follows its {rig.plant.mechanism.prescribed[0]}: "
+            "add recording = ..."
+        )
+    excitation = _read_excitation(rig, settings)
+    max_frequency = 0.0
+    if settings.highest is not None:
+        max_frequency = quantity_at(settings.highest, "Hz", "input.highest")
+        if not max_frequency > excitation.frequency:
+            ends = f"input.highest = {show(settings.highest)} is not above input.frequency = {show(settings.frequency)}"
+            raise InputError(f"{ends}: correct one of the two")
+    return RigSubject(rig, excitation, excitation.cycles, max_frequency)
+
+
+def _check_recording(rig: Rig, settings: _Input, recording: Recording) -> None:
+    """InputError for keys of a wave next to a recording, and for a recording that heats no wire."""
+    names = ("wave", "amplitude", "frequency", "duty", "highest")
+    values = (settings.shape, settings.amplitude, settings.frequency, settings.duty, settings.highest)
+    if extra := [name for name, value in zip(names, values, strict=True) if value is not None]:
+        raise InputError(f"input.{extra[0]} has no place next to input.recording: take one of the two out")
+    control = rig.plant.drive.control
+    heating = numbered(control, rig.plant.mechanism.wires) if control else ()
+    if heating and not any(np.any(recording.channels[n]) for n in heating):
+        raise InputError(
+            f"input.recording: {' and '.join(heating)} is 0 throughout, so that no wire is heated: name another one"
+        )
+
+
+def _read_excitation(rig: Rig, settings: _Input) -> Excitation:
+    for key, field in (("wave", "shape"), ("amplitude", "amplitude"), ("frequency", "frequency")):
+        if getattr(settings, field) is None:
+            examples = _Input.model_fields[field].examples
+            raise InputError(
+                f"input.{key} is missing: add a line like {key} = {examples[0] if examples else ''} to [input], "
+                "or a recording"
+            )
+    control = CHANNELS[rig.plant.drive.control]
+    amplitude = quantity_at(settings.amplitude, control.unit, "input.amplitude")
+    frequency = quantity_at(settings.frequency, "Hz", "input.frequency")
+    duty = _DEFAULT_DUTY if settings.duty is None else quantity_at(settings.duty, "1", "input.duty")
+    if not 0.0 < amplitude <= control.plausible_range[1]:
+        allowed = f"above 0, up to {control.plausible_range[1]:g} {control.unit}".removesuffix(" 1")
+        raise InputError(
+            f"input.amplitude = {show(settings.amplitude)} is not possible: give one {allowed}, since nothing else "
+            "heats a wire"
+        )
+    if not 0.0 < frequency <= _MAX_FREQUENCY:
+        raise InputError(
+            f"input.frequency = {show(settings.frequency)} is not possible: give one above 0, up to 10 kHz"
+        )
+    if not 0.0 < duty < 1.0:
+        raise InputError(
+            f"input.duty = {show(settings.duty)} is not possible: give the share of a cycle that is on, between 0 and 1"
+        )
+    return Excitation(str(settings.shape), amplitude, frequency, duty, settings.cycles or _DEFAULT_CYCLES)

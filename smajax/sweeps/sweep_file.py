@@ -1,0 +1,253 @@
+"""SWEEP.toml: which rig, which parameters vary, under which input, which objectives, and which constraints.
+
+    [sweep]
+    rig = "rig.toml"
+    sampling = "sobol"                # sobol, latin-hypercube, grid
+    designs = 1024
+    [parameters]                      # what varies: a range, or { from, to, scale, points }, or { values }
+    wire.diameter = ["0.1 mm", "0.4 mm"]
+    input.amplitude = ["0.2 A", "2 A"]
+    [input]
+    wave = "square"                   # square, sine, triangle; or a recording
+    amplitude = "0.4 A"
+    frequency = "0.1 Hz"
+    [objectives]
+    stroke = "max"
+    [constraints]
+    peak_temperature = { at_most = "120 degC" }
+
+A rig starts cold, and metrics of a cycle are those of the last one. The column ``settling``, always there, is the gap
+between this cycle's start and end over its range: 0 where the response repeats itself, and up to 1 % counts as settled.
+The summary says how many designs are beyond that; they stay in the table, and ``settling = { at_most = "1 %" }`` among
+the constraints excludes them from the best.
+
+Every mistake is one sentence that names file and key. A sweep's ``header`` holds all that it depends on;
+``from_header`` reproduces it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
+
+from smajax import __version__
+from smajax.errors import InputError
+from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, validate
+from smajax.files.validators import one_of
+from smajax.files.versions import package_versions
+from smajax.recordings.recording import Floats
+from smajax.sweeps.axis_sections import check_order, read_axes
+from smajax.sweeps.chunks import DEFAULT_CHUNK
+from smajax.sweeps.goal_sections import check_metrics, constraint_units, read_constraints, read_objectives
+from smajax.sweeps.problem import AbstractSweepProblem
+from smajax.sweeps.space import SAMPLINGS, Axis, draw_designs
+from smajax.sweeps.subject import Subject, read_subject, rebuild_subject
+from smajax.sweeps.table import read_header
+
+_SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraints", "refine")
+# Designs of a sweep at most: their table still fits into the memory of a computer.
+_MAX_DESIGNS = 100_000_000
+# Rows of A and B from which Sobol indices are estimated, at least: with fewer the intervals are as wide as the indices.
+_MIN_BASE = 64
+
+
+class _Sweep(BaseModel):
+    model_config = STRICT
+    rig: str = Field(examples=['"rig.toml"'])
+    sampling: Annotated[str, one_of(SAMPLINGS)] = "sobol"
+    designs: int = Field(1024, ge=1, le=_MAX_DESIGNS, examples=["1024"])
+    seed: int = Field(0, ge=0, le=2**32 - 1, examples=["0"])
+    chunk: int = Field(DEFAULT_CHUNK, ge=1, le=1_000_000, examples=["1024"])
+    metrics: list[str] | None = Field(None, examples=['["stroke", "efficiency"]'])
+    gradients: bool = Field(False, examples=["true"])
+    sensitivity: bool | None = Field(None, examples=["false"])
+
+
+class _Refine(BaseModel):
+    model_config = STRICT
+    starts: int = Field(3, ge=1, le=1000, examples=["3"])
+
+
+@dataclass(frozen=True, eq=False)
+class SweepFile:
+    """A sweep as its file describes it, in internal units.
+
+    Args:
+        name: Name of the file.
+        text: Text of the file.
+        subject: The rig or actuator.
+        axes: Axes of the space.
+        sampling: How designs are drawn.
+        count: Number of designs.
+        seed: Seed of the random numbers.
+        chunk: Designs of a chunk.
+        metrics: Metrics to evaluate.
+        gradients: Whether the metrics' derivatives go into the table.
+        sensitivity: Whether Sobol indices are estimated.
+        objectives: ``max`` or ``min`` by metric.
+        constraints: Lower and upper bound by metric.
+        constraint_units: The unit in which the file has each constraint.
+        refine_starts: From how many of the best designs a refinement starts; 0 for none.
+    """
+
+    name: str
+    text: str
+    subject: Subject
+    axes: tuple[Axis, ...]
+    sampling: str
+    count: int
+    seed: int
+    chunk: int
+    metrics: tuple[str, ...]
+    gradients: bool
+    sensitivity: bool
+    objectives: Mapping[str, str]
+    constraints: Mapping[str, tuple[float, float]]
+    constraint_units: Mapping[str, str]
+    refine_starts: int
+
+    def designs(self) -> Floats:
+        """Return the designs, shape ``(m, axes)``."""
+        return draw_designs(self.axes, self.sampling, self.count, self.seed)
+
+    def problem(self) -> AbstractSweepProblem:
+        """Return the map from a design to its metrics."""
+        return self.subject.problem(tuple(axis.name for axis in self.axes), self.metrics)
+
+    def sobol_base(self) -> int:
+        """Return the rows of A and B for Sobol indices, a power of two; 0 for no indices.
+
+        The designs of the indices are at most half as many as the sweep's.
+        """
+        if not self.sensitivity:
+            return 0
+        base = self.count / _min_designs(len(self.axes)) * _MIN_BASE
+        return 2 ** int(math.log2(base)) if base >= _MIN_BASE else 0
+
+    def missing_indices_note(self) -> str:
+        """Return why there are no Sobol indices, as a sentence; empty if there are, or if none are wanted."""
+        if self.sampling == "grid" or any(axis.values for axis in self.axes):
+            return (
+                "No Sobol indices, which need ranges drawn at random: sampling by sobol or latin-hypercube, "
+                "and no listed values."
+            )
+        if self.sensitivity and not self.sobol_base():
+            least = _min_designs(len(self.axes))
+            return f"No Sobol indices, which need at least {least:,} designs of so many parameters."
+        return ""
+
+    def header(self) -> dict[str, Any]:
+        """Return all that the sweep depends on, as a JSON document; see ``from_header``."""
+        return {
+            "schema": 1,
+            "smajax": __version__,
+            "versions": package_versions(),
+            "name": self.name,
+            "sweep": self.text,
+            "rig": self.subject.to_toml(),
+            "rig_name": self.subject.name,
+            "recording": self.subject.recording_document(),
+        }
+
+
+def _min_designs(axes: int) -> int:
+    return 2 * _MIN_BASE * (axes + 2)
+
+
+def read_sweep(path: str | Path) -> SweepFile:
+    """Read and check a SWEEP.toml, or the table (Parquet) of an earlier sweep, which is then reproduced.
+
+    Raises:
+        InputError: one sentence with the place and the cure.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".parquet" and path.is_file():
+        return from_header(read_header(path))
+    text = read_text(path, "sweep")
+    data = parse_toml(text, str(path))
+    try:
+        subject = read_subject(path.parent / _read_head(data).rig, data, path.parent)
+        return _read_sweep(data, path.name, text, subject)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def from_header(header: Mapping[str, Any]) -> SweepFile:
+    """Return the sweep of a ``SweepFile.header``, also of an earlier version; its files need not exist."""
+    data = parse_toml(header["sweep"], header["name"])
+    subject = rebuild_subject(header["rig"], data, header["rig_name"], header["recording"])
+    return _read_sweep(data, header["name"], header["sweep"], subject)
+
+
+def _read_head(data: Mapping[str, Any]) -> _Sweep:
+    for key, value in data.items():
+        if key not in _SECTIONS:
+            what = f"[{key}] is not a section of a sweep" if isinstance(value, dict) else f"{key} is not known"
+            raise InputError(f"{what}{advice(key, _SECTIONS, 'the sections are')}")
+    check_schema(data)
+    if "sweep" not in data:
+        raise InputError('the section [sweep] is missing: add [sweep] with a line like rig = "rig.toml"')
+    return validate(_Sweep, data["sweep"], "sweep")
+
+
+def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject) -> SweepFile:
+    head = _read_head(data)
+    axes = read_axes(data, subject.declarations, head.sampling)
+    count = _count_designs(data, head, axes)
+    objectives, constraints = read_objectives(data, subject.units), read_constraints(data, subject, axes)
+    chosen = subject.default_metrics
+    if head.metrics is not None:
+        chosen = check_metrics("sweep.metrics", head.metrics, subject.units)
+    metrics = tuple(dict.fromkeys([*chosen, *objectives, *constraints, *subject.required_metrics]))
+    subject.check(axes, metrics)
+    sensitivity = _read_sensitivity(head, axes, count)
+    if "refine" in data and not objectives:
+        raise InputError('[refine] needs an objective: add [objectives] with a line like stroke = "max"')
+    check_order(axes, subject)
+    return SweepFile(
+        name=name,
+        text=text,
+        subject=subject,
+        axes=axes,
+        sampling=head.sampling,
+        count=count,
+        seed=head.seed,
+        chunk=head.chunk,
+        metrics=metrics,
+        gradients=head.gradients,
+        sensitivity=sensitivity,
+        objectives=objectives,
+        constraints=constraints,
+        constraint_units=constraint_units(data),
+        refine_starts=validate(_Refine, data["refine"], "refine").starts if "refine" in data else 0,
+    )
+
+
+def _count_designs(data: Mapping[str, Any], head: _Sweep, axes: tuple[Axis, ...]) -> int:
+    if head.sampling == "grid" and "designs" in data["sweep"]:
+        raise InputError(
+            "sweep.designs has no place with a grid, which has as many as its axes' points make: take it out, "
+            "or give points"
+        )
+    count = math.prod(len(axis.grid()) for axis in axes) if head.sampling == "grid" else head.designs
+    if count > _MAX_DESIGNS:
+        raise InputError(f"the grid has {count:,} designs: take fewer points, at most {_MAX_DESIGNS:,} in all")
+    return count
+
+
+def _read_sensitivity(head: _Sweep, axes: tuple[Axis, ...], count: int) -> bool:
+    """Whether Sobol indices are estimated: by default where designs are drawn at random from ranges."""
+    random_ranges = head.sampling != "grid" and not any(axis.values for axis in axes)
+    if head.sensitivity and not random_ranges:
+        raise InputError(
+            "sweep.sensitivity needs ranges drawn at random: set sampling to sobol or latin-hypercube, or take it out"
+        )
+    if head.sensitivity and count < _min_designs(len(axes)):
+        least = f"at least {_min_designs(len(axes)):,} designs with {len(axes)} parameters"
+        raise InputError(
+            f"sweep.sensitivity needs {least}, and sweep.designs is {count:,}: raise it, or take sensitivity out"
+        )
+    return random_ranges if head.sensitivity is None else head.sensitivity

@@ -1,0 +1,82 @@
+"""A sweep's table as a Parquet file, with a header that reproduces the sweep. Needs pyarrow."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smajax.errors import InputError
+from smajax.recordings.readers.parquet import pyarrow_parquet
+
+# Key of the header in the file's metadata.
+KEY = b"smajax.sweep"
+# What a header has to name.
+_REQUIRED = ("name", "recording", "rig", "rig_name", "sweep")
+# Characters of pyarrow's message that an error message repeats.
+_MESSAGE_LENGTH = 120
+
+
+def write_table(
+    path: Path,
+    columns: Mapping[str, np.ndarray],
+    header: Mapping[str, Any] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> None:
+    """Write a table.
+
+    Args:
+        path: The file.
+        columns: Columns by name, shape ``(m,)`` each.
+        header: JSON document that goes into the file's metadata.
+        units: Units by column; a column with a unit is headed ``name [unit]``.
+
+    Raises:
+        InputError: if the disk does not take the file.
+    """
+    parquet = pyarrow_parquet(path)
+    import pyarrow
+
+    units = units or {}
+    names = [f"{n} [{units[n]}]" if n in units else n for n in columns]
+    table = pyarrow.table([pyarrow.array(values) for values in columns.values()], names=names)
+    if header is not None:
+        table = table.replace_schema_metadata({KEY: json.dumps(header, sort_keys=True, ensure_ascii=False)})
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            parquet.write_table(table, file, compression="zstd")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        hint = "make room, and run it again with --resume: finished chunks are kept"
+        raise InputError(f"{path}: the file cannot be written ({error.strerror or error}): {hint}") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a table by name, without their units. InputError if the file is not whole."""
+    parquet = pyarrow_parquet(path)
+    try:
+        table = parquet.read_table(path)
+    except Exception as error:  # pyarrow raises a kind of its own for each way in which a file can be broken
+        words = (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_LENGTH]
+        raise InputError(
+            f"{path}: the file is not readable as Parquet ({words}): remove it, and run the sweep again with --resume"
+        ) from None
+    return {n.partition(" [")[0]: table.column(n).to_numpy() for n in table.column_names}
+
+
+def read_header(path: Path) -> dict[str, Any]:
+    """Return the header of a sweep's table. InputError if the file is not such a table."""
+    parquet = pyarrow_parquet(path)
+    try:
+        metadata = parquet.read_schema(path).metadata or {}
+        header = json.loads(metadata[KEY])
+        return {name: header[name] for name in _REQUIRED} | header
+    except Exception:  # as above; or the header is missing
+        raise InputError(f"{path}: this is not a table that smajax sweep wrote: name one, or a SWEEP.toml") from None

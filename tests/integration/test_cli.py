@@ -1,0 +1,502 @@
+"""The command: what it writes and prints, its exit codes, and that asking for help loads nothing heavy.
+
+Most commands run in this process on a short recording, so that what is compiled once serves all of them.
+"""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from smajax.app import cli
+from smajax.control.controller_file.read import read_controller
+from smajax.errors import InputError
+from smajax.files import actuator_file
+from smajax.files.parameter_sets import read_header, read_parameters
+from smajax.files.rig_file import read_rig
+from smajax.progress import Progress
+from smajax.recordings import datasets, read
+from smajax.recordings.recording import Recording
+from smajax.simulation.run import simulate
+from smajax.sweeps.sweep_file import read_sweep
+from tests.conftest import ROOT
+from tests.unit.report.test_report import SCHEMA, violations
+
+LIMBS = ("elbow", "wrist", "glove-finger")
+COILS = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
+STEERED = ("dead-weight", "bias-spring", "antagonistic-rotary", *COILS, *LIMBS)
+KINDS = (*STEERED, "testing-machine", "path")
+FREE = ["heat.h0", "material.max_transformation_strain"]
+
+
+def smajax(*words: object) -> Result:
+    return CliRunner().invoke(cli.app, [str(word) for word in words])
+
+
+def sentence(result: Result, code: int) -> str:
+    """The single line on stderr of a command that refused, and nothing on stdout."""
+    lines = [line for line in result.stderr.splitlines() if not re.match("smajax: (loading|reading|compiling)", line)]
+    assert result.exit_code == code, result.output
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("smajax: ")
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Path:
+    """A rig with two free parameters, and short recordings of it: a simulation with other values, and noise."""
+    folder = tmp_path_factory.mktemp("bench")
+    text = datasets.data_path("recordings", "dead-weight", "rig.toml").read_text()
+    text = re.sub(r"free = \[.*?\]", f"free = {json.dumps(FREE)}\nstarts = 1", text, flags=re.DOTALL)
+    (folder / "rig.toml").write_text(f"# <script>alert(1)</script> & co\n{text}")
+    rig = read_rig(folder / "rig.toml")
+    time = np.arange(400) * 0.05
+    noise = np.random.default_rng(3)
+    truth = read_rig(folder / "rig.toml").to_toml({"heat.h0": 104.0, "material.max_transformation_strain": 0.0415})
+    (folder / "truth.toml").write_text(truth)
+    plant = read_rig(folder / "truth.toml").plant
+    for name, period in (("train.csv", 9.0), ("holdout.csv", 6.0), ("more.csv", 5.0)):
+        current = np.round(0.16 * (1 - np.cos(2 * np.pi * time / period)), 4)
+        blank = Recording.from_arrays(name, time, {"current": current}, {"current": "A"})
+        moved = np.asarray(simulate(plant, blank, interpolation=rig.interpolation).channels["displacement"])
+        channels = {"current": current, "displacement": moved + noise.normal(0, 2e-5, len(time))}
+        Recording.from_arrays(name, time, channels, {"time": "s", "current": "mA", "displacement": "mm"}).write(
+            folder / name
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(bench) -> Result:
+    files = (bench / "rig.toml", bench / "train.csv", "--holdout", bench / "holdout.csv")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("smajax.progress._MIN_SECONDS_BETWEEN_LINES", 0.0)  # of all steps, however fast they are
+        return smajax("fit", *files, "--out", bench / "out", "--profile", "heat.h0")
+
+
+def test_asking_for_help_loads_nothing_heavy():
+    probe = "import sys, smajax.app.cli; print([m for m in ('jax', 'numpy', 'scipy', 'pint', 'plotly', 'pandas', 'pydantic') if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "{0}", "{1}"),
+        ("fit", "{0}", "{1}"),
+        ("diagnose", "{0}", "{1}", "--select", "{1}", "--holdout", "{1}"),
+        ("demo",),
+    ],
+)
+def test_equinox_is_loaded_after_its_checks_are_off(words, tmp_path):
+    """Its run-time checks call from compiled programs into Python: such programs cannot be kept between runs."""
+    probe = (
+        "import sys, smajax.numerics.process\n"
+        "def stop(accelerator):\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
+        "smajax.numerics.process.prepare_jax = stop\nimport smajax.app.cli\nsmajax.app.cli.main()"
+    )
+    files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
+    given = [word.format(*files) for word in words]
+    found = subprocess.run(
+        [sys.executable, "-c", probe, *given, "--out", str(tmp_path / "out")], cwd=ROOT, capture_output=True, text=True
+    )
+    assert (found.returncode, found.stdout.strip()) == (7, "False"), found.stderr
+
+
+def test_help_names_every_command_and_its_options():
+    top = smajax("--help")
+    assert top.exit_code == 0
+    for command in (
+        "simulate",
+        "fit",
+        "diagnose",
+        "tune",
+        "compare",
+        "properties",
+        "demo",
+        "init",
+        "check",
+        "report",
+        "datasets",
+    ):
+        assert command in top.stdout
+        assert smajax(command, "--help").exit_code == 0
+    options = smajax("fit", "--help").stdout
+    for option in (
+        "--holdout",
+        "--out",
+        "--start",
+        "--seed",
+        "--starts",
+        "--drop-bad-rows",
+        "--quiet",
+        "--json",
+        "--no-open",
+        "--profile",
+    ):
+        assert option in options
+    assert smajax("--version").stdout == "smajax 0.2.0\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["fit"], ["fly"], ["fit", "rig.toml", "a.csv"], ["fit", "--speed"], ["init", "tractor"], ["datasets", "steal"]],
+)
+def test_a_wrong_command_line_is_code_2(words):
+    assert smajax(*words).exit_code == 2
+
+
+def test_a_fit_leaves_a_whole_folder_and_a_summary(bench, fitted):
+    assert fitted.exit_code == 0, fitted.output
+    out = bench / "out"
+    assert {path.name for path in out.iterdir()} == {
+        "fit.json", "fit.toml", "prediction.csv", "report.html", "rig-fitted.toml", "rig.toml", "run.json"
+    }  # fmt: skip
+    document = json.loads((out / "fit.json").read_text())
+    assert violations(document, SCHEMA) == []
+    assert list(document["parameters"]) == FREE
+    for name, truth in zip(FREE, (104.0, 0.0415), strict=True):
+        entry = document["parameters"][name]
+        assert entry["lower95"] < entry["estimate"] < entry["upper95"]
+        assert abs(entry["estimate"] - truth) < 2 * (entry["upper95"] - entry["lower95"])
+    rmse = document["rmse"]["displacement"]
+    assert rmse["unit"] == "mm"
+    assert rmse["train"] == pytest.approx(0.02, rel=0.15)
+    assert rmse["holdout"] == pytest.approx(0.02, rel=0.15)
+    assert document["noise_floor"]["displacement"]["value"] == pytest.approx(0.02, rel=0.2)
+    assert [(r["name"], r["rows"], r["role"]) for r in document["recordings"]] == [
+        ("train.csv", 400, "train"),
+        ("holdout.csv", 400, "holdout"),
+    ]
+    assert document["recordings"][0]["sha256"] == read.read_recording(bench / "train.csv").sha256
+    assert document["solver"]["code"] == "converged"
+    profile = document["profiles"]["heat.h0"]
+    assert profile["lower95"] < document["parameters"]["heat.h0"]["estimate"] < profile["upper95"]
+    assert "Fitted 2 parameters of rig.toml (brinson) to train.csv (400 rows): converged" in fitted.stdout
+    assert "smajax: fitting: step 1" in fitted.stderr
+    run = json.loads((out / "run.json").read_text())
+    assert run["versions"]["smajax"] == "0.2.0"
+    assert run["timings"].keys() >= {"read", "fit", "profile"}
+    assert (out / "rig.toml").read_text() == (bench / "rig.toml").read_text()
+
+
+def test_the_parameter_file_and_the_fitted_rig_hold_the_estimates(bench, fitted):
+    document = json.loads((bench / "out" / "fit.json").read_text())
+    entries = read_parameters(bench / "out" / "fit.toml")
+    plant = read_rig(bench / "out" / "rig-fitted.toml").plant
+    assert list(entries) == FREE
+    for name, entry in entries.items():
+        there = document["parameters"][name]
+        assert (entry.value, entry.interval95) == (there["estimate"], (there["lower95"], there["upper95"]))
+        assert entry.free
+        assert document["recordings"][0]["sha256"] in entry.source
+    assert float(plant.heat.h0) == entries["heat.h0"].value
+    assert read_header(bench / "out" / "fit.toml")["fit"]["recordings"] == ["train.csv"]
+
+
+def test_the_prediction_is_the_fitted_plant_beside_the_measurement(bench, fitted):
+    rig = read_rig(bench / "out" / "rig-fitted.toml")
+    rows = (bench / "out" / "prediction.csv").read_text().splitlines()
+    assert rows[0].startswith("recording,role,time [s],current [mA],displacement [mm],displacement_model [mm]")
+    held = np.array(
+        [[float(cell) for cell in row.split(",")[2:6]] for row in rows if row.startswith("holdout.csv,holdout,")]
+    )
+    measured = rig.read(bench / "holdout.csv")
+    np.testing.assert_array_equal(held[:, 0], measured.time)
+    model = simulate(rig.plant, measured, interpolation=rig.interpolation).channels["displacement"]
+    np.testing.assert_allclose(held[:, 2], 1e3 * measured.channels["displacement"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(held[:, 3], 1e3 * np.asarray(model), rtol=1e-6, atol=1e-7)
+
+
+def test_the_report_is_rebuilt_from_the_folder_alone(bench, fitted):
+    page = bench / "out" / "report.html"
+    before = page.read_text()
+    assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; co" in before
+    page.write_text("lost")
+    assert smajax("report", bench / "out").exit_code == 0
+    assert page.read_text() == before
+
+
+def test_json_prints_the_result_file_and_nothing_else(bench, fitted):
+    words = [
+        "fit",
+        bench / "rig.toml",
+        bench / "train.csv",
+        "--holdout",
+        bench / "holdout.csv",
+        "--out",
+        bench / "json",
+    ]
+    result = smajax(*words, "--json", "--quiet", "--seed", "0")
+    assert result.exit_code == 0
+    assert result.stdout == (bench / "json" / "fit.json").read_text()
+    assert result.stderr == ""
+    first, second = (json.loads((bench / name / "fit.json").read_text()) for name in ("out", "json"))
+    assert first["parameters"] == second["parameters"]
+
+
+def test_a_fit_starts_from_an_earlier_one(bench, fitted):
+    result = smajax(
+        "fit",
+        bench / "rig.toml",
+        bench / "train.csv",
+        "--start",
+        bench / "out" / "fit.toml",
+        "--out",
+        bench / "again",
+        "--quiet",
+    )
+    assert result.exit_code == 0, result.output
+    first, second = (json.loads((bench / name / "fit.json").read_text()) for name in ("out", "again"))
+    assert second["solver"]["steps"] < first["solver"]["steps"]
+    for name in FREE:
+        assert second["parameters"][name]["estimate"] == pytest.approx(first["parameters"][name]["estimate"], rel=1e-4)
+
+
+def test_ctrl_c_keeps_the_best_point_so_far(bench, fitted, monkeypatch):
+    monkeypatch.setattr(Progress, "step", lambda self, text: signal.raise_signal(signal.SIGINT))
+    before = signal.getsignal(signal.SIGINT)  # a background process ignores it from the start
+    result = smajax(
+        "fit", bench / "rig.toml", bench / "train.csv", "--holdout", bench / "holdout.csv", "--out", bench / "stopped"
+    )
+    assert result.exit_code == 130, result.output
+    document = json.loads((bench / "stopped" / "fit.json").read_text())
+    assert violations(document, SCHEMA) == []
+    assert document["solver"]["code"] == "interrupted"
+    assert document["solver"]["steps"] == 1
+    assert "the best point so far is kept" in result.stderr
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_simulation_is_a_recording_again(bench):
+    result = smajax("simulate", bench / "rig.toml", bench / "more.csv", "--out", bench / "simulated")
+    assert result.exit_code == 0, result.output
+    assert "Simulated 400 rows of more.csv with rig.toml." in result.stdout
+    rig = read_rig(bench / "rig.toml")
+    given, made = rig.read(bench / "more.csv"), rig.read(bench / "simulated" / "simulation.csv")
+    assert made.units["current"] == "mA"
+    np.testing.assert_array_equal(made.channels["current"], given.channels["current"])
+    channels = simulate(rig.plant, given, interpolation=rig.interpolation).channels
+    assert set(made.channels) == set(rig.plant.observable)
+    for channel, values in channels.items():
+        np.testing.assert_allclose(made.channels[channel], values, rtol=1e-12, atol=1e-12)
+    page = (bench / "simulated" / "report.html").read_text()
+    assert "The other channels" in page
+    assert smajax("report", bench / "simulated").exit_code == 0
+    assert (bench / "simulated" / "report.html").read_text() == page
+    assert (
+        json.loads(
+            smajax("simulate", bench / "rig.toml", bench / "more.csv", "--out", bench / "simulated", "--json").stdout
+        )["code"]
+        == "done"
+    )
+
+
+def test_a_simulation_that_fails_is_code_3_and_saves_what_there_is(bench, tmp_path):
+    (tmp_path / "runaway.toml").write_text(
+        re.sub(r'h2 = "[^"]*"', 'h2 = "-0.5 W/m^2/K^3"', (bench / "rig.toml").read_text())
+    )
+    result = smajax("simulate", tmp_path / "runaway.toml", bench / "more.csv", "--out", tmp_path / "out", "--quiet")
+    reason = sentence(result, 3)
+    assert re.search(r"more\.csv: (diverged|overheated|unsolved): .*h\(T\).* what there is was saved in", reason)
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["exit_code"] == 3
+    assert run["code"] in ("diverged", "overheated", "unsolved")
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_a_fit_that_cannot_begin_is_code_3_with_its_reason_in_the_result(bench, tmp_path):
+    (tmp_path / "runaway.toml").write_text(
+        re.sub(r'h2 = "[^"]*"', 'h2 = "-0.5 W/m^2/K^3"', (bench / "rig.toml").read_text())
+    )
+    result = smajax("fit", tmp_path / "runaway.toml", bench / "train.csv", "--out", tmp_path / "out", "--json")
+    assert result.exit_code == 3
+    document = json.loads(result.stdout)
+    assert violations(document, SCHEMA) == []
+    assert document["solver"]["code"] == "failed"
+    assert "at the start values" in document["solver"]["text"]
+    assert document["rmse"]["displacement"] == {"train": None, "holdout": None, "unit": "mm"}
+    assert document["parameters"]["heat.h0"]["estimate"] == pytest.approx(100.6)
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert smajax("report", tmp_path / "out").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["check", "{bench}/rik.toml"], r"rik\.toml: there is no such file.*did you mean 'rig\.toml'"),
+        (["fit", "{bench}/rig.toml", "{bench}/none.csv", "--out", "{tmp}/out"], r"none\.csv"),
+        (
+            ["fit", "{bench}/rig.toml", "{bench}/train.csv", "--out", "{bench}"],
+            "not a result of smajax: name another folder for --out",
+        ),
+        (
+            ["fit", "{bench}/rig.toml", "{bench}/train.csv", "{bench}/train.csv", "--out", "{tmp}/out"],
+            "this recording is given twice",
+        ),
+        (
+            ["fit", "{bench}/rig.toml", "{bench}/train.csv", "--profile", "heat.h1", "--out", "{tmp}/out"],
+            r"not free \(did you mean 'heat\.h0'\?\)",
+        ),
+        (
+            ["fit", "{bench}/rig.toml", "{bench}/train.csv", "--start", "{bench}/rig.toml", "--out", "{tmp}/out"],
+            "not a parameter file",
+        ),
+        (
+            ["simulate", "{bench}/rig.toml", "{bench}/bad.csv", "--out", "{tmp}/out"],
+            r"bad\.csv: row 3, column 'current \[A\]'",
+        ),
+        (["report", "{tmp}"], "this is no result folder"),
+        (["report", "{tmp}/none"], "there is no such folder"),
+        (["datasets", "get"], "'datasets get' needs a name"),
+        (["datasets", "get", "dead-wait"], "did you mean 'dead-weight'"),
+        (["datasets", "list", "x"], "takes no name"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(bench, tmp_path, words, said):
+    (bench / "bad.csv").write_text("time [s],current [A]\n0,0\n0.1,high\n")
+    assert re.search(said, sentence(smajax(*(word.format(bench=bench, tmp=tmp_path) for word in words)), 2))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_start_outside_of_its_bounds_is_refused(bench, fitted, tmp_path):
+    text = (bench / "rig.toml").read_text() + '\nbounds = {"heat.h0" = ["90 W/m^2/K", "101 W/m^2/K"]}\n'
+    (tmp_path / "narrow.toml").write_text(text)
+    words = [
+        "fit",
+        tmp_path / "narrow.toml",
+        bench / "train.csv",
+        "--start",
+        bench / "out" / "fit.toml",
+        "--out",
+        tmp_path / "out",
+    ]
+    assert "is outside of its bounds in narrow.toml" in sentence(smajax(*words), 2)
+
+
+def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
+    jobs = []
+
+    def stop_here(job, progress, argv):
+        jobs.append(job)
+        raise InputError("enough")
+
+    monkeypatch.setattr("smajax.app.commands.fit.run_fit", stop_here)
+    assert (
+        smajax(
+            "fit",
+            "rig.toml",
+            "a.csv",
+            "b.csv",
+            "--holdout",
+            "c.csv",
+            "d.csv",
+            "--out",
+            tmp_path / "o",
+            "--holdout",
+            "e.csv",
+        ).exit_code
+        == 2
+    )
+    assert [str(path) for path in jobs[0].train] == ["a.csv", "b.csv"]
+    assert [str(path) for path in jobs[0].holdout] == ["c.csv", "d.csv", "e.csv"]
+
+
+@pytest.mark.parametrize("kind", actuator_file.ACTUATORS)
+def test_machines_start_and_are_checked_like_rigs(kind, tmp_path):
+    result = smajax("init", kind, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    rig = tmp_path / "rig.toml"
+    assert {path.name for path in tmp_path.iterdir()} == {"rig.toml", "sweep.toml"}
+    subject = read_sweep(tmp_path / "sweep.toml").subject
+    checked = smajax("check", rig)
+    assert checked.exit_code == 0, checked.output
+    assert kind in checked.stdout and all(name in checked.stdout for name in [*subject.declarations, *subject.units])
+    assert "is there already and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path), 2)
+    # What only a rig has.
+    assert "gives its figures without a recording" in sentence(smajax("check", rig, tmp_path / "a.csv"), 2)
+    refused = sentence(smajax("simulate", rig, tmp_path / "a.csv", "--out", tmp_path / "out"), 2)
+    assert f'rig.kind = "{kind}" is an actuator' in refused and "smajax sweep" in refused
+
+
+def test_a_fault_of_ours_is_one_sentence_with_the_place_of_its_traceback(bench, monkeypatch):
+    def fail(*_: object) -> str:
+        raise ZeroDivisionError("deep inside")
+
+    monkeypatch.setattr("smajax.app.commands.check.describe", fail)
+    said = sentence(smajax("check", bench / "rig.toml"), 1)
+    written = Path(said.rpartition(" ")[2])
+    assert "ZeroDivisionError: deep inside" in written.read_text()
+    written.unlink()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_init_writes_files_that_pass_the_check(kind, tmp_path):
+    result = smajax("init", kind, "--out", tmp_path / "mine")
+    assert result.exit_code == 0, result.output
+    there = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
+    steered = kind in STEERED
+    more = {"controller.toml", "sweep.toml"} if steered else set()
+    assert set(there) == {"rig.toml", "example.toml", "example.csv"} | more
+    if steered:
+        assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
+        read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
+        assert "smajax tune" in result.output
+    assert there["rig.toml"].count(b"#") > 5
+    for rig in ("rig.toml", "example.toml"):
+        checked = smajax("check", tmp_path / "mine" / rig, tmp_path / "mine" / "example.csv")
+        assert checked.exit_code == 0, checked.output
+        assert kind in checked.stdout
+        assert "free parameter" in checked.stdout
+    (tmp_path / "mine" / "example.csv").unlink()
+    assert "is there already and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path / "mine"), 2)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == {
+        k: v for k, v in there.items() if k != "example.csv"
+    }
+
+
+def test_check_says_what_would_be_fitted(bench):
+    text = smajax("check", bench / "rig.toml", bench / "train.csv").stdout
+    assert re.search(r"heat\.h0 +100\.6 W/m\^2/K +0 W/m\^2/K \.\. .* rig\.toml line \d+", text)
+    assert "Fitted and scored: displacement; needed in a recording: current." in text
+    assert "train.csv: 400 rows, 19.95 s, sample time 0.05 s" in text
+    assert "current [mA] (input), displacement [mm] (observed)" in text
+
+
+def test_bad_rows_are_dropped_on_request_only_and_counted(bench, tmp_path):
+    rows = (bench / "train.csv").read_text().splitlines()
+    rows[5] = rows[5].replace(",", ",x", 1)
+    (tmp_path / "train.csv").write_text("\n".join(rows) + "\n")
+    assert "row 6" in sentence(smajax("check", bench / "rig.toml", tmp_path / "train.csv"), 2)
+    result = smajax("check", bench / "rig.toml", tmp_path / "train.csv", "--drop-bad-rows")
+    assert result.exit_code == 0
+    assert "1 of 400 rows with a blank or unreadable cell dropped on request: row 6" in result.stdout
+
+
+def test_recordings_of_one_name_are_told_apart(bench, tmp_path):
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "train.csv").write_bytes((bench / "more.csv").read_bytes())
+    text = smajax("check", bench / "rig.toml", bench / "train.csv", tmp_path / "two" / "train.csv").stdout
+    assert f"{bench.name}/train.csv: 400 rows" in text
+    assert "two/train.csv: 400 rows" in text
+
+
+def test_the_data_sets_are_listed_and_found(shared, monkeypatch):
+    text = smajax("datasets").stdout
+    assert "dead-weight: A wire that lifts 200 g\n    ships with smajax" in text
+    assert re.search(
+        r"^asmada-cyclic: .*\n    matthewkuner/ASMADA at 7ca153ccc8; licence: GNU General Public License v3\n",
+        text,
+        re.MULTILINE,
+    )
+    monkeypatch.setenv("SMAJAX_DATA", str(shared / "data"))
+    assert smajax("datasets", "get", "bu-softlimb").stdout.strip() == str(shared / "data" / "bu-softlimb")

@@ -1,0 +1,231 @@
+"""The experiments on recordings by others: what they read, and what they say of folders that they cannot use. Their fits are no tests."""
+
+import ast
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests.conftest import ROOT
+
+EXPERIMENTS = ROOT / "experiments"
+SHARED_PLUMBING = "common"
+NAMES = sorted(
+    str(path.relative_to(EXPERIMENTS).with_suffix(""))
+    for path in EXPERIMENTS.rglob("[a-z]*.py")
+    if SHARED_PLUMBING not in path.parts and path.stem != "benchmark_tables"
+)
+
+
+def run_alone(name: str, *words: str) -> subprocess.CompletedProcess:
+    """An experiment in a process that inherits nothing of how the tests set up JAX, as a user starts it."""
+    command = [sys.executable, str(EXPERIMENTS / f"{name}.py"), *words]
+    environment = {k: v for k, v in os.environ.items() if k not in ("EQX_ON_ERROR", "XLA_FLAGS")}
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, env=environment)
+
+
+class Ended(NamedTuple):
+    """How an experiment ended, and what it said."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs an experiment in this process, where all that it imports is loaded already."""
+    monkeypatch.syspath_prepend(str(ROOT))
+
+    def ended(name: str, *words: str) -> Ended:
+        monkeypatch.setattr(sys, "argv", [str(EXPERIMENTS / f"{name}.py"), *words])
+        with pytest.raises(SystemExit) as left:
+            importlib.import_module(f"experiments.{name.replace('/', '.')}").main()
+        said = capsys.readouterr()
+        return Ended(int(left.value.code or 0), said.out, said.err)
+
+    return ended
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_experiment_starts(name, run):
+    done = run(name, "--help")
+    assert done.returncode == 0 and "--json" in done.stdout, done.stderr
+    # Alone, each has to prepare JAX before it loads anything that needs it prepared.
+    assert first_loaded(name).startswith("experiments.common")
+
+
+def first_loaded(name: str) -> str:
+    """The first module that an experiment imports of those that prepare JAX or need it prepared."""
+    for node in ast.parse((EXPERIMENTS / f"{name}.py").read_text("utf-8")).body:
+        modules = (
+            [str(node.module)] if isinstance(node, ast.ImportFrom) else [a.name for a in getattr(node, "names", [])]
+        )
+        for module in modules:
+            if module.partition(".")[0] in (
+                "experiments",
+                "smajax",
+                "tests",
+                "equinox",
+                "diffrax",
+                "optimistix",
+                "lineax",
+            ):
+                return module
+    return ""
+
+
+def levels(folder: Path, *stresses: int) -> Path:
+    """A folder of cycles as ``...MPa.txt``: temperature, strain, stress."""
+    temperature = np.concatenate([np.linspace(20, 140, 40), np.linspace(140, 20, 40)])
+    for stress in stresses:
+        strain = 0.03 / (1 + np.exp((temperature - 70) / 5))
+        np.savetxt(folder / f"isobaric_{stress}MPa.txt", np.column_stack([temperature, strain, np.full(80, stress)]))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "measured/isobaric",
+        "measured/muscle_electric",
+        "measured/cyclic",
+        "measured/superelastic",
+        "measured/bu_softlimb",
+    ],
+)
+def test_a_folder_that_is_not_there_is_named(name, tmp_path, run):
+    done = run(name, "--data", str(tmp_path / "nowhere"))
+    assert done.returncode == 2
+    assert "nowhere" in done.stderr and "--data" in done.stderr
+
+
+def test_a_level_that_is_not_there_is_refused_with_those_that_are(tmp_path, run):
+    done = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 100, 200)), "--holdout", "150")
+    assert done.returncode == 2
+    assert "50, 100, 200 MPa" in done.stderr
+
+
+def test_two_levels_are_too_few(tmp_path, run):
+    done = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 150)), "--holdout", "150")
+    assert done.returncode == 2
+    assert "at least three" in done.stderr
+
+
+def test_the_measured_levels_are_found(shared, run):
+    done = run("measured/isobaric", "--data", str(shared / "data" / "tamu-flexinol-isobaric"), "--holdout", "1")
+    assert done.returncode == 2
+    assert "50, 100, 150, 172, 200 MPa" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("20 0.01\n30 abc\n", "two columns of numbers"),
+        ("20 0.01 3\n" * 20, "3 columns"),
+        ("20 0.01\n" * 20, "0 cycles go above 200 degC"),
+    ],
+)
+def test_cycles_that_cannot_be_read_are_refused(text, said, tmp_path, run):
+    (tmp_path / "Example Test Data.txt").write_text(text)
+    done = run("measured/cyclic", "--data", str(tmp_path))
+    assert done.returncode == 2
+    assert "Example Test Data.txt" in done.stderr and said in done.stderr
+
+
+def test_a_workbook_that_is_none_is_refused(tmp_path, run):
+    for temperature in (0, 40, 100):
+        (tmp_path / f"pseudoelastic_{temperature}C.xlsx").write_text("no workbook")
+    done = run("measured/superelastic", "--data", str(tmp_path))
+    assert done.returncode == 2
+    assert "pseudoelastic_0C.xlsx cannot be read" in done.stderr
+
+
+def quick_rows(name: str, folder: Path, tmp_path: Path) -> dict[str, dict]:
+    """The rows of a quick run by what they say."""
+    done = run_alone(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
+    assert done.returncode == 0, done.stderr
+    return {row["what"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
+
+
+def test_an_effect_forecasts_the_measured_cycles_better_than_the_base_model(shared, tmp_path):
+    rows = quick_rows("measured/cyclic", shared / "data" / "asmada-cyclic", tmp_path)
+    base = rows["base model: held out, plateau rows"]["numbers"]["percent"]
+    assert rows["all effects: held out, plateau rows"]["numbers"]["percent"] < 0.7 * base
+    assert "10404 scored" in rows["rows"]["measured"]
+    assert (
+        rows["all effects against the naive forecast, plateau rows"]["met"] is False
+    )  # one effect is not enough, and the table says so
+
+
+def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared, tmp_path):
+    rows = quick_rows("measured/superelastic", shared / "data" / "tamu-muscle-superelastic", tmp_path)
+    base = rows["base model: held out, 40 degC"]["numbers"]["rmse_MPa"]
+    assert rows["all effects: held out, 40 degC"]["numbers"]["rmse_MPa"] < 0.7 * base
+    assert rows["rows left out as dropouts"]["measured"] == "1 at 0 degC, 0 at 100 degC, 0 at 40 degC"
+
+
+def arm_log(folder: Path, pulses: tuple[float, ...] = (1.0, 91.0), tags: tuple[int, ...] = (1, 2, 3)) -> Path:
+    """A log of an arm that turns about its middle tag while its second thermocouple warms up."""
+    time = np.arange(0.0, 110.0, 0.2)
+    since = (
+        np.min([np.where(time >= p, time - p, np.inf) for p in pulses], axis=0)
+        if pulses
+        else np.full(len(time), np.inf)
+    )
+    duty = np.where(since < 8.0, 0.3, 0.0)
+    warm = np.where(np.isfinite(since), since, 0.0) * np.exp(-np.where(np.isfinite(since), since, 0.0) / 5.0)
+    columns = {
+        "stamp": 1e3 * time,
+        "pwm_duty_a": 0.0 * time,
+        "pwm_duty_b": duty,
+        "MCPtemp_0": 22.0 + 0.0 * time,
+        "MCPtemp_1": 22.0 + 20.0 * warm,
+    }
+    for k in tags:
+        angle = np.radians(5.0 * warm) if k == max(tags) else 0.0 * time
+        reach = 100.0 * (k - tags[0])
+        columns |= {f"tagid_x_{k}": 50.0 + reach * np.cos(angle), f"tagid_y_{k}": 50.0 + reach * np.sin(angle)}
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="a log\n" + ",".join(columns), comments="", fmt="%.6f")
+    return folder
+
+
+def test_a_log_without_pulses_or_tags_is_refused(tmp_path, run):
+    done = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, pulses=())))
+    assert done.returncode == 2 and "0 pulses" in done.stderr
+    done = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, tags=())))
+    assert done.returncode == 2 and "0 tags" in done.stderr
+
+
+def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_fit
+    from experiments.common import arm_log as arm_logs
+
+    log = arm_logs.read_logs(arm_log(tmp_path))[0]
+    assert log.found == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
+    np.testing.assert_allclose(log.pulses, [1.0, 91.0])
+    assert (log.until, log.scored) == (80.0, 85.0)
+    assert np.nanmax(log.bend) > 5.0
+    parts = arm_fit.parts(log)
+    train, select = (np.isfinite(parts[role].channels["displacement"]) for role in ("train", "select"))
+    assert not np.any(train & select)
+    np.testing.assert_array_equal(train | select, np.isfinite(parts["fitted"].channels["displacement"]))
+
+
+def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
+    target = tmp_path / "table.json"
+    done = run_alone(
+        "measured/bu_softlimb", "--data", str(shared / "data" / "bu-softlimb"), "--quick", "--json", str(target)
+    )
+    assert done.returncode == 0, done.stderr
+    rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
+    assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]
+    assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]

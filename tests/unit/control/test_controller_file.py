@@ -1,0 +1,125 @@
+"""Controller files with the section and key names of before version 0.2, and examples that are written under the current ones."""
+
+import equinox as eqx
+import pytest
+
+from smajax.control.controller_file.read import read_controller
+from smajax.errors import InputError
+from smajax.files.rig_file import read_rig
+from tests.conftest import ROOT
+
+CURRENT = """[controller]
+period = "50 ms"
+output = ["0 A", "0.5 A"]
+[gains]
+kp = "30 A/m"
+[reference]
+kind = "step"
+high = "3 mm"
+duration = "10 s"
+[temperature_limiter]
+limit = "90 degC"
+kp = "0.05 A/K"
+[estimator]
+kind = "extended"
+unknown = { "environment.ambient" = "4 K", "material.max_transformation_strain" = "0.1 %" }
+temperature_process_noise = "3 K"
+fraction_process_noise = "20 %"
+use_estimate = true
+[instruments]
+voltage = { noise = "2 mV" }
+[robust]
+vary = { "material.max_transformation_strain" = ["4 %", "5 %"] }
+[[change]]
+parameter = "material.max_transformation_strain"
+at = "5 s"
+value = "4.4 %"
+"""
+OLD_NAMES = {
+    "[temperature_limiter]": "[guard]",
+    "[estimator]": "[observer]",
+    "[instruments]": "[meters]",
+    "temperature_process_noise": "drift",
+    "fraction_process_noise": "walk",
+    "use_estimate": "steers",
+    "material.max_transformation_strain": "material.max_strain",
+}
+
+
+def with_old_names(text: str) -> str:
+    for name, old in OLD_NAMES.items():
+        text = text.replace(name, old)
+    return text
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml")
+
+
+@pytest.fixture
+def read(rig, tmp_path):
+    def of(text):
+        (tmp_path / "controller.toml").write_text(text)
+        return read_controller(tmp_path / "controller.toml", rig)
+
+    return of
+
+
+def test_a_file_with_old_names_is_read_as_one_with_the_current_names(read):
+    current, old = read(CURRENT), read(with_old_names(CURRENT))
+    assert eqx.tree_equal(current.loop, old.loop) and eqx.tree_equal(current.scenario, old.scenario)
+    assert current.robust is not None and current.robust == old.robust
+    assert list(current.scenario.changes) == ["material.max_transformation_strain"]
+
+
+def test_the_old_name_of_a_thermal_observers_gain_is_read(read):
+    limiter = CURRENT[: CURRENT.index("[estimator]")]
+    current = read(limiter + '[estimator]\ngain = "0.2 1/s"\n').loop
+    assert eqx.tree_equal(current, read(limiter + '[observer]\ntrust = "0.2 1/s"\n').loop)
+    assert float(current.estimator.gain) == 0.2
+
+
+@pytest.mark.parametrize(
+    ("added", "sentence"),
+    [
+        (
+            '[guard]\nlimit = "80 degC"\nkp = "1 A/K"\n',
+            r"\[guard\] is the old name of \[temperature_limiter\], and both",
+        ),
+        (
+            '[meters]\nvoltage = { noise = "1 mV" }\n',
+            r"\[meters\] is the old name of \[instruments\], and both are given",
+        ),
+    ],
+)
+def test_a_section_under_both_names_is_refused(read, added, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read(CURRENT + added)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "sentence"),
+    [
+        (
+            "use_estimate = true",
+            "steers = true",
+            "estimator.steers is the old name of estimator.use_estimate, and both",
+        ),
+        (
+            '"environment.ambient" = "4 K"',
+            '"material.max_strain" = "0.1 %"',
+            "estimator.unknown: material.max_strain is the old name of material.max_transformation_strain, and both",
+        ),
+    ],
+)
+def test_a_key_under_both_names_is_refused(read, name, old, sentence):
+    joint = ", " if "{" not in name and '" = ' in name else "\n"
+    with pytest.raises(InputError, match=sentence):
+        read(CURRENT.replace(name, name + joint + old))
+
+
+def test_the_commented_example_uses_current_names_only():
+    text = (ROOT / "data" / "controllers" / "dead-weight.toml").read_text("utf-8")
+    assert not any(f"[{old}]" in text for old in ("guard", "observer", "meters"))
+    assert all(f"# [{name}]" in text for name in ("temperature_limiter", "estimator", "instruments"))
