@@ -35,7 +35,7 @@ RENAMED_FILES = {
 }
 # Keys whose values are versions, commands, notes, times or places, or depend on how fast the machine is.
 LEFT_OUT = re.compile(
-    r"schema|smajax|version|versions|command|argv|note|notes|timings|started|seconds|wall|wall_s|compile|machine|experiment"
+    r"schema|smajax|version|versions|command|argv|note|notes|timings|started|seconds|wall|wall_s|compile\w*|machine|experiment"
     r"|path|paths|folder|out|files|sha256|hash|elapsed|took|text|why|meaning|advice|warnings|source"
 )
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
