@@ -24,6 +24,8 @@ _UNITS = {
 }  # fmt: skip
 TEMPERATURES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
 MECHANISM = ("load", "spring", "pulley", "link", "limb", "transmission", "sheath")
+# Keys of files written before version 0.2, and the names that they have now.
+RENAMED_KEYS = {"max_strain": "max_transformation_strain", "bend": "wrap_angle"}
 LIMBS = ("elbow", "wrist", "glove-finger")
 
 Floats = NDArray[np.float64]
@@ -82,7 +84,7 @@ def read_rig(path: str | Path) -> RigFile:
         name: {k: quantity(v) for k, v in raw.get(name, {}).items() if k != "set"}
         for name in ("material", "heat", "wire", "environment")
     }
-    material = dict(section["material"])
+    material = {RENAMED_KEYS.get(key, key): value for key, value in section["material"].items()}
     both = material.pop("thermal_expansion", 0.0)
     for phase in ("austenite", "martensite"):
         material.setdefault(f"thermal_expansion_{phase}", both)
@@ -98,7 +100,9 @@ def read_rig(path: str | Path) -> RigFile:
             "length": coiled["springs"] * np.pi * coiled["coil_diameter"] * coiled["turns"],
         }
     wire = {"diameter": 1.0, "length": 1.0, "prestrain": 0.0} | section["wire"] | {"ambient": ambient}
-    mechanism = {key: quantity(value) for name in MECHANISM for key, value in raw.get(name, {}).items()}
+    mechanism = {
+        RENAMED_KEYS.get(key, key): quantity(value) for name in MECHANISM for key, value in raw.get(name, {}).items()
+    }
     rig = raw["rig"]
     observe = tuple(raw.get("fit", {}).get("observe", ()))
     control, interpolation = rig.get("control", ""), rig.get("interpolation", "hold")
