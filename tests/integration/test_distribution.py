@@ -1,0 +1,87 @@
+"""The wheel and the source distribution: what they hold, and that the commands run from the wheel alone."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
+
+from tests.conftest import ROOT
+
+# Files at the top that building, testing and citing need.
+META_FILES = {
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "CITATION.cff",
+    "LICENSE",
+    "pyproject.toml",
+    "PKG-INFO",
+    ".gitignore",
+}
+FOLDERS = {"smajax", "data", "tests", "experiments", "docs"}
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory) -> Path:
+    """The files that the distributions are built from, without what git ignores."""
+    target = tmp_path_factory.mktemp("sources") / "smajax"
+    target.mkdir()
+    ignore = shutil.ignore_patterns("__pycache__", ".*_cache", "out", "build", "dist")
+    for folder in FOLDERS:
+        shutil.copytree(ROOT / folder, target / folder, ignore=ignore)
+    for name in META_FILES - {"PKG-INFO"}:
+        shutil.copy(ROOT / name, target / name)
+    return target
+
+
+@pytest.fixture(scope="module")
+def wheel(sources, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    return Path(next(WheelBuilder(str(sources)).build(directory=str(folder), versions=["standard"])))
+
+
+def files_below(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_wheel_holds_the_package_and_its_data_and_nothing_else(sources, wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    package = {f"smajax/{name}" for name in files_below(sources / "smajax")}
+    data = {f"smajax/data/{name}" for name in files_below(sources / "data")}
+    rest = {name for name in names - package - data if not name.split("/")[0].endswith(".dist-info")}
+    assert package | data <= names and not rest
+
+
+def test_the_source_distribution_holds_what_building_and_testing_need(sources, tmp_path):
+    archive = Path(next(SdistBuilder(str(sources)).build(directory=str(tmp_path), versions=["standard"])))
+    with tarfile.open(archive) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    assert files_below(sources) <= names
+    assert {name for name in names if "/" not in name} == META_FILES
+    assert {name.partition("/")[0] for name in names if "/" in name} == FOLDERS
+
+
+def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, tmp_path):
+    zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
+    environment = {key: value for key, value in os.environ.items() if key not in ("XLA_FLAGS", "EQX_ON_ERROR")}
+    environment |= {"PYTHONPATH": str(tmp_path / "installed"), "PYTHONSAFEPATH": "1"}
+
+    def run(*words: str) -> str:
+        command = [sys.executable, "-m", "smajax", *words]
+        result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    run("init", "dead-weight", "--out", "bench")
+    assert "example.csv: " in run("check", "bench/example.toml", "bench/example.csv")
+    code = "import smajax; print(smajax.__file__)"
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert Path(result.stdout.strip()).is_relative_to(tmp_path / "installed")
