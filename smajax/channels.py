@@ -16,11 +16,11 @@ class Channel:
 
     Attributes:
         unit: Internal unit.
-        description: A few words on what is measured, with the sign convention.
-        units: Usual units, tried in this order when the values are implausible, to tell the likely unit.
-        plausible_range: Bounds of every value, in the internal unit.
-        faint: Smallest possible peak magnitude of a recording, in the internal unit; below it the unit is wrong (0: no
-            limit).
+        description: The measured quantity in a few words, with the sign convention.
+        units: Usual units, in the order in which they are tried to guess the unit of implausible values.
+        plausible_range: Lower and upper bound of every value, in the internal unit.
+        faint: Smallest plausible peak magnitude of a recording, in the internal unit; below it the unit counts as wrong
+            (0: no limit).
         commanded: Whether it is an input, which may change by any factor from row to row.
         usual: Magnitude beyond which such a change of a commanded channel counts as a change of unit.
     """
@@ -74,7 +74,7 @@ CHANNELS: Mapping[str, Channel] = MappingProxyType(
         "resistance": Channel("ohm", "electrical resistance of the wire", ("ohm", "mohm", "uohm"), (-1.0, 1000.0)),
     }
 )
-# Common headers of columns and the channel that is meant; used for suggestions only.
+# Common column headers and the channels that they usually mean; used for suggestions only.
 _USUAL_HEADERS = {
     "t": "time",
     "i": "current",
@@ -88,13 +88,25 @@ _USUAL_HEADERS = {
 
 
 def channel_of(name: str) -> str | None:
-    """Return the kind of a channel: ``current`` for ``current`` and ``current_2``, ``None`` for an unknown name."""
+    """Return the kind of a channel, such as ``current`` for ``current_2``.
+
+    Args:
+        name: Name of a channel.
+
+    Returns:
+        A key of ``CHANNELS``; ``None`` for an unknown name.
+    """
     base = re.sub(r"_[1-9][0-9]*$", "", name, flags=re.ASCII)
     return base if base in CHANNELS else None
 
 
 def numbered(name: str, wires: int) -> tuple[str, ...]:
-    """Return the channels of one kind: ``name`` itself for one wire, else ``name_1``, ``name_2``."""
+    """Return the names of the channels of one kind: ``name`` for one wire, else ``name_1``, ``name_2``.
+
+    Args:
+        name: Kind of the channels.
+        wires: Number of wires.
+    """
     return (name,) if wires == 1 else tuple(f"{name}_{i + 1}" for i in range(wires))
 
 
@@ -103,10 +115,10 @@ def channel_unit(name: str, *, difference: bool = False) -> str:
 
     Args:
         name: A channel such as ``temperature`` or ``current_2``.
-        difference: Whether the unit of a difference is wanted: K instead of degC.
+        difference: Whether to return the unit of a difference: K instead of degC.
 
     Raises:
-        InputError: if the channel is unknown.
+        InputError: If the channel is unknown.
     """
     kind = channel_of(name)
     if kind is None:
@@ -117,7 +129,14 @@ def channel_unit(name: str, *, difference: bool = False) -> str:
 
 
 def channel_suggestion(name: str) -> str:
-    """Return `` (did you mean 'x'?)`` for the channel that an unknown name may mean, or an empty string."""
+    """Return the suggestion `` (did you mean 'x'?)`` of a similar channel, for an error message.
+
+    Args:
+        name: An unknown name of a channel.
+
+    Returns:
+        The suggestion with a leading space; empty if no channel is similar.
+    """
     if re.search(r"_0+\d*$", name) and channel_of(name.rpartition("_")[0]):
         return f" (did you mean '{name.rpartition('_')[0]}_1'?)"
     base, _, number = name.lower().rpartition("_") if re.search(r"_\d+$", name) else (name.lower(), "", "")

@@ -1,8 +1,8 @@
 """Errors that smajax raises on purpose, and the suggestion for a misspelt name.
 
 ``InputError`` reports a mistake in the input: one sentence that names the file, row, column or key, and the cure (exit
-code 2). ``NumericsError`` reports a failed calculation: a code, the parameters that caused it, and what was saved
-before (exit code 3).
+code 2). ``NumericsError`` reports a failed calculation: the result code, the parameters that caused it, and the results
+that were saved before (exit code 3).
 """
 
 import difflib
@@ -29,11 +29,25 @@ class NumericsError(ArithmeticError):
     exit_code = 3
 
     def __init__(self, message: str, state: Mapping[str, float] | None = None):
+        """Make the error.
+
+        Args:
+            message: One sentence with the result code, the parameters and the cure.
+            state: Last valid parameter values by name, in internal units.
+        """
         super().__init__(message)
         self.state = dict(state or {})
 
 
 def suggestion(word: str, candidates: Iterable[str]) -> str:
-    """Return `` (did you mean 'x'?)`` for the candidate most similar to a word, or an empty string."""
+    """Return the suggestion of a name for a misspelt one, to append to a message.
+
+    Args:
+        word: The misspelt name.
+        candidates: Names that exist.
+
+    Returns:
+        `` (did you mean 'x'?)`` with the most similar candidate; an empty string where none is similar.
+    """
     matches = difflib.get_close_matches(word, list(candidates), n=1, cutoff=_MIN_SIMILARITY)
     return f" (did you mean '{matches[0]}'?)" if matches else ""

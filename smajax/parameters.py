@@ -1,10 +1,9 @@
 """Declarations of parameters, and the names under which the leaves of a plant are read and set.
 
-A parameter is declared once, as a field of the stage that uses it: unit, meaning, bounds and default are in the field's
-metadata, and the rig file, the fit, the parameter files and the report read them from there. Its name is
-``section.key``. The section is the plant's field of that name (``heat.h0``) or a section of its mechanism
-(``pulley.radius``). Some names are *ties*: one number that sets several leaves, such as ``heat.capacity`` for a
-capacity that does not depend on the phase.
+A parameter is declared once, as a field of the stage that uses it. Unit, meaning, bounds and default are in the field's
+metadata, from which the rig file, the fit, the parameter files and the report read them. Its name is ``section.key``.
+The section is a field of the plant (``heat.h0``) or of its mechanism (``pulley.radius``). Some names are *ties*: one
+number that sets several leaves, such as ``heat.capacity`` for a capacity that does not depend on the phase.
 """
 
 import dataclasses
@@ -22,7 +21,8 @@ TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),
     "material.thermal_expansion": ("material.thermal_expansion_austenite", "material.thermal_expansion_martensite"),
 }
-# The first of each pair has to be below the second: otherwise a transformation has no width, or a coil no room inside.
+# The first of each pair has to be below the second: otherwise a transformation has no width, or the wire of a coil does
+# not fit inside it.
 ORDERED_PAIRS: tuple[tuple[str, str], ...] = (
     ("material.austenite_start", "material.austenite_finish"),
     ("material.martensite_finish", "material.martensite_start"),
@@ -34,16 +34,16 @@ _EFFECTS = "effects."
 
 @dataclasses.dataclass(frozen=True)
 class Declaration:
-    """Properties of a parameter that are independent of data.
+    """Properties of a parameter that do not depend on data.
 
     Attributes:
         unit: Internal unit, such as ``"Pa"``.
-        meaning: A few words, used in messages and reports.
-        lower: Lower bound within which the equations hold.
-        upper: Upper bound within which the equations hold.
-        default: ``None`` where the rig file has to give the value, NaN where the plant derives it from others.
-        whole: Whether the parameter counts something. The equations take any number, files give whole ones and a sweep
-            samples whole ones; a fitted one may be any.
+        meaning: Meaning in a few words, for messages and reports.
+        lower: Lower bound of the values for which the equations hold.
+        upper: Upper bound of the values for which the equations hold.
+        default: Default value; ``None`` for a required parameter, NaN for one that the plant derives from others.
+        whole: Whether the parameter is a count. The equations take any number; files give whole numbers and sweeps
+            sample whole numbers, while a fitted value may be any number.
     """
 
     unit: str
@@ -55,7 +55,7 @@ class Declaration:
 
 
 def as_float(value: Any) -> Any:
-    """Convert a number to a float64 array; return ``None`` and the placeholder leaves of JAX as they are."""
+    """Convert a number to a float64 array; return ``None`` and the placeholder leaves of JAX unchanged."""
     if value is None or isinstance(value, jax.Array) or not isinstance(value, int | float):
         return value
     return jnp.asarray(value, dtype=jnp.float64)
@@ -74,11 +74,11 @@ def parameter(
 
     Args:
         unit: Internal unit.
-        meaning: A few words for messages and reports.
-        lower: Lower bound within which the equations hold.
-        upper: Upper bound within which the equations hold.
+        meaning: Meaning in a few words, for messages and reports.
+        lower: Lower bound of the values for which the equations hold.
+        upper: Upper bound of the values for which the equations hold.
         default: Default value; ``None`` for a required parameter, NaN for one that the plant derives from others.
-        whole: Whether the parameter counts something.
+        whole: Whether the parameter is a count.
 
     Returns:
         The dataclass field, with a ``Declaration`` in its metadata.
@@ -93,12 +93,23 @@ def parameter(
 
 
 def declarations(module: Any) -> dict[str, Declaration]:
-    """Return the declared parameters of a module (instance or class) by field name, in their order."""
+    """Return the declared parameters of a module by field name, in the order of the fields.
+
+    Args:
+        module: A module, as an instance or a class.
+    """
     return {f.name: f.metadata["declaration"] for f in dataclasses.fields(module) if "declaration" in f.metadata}
 
 
 def sections(plant: Any) -> dict[str, Any]:
-    """Return the sections of a plant by name: its own parts and those of its mechanism; of an actuator, its parts."""
+    """Return the sections of a plant or an actuator by name.
+
+    Args:
+        plant: A plant or an actuator.
+
+    Returns:
+        The parts that have parameters: those of the plant, of its mechanism, and its effects; of an actuator its own.
+    """
     parts = {}
     for owner in (plant, plant.mechanism) if hasattr(plant, "mechanism") else (plant,):
         for field in dataclasses.fields(owner):
@@ -109,7 +120,11 @@ def sections(plant: Any) -> dict[str, Any]:
 
 
 def all_declarations(plant: Any) -> dict[str, Declaration]:
-    """Return the declarations of all parameters of a plant or actuator by name, ties included."""
+    """Return the declarations of all parameters by name, ties included.
+
+    Args:
+        plant: A plant or an actuator.
+    """
     table = {
         f"{section}.{key}": d for section, part in sections(plant).items() for key, d in declarations(part).items()
     }
@@ -125,8 +140,12 @@ def all_declarations(plant: Any) -> dict[str, Declaration]:
 def declaration(plant: Any, name: str) -> Declaration:
     """Return the declaration of one parameter.
 
+    Args:
+        plant: A plant or an actuator.
+        name: Name of the parameter, or of a tie.
+
     Raises:
-        InputError: if there is no such parameter, with the most similar name.
+        InputError: If there is no such parameter; it suggests the most similar name.
     """
     table = all_declarations(plant)
     if name not in table:
@@ -150,10 +169,13 @@ def get(plant: Any, name: str) -> jax.Array:
 
     Args:
         plant: A plant or an actuator.
-        name: Parameter name; for a tie the value of its first member is returned.
+        name: Name of the parameter; for a tie the value of its first member is returned.
 
     Returns:
-        A scalar array; NaN for an initial value that is left to the plant.
+        A scalar array; NaN for a value that the plant derives from others.
+
+    Raises:
+        InputError: If there is no such parameter.
     """
     declaration(plant, name)
     value = _leaf(plant, TIES.get(name, (name,))[0])
@@ -165,8 +187,11 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 
     Args:
         plant: A plant or an actuator.
-        values: Values by name, scalars in internal units (arrays under ``jax.vmap``). They are applied in order, so
-            that a tie followed by one of its members gives this member its own value.
+        values: Values by name, scalars in internal units. They are applied in order, so a tie followed by one of its
+            members gives this member its own value.
+
+    Returns:
+        The plant or actuator with the new values.
     """
     for name, value in values.items():
         for member in TIES.get(name, (name,)):
@@ -177,5 +202,5 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 
 
 def expand(names: Iterable[str]) -> list[str]:
-    """Return the parameter names with ties replaced by their members."""
+    """Return parameter names with ties replaced by their members, in the same order."""
     return [member for name in names for member in TIES.get(name, (name,))]

@@ -4,7 +4,7 @@ import sys
 import time
 from typing import Any
 
-# Least time between two lines of one phase where stderr is no terminal; chosen by trial.
+# Least time (s) between two lines of one phase where stderr is not a terminal; chosen by trial.
 _MIN_SECONDS_BETWEEN_LINES = 2.0
 # Width of the bar in characters.
 _BAR_WIDTH = 24
@@ -14,6 +14,11 @@ class Progress:
     """Progress display on stderr: a moving bar on a terminal, plain lines elsewhere, nothing if ``quiet``."""
 
     def __init__(self, quiet: bool = False):
+        """Choose the display; nothing is shown before the first phase.
+
+        Args:
+            quiet: Show nothing.
+        """
         self._bar: Any = None
         self._task: Any = None
         self._quiet = quiet
@@ -42,11 +47,11 @@ class Progress:
             self._bar.stop()
 
     def phase(self, text: str) -> None:
-        """Report the beginning of a part of the work."""
+        """Report the beginning of a phase of the work; ``text`` is shown as it is."""
         self._report(text, always=True)
 
     def step(self, text: str) -> None:
-        """Report progress within the same part; off a terminal, one line every two seconds at most."""
+        """Report progress within a phase; without a terminal, at most one line every two seconds."""
         self._report(text, always=False)
 
     def _report(self, text: str, *, always: bool) -> None:

@@ -28,11 +28,44 @@ install_import_hook(
         "smajax.actuators",
         "smajax.simulation",
         "smajax.fitting",
-        "smajax.diagnosis.screening",
-        "smajax.diagnosis.residual_checks",
+        "smajax.properties",
+        "smajax.diagnosis.compiled_model",
+        "smajax.diagnosis.detectability",
+        "smajax.diagnosis.equivalence",
+        "smajax.diagnosis.localisation",
         "smajax.diagnosis.nonparametric",
-        "smajax.sweeps.metrics",
+        "smajax.diagnosis.problem_layout",
+        "smajax.diagnosis.residual_checks",
+        "smajax.diagnosis.screening",
+        "smajax.diagnosis.sensitivities",
+        "smajax.diagnosis.step_errors",
+        "smajax.comparison.driving_input",
+        "smajax.comparison.scores",
+        "smajax.control.controllers",
+        "smajax.control.sensors",
+        "smajax.control.estimators",
+        "smajax.control.loop",
+        "smajax.control.sampled_plant",
+        "smajax.control.pulse_width",
+        "smajax.control.analysis",
+        "smajax.control.tuning",
+        "smajax.sweeps.actuator_problem",
+        "smajax.sweeps.bandwidth",
+        "smajax.sweeps.best_designs",
+        "smajax.sweeps.chunks",
+        "smajax.sweeps.compilation",
+        "smajax.sweeps.constraints",
+        "smajax.sweeps.evaluation",
         "smajax.sweeps.excitation",
+        "smajax.sweeps.feasibility",
+        "smajax.sweeps.metrics",
+        "smajax.sweeps.pareto",
+        "smajax.sweeps.problem",
+        "smajax.sweeps.refinement",
+        "smajax.sweeps.rig_problem",
+        "smajax.sweeps.sobol",
+        "smajax.sweeps.space",
+        "smajax.sweeps.step_levels",
     ],
     "beartype.beartype",
 )
@@ -48,9 +81,9 @@ def forget_programs():
 
 @pytest.fixture(scope="session")
 def shared() -> pathlib.Path:
-    """The folder of recordings beside the checkout; a test that needs it is skipped where it is absent."""
+    """The folder of recordings next to the checkout; a test that needs it is skipped where it is absent."""
     if not SHARED.is_dir():
-        pytest.skip("the recordings of others are not beside this checkout (../shared)")
+        pytest.skip("the recordings of others are not next to this checkout (../shared)")
     return SHARED
 
 

@@ -1,33 +1,36 @@
-"""Interface of the actuators: metrics with units, from parameters that are declared as a plant's are.
+"""Interface of the actuators: metrics with units, computed from declared parameters.
 
 An actuator here is a device, or a part of one, whose equations are not the five stages of a wire: a section that cools,
-a beam that bends. Its parameters stand in sections, one field each, and are read and set by the same names as a plant's
-(``smajax.parameters``).
+a beam that bends. Its parameters are grouped in sections, one field each. ``smajax.parameters`` reads and sets them by
+name, as it does those of a plant.
 """
 
 from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
-import jax
+from jaxtyping import Array, Float
 
 
 class AbstractActuator(eqx.Module):
     """Base class of the actuators.
 
-    ``units`` holds the names of the metrics in their order, and the unit of each. ``batch_size`` is the number of
-    designs that one call of a compiled program evaluates fastest.
+    Attributes:
+        units: Unit of each metric by the metric's name, in the order of the metrics.
+        batch_size: Number of designs that one call of a compiled program evaluates fastest.
     """
 
     units: eqx.AbstractClassVar[Mapping[str, str]]
-    # Chosen by trial: more designs a call gain no more on a CPU.
+    # Chosen by trial: larger batches are no faster on a CPU.
     batch_size: ClassVar[int] = 8
 
-    def metrics(self) -> dict[str, jax.Array]:
-        """Return the metrics by name: scalars in SI units and degC.
+    def metrics(self) -> dict[str, Float[Array, ""]]:
+        """Compute the metrics of the design.
 
-        Differentiable, and batched by ``jax.vmap``; under ``jax.jit`` an unused metric costs nothing. Metrics are NaN
-        if dimensions do not fit together.
+        Differentiable, and batched by ``jax.vmap``; under ``jax.jit`` an unused metric costs nothing.
+
+        Returns:
+            Scalars by name, in SI units and degC; NaN if the dimensions do not fit together.
         """
         raise NotImplementedError
 
@@ -39,9 +42,17 @@ class AbstractActuator(eqx.Module):
         """
 
     def program_index(self, values: Mapping[str, float]) -> int:
-        """Return the number, from 1, of the compiled program for these parameters; by default all share one."""
+        """Return the number, from 1, of the compiled program for a design; by default all designs share one.
+
+        Args:
+            values: Parameters of the design by name, in internal units; the others are those of this actuator.
+        """
         return 1
 
     def for_program(self, index: int) -> "AbstractActuator":
-        """Return this actuator for one program: its metrics are NaN for designs of another program."""
+        """Return this actuator for one compiled program: its metrics are NaN for designs of other programs.
+
+        Args:
+            index: Number of the program, as ``program_index`` gives it.
+        """
         return self

@@ -1,16 +1,17 @@
-"""Bending of a round wire that yields: moment, and work stored by yielding, in closed form.
+"""Bending of a round wire that yields: bending moment and plastic work in closed form.
 
-The stress-strain curve is bilinear and odd: slope E up to the yield stress, the tangent modulus B beyond. Across a wire
-of radius R bent to the curvature k the strain is k y. With u the elastic share of the radius, y_yield = u R = sigma_Y /
-(E k), everything follows from three moments of the part that yields, the two caps beyond u,
+The stress-strain curve is bilinear and odd: its slope is Young's modulus E up to the yield stress sigma_Y, and the
+tangent modulus B beyond. In a wire of radius R bent to the curvature k, the strain at the distance y from the neutral
+axis is k y. The core is elastic up to y_yield = u R = sigma_Y / (E k), where u is the elastic share of the radius. The
+two caps beyond it yield. Moment and work follow from the moments of the caps of a unit circle, for n = 0, 1, 2:
 
-    A_n(u) = integral of 4 y^n sqrt(1 - y^2) from u to 1,        A_n' = -4 u^n sqrt(1 - u^2)
+    A_n(u) = integral of 4 y^n sqrt(1 - y^2) dy from u to 1        A_n' = -4 u^n sqrt(1 - u^2)
 
     M_elastic = E k R^4 (A_2(0) - A_2(u))                                                                  (equation 2)
     M_plastic = (1 - B/E) sigma_Y R^3 A_1(u) + B k R^4 A_2(u)                                              (equation 3)
 
-Source: dauksher2021, equations 1 to 3, with factors collected. Below yield u stays at 1, where the published equations
-contain the arcsine of a number above 1.
+Source: dauksher2021, equations 1 to 3, with factors collected. Below yield u is limited to 1; the published equations
+take the arcsine of a number above 1 there.
 """
 
 from functools import partial
@@ -18,6 +19,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from smajax.parameters import parameter
 from smajax.plant.materials.brinson import Brinson
@@ -30,8 +32,16 @@ def _half_width(share: jax.Array | float) -> jax.Array:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def cap_moment(order: int, share: jax.Array | float) -> jax.Array:
-    """Return the cap moment A_n(u) of order n = 0, 1 or 2 for shares u of 0..1, elementwise."""
+def cap_moment(order: int, share: Float[Array, "..."] | float) -> Float[Array, "..."]:
+    """Compute the moment A_n(u) of the caps of a unit circle, elementwise.
+
+    Args:
+        order: Order n: 0, 1 or 2.
+        share: Elastic share u of the radius, 0..1, any shape.
+
+    Returns:
+        A_n(u), of the same shape, dimensionless.
+    """
     half_width = _half_width(share)
     if order == 1:
         return 4.0 / 3.0 * half_width**3
@@ -48,10 +58,11 @@ def _cap_moment_jvp(order: int, primals: tuple, tangents: tuple) -> tuple:
 
 
 class BilinearStressStrain(eqx.Module):
-    """Bilinear stress-strain curve of the wire while it is bent: elastic, then hardening.
+    """Bilinear stress-strain curve of a wire in bending: elastic, then hardening.
 
-    All methods work elementwise on arrays of one shape: diameters in m, curvatures in 1/m. Moments have the sign of the
-    curvature. Source: dauksher2021, equation 1.
+    All methods work elementwise on arrays of one shape. Moments have the sign of the curvature.
+
+    Source: dauksher2021, equation 1.
     """
 
     modulus: jax.Array = parameter("Pa", "Young's modulus E before yield", 1e9, 3e11)
@@ -59,10 +70,16 @@ class BilinearStressStrain(eqx.Module):
     yield_stress: jax.Array = parameter("Pa", "stress at which detwinning begins", 1e6, 3e9)
 
     @classmethod
-    def from_brinson(cls, material: Brinson, temperature: float | jax.Array) -> "BilinearStressStrain":
-        """Return the curve of an austenitic wire at a temperature (degC) above the martensite start temperature.
+    def from_brinson(cls, material: Brinson, temperature: Float[Array, "..."] | float) -> "BilinearStressStrain":
+        """Return the curve of an austenitic wire that transforms under stress by Brinson's law.
 
-        It is straight from the start of the stress-induced transformation to its end. Source: brinson1993.
+        Yielding is the stress-induced transformation: the curve is straight from its start to its end.
+
+        Args:
+            material: The law, which gives moduli, transformation stresses and transformation strain.
+            temperature: Temperature of the wire, degC, above the martensite start temperature.
+
+        Source: brinson1993.
         """
         rise = material.clausius_clapeyron_martensite * (temperature - material.forward_start)
         start, finish = material.detwinning_start_stress + rise, material.detwinning_finish_stress + rise
@@ -74,31 +91,66 @@ class BilinearStressStrain(eqx.Module):
         return cls(material.modulus_austenite, (finish - start) / stretch, start)
 
     @property
-    def softens(self) -> jax.Array:
-        """Whether the curve is no steeper beyond yield than before."""
+    def softens(self) -> Bool[Array, "..."]:
+        """Whether the slope beyond yield is at most Young's modulus."""
         return self.tangent_modulus <= self.modulus
 
-    def yield_diameter(self, curvature: jax.Array | float) -> jax.Array:
-        """Return the largest diameter that stays elastic at a curvature, m: 2 sigma_Y / (E k)."""
+    def yield_diameter(self, curvature: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """Compute the largest wire diameter that stays elastic at a curvature: 2 sigma_Y / (E k).
+
+        Args:
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            Diameter in m.
+        """
         return 2.0 * self.yield_stress / (self.modulus * jnp.abs(curvature))
 
-    def elastic_share(self, diameter: jax.Array | float, curvature: jax.Array | float) -> jax.Array:
-        """Return u, the share of the radius that stays elastic: 1 up to yield; NaN for a curve that does not soften."""
+    def elastic_share(
+        self, diameter: Float[Array, "..."] | float, curvature: Float[Array, "..."] | float
+    ) -> Float[Array, "..."]:
+        """Compute the elastic share u of the radius.
+
+        Args:
+            diameter: Diameter of the wire, m.
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            u, 0..1: 1 below yield; NaN if the curve does not soften.
+        """
         yield_strain, surface_strain = self.yield_stress / self.modulus, 0.5 * diameter * jnp.abs(curvature)
         yields = surface_strain > yield_strain
         share = jnp.where(yields, yield_strain / jnp.where(yields, surface_strain, 1.0), 1.0)
         return jnp.where(self.softens, share, jnp.nan)
 
-    def elastic_moment(self, diameter: jax.Array | float, curvature: jax.Array | float) -> jax.Array:
-        """Return the part of the moment that the elastic core carries, N m.
+    def elastic_moment(
+        self, diameter: Float[Array, "..."] | float, curvature: Float[Array, "..."] | float
+    ) -> Float[Array, "..."]:
+        """Compute the bending moment of the elastic core, M_elastic = E k R^4 (A_2(0) - A_2(u)).
+
+        Args:
+            diameter: Diameter of the wire, m.
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            Moment in N m.
 
         Source: dauksher2021, equation 2.
         """
         caps = cap_moment(2, self.elastic_share(diameter, curvature))
         return self.modulus * curvature * (0.5 * diameter) ** 4 * (0.25 * jnp.pi - caps)
 
-    def plastic_moment(self, diameter: jax.Array | float, curvature: jax.Array | float) -> jax.Array:
-        """Return the part of the moment that the yielding caps carry, N m.
+    def plastic_moment(
+        self, diameter: Float[Array, "..."] | float, curvature: Float[Array, "..."] | float
+    ) -> Float[Array, "..."]:
+        """Compute the bending moment of the yielding caps, M_plastic = (1 - B/E) sigma_Y R^3 A_1(u) + B k R^4 A_2(u).
+
+        Args:
+            diameter: Diameter of the wire, m.
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            Moment in N m.
 
         Source: dauksher2021, equation 3.
         """
@@ -106,15 +158,34 @@ class BilinearStressStrain(eqx.Module):
         constant = (1.0 - self.tangent_modulus / self.modulus) * self.yield_stress * radius**3 * cap_moment(1, share)
         return jnp.sign(curvature) * constant + self.tangent_modulus * curvature * radius**4 * cap_moment(2, share)
 
-    def moment(self, diameter: jax.Array | float, curvature: jax.Array | float) -> jax.Array:
-        """Return the bending moment of one wire, N m."""
+    def moment(
+        self, diameter: Float[Array, "..."] | float, curvature: Float[Array, "..."] | float
+    ) -> Float[Array, "..."]:
+        """Compute the bending moment of one wire, M_elastic + M_plastic.
+
+        Args:
+            diameter: Diameter of the wire, m.
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            Moment in N m.
+        """
         return self.elastic_moment(diameter, curvature) + self.plastic_moment(diameter, curvature)
 
-    def plastic_work(self, diameter: jax.Array | float, curvature: jax.Array | float) -> jax.Array:
-        """Return the work per length of wire that bending has put into yielding, J/m, without the elastic part.
+    def plastic_work(
+        self, diameter: Float[Array, "..."] | float, curvature: Float[Array, "..."] | float
+    ) -> Float[Array, "..."]:
+        """Compute the plastic work of bending per length of wire: the whole work less the stored elastic energy.
 
-        Beyond yield, at a strain e = k (y - y_yield) above the yield strain, the density of the whole work less that of
-        the elastic stress is (1 - B/E) (sigma_Y e + B e^2 / 2), here integrated over the caps.
+        With e = k (y - y_yield) the strain above the yield strain, its density is (1 - B/E) (sigma_Y e + B e^2 / 2).
+        It is integrated over the caps.
+
+        Args:
+            diameter: Diameter of the wire, m.
+            curvature: Curvature k, 1/m.
+
+        Returns:
+            Work per length in J/m.
         """
         share, radius, bend = self.elastic_share(diameter, curvature), 0.5 * diameter, jnp.abs(curvature)
         area, first, second = (cap_moment(order, share) for order in (0, 1, 2))

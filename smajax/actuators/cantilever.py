@@ -1,17 +1,19 @@
-"""Cantilever as a test bench: an actuator pushes at a distance from the clamp, and the deflection of the tip is read.
+"""Cantilever as a test bench: an actuator pushes it at a distance from the clamp, and its tip deflection is measured.
 
-Euler-Bernoulli beam of length L and rigidity E I under a force P at the distance a:
+Euler-Bernoulli beam of length L and bending rigidity E I under a force P at the distance a from the clamp:
 
-    at the tip     delta = P a^2 (3 L - a) / (6 E I)        (equation 6)
-    at the force   delta_a = P a^3 / (3 E I)
+    deflection of the tip        delta = P a^2 (3 L - a) / (6 E I)        (equation 6)
+    deflection at the force      delta_a = P a^3 / (3 E I)
 
-Source: dauksher2021, equations 6 and 7. Its work P delta / 2 (equation 7) uses the tip's path instead of the force's
-own. The force moves by delta_a, so its work is 2 a / (3 L - a) times that. Both are offered.
+Source: dauksher2021, equations 6 and 7. The published work, P delta / 2 (equation 7), uses the deflection of the tip.
+The force moves by delta_a only, so its work is P delta_a / 2, which is 2 a / (3 L - a) times the published one.
+``Cantilever`` computes both.
 """
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
 
 from smajax.parameters import parameter
 
@@ -25,37 +27,63 @@ class Cantilever(eqx.Module):
     modulus: jax.Array = parameter("Pa", "Young's modulus of the cantilever", 1e8, 1e12, 210e9)
 
     @property
-    def rigidity(self) -> jax.Array:
+    def rigidity(self) -> Float[Array, "..."]:
         """Bending rigidity E I in N m^2."""
         return self.modulus * jnp.pi / 64.0 * self.diameter**4
 
     @property
-    def contains_position(self) -> jax.Array:
+    def contains_position(self) -> Bool[Array, "..."]:
         """Whether the actuator pushes within the length of the cantilever."""
         return self.position <= self.length
 
     @property
-    def stiffness(self) -> jax.Array:
-        """Force per deflection where the actuator pushes, N/m; NaN beyond the tip."""
+    def stiffness(self) -> Float[Array, "..."]:
+        """Force per deflection at ``position``, 3 E I / a^3, in N/m; NaN if ``position`` is beyond the tip."""
         return jnp.where(self.contains_position, 3.0 * self.rigidity / self.position**3, jnp.nan)
 
-    def tip_deflection(self, force: jax.Array | float) -> jax.Array:
-        """Return the deflection of the tip under a force at ``position``, m.
+    def tip_deflection(self, force: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """Compute the deflection of the tip under a force at ``position``: P a^2 (3 L - a) / (6 E I).
+
+        Args:
+            force: Force P, N.
+
+        Returns:
+            Deflection in m.
 
         Source: dauksher2021, equation 6.
         """
         return force * self.position**2 * (3.0 * self.length - self.position) / (6.0 * self.rigidity)
 
-    def force(self, tip_deflection: jax.Array | float) -> jax.Array:
-        """Return the force at ``position`` for a deflection of the tip, N."""
+    def force(self, tip_deflection: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """Compute the force at ``position`` that deflects the tip: the inverse of ``tip_deflection``.
+
+        Args:
+            tip_deflection: Deflection of the tip, m.
+
+        Returns:
+            Force in N.
+        """
         return tip_deflection * 6.0 * self.rigidity / (self.position**2 * (3.0 * self.length - self.position))
 
-    def work(self, tip_deflection: jax.Array | float) -> jax.Array:
-        """Return the work of the force along its own path, J."""
+    def work(self, tip_deflection: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """Compute the work of the force along its own path: P delta_a / 2.
+
+        Args:
+            tip_deflection: Deflection of the tip, m.
+
+        Returns:
+            Work in J.
+        """
         return 0.5 * self.force(tip_deflection) ** 2 / self.stiffness
 
-    def work_as_printed(self, tip_deflection: jax.Array | float) -> jax.Array:
-        """Return P delta / 2 with the tip's deflection, J: (3 L - a) / (2 a) times the work done.
+    def work_as_printed(self, tip_deflection: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """Compute the published work, P delta / 2 with the deflection of the tip: (3 L - a) / (2 a) times ``work``.
+
+        Args:
+            tip_deflection: Deflection of the tip, m.
+
+        Returns:
+            Work in J.
 
         Source: dauksher2021, equation 7.
         """

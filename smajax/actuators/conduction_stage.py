@@ -1,8 +1,10 @@
 """Time integration of heat conduction in a network of cells: the L-stable SDIRK rule of two stages and second order.
 
-Source: alexander1977. A cooling runs through ``STAGES`` stages of ``STEPS`` equal steps; each stage's steps are twice
-as long as those of the one before, so that the first resolve the wires' own cooling, the last that of the whole
-section. What this buys: a stage has one matrix, which is factored once, and is one step of the diffrax solver here.
+A cooling runs through ``STAGES`` stages of ``STEPS`` equal steps. The steps of each stage are twice as long as those of
+the stage before: the first stages resolve the cooling of the wires, the last ones that of the whole section. What this
+buys: a stage has one matrix, which is factored once, and a stage is one step of the diffrax solver here.
+
+Source: alexander1977.
 """
 
 import math
@@ -11,6 +13,7 @@ from typing import Any, NamedTuple
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.numerics.block_tridiagonal import FivePointMatrix
 
@@ -23,11 +26,11 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 
 class ThermalNetwork(NamedTuple):
-    """Half a section as a network of ``(c, r)`` cells, per length.
+    """Half a section as a thermal network of ``c`` columns and ``r`` rows of cells, per length of the actuator.
 
     Attributes:
-        capacity: Heat capacities, shape ``(c, r)``, J/m/K.
-        wire: The part of each that is wire.
+        capacity: Heat capacities of the cells, shape ``(c, r)``, J/m/K.
+        wire: Heat capacities of the wire in the cells, shape ``(c, r)``, J/m/K.
         columns: Conductances between columns, shape ``(c - 1, r)``, W/m/K.
         rows: Conductances between rows, shape ``(c, r - 1)``, W/m/K.
         air: Conductances to the air, shape ``(c, r)``, W/m/K.
@@ -39,8 +42,15 @@ class ThermalNetwork(NamedTuple):
     rows: jax.Array
     air: jax.Array
 
-    def matrix(self, weight: jax.Array) -> FivePointMatrix:
-        """Return capacity plus ``weight`` times the conductances, its blocks along the shorter side of the grid."""
+    def matrix(self, weight: Float[Array, ""]) -> FivePointMatrix:
+        """Assemble the matrix of an implicit step: the capacities plus ``weight`` times the conductances.
+
+        Args:
+            weight: Weight of the conductances, s.
+
+        Returns:
+            The matrix in J/m/K, its blocks along the shorter side of the grid.
+        """
         # Sum of the conductances of each cell, neighbour by neighbour.
         leaving = self.air.at[1:].add(self.columns).at[:-1].add(self.columns)
         leaving = leaving.at[:, 1:].add(self.rows).at[:, :-1].add(self.rows)
@@ -58,8 +68,13 @@ class ThermalNetwork(NamedTuple):
 class StageRecord(NamedTuple):
     """Results of a stage.
 
-    ``excess`` is the cells' excess over ambient at its end and ``total_lost`` the heat lost by then; the others hold
-    ``STEPS`` rows of the ``CoolingCurve``.
+    Attributes:
+        excess: Excess temperature of the cells over ambient at the end of the stage, shape ``(c, r)``, K.
+        total_lost: Heat lost to the air from the start of the cooling to the end of the stage, J/m.
+        hottest: Excess of the hottest wire at the end of each step, shape ``(STEPS,)``, K.
+        rate: Its rate of change, shape ``(STEPS,)``, K/s.
+        stored: Heat above ambient at the end of each step, shape ``(STEPS,)``, J/m.
+        lost: Heat lost to the air by the end of each step, shape ``(STEPS,)``, J/m.
     """
 
     excess: jax.Array
@@ -71,7 +86,7 @@ class StageRecord(NamedTuple):
 
 
 class ConductionStage(dfx.AbstractSolver):
-    """Stage of ``STEPS`` equal steps of Alexander's rule as one step of diffrax.
+    """Stage of ``STEPS`` equal steps of Alexander's rule, as one step of a diffrax solver.
 
     ``args`` holds the network, and for each wire the weights of the cells around its centre, shape ``(w, c, r)``.
     """
@@ -95,7 +110,7 @@ class ConductionStage(dfx.AbstractSolver):
         factors = matrix.factor()
 
         def solve(excess: jax.Array) -> tuple[jax.Array, jax.Array]:
-            """State of an implicit stage of the rule, and its rate."""
+            """Excess at the end of an implicit stage of the rule, and its rate of change."""
             right = network.capacity * excess
             end = matrix.solve(factors, right.T).T if network.is_tall else matrix.solve(factors, right)
             return end, (end - excess) / (_GAMMA * step)
@@ -114,5 +129,5 @@ class ConductionStage(dfx.AbstractSolver):
         return y1, None, dict(y0=y0, y1=y1), None, dfx.RESULTS.successful
 
     def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        """Return the state: diffrax asks for a rate that this solver does not use."""
+        """Return the state unchanged: diffrax requires this method, but the solver does not use it."""
         return y0

@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-# Bisections of a share of a step, after which the bracket is at rounding.
+# Bisections of a step, after which the bracket is at rounding: 2^-60 of the step is below double precision.
 _BISECTIONS = 60
 
 
@@ -30,13 +31,27 @@ class CoolingCurve(NamedTuple):
     stage_ends: jax.Array
     temperatures: jax.Array
 
-    def temperature_at(self, time: jax.Array | float) -> jax.Array:
-        """Return the hottest wire's temperature at a time, degC, by the cubic through both ends of the step."""
+    def temperature_at(self, time: Float[Array, ""] | float) -> Float[Array, ""]:
+        """Compute the temperature of the hottest wire at a time, by cubic Hermite interpolation between the steps.
+
+        Args:
+            time: Time since the start of the cooling, s.
+
+        Returns:
+            Temperature in degC.
+        """
         k = jnp.clip(jnp.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
         return _hottest_within_step(self, k, (time - self.time[k]) / (self.time[k + 1] - self.time[k]))
 
-    def time_to_reach(self, target: jax.Array | float) -> jax.Array:
-        """Return when the hottest wire first cools to a temperature (degC), s; infinite if later than the end."""
+    def time_to_reach(self, target: Float[Array, ""] | float) -> Float[Array, ""]:
+        """Compute the time at which the hottest wire first cools to a temperature.
+
+        Args:
+            target: Temperature, degC.
+
+        Returns:
+            Time since the start of the cooling in s; infinite if it is later than the end of the curve.
+        """
         is_below = self.hottest <= target
         k = jnp.maximum(jnp.argmax(is_below), 1) - 1
         step = self.time[k + 1] - self.time[k]

@@ -1,10 +1,13 @@
-"""Heat equation on the cross-section of a flexural actuator that cools after its wires were heated, in two dimensions.
+"""Heat equation on the cross-section of an actuator that cools after its wires were heated, in two dimensions.
 
     rho c dT/dt = div(k grad T),        -k dT/dn = h (T - T_ambient) at the surface
 
-Source: dauksher2021, section 3.1. Two sheets of tape with silicone between them, in the silicone a row of wires;
-perfect contact, no latent heat. Finite volumes on half the section (``smajax.actuators.section_grid``): what leaves a
-cell enters its neighbour, so heat is conserved to rounding. ``smajax.actuators.conduction_stage`` integrates in time.
+The section consists of two sheets of tape, silicone between them, and a row of wires in the silicone. Contact is
+perfect, and there is no latent heat. The equation is discretised by finite volumes on half the section
+(``smajax.actuators.section_grid``). The heat that leaves a cell enters its neighbour, so heat is conserved to rounding.
+``smajax.actuators.conduction_stage`` integrates in time.
+
+Source: dauksher2021, section 3.1.
 """
 
 from typing import cast
@@ -14,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from smajax.actuators.conduction_stage import STAGES, STEPS, ConductionStage, StageRecord, ThermalNetwork
 from smajax.actuators.cooling_curve import CoolingCurve
@@ -32,7 +36,7 @@ class Layer(eqx.Module):
 
 
 class SectionWire(eqx.Module):
-    """Wires in the section, all alike."""
+    """Wires in the section, all of one diameter and material."""
 
     diameter: jax.Array = parameter("m", "wire diameter", 1e-6, 0.02)
     density: jax.Array = parameter("kg/m^3", "density of the wire", 1.0, 3e4, 6450.0)
@@ -55,10 +59,19 @@ class Cooling(eqx.Module):
 class CrossSection(eqx.Module):
     """Two sheets of tape, silicone between them, and a row of wires in the silicone.
 
-    The wires have to fit within the silicone and next to each other; otherwise every temperature is NaN. ``cells``
-    (even) lie across a wire, and the rest of the grid follows from them: as many from the wire's square to either tape,
-    twice as many next to it, half as many across a tape. With ten, results agree with finite elements within 1 % for
-    wires from a tenth of the silicone's thickness on (tests/unit/actuators/test_cross_section.py).
+    The wires have to fit within the silicone and next to each other; otherwise every temperature is NaN.
+
+    Attributes:
+        tape: Both outer sheets.
+        silicone: The layer between them.
+        wire: The wires.
+        placement: Positions of the wires across the width.
+        cooling: The air, and the temperatures at the start.
+        width: Width of the section, m.
+        cells: Number of cells across a wire, even, at least 4. The rest of the grid follows from it: as many cells
+            from the wire's square to either tape, twice as many in the gap next to it, half as many across a tape. With
+            10 cells, results agree with finite elements within 1 % for wires of at least a tenth of the silicone's
+            thickness (tests/unit/actuators/test_cross_section.py).
     """
 
     tape: Layer
@@ -73,10 +86,12 @@ class CrossSection(eqx.Module):
         if self.cells < 4 or self.cells % 2:
             raise ValueError(f"{self.cells} cells across a wire are not an even number of at least 4")
 
-    def grid(self) -> tuple[Columns, jax.Array]:
-        """Return the columns, and the heights of the rows in m.
+    def grid(self) -> tuple[Columns, Float[Array, " rows"]]:
+        """Compute the grid of cells on half the section.
 
-        From below the rows are tape, silicone, the wire's square, silicone, tape.
+        Returns:
+            The columns, and the heights of the rows, shape ``(r,)``, m. From below the rows are tape, silicone, the
+            wire's square, silicone, tape.
         """
         half, across = self.cells // 2, self.wire.diameter / self.cells
         aside = 0.5 * (self.silicone.thickness - self.wire.diameter)
@@ -90,7 +105,11 @@ class CrossSection(eqx.Module):
         return self.cells // 2 + self.cells
 
     def network(self) -> tuple[ThermalNetwork, tuple[tuple[int, bool], ...]]:
-        """Return the network of cells, and the wires' columns (``Columns.wires``)."""
+        """Assemble the thermal network of the cells.
+
+        Returns:
+            The network, and the columns of the wires as in ``Columns.wires``.
+        """
         columns, heights = self.grid()
         shares = place_shares(self.cells, columns.wires, self._first_wire_row, (len(columns.widths), len(heights)))
         conductivity, volumetric_capacity = self._layer_properties(len(heights))
@@ -99,7 +118,7 @@ class CrossSection(eqx.Module):
         capacity = wire + x * z * (1.0 - shares.area) * volumetric_capacity[None, :]
 
         def resistance(part: np.ndarray, depth: jax.Array) -> jax.Array:
-            """Resistance of half a cell, per area of each lane."""
+            """Thermal resistance of half a cell per area, of each lane, shape ``(c, r, LANES)``, m^2 K/W."""
             return (
                 0.5 * depth[:, :, None] * (part / self.wire.conductivity + (1.0 - part) / conductivity[None, :, None])
             )
@@ -123,17 +142,21 @@ class CrossSection(eqx.Module):
         return conductivity, capacity
 
     def _to_air(self, size: jax.Array, resistance: jax.Array) -> jax.Array:
-        """Conductance to the air of the cells at a surface, behind their own resistance."""
+        """Conductance to the air of the cells at a surface, with the resistance of the cells in series, W/m/K."""
         h = self.cooling.convection
         return size * jnp.mean(h / (1.0 + h * resistance), axis=1)
 
-    def cool(self, duration: jax.Array | float) -> CoolingCurve:
-        """Simulate ``duration`` seconds of cooling; differentiable in every parameter, in both modes."""
+    def cool(self, duration: Float[Array, ""] | float) -> CoolingCurve:
+        """Simulate the cooling of the section; differentiable in every parameter, in both modes.
+
+        Args:
+            duration: Duration of the cooling, s.
+        """
         network, wires = self.network()
         excess = self._initial_excess(network)
         centres = self._centre_weights(wires, excess.shape)
         zeros = jnp.zeros((STEPS,))
-        # Stages that each take twice as long as the one before.
+        # Each stage takes twice as long as the one before.
         ends = jnp.asarray(duration) * np.concatenate(
             [[0.0], (2.0 ** np.arange(1, STAGES + 1) - 1.0) / (2.0**STAGES - 1.0)]
         )
@@ -171,19 +194,19 @@ class CrossSection(eqx.Module):
         return centres
 
     def _curve(self, record: StageRecord, ends: jax.Array, hottest: jax.Array, stored: jax.Array) -> CoolingCurve:
-        """Join the records of the stages behind the hottest temperature and the stored heat at the start."""
+        """Join the records of the stages, after the hottest excess and the stored heat at the start."""
         shares = (np.arange(STEPS) + 1.0)[None, :] / STEPS
         time = jnp.concatenate([ends[:1], (ends[:-1, None] + (ends[1:] - ends[:-1])[:, None] * shares).ravel()])
 
-        def joined(first: jax.Array, rows: jax.Array) -> jax.Array:
+        def join(first: jax.Array, rows: jax.Array) -> jax.Array:
             return jnp.concatenate([first[None], rows.ravel()])
 
         return CoolingCurve(
             time=time,
-            hottest=joined(hottest, record.hottest) + self.cooling.ambient,
-            rate=joined(jnp.zeros(()), record.rate),
-            stored=joined(stored, record.stored),
-            lost=joined(jnp.zeros(()), record.lost),
+            hottest=join(hottest, record.hottest) + self.cooling.ambient,
+            rate=join(jnp.zeros(()), record.rate),
+            stored=join(stored, record.stored),
+            lost=join(jnp.zeros(()), record.lost),
             stage_ends=ends[1:],
             temperatures=record.excess + self.cooling.ambient,
         )

@@ -1,12 +1,14 @@
 """Elastica: a slender cantilever under large bending, without the assumption of small slopes.
 
-A tip moment M bends it up, a force F at the tip pulls down, across the undeformed axis:
+A moment M at the tip bends the cantilever upwards, and a force F at the tip pulls it down, across the undeformed axis.
+With the slope theta at the arc length s from the clamp:
 
     E I theta'(s) = M - F (x(L) - x(s)),    theta(0) = 0,    x' = cos(theta),    y' = sin(theta)
 
-Collocation at Chebyshev points turns it into a small dense system in the curvature. The solution is continued from no
-load to the whole load: each load step is predicted along the tangent and solved by Newton's method, and halved if
-Newton's method fails or leads to another branch. A last Newton step at the solution carries the derivatives.
+Collocation at Chebyshev points gives a small dense system of equations in the curvature theta'. The solution is
+continued from no load to the whole load. Each load step is predicted along the tangent and solved by Newton's method;
+it is halved if Newton's method fails or converges to another branch. A last Newton step at the solution carries the
+derivatives.
 """
 
 from typing import NamedTuple
@@ -14,6 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 # Collocation points; at 40 the tip agrees with shooting within 1e-9 (tests/unit/actuators/test_soft_bending.py).
 _POINTS = 40
@@ -23,12 +26,12 @@ _ITERATIONS = 6
 _MAX_STEPS = 100
 # First load step, as a share of the load; chosen by trial.
 _FIRST_STEP = 1.0 / 8.0
-# Smallest load step: below it the beam is taken to buckle; chosen by trial.
+# Smallest load step: if a smaller one is needed, the beam counts as buckled; chosen by trial.
 _SMALLEST_STEP = 1e-6
 # Largest slope in rad by which a solution may differ from its prediction, so that it stays on the branch; chosen by
 # trial.
 _MAX_CHANGE = 0.1
-# Largest residual of a solved step, relative to 1 and the dimensionless loads: above rounding, below the collocation
+# Largest residual of a solved step, relative to 1 plus the dimensionless loads: above rounding, below the collocation
 # error.
 _TOLERANCE = 1e-10
 # Largest of the last three Chebyshev coefficients over the largest one, up to which the curvature counts as resolved;
@@ -37,11 +40,14 @@ _RESOLVED = 1e-5
 
 
 class BentShape(NamedTuple):
-    """Tip and clamp of a bent cantilever.
+    """Tip and clamp of a bent cantilever, all scalars.
 
-    ``x`` and ``y`` are the tip's coordinates along and across the undeformed axis (m), ``slope`` its slope (rad),
-    ``clamp_curvature`` the curvature at the clamp (1/m), and ``shortening`` L - x (m), which is precise even where it
-    is small.
+    Attributes:
+        x: Coordinate of the tip along the undeformed axis, m.
+        y: Coordinate of the tip across the undeformed axis, m.
+        slope: Slope at the tip, rad.
+        clamp_curvature: Curvature at the clamp, 1/m.
+        shortening: L - x, m, computed without cancellation.
     """
 
     x: jax.Array
@@ -52,7 +58,7 @@ class BentShape(NamedTuple):
 
 
 _CHEBYSHEV_POINTS = -np.cos(np.pi * np.arange(_POINTS) / (_POINTS - 1))
-# From values at the points to Chebyshev coefficients.
+# Matrix from values at the points to Chebyshev coefficients.
 _TO_COEFFICIENTS = np.linalg.inv(np.polynomial.chebyshev.chebvander(_CHEBYSHEV_POINTS, _POINTS - 1))
 
 
@@ -66,17 +72,22 @@ def _integration_matrix() -> np.ndarray:
 _INTEGRAL = _integration_matrix()
 
 
-def solve_elastica(force: jax.Array, moment: jax.Array, length: jax.Array, rigidity: jax.Array) -> BentShape:
+def solve_elastica(
+    force: Float[Array, ""], moment: Float[Array, ""], length: Float[Array, ""], rigidity: Float[Array, ""]
+) -> BentShape:
     """Solve for the shape of a cantilever under a tip force and an opposing tip moment; differentiable once.
 
-    The solution is the one that loads reach by growing together from 0. It is NaN if there is none: if the cantilever
-    buckles before the whole load, or bends within too short a part of its length to be resolved.
+    The solution is the one that is reached when both loads grow from 0 in proportion.
 
     Args:
-        force: Force at the tip, N, across the undeformed axis; scalar.
-        moment: Moment at the tip, N m; scalar.
-        length: Length, m.
+        force: Force F at the tip, N, across the undeformed axis.
+        moment: Moment M at the tip, N m.
+        length: Length L of the cantilever, m.
         rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Tip and clamp of the bent cantilever. NaN if the cantilever buckles before the whole load, or if it bends within
+        too short a part of its length to be resolved.
     """
     pull, turn = force * length**2 / rigidity, moment * length / rigidity
     solution = _continued_solution(*jax.lax.stop_gradient((pull, turn)))
@@ -98,7 +109,7 @@ def _residual(curvature: jax.Array, pull: jax.Array, turn: jax.Array) -> jax.Arr
 def _inverse_and_sign(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Inverse of a small matrix, and the sign of its determinant, by elimination with row exchanges.
 
-    Not by LAPACK: two programs that call it at once may wait for each other for ever.
+    LAPACK is avoided: two compiled programs that call it at the same time may block each other for ever.
     """
     size = len(matrix)
 
@@ -119,7 +130,7 @@ def _inverse_and_sign(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _continued_solution(pull: jax.Array, turn: jax.Array) -> jax.Array:
-    """Curvature under the whole load by continuation from no load; NaN if the whole load is not reached."""
+    """Curvature at the points under the whole load, by continuation from no load; NaN if that is not reached."""
     scale = 1.0 + jnp.abs(pull) + jnp.abs(turn)
 
     def residual(curvature: jax.Array, share: jax.Array) -> jax.Array:
@@ -140,7 +151,7 @@ def _continued_solution(pull: jax.Array, turn: jax.Array) -> jax.Array:
             lambda _, c: c - _inverse_and_sign(jax.jacfwd(residual)(c, next_share))[0] @ residual(c, next_share),
             predicted,
         )
-        # The determinant is positive without load; where its sign has changed, the cantilever has buckled.
+        # The determinant is positive without load; if its sign has changed, the cantilever has buckled.
         is_stable = _inverse_and_sign(jax.jacfwd(residual)(solution, next_share))[1] > 0.0
         is_solved = jnp.max(jnp.abs(residual(solution, next_share))) < _TOLERANCE * scale
         accepted = is_stable & is_solved & (jnp.max(jnp.abs(_INTEGRAL @ (solution - predicted))) < _MAX_CHANGE)

@@ -1,18 +1,23 @@
-"""Flexural actuator: wires bent with the elastomer sheets around them, which straighten as they are heated.
+"""Flexural actuator: wires that are bent together with the elastomer sheets around them, and straighten when heated.
 
-Metrics of a design, from its dimensions and materials: the moment of the bent wires and the force that it makes at the
-tip, the work that it can do against the heat that it takes, and how long the wires take to cool. Source: dauksher2021.
+Metrics of a design follow from its dimensions and materials: the moment of the bent wires and the force at the tip, the
+work per cycle and the heat that it requires, and the time in which the wires cool.
 
-The paper measures blocking forces and efficiencies, and gives no model of them. Here the straightening moment acts at a
-lever,
+The paper measures blocking forces and efficiencies, and gives no model of them. Here the straightening moment of n
+wires acts at a lever,
 
     F_blocked = n M / lever
 
-as the whole bending moment, or as the part of it that yielding carries (the paper's hypothesis is that only what has
-yielded recovers: a wire below the yield diameter does not actuate). Pushing against a cantilever of stiffness k_b, the
-actuator yields by its own stiffness k_a = 3 (n E I + elastomers' rigidity) / lever^3, so that P = F_blocked k_b / (k_a
-+ k_b), and the work done is P^2 / (2 k_b). The heat warms the wires from the ambient temperature to the one where
-cooling begins, and transforms them; the sheets' share is left out, as in the paper's limiting efficiency.
+M is either the whole bending moment or its plastic part. The latter is the paper's hypothesis: only strain beyond yield
+recovers, so a wire below the yield diameter does not actuate. Against a cantilever of stiffness k_b, the stiffness k_a
+= 3 (n E I + rigidity of the elastomers) / lever^3 of the actuator itself reduces the force and determines the work:
+
+    P = F_blocked k_b / (k_a + k_b)        work = P^2 / (2 k_b)
+
+The heat warms the wires from the ambient temperature to the temperature at which cooling begins, and transforms them.
+The heat of the sheets is left out, as in the paper's limiting efficiency.
+
+Source: dauksher2021.
 """
 
 import math
@@ -23,6 +28,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.actuators.base import AbstractActuator
 from smajax.actuators.bending_moment import BilinearStressStrain
@@ -33,14 +39,14 @@ from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
 
-# Duration of the simulated cooling in s, and in pauses of the test: the longer one counts. Later times to cool are
-# infinite.
+# Duration of the simulated cooling in s, and in pauses of the test; the longer of the two counts. Chosen by trial: a
+# longer ``time_to_cool`` counts as infinite.
 _SHORTEST_COOLING = 10.0
 _PAUSES = 10.0
 
 
 class FlexuralBody(eqx.Module):
-    """Strip as a whole: its wires lie side by side, one wire led back and forth."""
+    """Strip as a whole; one wire is laid back and forth in it, so that its passes lie side by side."""
 
     count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
     width: jax.Array = parameter("m", "width of the strip", 1e-4, 1.0)
@@ -63,7 +69,7 @@ class FlexuralHeating(eqx.Module):
 
 
 class FlexuralTest(eqx.Module):
-    """Test that a cooling is measured by."""
+    """Test by which a cooling is rated."""
 
     target: jax.Array = parameter(
         "degC", "temperature of the hottest wire at which the cycle is complete", -100.0, 500.0, 55.0
@@ -114,11 +120,11 @@ class FlexuralActuator(AbstractActuator):
         self.wires = self.wires or round(float(self.body.count))
 
     def program_index(self, values: Mapping[str, float]) -> int:
-        """Return the number of wires if they have a spacing, else 1."""
+        """Return the number of wires of the design if the wires have a spacing, else 1."""
         return 1 if self.body.spacing is None else round(values.get("body.count", float(self.wires)))
 
     def for_program(self, index: int) -> "FlexuralActuator":
-        """Return this actuator with a grid for so many wires, if they have a spacing."""
+        """Return this actuator with a grid for ``index`` wires, if the wires have a spacing."""
         return self if self.body.spacing is None else replace(self, wires=index)
 
     def check(self) -> None:
@@ -162,8 +168,8 @@ class FlexuralActuator(AbstractActuator):
     def section(self) -> CrossSection:
         """Cross-section that cools.
 
-        If the wires have a spacing, it is NaN unless their count is the one of this program (``for_program``), and the
-        derivative by the count is NaN.
+        If the wires have a spacing, the grid is that of one count of wires (``for_program``): the spacing is NaN for
+        every other count, and the derivative with respect to the count is NaN.
         """
         body, placement = self.body, EvenWires(self.body.count)
         if body.spacing is not None:
@@ -174,18 +180,18 @@ class FlexuralActuator(AbstractActuator):
         return CrossSection(self.tape, self.silicone, self.wire, placement, self.cooling, body.width, self.cells)
 
     @property
-    def wire_length(self) -> jax.Array:
+    def wire_length(self) -> Float[Array, ""]:
         """Length of all the wire, m."""
         return self.body.count * self.body.length + self.body.crossing
 
-    def metrics(self) -> dict[str, jax.Array]:
-        """Return the metrics named in ``units``.
+    def metrics(self) -> dict[str, Float[Array, ""]]:
+        """Compute the metrics named in ``units``.
 
-        ``moment`` is one wire's, forces and works are the actuator's. ``force`` is ``blocking_force`` under the name
-        that rigs have; ``stroke`` and ``work_per_cycle`` are against the bench's cantilever. ``heating_time`` is
-        without losses to the sheets, and ends at ``peak_temperature``, where cooling begins. ``time_to_cool``, down to
-        the test's target, is infinite if it exceeds both 10 s and ten pauses. ``bandwidth`` is the rate of alternate
-        heating and cooling.
+        ``moment`` is that of one wire; forces and works are those of the actuator. ``force`` equals ``blocking_force``;
+        it is the name of this metric for rigs. ``stroke`` and ``work_per_cycle`` are against the cantilever of the
+        bench. ``heating_time`` is without losses to the sheets; it ends at ``peak_temperature``, where cooling begins.
+        ``time_to_cool``, down to the target of the test, is infinite if it exceeds both 10 s and ten pauses.
+        ``bandwidth`` is the rate of cycles of heating and cooling.
         """
         body = self.body
         plastic = self.bending.plastic_moment(self.wire.diameter, body.curvature)
@@ -243,7 +249,7 @@ class FlexuralActuator(AbstractActuator):
 
 @jax.custom_jvp
 def _zero_with_nan_slope(count: jax.Array) -> jax.Array:
-    """0 with a NaN derivative, for a number that is whole by its nature."""
+    """0 with a NaN derivative, for a number that takes whole values only."""
     return jnp.zeros_like(count)
 
 

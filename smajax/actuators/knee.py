@@ -1,33 +1,33 @@
 """Knee of a knee-ankle orthosis: two antagonistic SMA springs, and a geared motor behind a clutch.
 
-The springs lie on both sides of a pulley on the joint, stretched alike at angle 0; theta > 0 lengthens spring 1
-(equation 12):
+The springs pull on both sides of a pulley on the joint. At angle 0 both have the same stretch d_0; theta > 0 lengthens
+spring 1 (equation 12):
 
     J theta'' + tau_l = r_p (F_2 - F_1) + N_b T_c        stretches d_1 = d_0 + r_p theta, d_2 = d_0 - r_p theta
     tau_l = f theta' + f_c tanh(theta' / w_0) + m g a sin(theta)
 
-Equation 12 as printed holds only the elastic restoring moment, r_p^2 (k_1 + k_2) theta, and equation 17 has |k_1 - k_2|
-in its place, which is 0 at angle 0; what moves the joint is the difference of the forces. The forces are those of a
-coil (``smajax.plant.coil``) with Lagoudas' law; a slack spring has no force. Each spring has its own voltage and
-temperature.
+Equation 12 as printed has only the elastic restoring moment, r_p^2 (k_1 + k_2) theta, in place of the difference of the
+forces, and equation 17 has |k_1 - k_2|, which is 0 at angle 0. The forces are those of a coil (``smajax.plant.coil``)
+with Lagoudas' law; a slack spring has no force. Each spring has its own voltage and temperature.
 
-The motor's constants are those of its geared output, as the paper's table gives them (0.3 N m/A and 24.48 rpm/V), so
-they contain the reducer's ratio already; the rotor's inertia J_m appears at the output as J_m N_m^2. With phi the
-output's angle (equations 13 and 14, with the sign of the friction corrected):
+The constants of the motor are those of its geared output, as in the paper's table (0.3 N m/A and 24.48 rpm/V). They
+include the ratio N_m of the reducer; the inertia J_m of the rotor appears at the output as J_m N_m^2. With phi the
+angle of the output (equations 13 and 14, with the sign of the friction corrected):
 
     L i' = u - R i - K_b phi'        J_m N_m^2 phi'' = K_m i - f_m phi' - f_cm tanh(phi' / w_0) - T_c
 
-A magnetic particle clutch joins it to the belt, N_b theta' (equation 16, with the sign of the slip w = phi' - N_b
-theta'):
+A magnetic particle clutch connects the output to the belt, which moves at N_b theta' (equation 16, with the sign of the
+slip w = phi' - N_b theta'):
 
     T_c = T_rated min(i_c / i_rated, 1) tanh(w / w_slip) + c w        c w only while it is energised
 
-It sticks if less than its torque is required, with a slip far below w_slip, and slips if more is. The springs alone
-(clutch off), the motor alone (springs cold, equation 15 with the friction geared and the rotor's inertia kept) and both
-together (equation 17) are one set of equations under three commands.
+The clutch sticks, with a slip far below w_slip, if the load requires less than its torque; otherwise it slips. One set
+of equations serves three commands: springs alone (clutch off), motor alone (springs cold; equation 15, with the
+friction at the output and the rotor's inertia included), and both together (equation 17).
 
-The phase fractions follow Lagoudas' law, xi' = (fraction of the law at T, sigma - xi) / t_xi, which is the law itself
-for t_xi -> 0.
+The phase fractions xi follow Lagoudas' law with a short time constant t_xi; for t_xi -> 0 this is the law itself:
+
+    xi' = (xi_law(T, sigma) - xi) / t_xi
 
 Source: hybrid_knee_ankle_orthosis, section 3.2.
 """
@@ -40,12 +40,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from smajax.actuators.base import AbstractActuator
 from smajax.actuators.knee_parts import Clutch, Joint, KneeCommand, Motor
 from smajax.numerics.nonsmooth import largest, maximum, peak_to_peak
 from smajax.plant.coil import Coil
-from smajax.plant.convection import PolynomialHeat
+from smajax.plant.convection import PolynomialConvection
 from smajax.plant.drive import VoltageDrive
 from smajax.plant.materials.base import Fractions
 from smajax.plant.materials.lagoudas import Lagoudas
@@ -53,13 +54,14 @@ from smajax.plant.wire import Environment
 
 # Share of its excess over the surroundings that a spring has lost when it counts as cooled, as for a rig's wires.
 COOLED_SHARE = 0.9
-# Time constant t_xi in s with which the fractions follow the law: short beside heating and cooling, chosen by trial;
-# tests/unit/actuators/test_knee.py compares it with a quarter of it.
+# Time constant t_xi in s with which the fractions follow the law: short compared with heating and cooling, chosen by
+# trial; tests/unit/actuators/test_knee.py compares it with a quarter of it.
 _FRACTION_TIME_CONSTANT = 0.02
-# Longest step of a simulation, as a share of the command's duration, and most steps; chosen by trial.
+# Longest step of a simulation, as a share of the command's duration; chosen by trial.
 _LONGEST_STEP = 0.02
+# Largest number of steps of a simulation; chosen by trial.
 _MAX_STEPS = 20_000
-# Rows of the trajectory that the metrics are computed from; chosen by trial, tests/unit/actuators/test_knee.py holds
+# Rows of the trajectory from which the metrics are computed; chosen by trial, tests/unit/actuators/test_knee.py holds
 # it.
 _ROWS = 201
 # Gauss-Legendre points for the cooling time, far more than its smooth integrand needs.
@@ -69,8 +71,14 @@ _QUADRATURE_POINTS = 12
 class KneeState(NamedTuple):
     """State of the knee at one instant.
 
-    ``temperature`` (degC) and ``fractions`` are the springs', shape ``(2,)``; the rest are scalars: angle (rad) and
-    rate (rad/s) of the joint, angle and rate of the motor's output shaft, and the motor's current (A).
+    Attributes:
+        temperature: Temperatures of the springs, shape ``(2,)``, degC.
+        fractions: Martensite fractions of the springs, shape ``(2,)`` each.
+        angle: Angle of the joint, rad.
+        rate: Rate of the joint, rad/s.
+        shaft: Angle of the motor's output shaft, rad.
+        shaft_rate: Rate of the output shaft, rad/s.
+        current: Current of the motor, A.
     """
 
     temperature: jax.Array
@@ -110,37 +118,61 @@ class Knee(AbstractActuator):
     drive: VoltageDrive
     wire: Coil
     material: Lagoudas
-    heat: PolynomialHeat
+    heat: PolynomialConvection
     environment: Environment
     joint: Joint
     motor: Motor
     clutch: Clutch
     command: KneeCommand
 
-    def stiffness(self, martensite: jax.Array) -> jax.Array:
-        """Return the stiffness of one spring at a martensite fraction, N/m.
+    def stiffness(self, martensite: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the stiffness of one spring.
+
+        Args:
+            martensite: Martensite fraction xi.
+
+        Returns:
+            Stiffness in N/m.
 
         Source: hybrid_knee_ankle_orthosis, equation 7.
         """
         modulus = self._effective_material.modulus(Fractions(martensite, jnp.zeros_like(martensite)))
         return modulus * self.wire.force_per_stress / self.wire.motion_per_strain
 
-    def stretch(self, angle: jax.Array) -> jax.Array:
-        """Return the stretch of the springs, shape ``(2,)``, m."""
+    def stretch(self, angle: Float[Array, ""]) -> Float[Array, "2"]:
+        """Compute the stretch of both springs: d_0 + r_p theta, d_0 - r_p theta.
+
+        Args:
+            angle: Angle theta of the joint, rad.
+
+        Returns:
+            Stretches in m.
+        """
         return self.wire.prestretch + self.joint.radius * angle * jnp.array([1.0, -1.0])
 
-    def stress(self, fractions: Fractions, temperature: jax.Array, stretch: jax.Array) -> jax.Array:
-        """Return the stress of the material law in springs of a stretch in m, Pa; 0 in a slack spring."""
+    def stress(
+        self, fractions: Fractions, temperature: Float[Array, "..."], stretch: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Compute the stress of the material law in a spring, elementwise.
+
+        Args:
+            fractions: Martensite fractions.
+            temperature: Temperature, degC.
+            stretch: Stretch of the spring, m.
+
+        Returns:
+            Equivalent tension (``smajax.plant.coil``) in Pa; 0 in a slack spring.
+        """
         material = self._effective_material
         free_strain = material.strain(fractions, temperature, jnp.zeros_like(stretch), self.environment.ambient)
         return maximum(material.modulus(fractions) * (stretch / self.wire.motion_per_strain - free_strain), 0.0)
 
-    def forces(self, state: KneeState) -> jax.Array:
-        """Return the forces of the springs, shape ``(2,)``, N."""
+    def forces(self, state: KneeState) -> Float[Array, "2"]:
+        """Compute the forces of both springs in N."""
         return self.wire.force_per_stress * self.stress(state.fractions, state.temperature, self.stretch(state.angle))
 
-    def power(self, state: KneeState) -> jax.Array:
-        """Return the electrical power into springs and motor, W; the clutch's resistance is not known."""
+    def power(self, state: KneeState) -> Float[Array, ""]:
+        """Compute the electrical power into springs and motor in W; the clutch's is left out (unknown resistance)."""
         joule = self._joule(state, self.command)
         return jnp.sum(joule) * self.wire.area * self.wire.length + self.command.motor * state.current
 
@@ -150,12 +182,20 @@ class Knee(AbstractActuator):
         fractions = self._effective_material.installed_fractions(jnp.broadcast_to(self.wire.prestrain, (2,)))
         return KneeState(jnp.broadcast_to(self.environment.ambient, (2,)), fractions, zero, zero, zero, zero, zero)
 
-    def slip(self, state: KneeState) -> jax.Array:
-        """Return the slip of the clutch, rad/s."""
+    def slip(self, state: KneeState) -> Float[Array, "..."]:
+        """Compute the slip of the clutch, w = phi' - N_b theta', in rad/s; elementwise for a trajectory."""
         return state.shaft_rate - self.clutch.belt * state.rate
 
     def rates(self, state: KneeState, command: KneeCommand) -> KneeState:
-        """Return the rate of change of every part of the state: the module's equations."""
+        """Compute the rate of change of the state by the equations of the module.
+
+        Args:
+            state: The state.
+            command: The command at that instant.
+
+        Returns:
+            The rate of each part of the state, per second.
+        """
         joule = self._joule(state, command)
         heating = self.heat.net_heat(joule, state.temperature, self.wire, self.environment) / self.heat.capacity(
             state.fractions.martensite
@@ -195,7 +235,12 @@ class Knee(AbstractActuator):
         return torque / (motor.rotor_inertia * motor.reduction**2)
 
     def trajectory(
-        self, share: jax.Array, command: KneeCommand | None = None, *, rtol: float = 1e-6, atol: float = 1e-8
+        self,
+        share: Float[Array, " rows"],
+        command: KneeCommand | None = None,
+        *,
+        rtol: float = 1e-6,
+        atol: float = 1e-8,
     ) -> KneeState:
         """Simulate the command from rest; differentiable in forward mode.
 
@@ -210,7 +255,7 @@ class Knee(AbstractActuator):
             sufficient.
         """
         command = command or self.command
-        # Time counts in durations, so that the derivative by the duration exists.
+        # The unit of time is the duration, so that the derivative with respect to the duration exists.
         solution = dfx.diffeqsolve(
             dfx.ODETerm(lambda t, y, args: _rates_per_duration(self, y, command)),
             dfx.Kvaerno3(),
@@ -227,14 +272,14 @@ class Knee(AbstractActuator):
         succeeded = solution.result == dfx.RESULTS.successful
         return jax.tree.map(lambda leaf: jnp.where(succeeded, leaf, jnp.nan), solution.ys)
 
-    def metrics(self) -> dict[str, jax.Array]:
-        """Return the metrics of the parts, and those of the command.
+    def metrics(self) -> dict[str, Float[Array, ""]]:
+        """Compute the metrics named in ``units``: those of the parts, and those of the command.
 
-        ``stroke`` is the largest less the smallest angle, ``force`` the largest force of a spring. A cycle is the
-        command and the cooling after it: ``energy_per_cycle`` is the energy of springs and motor during the command,
-        since the return takes none; ``work_per_cycle`` is the work of springs while they shorten and of the clutch
-        while it drives the joint; ``efficiency`` is their ratio (0 without energy), and ``bandwidth`` the rate of such
-        cycles.
+        ``stroke`` is the largest less the smallest angle, ``force`` the largest force of a spring. A cycle consists of
+        the command and the cooling after it. ``energy_per_cycle`` is the energy of springs and motor during the
+        command; the cooling requires none. ``work_per_cycle`` is the work of the springs while they shorten plus that
+        of the clutch while it drives the joint. ``efficiency`` is their ratio (0 without energy), and ``bandwidth`` the
+        rate of such cycles.
         """
         values = self._part_metrics() | self._command_metrics()
         return {name: jnp.where(self.wire.fits, values[name], jnp.nan) for name in self.units}
@@ -280,11 +325,17 @@ class Knee(AbstractActuator):
             "clutch_sticks": jnp.where(sticks, 1.0, 0.0),
         }
 
-    def work(self, states: KneeState) -> jax.Array:
-        """Return the work of springs and clutch along a trajectory, J.
+    def work(self, states: KneeState) -> Float[Array, ""]:
+        """Compute the work of springs and clutch along a trajectory, by the trapezoidal rule.
 
-        The springs do work while they shorten, the clutch while it drives the joint. By the trapezoidal rule, from
-        state to state where it is positive.
+        The springs do work while they shorten, the clutch while it drives the joint: intervals with negative work do
+        not count.
+
+        Args:
+            states: States of the trajectory, each part with a leading axis.
+
+        Returns:
+            Work in J.
         """
         forces, rotation = jax.vmap(self.forces)(states), jnp.diff(states.angle)
         shortening = self.joint.radius * jnp.stack([-rotation, rotation], axis=1)
@@ -292,11 +343,17 @@ class Knee(AbstractActuator):
         springs = jnp.sum(maximum(0.5 * (forces[1:] + forces[:-1]) * shortening, 0.0))
         return springs + jnp.sum(maximum(0.5 * (torque[1:] + torque[:-1]) * rotation, 0.0))
 
-    def time_to_cool(self, state: KneeState) -> jax.Array:
-        """Return the time in which the hottest heated spring loses 90 % of its excess over ambient, s.
+    def time_to_cool(self, state: KneeState) -> Float[Array, ""]:
+        """Compute the time in which the hottest spring loses 90 % of its excess temperature over ambient.
 
-        It is 0 if none is heated. By the heat balance without current, C dT/dt = -g(T) (T - T_ambient), with the
-        capacity of the mean of both phases: the integral of C / g over the logarithm of the excess.
+        The heat balance without current is C dT/dt = -g(T) (T - T_ambient), with the mean capacity C of both phases.
+        The time is the integral of C / g over the logarithm of the excess.
+
+        Args:
+            state: State at the end of the command.
+
+        Returns:
+            Time in s; 0 if the command heats no spring.
         """
         heated = jnp.stack([self.command.first, self.command.second]) > 0.0
         excess = largest(state.temperature) - self.environment.ambient
@@ -306,11 +363,16 @@ class Knee(AbstractActuator):
         time_constant = self.heat.capacity(jnp.asarray(0.5)) / self.heat.conductance(temperature, self.wire)
         return jnp.where(jnp.any(heated), 0.5 * log_ratio * jnp.sum(weights * time_constant), 0.0)
 
-    def heating_time(self, voltage: jax.Array) -> jax.Array:
-        """Return the time in which a spring without load reaches its austenite finish temperature, s.
+    def heating_time(self, voltage: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the time in which a spring without load reaches its austenite finish temperature.
 
-        It is infinite if the spring never does. With resistivity and capacity of the mean of both phases, and h at the
-        mean temperature.
+        Resistivity and heat capacity are the means of both phases; h is that of the mean temperature.
+
+        Args:
+            voltage: Voltage on the spring, V.
+
+        Returns:
+            Time in s; infinite if the spring does not reach the temperature.
         """
         resistivity = 0.5 * (self.material.resistivity_austenite + self.material.resistivity_martensite)
         target = self.material.austenite_finish - self.environment.ambient
@@ -321,8 +383,8 @@ class Knee(AbstractActuator):
         capacity = self.heat.capacity(jnp.asarray(0.5))
         return jnp.where(reaches, -capacity / conductance * jnp.log1p(-jnp.where(reaches, share, 0.0)), jnp.inf)
 
-    def motor_speed(self, voltage: jax.Array) -> jax.Array:
-        """Return the speed of the motor's output without load and friction, rad/s."""
+    def motor_speed(self, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the speed of the motor's output without load and friction, in rad/s, at a voltage in V."""
         return voltage / self.motor.back_voltage
 
     @property

@@ -6,6 +6,7 @@ Source: hybrid_knee_ankle_orthosis, section 3.2.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
@@ -48,14 +49,22 @@ class Clutch(eqx.Module):
     slip: jax.Array = parameter("rad/s", "slip above which the torque is nearly complete", 1e-5, 10.0, 0.05)
     damping: jax.Array = parameter("N m s/rad", "torque that grows with the slip", 0.0, 1e3, 0.0)
 
-    def torque_share(self, current: jax.Array) -> jax.Array:
-        """Return the share of the rated torque at a current in A."""
+    def torque_share(self, current: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the share of the rated torque, min(i_c / i_rated, 1), at a current in A."""
         return clip(current / self.current, 0.0, 1.0)
 
-    def transmitted_torque(self, slip: jax.Array, current: jax.Array) -> jax.Array:
-        """Return the torque from the motor to the belt at the clutch, N m.
+    def transmitted_torque(self, slip: Float[Array, "..."], current: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the torque from the motor to the belt, elementwise.
 
-        T_c = T_rated min(i_c / i_rated, 1) tanh(w / w_slip) + c w, with c w only while it is energised.
+        T_c = T_rated min(i_c / i_rated, 1) tanh(w / w_slip) + c w, with c w only while the clutch is energised.
+
+        Args:
+            slip: Slip w, rad/s.
+            current: Current i_c of the clutch, A.
+
+        Returns:
+            Torque T_c at the clutch in N m.
+
         Source: hybrid_knee_ankle_orthosis, equation 16, with the sign of the slip w.
         """
         share = self.torque_share(current)

@@ -1,7 +1,7 @@
-"""Pseudo-rigid body: a bending cantilever as a rigid rod on a hinge with a spring.
+"""Pseudo-rigid body: a bent cantilever modelled as a rigid rod on a hinge with a spring.
 
-The hinge is at (1 - lambda) L from the clamp of a cantilever of length L.
-The equations for a tip force F against a tip moment M at small slopes, corrected:
+The hinge is at (1 - lambda) L from the clamp of a cantilever of length L. With a tip force F against a tip moment M and
+the bending rigidity E I, the equations at small slopes, corrected, are:
 
     18   deflection   F L^3 / (3 E I) - M L^2 / (2 E I)
          shortening   (8 F^2 L^5 - 25 F M L^4 + 20 M^2 L^3) / (120 E^2 I^2)
@@ -13,22 +13,33 @@ The equations for a tip force F against a tip moment M at small slopes, correcte
     25   K          = 4 E I lambda^2 / L
 
 Source: hybrid_knee_ankle_orthosis, equations 18 to 25. Equation 18 is printed without E I in its first term and with
-wrong powers in the second line. L_x is the shortening there, in equation 22 the tip's coordinate, L less the
-shortening. Equation 23 is printed as 21 F theta^2 / 110, which has the unit of a force. lambda passes 1 at 0.64 rad,
-where small slopes no longer hold; Howell's constants (``HowellPseudoRigidBody``) and the elastica
-(``smajax.actuators.elastica``) apply beyond. Howell calls lambda the characteristic radius factor.
+wrong powers in the second line. In equation 18 L_x is the shortening, in equation 22 the coordinate of the tip, L less
+the shortening. Equation 23 is printed as 21 F theta^2 / 110, which has the unit of a force. lambda exceeds 1 from 0.64
+rad on, where the assumption of small slopes no longer holds. For larger bends use Howell's constants
+(``HowellPseudoRigidBody``) or the elastica (``smajax.actuators.elastica``). Howell calls lambda the characteristic
+radius factor.
 """
 
 from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 Value = TypeVar("Value", float, jax.Array)
 
 
 def deflection(force: Value, moment: Value, length: Value, rigidity: Value) -> Value:
-    """Return the deflection of the tip across the axis, m.
+    """Compute the deflection of the tip across the axis at small slopes: F L^3 / (3 E I) - M L^2 / (2 E I).
+
+    Args:
+        force: Force F at the tip, N.
+        moment: Moment M at the tip, against the force, N m.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Deflection in m.
 
     Source: hybrid_knee_ankle_orthosis, equation 18.
     """
@@ -36,7 +47,16 @@ def deflection(force: Value, moment: Value, length: Value, rigidity: Value) -> V
 
 
 def shortening(force: Value, moment: Value, length: Value, rigidity: Value) -> Value:
-    """Return how far the tip moves back along the axis, m: the integral of half the squared slope.
+    """Compute the motion of the tip along the axis at small slopes: the integral of half the squared slope.
+
+    Args:
+        force: Force F at the tip, N.
+        moment: Moment M at the tip, against the force, N m.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Shortening in m.
 
     Source: hybrid_knee_ankle_orthosis, equation 18.
     """
@@ -45,7 +65,16 @@ def shortening(force: Value, moment: Value, length: Value, rigidity: Value) -> V
 
 
 def slope(force: Value, moment: Value, length: Value, rigidity: Value) -> Value:
-    """Return the slope at the tip, rad.
+    """Compute the slope at the tip at small slopes: F L^2 / (2 E I) - M L / (E I).
+
+    Args:
+        force: Force F at the tip, N.
+        moment: Moment M at the tip, against the force, N m.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Slope theta in rad.
 
     Source: hybrid_knee_ankle_orthosis, equation 19.
     """
@@ -53,7 +82,17 @@ def slope(force: Value, moment: Value, length: Value, rigidity: Value) -> Value:
 
 
 def balanced_force(theta: Value, length: Value, rigidity: Value) -> Value:
-    """Return the force F, N, that with the moment F L / 3 against it gives the slope ``theta`` at the tip.
+    """Compute the tip force F that, with the moment M = F L / 3 against it, gives a slope at the tip.
+
+    F = 6 E I theta / L^2.
+
+    Args:
+        theta: Slope at the tip, rad.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Force F in N.
 
     Source: hybrid_knee_ankle_orthosis, equations 20 and 24.
     """
@@ -61,7 +100,15 @@ def balanced_force(theta: Value, length: Value, rigidity: Value) -> Value:
 
 
 def driving_force(theta: Value, length: Value, rigidity: Value) -> Value:
-    """Return F_2 = F - M / L, N, in the same state.
+    """Compute F_2 = F - M / L = 4 E I theta / L^2 in the state of ``balanced_force``.
+
+    Args:
+        theta: Slope at the tip, rad.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Force F_2 in N.
 
     Source: hybrid_knee_ankle_orthosis, equation 24.
     """
@@ -69,7 +116,12 @@ def driving_force(theta: Value, length: Value, rigidity: Value) -> Value:
 
 
 def radius_factor(theta: Value) -> Value:
-    """Return lambda, the rigid rod's share of the length, in the same state.
+    """Compute lambda, the share of the length that is the rigid rod, in the state of ``balanced_force``.
+
+    lambda = 15/17 (1 + (17/30 theta)^2).
+
+    Args:
+        theta: Slope at the tip, rad.
 
     Source: hybrid_knee_ankle_orthosis, equation 23.
     """
@@ -77,23 +129,54 @@ def radius_factor(theta: Value) -> Value:
 
 
 def hinge_stiffness(radius_factor: Value, length: Value, rigidity: Value) -> Value:
-    """Return K, the stiffness of the hinge's spring, N m/rad.
+    """Compute the stiffness K of the hinge's spring: 4 E I lambda^2 / L.
+
+    Args:
+        radius_factor: Share lambda of the length that is the rigid rod.
+        length: Length L of the cantilever, m.
+        rigidity: Bending rigidity E I, N m^2.
+
+    Returns:
+        Stiffness in N m/rad.
 
     Source: hybrid_knee_ankle_orthosis, equation 25.
     """
     return 4.0 * rigidity * radius_factor**2 / length
 
 
-def rigid_rod(x: jax.Array, y: jax.Array, length: Value) -> tuple[jax.Array, jax.Array]:
-    """Return angle 2 alpha (rad) and lambda of the rod whose tip is at ``x`` along and ``y`` across the axis.
+def rigid_rod(
+    x: Float[Array, "..."], y: Float[Array, "..."], length: Float[Array, "..."] | float
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Compute the rigid rod whose tip is that of a bent cantilever.
 
-    For an undeformed cantilever, y = 0, both are NaN. Source: hybrid_knee_ankle_orthosis, equations 21 and 22.
+    Args:
+        x: Coordinate of the tip along the undeformed axis, m.
+        y: Coordinate of the tip across the undeformed axis, m.
+        length: Length L of the cantilever, m.
+
+    Returns:
+        Angle 2 alpha of the rod in rad, and its share lambda of the length; NaN for an undeformed cantilever, y = 0.
+
+    Source: hybrid_knee_ankle_orthosis, equations 21 and 22.
     """
     return rigid_rod_from_shortening(length - x, y, length)
 
 
-def rigid_rod_from_shortening(shortening: jax.Array, y: jax.Array, length: Value) -> tuple[jax.Array, jax.Array]:
-    """Return what ``rigid_rod`` does, from the shortening, which is known more precisely for small bends."""
+def rigid_rod_from_shortening(
+    shortening: Float[Array, "..."], y: Float[Array, "..."], length: Float[Array, "..."] | float
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Compute the rod of ``rigid_rod`` from the shortening, which is more precise for small bends.
+
+    Args:
+        shortening: L - x, m.
+        y: Coordinate of the tip across the undeformed axis, m.
+        length: Length L of the cantilever, m.
+
+    Returns:
+        Angle 2 alpha of the rod in rad, and its share lambda of the length; NaN for an undeformed cantilever, y = 0.
+
+    Source: hybrid_knee_ankle_orthosis, equations 21 and 22.
+    """
     angle = 2.0 * jnp.arctan(shortening / y)
     return angle, y / (length * jnp.sin(angle))
 
@@ -101,24 +184,31 @@ def rigid_rod_from_shortening(shortening: jax.Array, y: jax.Array, length: Value
 class HowellPseudoRigidBody(NamedTuple):
     """Pseudo-rigid body with Howell's constants.
 
-    ``radius_factor`` is lambda (Howell's gamma), ``stiffness`` the spring's in E I / L, ``tip_slope_ratio`` the tip's
-    slope over the rod's angle. Source: howell2001.
+    Attributes:
+        radius_factor: Share lambda of the length that is the rigid rod (Howell's gamma).
+        stiffness: Stiffness of the hinge's spring in E I / L.
+
+    Source: howell2001.
     """
 
     radius_factor: float
     stiffness: float
-    tip_slope_ratio: float
 
-    def tip(self, angle: Value, length: Value) -> tuple[jax.Array, jax.Array]:
-        """Return the coordinates of the tip along and across the axis, m, at an angle of the rod."""
-        return length * (1.0 - self.radius_factor * (1.0 - jnp.cos(angle))), length * self.radius_factor * jnp.sin(
-            angle
-        )
+    def tip(self, angle: Value, length: Value) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Compute the position of the tip.
+
+        Args:
+            angle: Angle of the rod, rad.
+            length: Length L of the cantilever, m.
+
+        Returns:
+            Coordinates of the tip along and across the undeformed axis, in m.
+        """
+        x = length * (1.0 - self.radius_factor * (1.0 - jnp.cos(angle)))
+        return x, length * self.radius_factor * jnp.sin(angle)
 
 
 # Limit of a small end moment: lambda, and the spring's stiffness in E I / L. Derived from the circular arc of the bend.
 SMALL_MOMENT = (0.75, 1.5)
-# Force at the free end, across the undeformed axis. Source: howell2001.
-END_FORCE = HowellPseudoRigidBody(0.85, 0.85 * 2.65, 1.24)
 # Moment at the free end. Source: howell2001.
-END_MOMENT = HowellPseudoRigidBody(0.7346, 0.7346 * 2.0643, 1.5164)
+END_MOMENT = HowellPseudoRigidBody(0.7346, 0.7346 * 2.0643)

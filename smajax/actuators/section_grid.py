@@ -1,8 +1,9 @@
 """Grid on half a cross-section: its faces lie on the interfaces of the layers and on the square around each wire.
 
-Square and gaps scale with the wire and its distances while the numbers of cells stay. So one compiled program serves
-all dimensions, and every cell keeps its share of the wire (``smajax.actuators.wire_shares``): temperatures are smooth
-in every dimension. Next to the square the cells grow geometrically from its own cell size.
+The squares scale with the wire and the gaps with the distances, while the numbers of cells are constant. So one
+compiled program serves all dimensions, and every cell keeps its share of the wire (``smajax.actuators.wire_shares``):
+temperatures are smooth functions of every dimension. Outside a square the cells grow geometrically, starting from the
+size of the cells in the square.
 """
 
 from typing import NamedTuple
@@ -10,16 +11,17 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 
-# Down to this logarithm of the last cell over the first, cells shrink freely towards the end of a gap; chosen by trial,
-# tests/unit/actuators/test_cross_section.py holds it (narrow gaps conserve heat).
+# Logarithm of the last cell over the first, down to which cells shrink towards the end of a narrow gap; chosen by
+# trial, tests/unit/actuators/test_cross_section.py holds it (narrow gaps conserve heat).
 _SHRINK_LIMIT = -7.0
 # Range of the same logarithm below that limit over which the cells become equal again; chosen by trial with it.
 _EQUALISING_RANGE = 4.0
-# A gap narrower than this share of a cell next to it counts as none: rounding would fill it. Chosen by trial; the same
-# test holds it.
+# A gap narrower than this share of the adjacent cell is not resolved, since its cells would be dominated by rounding.
+# Chosen by trial; the same test holds it.
 _SMALLEST_GAP = 1e-3
 # Newton iterations on a convex function from 0, which converge quadratically; chosen by trial.
 _ITERATIONS = 30
@@ -29,9 +31,9 @@ class Columns(NamedTuple):
     """Cells across the section, from the plane of symmetry outwards.
 
     Attributes:
-        widths: Widths of the columns, shape ``(c,)``, m. wires: For each wire, the column in which its square begins,
-        and whether it is only the outer half of a wire on the plane of
-            symmetry.
+        widths: Widths of the columns, shape ``(c,)``, m.
+        wires: For each wire, the column in which its square begins, and whether only its outer half is in the grid,
+            because the wire lies on the plane of symmetry.
         open: Whether the outer side is exposed to the air; otherwise it is a plane of symmetry, too.
     """
 
@@ -43,34 +45,46 @@ class Columns(NamedTuple):
 class AbstractPlacement(eqx.Module):
     """Placement of the wires across the section's width."""
 
-    def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
-        """Return the columns with ``cells`` (even) across each wire, and twice as many in each gap next to it."""
+    def columns(self, width: Float[Array, ""], diameter: Float[Array, ""], cells: int) -> Columns:
+        """Compute the columns of half the section, or of half a part of it that repeats.
+
+        Args:
+            width: Width of the section, m.
+            diameter: Diameter of the wires, m.
+            cells: Number of columns across a wire, even; there are twice as many in each gap next to it.
+        """
         raise NotImplementedError
 
 
 class EvenWires(AbstractPlacement):
-    """Wires in the middles of equal shares of the width, which all cool alike: half a share of the section suffices.
+    """Wires in the middle of equal shares of the width.
 
-    The outer sides of the section then count as adiabatic. ``count`` need not be whole, and is differentiable.
+    All shares cool in the same way, so half a share is simulated; the outer sides of the section count as adiabatic.
+    ``count`` may be fractional, and is differentiable.
     """
 
     count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
 
-    def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
-        """Return the columns of half a share: half a wire and half a gap."""
+    def columns(self, width: Float[Array, ""], diameter: Float[Array, ""], cells: int) -> Columns:
+        """Compute the columns of half a share: half a wire and half a gap."""
         size = diameter / cells
         gap = graded_widths(size, 0.5 * (width / self.count - diameter), 2 * cells)
         return Columns(jnp.concatenate([jnp.broadcast_to(size, (cells // 2,)), gap]), ((0, True),), False)
 
 
 class SpacedWires(AbstractPlacement):
-    """A number of wires at a pitch, in the middle of the section."""
+    """Wires at a constant pitch, in the middle of the section.
+
+    Attributes:
+        wires: Number of wires.
+        pitch: Distance from wire to wire, m.
+    """
 
     wires: int = eqx.field(static=True)
     pitch: jax.Array = parameter("m", "distance from wire to wire", 1e-6, 1.0)
 
-    def columns(self, width: jax.Array, diameter: jax.Array, cells: int) -> Columns:
-        """Return the columns of half the section."""
+    def columns(self, width: Float[Array, ""], diameter: Float[Array, ""], cells: int) -> Columns:
+        """Compute the columns of half the section."""
         size = diameter / cells
         across = jnp.broadcast_to(size, (cells,))
         between = graded_widths(size, 0.5 * (self.pitch - diameter), 2 * cells)
@@ -84,12 +98,20 @@ class SpacedWires(AbstractPlacement):
         return Columns(jnp.concatenate([*parts, margin]), tuple(wires), True)
 
 
-def graded_widths(first: jax.Array, length: jax.Array, cells: int) -> jax.Array:
-    """Return the widths of cells that fill a length and grow geometrically, shape ``(cells,)``, m.
+def graded_widths(first: Float[Array, ""], length: Float[Array, ""], cells: int) -> Float[Array, " cells"]:
+    """Compute the widths of cells that fill a length and grow geometrically: first q, first q^2, and so on.
 
-    They are first q, first q^2, ... q is the root of a convex function, found by Newton's method and differentiated by
-    one step of it at the root. In a gap of few cells' size q returns to 1 smoothly, so that no cell vanishes, which
-    rounding would turn into heat; the first cell then differs from ``first`` q. NaN for a length of 0.
+    The growth factor q is the root of a convex function, found by Newton's method; one Newton step at the root carries
+    its derivative. In a gap that is narrow compared with ``first``, q returns to 1 smoothly: a vanishing cell would
+    turn rounding errors into heat. The first cell then differs from first q.
+
+    Args:
+        first: Width of the cell before the first one, m.
+        length: Length to fill, m.
+        cells: Number of cells.
+
+    Returns:
+        Widths, shape ``(cells,)``, m; NaN for a length of 0.
     """
     target = jnp.log(length / first)
     powers = jnp.arange(1.0, cells + 1.0)

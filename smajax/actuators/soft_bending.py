@@ -1,17 +1,19 @@
 """Soft bending actuator of an ankle orthosis: wires with a curved memory shape in a straight silicone bar.
 
-Heated, the wires bend towards their memory curvature k_m, and the bar shares their curvature. Seen as a cantilever of
-the rigidity n E_A I + E I of the bar, the wires act as a moment at its free end,
+When heated, n wires bend towards their memory curvature k_m, and the bar bends with them. The bar with its wires is a
+cantilever of the bending rigidity n E_A I_wire + E_bar I_bar, and the wires act on it as a moment at the free end,
 
-    M = n E_A I k_m,
+    M = n E_A I_wire k_m,
 
-against which a cable pulls. The bend is that of the elastica, and its rigid rod is read off the tip. The wires' memory
-shape and the cable are not specified in the paper. Source: hybrid_knee_ankle_orthosis, section 3.3, equations 21 and
-22.
+against which a cable pulls. The shape is that of the elastica (``smajax.actuators.elastica``), and the position of the
+tip gives the rigid rod (``smajax.actuators.pseudo_rigid_body``). The memory shape of the wires and the cable are not
+specified in the paper.
 
-The paper has no equations for a cycle. Here the bar's cross-section cools by heat conduction, as the flexural
-actuator's does (``smajax.actuators.cross_section``): wires in the middles of equal shares of the width, in silicone
-throughout. The heat warms and transforms the wires; the silicone's share of it is left out.
+The paper has no equations for a cycle. Here the cross-section of the bar cools by heat conduction, as that of the
+flexural actuator (``smajax.actuators.cross_section``), with the wires in the middle of equal shares of the width and
+silicone around them. The heat warms and transforms the wires; the heat of the silicone is left out.
+
+Source: hybrid_knee_ankle_orthosis, section 3.3, equations 21 and 22.
 """
 
 from collections.abc import Mapping
@@ -20,6 +22,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.actuators import pseudo_rigid_body
 from smajax.actuators.base import AbstractActuator
@@ -30,8 +33,8 @@ from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
 
-# Duration of the simulated cooling in s; a longer ``time_to_cool`` counts as infinite. Far above the minute that such
-# bars take; chosen by trial.
+# Duration of the simulated cooling in s; a longer ``time_to_cool`` counts as infinite. Far above the minute in which
+# such bars cool; chosen by trial.
 _COOLING_DURATION = 600.0
 
 
@@ -48,7 +51,7 @@ class SoftBar(eqx.Module):
 
 
 class MemoryWires(eqx.Module):
-    """Wires in the bar's middle plane, all alike."""
+    """Wires in the middle plane of the bar, all of one diameter and material."""
 
     count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
     diameter: jax.Array = parameter("m", "wire diameter", 1e-6, 0.02)
@@ -61,7 +64,7 @@ class MemoryWires(eqx.Module):
 
 
 class Cable(eqx.Module):
-    """Cable that the tip pulls on."""
+    """Cable at the tip."""
 
     force: jax.Array = parameter("N", "force of the cable against the bend, across the undeformed bar", -1e4, 1e4, 0.0)
 
@@ -131,8 +134,15 @@ class SoftBending(AbstractActuator):
                 "wires.count wires do not fit side by side into bar.width: take fewer or thinner wires, or a wider bar"
             )
 
-    def rigidity(self, modulus: jax.Array) -> jax.Array:
-        """Return the bending rigidity with wires of a Young's modulus, N m^2."""
+    def rigidity(self, modulus: Float[Array, ""]) -> Float[Array, ""]:
+        """Compute the bending rigidity of bar and wires: n E I_wire + E_bar I_bar.
+
+        Args:
+            modulus: Young's modulus E of the wires, Pa.
+
+        Returns:
+            Rigidity in N m^2.
+        """
         bar = self.bar
         return self._wire_rigidity(modulus) + bar.modulus * bar.width * bar.thickness**3 / 12.0
 
@@ -157,12 +167,19 @@ class SoftBending(AbstractActuator):
             width=bar.width,
         )
 
-    def cycle(self, hot: BentShape) -> dict[str, jax.Array]:
-        """Return the metrics of a cycle in which the tip moves from the cold bar's shape to ``hot`` and back.
+    def cycle(self, hot: BentShape) -> dict[str, Float[Array, ""]]:
+        """Compute the metrics of a cycle in which the tip moves from the shape of the cold bar to that of the hot one.
 
-        The heat warms the wires from the surroundings to ``peak_temperature``, where cooling begins, and transforms
-        them; ``heating_time`` is without losses. ``stroke`` is the tip's path across the axis, and the work that of the
-        cable's force along it, 0 where the cable does work on the bar. ``time_to_cool`` is infinite beyond 600 s.
+        The heat warms the wires from ambient to ``peak_temperature``, where cooling begins, and transforms them;
+        ``heating_time`` is without losses. ``stroke`` is the motion of the tip across the axis. ``work_per_cycle`` is
+        that against the force of the cable along it, 0 where the cable does work on the bar. ``time_to_cool`` is
+        infinite beyond 600 s.
+
+        Args:
+            hot: Shape of the hot bar.
+
+        Returns:
+            The metrics by name, scalars.
         """
         bar, wires, heating, cooling = self.bar, self.wires, self.heating, self.cooling
         cold = solve_elastica(self.cable.force, jnp.zeros(()), bar.length, self.rigidity(wires.modulus_martensite))
@@ -184,15 +201,15 @@ class SoftBending(AbstractActuator):
             "bandwidth": 1.0 / (heating_time + time_to_cool),
         }
 
-    def metrics(self) -> dict[str, jax.Array]:
-        """Return the metrics named in ``units``.
+    def metrics(self) -> dict[str, Float[Array, ""]]:
+        """Compute the metrics named in ``units``.
 
-        ``rod_angle`` (2 alpha), ``rod_share`` (lambda) and ``rod_stiffness`` are those of the pseudo-rigid body; the
-        stiffness is the moment of wires and cable at its hinge over its angle (equation 25 holds for M = F L / 3
-        alone). ``blocking_force`` is the cable force that holds the tip in place, at small slopes, and ``force`` its
-        magnitude, under the name that rigs have; ``cold_strain`` is that at the surface of a wire that lies straight.
-        For a straight bar the rod is that of the smallest moment. Metrics of a bend that does not exist
-        (``solve_elastica``) are NaN, and so are all if the wires do not fit into the bar.
+        ``rod_angle`` (2 alpha), ``rod_share`` (lambda) and ``rod_stiffness`` are those of the pseudo-rigid body. The
+        stiffness is the moment of wires and cable at the hinge over the angle of the rod (equation 25 holds for M = F L
+        / 3 only). For a straight bar the rod is the limit of a small moment. ``blocking_force`` is the cable force that
+        holds the tip in place, at small slopes; ``force`` is its magnitude, the name of this metric for rigs.
+        ``cold_strain`` is the strain at the surface of a wire that is held straight. Metrics of a bend without a
+        solution (``solve_elastica``) are NaN; all metrics are NaN if the wires do not fit into the bar.
         """
         length, hot = self.bar.length, self.rigidity(self.wires.modulus_austenite)
         moment = self._wire_rigidity(self.wires.modulus_austenite) * self.wires.memory_curvature

@@ -1,4 +1,4 @@
-"""The ``smajax`` command: its commands in the order of ``--help``, and its exit codes."""
+"""The ``smajax`` command: commands in the order of ``--help``, and exit codes."""
 
 import sys
 from typing import Annotated, Any
@@ -9,15 +9,15 @@ from typer.core import TyperGroup
 from smajax import __version__
 from smajax.app.command_line import designs, files, models, properties
 
-# Modules whose errors are usage errors and exits, which typer handles itself.
+# Packages whose exceptions are usage errors and exits, which typer handles.
 _TYPER_MODULES = ("typer", "click")
 
 
 class Commands(TyperGroup):
-    """The commands, with every error turned into its sentence and exit code."""
+    """Group of commands that reports every error as a sentence with an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the chosen command."""
+        """Run the command and report its errors."""
         try:
             return super().invoke(ctx)
         except (Exception, KeyboardInterrupt) as error:
@@ -72,7 +72,9 @@ def main() -> None:
     try:
         app()
     except KeyboardInterrupt:
-        sys.exit(130)
+        from smajax.app.console import INTERRUPTED
+
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""What a command does around its work: interruption, exit codes, error messages, the browser.
+"""Console: interruption, exit codes, error messages and the browser.
 
-Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 the numerics failed, 130 interrupted.
+Exit codes: 0 done, 1 a fault in smajax, 2 bad input, 3 failed numerics, 130 interrupted.
 """
 
 import contextlib
@@ -22,19 +22,22 @@ INTERRUPTED = 130
 
 
 class StopRequest:
-    """Whether Ctrl-C was pressed."""
+    """A request to stop; ``requested`` is true after Ctrl-C was pressed."""
 
     requested = False
 
 
 @contextlib.contextmanager
 def stopping(progress: Progress) -> Iterator[StopRequest]:
-    """Turn a first Ctrl-C into a request to stop, which keeps the best result so far; a second one ends the process.
+    """Turn the first Ctrl-C into a request to stop with the best result so far; the second one ends the process.
 
-    It does not raise, since an exception in the middle of a compilation may be lost there.
+    The first one does not raise an exception, since it could be lost during a compilation.
 
     Args:
-        progress: Where the request is shown.
+        progress: Display that shows the request.
+
+    Returns:
+        A context with the request, to be tested between the steps of a calculation.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -57,7 +60,7 @@ def stopping(progress: Progress) -> Iterator[StopRequest]:
 
 
 def exit_code(error: BaseException) -> int:
-    """Print on stderr, in one sentence, what went wrong, and return the exit code for it."""
+    """Print an error on stderr in one sentence, and return its exit code."""
     if isinstance(error, InputError | NumericsError):
         _print_error(str(error))
         return error.exit_code
@@ -67,7 +70,7 @@ def exit_code(error: BaseException) -> int:
     if isinstance(error, MemoryError):
         _print_error("there is not enough memory for this: cut the recordings into parts, or lower --starts")
         return FAULT
-    if isinstance(error, BrokenPipeError):  # the reader of our output has gone, as in `smajax datasets | head`
+    if isinstance(error, BrokenPipeError):  # the output was closed, as in `smajax datasets | head`
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
         return FAULT
     _print_error(
@@ -78,7 +81,7 @@ def exit_code(error: BaseException) -> int:
 
 
 def open_in_browser(page: Path) -> bool:
-    """Open a page in the browser where there is a display; return whether it was tried."""
+    """Open a page in the browser if there is a display, and return whether the browser accepted it."""
     import webbrowser
 
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -95,7 +98,7 @@ def _print_error(text: str) -> None:
 
 
 def _save_traceback(error: BaseException) -> str:
-    """Write the traceback to a temporary file and return its path; where that fails, return the traceback."""
+    """Write the traceback to a temporary file and return its path, or the traceback if that fails."""
     text = "".join(traceback.format_exception(error))
     try:
         with tempfile.NamedTemporaryFile("w", prefix="smajax-", suffix=".txt", delete=False, encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""The record of a run: its outcome, its timings, and the document run.json."""
+"""Record of a run: outcome, timings, and the document run.json."""
 
 import contextlib
 import platform
@@ -17,14 +17,14 @@ from smajax.files.versions import package_versions
 
 
 class Outcome(NamedTuple):
-    """How a job ended.
+    """Outcome of a job.
 
     Attributes:
         folder: The result folder.
         document: The result document; that of run.json for a simulation.
         code: The exit code.
-        reason: Why the code is not 0.
-        note: What else happened.
+        reason: Reason for an exit code other than 0.
+        note: Sentence on anything else that the user should know.
     """
 
     folder: Path
@@ -36,7 +36,12 @@ class Outcome(NamedTuple):
 
 @dataclass
 class Clock:
-    """When a run began (ISO 8601, UTC), and the wall time (s) of each part of it."""
+    """Timings of a run.
+
+    Attributes:
+        started: Start of the run, ISO 8601 in UTC.
+        timings: Wall time of each part in s.
+    """
 
     started: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     timings: dict[str, float] = field(default_factory=dict)
@@ -59,14 +64,14 @@ class _Named(Protocol):
 def run_record(
     command: str, rig: _Named, argv: Sequence[str], clock: Clock, seed: int | None, code: int
 ) -> dict[str, Any]:
-    """Build the document run.json, without what only this command adds and without the list of files.
+    """Return the entries of run.json that all commands have, except the list of files.
 
     Args:
-        command: The command.
-        rig: The rig, or the sweep's subject.
+        command: Name of the command.
+        rig: The rig, or the subject of a sweep.
         argv: The command line.
-        clock: The timings of the run.
-        seed: The seed of random numbers, if any.
+        clock: Timings of the run.
+        seed: Seed of the random numbers, or ``None``.
         code: The exit code.
     """
     return {
@@ -82,11 +87,11 @@ def run_record(
     }
 
 
-def rig_text(path: Path) -> str:
-    """Read the text of a rig file.
+def read_rig_text(path: Path) -> str:
+    """Read the text of a rig file for its copy in the result folder.
 
     Raises:
-        InputError: If it cannot be read, though it was read before.
+        InputError: If the file can no longer be read.
     """
     try:
         return path.read_bytes().decode("utf-8-sig")

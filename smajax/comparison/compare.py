@@ -14,7 +14,7 @@ from smajax.files.rig_file import Rig
 from smajax.files.rig_kinds import MATERIALS
 from smajax.recordings.recording import Recording
 
-# Predictions at or above this size count as not finite: their square would overflow in the scores.
+# Absolute value from which a prediction counts as not finite: its square would overflow in the scores.
 _OVERFLOW = 1e100
 
 
@@ -26,21 +26,21 @@ def compare_models(
     seed: int,
     progress: Callable[[str], None] = lambda model: None,
 ) -> list[ModelResult]:
-    """Fit each model to the training recording and predict the holdout, by the first observed channel.
+    """Fit each model to the training recording and predict the first observed channel of the holdout.
 
     Args:
-        rig: The rig, with fit settings for the material laws.
+        rig: The rig, with the fit settings of the material laws.
         models: Names of the models, as in ``MODELS``.
         recordings: The training recording and the holdout.
         seed: Seed of the starts.
         progress: Called with the name of each model before it is fitted.
 
     Returns:
-        A result for each model, in their order; one that cannot be fitted has a reason instead of predictions.
+        A result for each model, in the given order; one that cannot be fitted has a reason instead of predictions.
 
     Raises:
-        InputError: If no model can be fitted to such input.
-        NumericsError: If no model can be fitted, and numerics are the reason for one of them.
+        InputError: If no model can be fitted, for each of them because of the input.
+        NumericsError: If no model can be fitted, for at least one of them because of the numerics.
     """
     results = []
     for name in models:
@@ -53,7 +53,7 @@ def compare_models(
 
 
 def _fit_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> ModelResult:
-    """Fit one model; where it fails, return the reason, so that the others are still compared."""
+    """Fit one model; if that fails, return a result with the reason, so that the others are still compared."""
     start, is_law = time.perf_counter(), name in MATERIALS
     fit_model = fit_material_model if is_law else fit_input_output_model
     try:
@@ -67,18 +67,18 @@ def _fit_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: st
 
 
 def _check_finite(recording: Recording, channel: str, values: np.ndarray) -> None:
-    """Raise ``NumericsError`` where a prediction is not finite at a measured row, since it could not be ranked."""
-    bad = np.isfinite(recording.channels[channel]) & ~(np.abs(values) < _OVERFLOW)
-    if np.any(bad):
-        row = int(np.argmax(bad))
+    """Raise ``NumericsError`` if a prediction is not finite at a measured row, since it could not be ranked."""
+    not_finite = np.isfinite(recording.channels[channel]) & ~(np.abs(values) < _OVERFLOW)
+    if np.any(not_finite):
+        row = int(np.argmax(not_finite))
         raise NumericsError(
-            f"{recording.name}: its prediction of {channel} is not finite at {np.sum(bad)} of {len(values)} rows, "
-            f"first at row {row + 1}, {recording.time[row]:.6g} s"
+            f"{recording.name}: its prediction of {channel} is not finite at {np.sum(not_finite)} of {len(values)} "
+            f"rows, first at row {row + 1}, {recording.time[row]:.6g} s"
         )
 
 
 def _merge_reasons(results: Sequence[ModelResult]) -> str:
-    """The reasons why no model could be fitted; one that several share is said once."""
+    """The reasons why no model could be fitted, each one once with the models that share it."""
     names_by_reason: dict[str, list[str]] = {}
     for result in results:
         names_by_reason.setdefault(result.reason.removeprefix(f"{result.name} "), []).append(result.name)

@@ -1,4 +1,4 @@
-"""The one input of an input-output model: the input of a rig that changes, or the difference of two commands."""
+"""The driving input of an input-output model: the input of a rig that changes, or the difference of two commands."""
 
 from collections.abc import Sequence
 
@@ -9,17 +9,19 @@ from smajax.errors import InputError
 from smajax.files.rig_file import Rig
 from smajax.recordings.recording import Recording
 
-# Of several inputs, one whose range is below this share of its level is held constant; so is one whose range is below
-# this share of that of another input of its kind. Chosen by trial; tests/unit/comparison/test_comparison.py holds both.
+# One of several inputs is constant if its range is at most the first share of its median, or at most the second share
+# of the largest range of an input in the same unit. Chosen by trial; tests/unit/comparison/test_comparison.py holds
+# both.
 _CONSTANT_SHARE_OF_LEVEL = 0.05
 _CONSTANT_SHARE_OF_OTHERS = 0.01
-# Share of its largest value above which an input is on.
+# Share of its largest absolute value above which an input is on.
 _ON_SHARE = 0.01
-# Share of the rows in which two alternating wires may both be on: switching takes a row or two. Chosen by trial.
+# Largest share of the rows in which two alternating wires may both be on: switching takes a row or two. Chosen by
+# trial.
 _MAX_OVERLAP = 0.02
-# Range below which an input is constant but for rounding.
+# Range, SI, up to which an input is constant but for rounding.
 _ROUNDING = 1e-9
-# Keeps a share of a maximum of 0 positive.
+# Least maximum of an input, so that an input that is 0 throughout is never on.
 _TINY = 1e-300
 
 
@@ -28,14 +30,14 @@ def driving_inputs(rig: Rig, model: str, recordings: Sequence[Recording]) -> lis
 
     Args:
         rig: The rig.
-        model: The model that takes one input, for messages.
-        recordings: The training recording first.
+        model: Name of the model that takes one input, for messages.
+        recordings: The training recording, and the others.
 
     Returns:
-        One input, or two, of which the first less the second is the input of the model.
+        One channel, or two; the input of the model is then the first minus the second.
 
     Raises:
-        InputError: If no input changes, or if several do that cannot be one.
+        InputError: If no input changes, or if several change that cannot be combined into one.
     """
     control, inputs = rig.plant.drive.control, changing_inputs(rig.plant.signals, recordings)
     if not inputs:  # a single input that is on all the time is a step from the initial state
@@ -44,24 +46,29 @@ def driving_inputs(rig: Rig, model: str, recordings: Sequence[Recording]) -> lis
         ]
     if len(inputs) == 1:
         return inputs
-    listed = " and ".join(inputs) if inputs else "no input"
-    said = f"{model} takes one input that changes, and here {listed} change{'' if inputs else 's'}"
+    changing = " and ".join(inputs) if inputs else "no input"
+    problem = f"{model} takes one input that changes, and here {changing} change{'' if inputs else 's'}"
     if len(inputs) == 2 and rig.plant.mechanism.wires == 2 and control and inputs == list(numbered(control, 2)):
         overlaps = [_overlap(r, inputs) for r in recordings]
         if max(overlaps) <= _MAX_OVERLAP:
             return inputs
         worst = recordings[int(np.argmax(overlaps))]
         raise InputError(
-            f"{said}: both are on at {100 * max(overlaps):.0f} % of the rows of {worst.name}: let the wires pull by "
-            "turns, "
-            "so that the difference of their commands is one input, or compare the material laws, which take both"
+            f"{problem}: both are on at {100 * max(overlaps):.0f} % of the rows of {worst.name}: let the wires pull "
+            "by turns, so that the difference of their commands is one input, or compare the material laws, which take "
+            "both"
         )
     hint = "hold the others constant, or compare the material laws, which take all of them" if inputs else "vary one"
-    raise InputError(f"{said}: {hint}")
+    raise InputError(f"{problem}: {hint}")
 
 
 def changing_inputs(signals: Sequence[str], recordings: Sequence[Recording]) -> list[str]:
-    """List the inputs that change; of several, those that do more than scatter about a level."""
+    """List the inputs that change; of several, those that vary by more than noise about a level.
+
+    Args:
+        signals: Names of the driving channels.
+        recordings: The recordings.
+    """
     spans = {c: max(float(np.ptp(r.channels[c])) for r in recordings) for c in signals}
     varying = [c for c in signals if spans[c] > _ROUNDING]
     levels = {c: abs(float(np.median(np.concatenate([r.channels[c] for r in recordings])))) for c in varying}

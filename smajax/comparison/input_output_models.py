@@ -1,7 +1,7 @@
 """Fits of input-output models to the driving input of a rig and one observed channel.
 
-Models that advance row by row need equally spaced rows: they see both recordings resampled at the median step of the
-training recording, and are scored at the recorded rows.
+Models in discrete time need equally spaced rows. For them both recordings are resampled at the median step of the
+training recording; they are scored at the recorded rows.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,10 @@ from smajax.fitting.io_models.problem import ModelSpec, Series, is_evenly_sample
 from smajax.fitting.io_models.specs import MODEL_SPECS
 from smajax.recordings.recording import Recording
 
-# Starts of the search for models with few parameters, and for networks, whose searches take longer. Chosen by trial.
+# Number of starts for models with few parameters, and for networks, whose fits take longer. Chosen by trial.
 _STARTS = 16
 _STARTS_OF_NETWORKS = 4
-# Share of the range of the training input by which the input of the holdout may exceed it without a note. Chosen by
-# trial.
+# Share of the training input's range by which the input of the holdout may exceed it without a note. Chosen by trial.
 _MAX_EXTRAPOLATION = 0.05
 
 
@@ -34,7 +33,7 @@ def fit_input_output_model(
         rig: The rig, whose inputs are candidates for the model's input.
         name: The model, as in ``MODEL_SPECS``.
         recordings: The training recording, and the holdout.
-        channel: The channel that is fitted and compared.
+        channel: The channel to fit and compare.
         seed: Seed of the starts.
 
     Raises:
@@ -59,8 +58,8 @@ def fit_input_output_model(
     result = fit_io_model(spec, series[:1], starts=starts, seed=seed)
     responses = [result.respond(s) for s in series]
     predictions = (
-        y if used is r else np.interp(r.time, used.time, y)
-        for r, used, y in zip(recordings, resampled, responses, strict=True)
+        y if even is r else np.interp(r.time, even.time, y)
+        for r, even, y in zip(recordings, resampled, responses, strict=True)
     )
     notes = [note, f"its input is {' less '.join(inputs)}" if len(inputs) > 1 else "", _extrapolation_note(series)]
     notes += _network_notes(result, recordings[0].name)
@@ -77,45 +76,44 @@ def fit_input_output_model(
 
 
 def _to_series(recording: Recording, inputs: Sequence[str], channel: str) -> Series:
-    """A recording as a model sees it; the difference of two alternating commands is its input."""
+    """Input and output of a model; the input is the difference of the commands if there are two."""
     first, *second = (recording.channels[c] for c in inputs)
     return Series(recording.name, recording.time, first - sum(second), recording.channels[channel])
 
 
 def _resample(spec: ModelSpec, recordings: Sequence[Recording], held: Sequence[str]) -> tuple[list[Recording], str]:
-    """The recordings at the step that a model needs, and a note; ``held`` inputs are constant over a step."""
+    """The recordings, on equally spaced rows if a model needs them, and a note; ``held`` inputs are steps."""
     step = float(np.median(np.diff(recordings[0].time)))
     if not spec.needs_even_rows or all(is_evenly_sampled(r.time, step) for r in recordings):
         return list(recordings), ""
     resampled = [r if is_evenly_sampled(r.time, step) else r.resample(step, held) for r in recordings]
-    names = " and ".join(r.name for r, used in zip(recordings, resampled, strict=True) if used is not r)
+    names = " and ".join(r.name for r, even in zip(recordings, resampled, strict=True) if even is not r)
     return resampled, f"it needs rows every {step:.4g} s: {names} resampled for it, and scored at the rows recorded"
 
 
 def _extrapolation_note(series: Sequence[Series]) -> str:
-    """A note where the input of the holdout exceeds the one that the model was fitted to; empty if it does not."""
+    """A note if the input of the holdout exceeds the range of the training input; empty if it does not."""
     low, high = float(np.min(series[0].input)), float(np.max(series[0].input))
     margin = _MAX_EXTRAPOLATION * (high - low)
-    ends = float(np.min(series[1].input)), float(np.max(series[1].input))
-    if low - margin <= ends[0] and ends[1] <= high + margin:
+    lowest, highest = float(np.min(series[1].input)), float(np.max(series[1].input))
+    if low - margin <= lowest and highest <= high + margin:
         return ""
     return (
-        f"the input of {series[1].name} goes from {ends[0]:.3g} to {ends[1]:.3g}, beyond the {low:.3g} to {high:.3g} "
-        "that it "
-        "was fitted to (SI units), where no row supports its prediction"
+        f"the input of {series[1].name} goes from {lowest:.3g} to {highest:.3g}, beyond the range {low:.3g} to "
+        f"{high:.3g} of the training input (SI units), where no row supports its prediction"
     )
 
 
 def _network_notes(result: IOModelFit, train: str) -> list[str]:
-    """Notes about the ridge of a network, and about inputs on which it diverges."""
+    """Notes on the ridge penalty of a network, and on inputs with which it diverges."""
     notes = []
     if result.ridge:
         notes.append(
-            f"a ridge of {result.ridge:g}, chosen by cross-validation on quarters of {train}, holds its weights"
+            f"its weights have a ridge penalty of {result.ridge:g}, chosen by cross-validation on quarters of {train}"
         )
     if result.divergence_rate:
         notes.append(
-            f"on {100 * result.divergence_rate:.0f} % of inputs made of the pieces of its input in other orders "
-            "it leaves the output's range far behind: do not trust it with another input before it has seen more"
+            f"it diverges on {100 * result.divergence_rate:.0f} % of inputs made of the pieces of its input in other "
+            "orders: do not rely on it for another input before it is fitted to more recordings"
         )
     return notes

@@ -1,4 +1,4 @@
-"""Fits of material laws in a rig, with the rig's own law replaced."""
+"""Fits of material laws in a rig, in place of the rig's own law."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -21,41 +21,40 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.status import SimulationStatus
 from smajax.units import as_text
 
-# Start values of parameters that one law has and another may not. Those of the first table are fitted as well: the
-# hardening exponents of Lagoudas' law, at the middle of their usual range.
+# Start values of parameters that not every law has. Those of the first table are fitted: the hardening exponents of
+# Lagoudas' law, which start at the middle of their usual range. Those of the second table are held.
 _FREE_START_VALUES: dict[str, dict[str, float]] = {"lagoudas": {"n1": 0.5, "n2": 0.5, "n3": 0.5, "n4": 0.5}}
-# Detwinning stresses (Pa) of Brinson's law, a wire that is detwinned under its usual load.
+# Detwinning stresses of Brinson's law, Pa, of a wire that is detwinned under its usual load.
 _HELD_START_VALUES: dict[str, dict[str, float]] = {
     "brinson": {"detwinning_start_stress": 0.0, "detwinning_finish_stress": 1e8}
 }
 
 
 def fit_material_model(rig: Rig, name: str, recordings: Sequence[Recording], channel: str, seed: int) -> ModelResult:
-    """Fit a material law to the first recording, as the rig's fit settings say, and predict the others.
+    """Fit a material law to the first recording, with the rig's fit settings, and predict the others.
 
     Args:
         rig: The rig.
         name: The law, as in ``MATERIALS``.
         recordings: The training recording, and the holdout.
-        channel: The channel that is compared.
+        channel: The compared channel.
         seed: Seed of the starts.
 
     Raises:
         InputError: If the training recording has too few rows.
         NumericsError: If a simulation with the fitted parameters fails.
     """
-    changed = with_material_law(rig, name)
-    settings = cast(Any, dataclasses.replace(changed.fit, seed=seed))
+    rig_with_law = with_material_law(rig, name)
+    settings = cast(Any, dataclasses.replace(rig_with_law.fit, seed=seed))
     rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
     check_rows(recordings[0].name, rows, len(settings.names), name)
-    result = fit(changed.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
+    result = fit(rig_with_law.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
     failed = [r for r in result.responses if r.status is not SimulationStatus.done]
     if failed:
-        ends = ", ".join(f"{e.name} = {as_text(e.estimate, e.unit)}" for e in result.estimates)
+        values = ", ".join(f"{e.name} = {as_text(e.estimate, e.unit)}" for e in result.estimates)
         raise NumericsError(
-            f"{failed[0].recording.name}: {failed[0].status.name} where its fit ended, at {ends}: bound these "
-            "(fit.bounds), "
-            "free fewer, or give a training recording that goes as far"
+            f"{failed[0].recording.name}: {failed[0].status.name} with the fitted {values}: bound these "
+            "(fit.bounds), free fewer, or give a training recording that goes as far"
         )
     at_bound = [e for e in result.estimates if e.at_bound]
     return ModelResult(
@@ -74,12 +73,17 @@ def with_material_law(rig: Rig, name: str) -> Rig:
 
     Parameters that both laws have keep their values and stay free if they were; those that only the new law has get
     start values.
+
+    Args:
+        rig: The rig.
+        name: The new law, as in ``MATERIALS``.
     """
-    law, old = MATERIALS[name], rig.plant.material
-    if type(old) is law:
+    law, old_material = MATERIALS[name], rig.plant.material
+    if type(old_material) is law:
         return rig
     free, held = _FREE_START_VALUES.get(name, {}), _HELD_START_VALUES.get(name, {})
-    common = {key: float(getattr(old, key)) for key in declarations(law) if key in declarations(old)}
+    old_keys = declarations(old_material)
+    common = {key: float(getattr(old_material, key)) for key in declarations(law) if key in old_keys}
     values: dict[str, Any] = held | free | common  # numbers, which the law turns into arrays
     plant = eqx.tree_at(lambda p: p.material, rig.plant, law(**values))
     declared = parameters.all_declarations(plant)
@@ -94,6 +98,7 @@ def with_material_law(rig: Rig, name: str) -> Rig:
 
 
 def _fitted_entry(estimate: Estimate) -> Mapping[str, Any]:
+    """An estimate as an entry of compare.json."""
     return {
         "value": finite_or_none(estimate.estimate),
         "lower95": finite_or_none(estimate.lower95),

@@ -9,18 +9,18 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class ModelResult:
-    """One model of a comparison: its predictions and its fitted parameters, or the reason why there are none.
+    """Result of one model: its predictions and fitted parameters, or the reason why it could not be fitted.
 
     Attributes:
-        name: The model.
+        name: Name of the model.
         kind: "law" for a material law, "input-output" for an input-output model.
         parameters: Number of free parameters.
-        predictions: The compared channel (n,) of the training and of the holdout recording, SI units.
+        predictions: The compared channel of the training and of the holdout recording, SI, each of shape ``(n,)``.
         wall_time: Wall time of the fit, s.
         reason: Why the model could not be fitted; empty if it was.
-        note: What was done to the recordings for it, and what limits its prediction.
-        input_insufficient: Whether the reason is the input (files, settings) rather than the numerics.
-        at_bound: Parameters that ended at a bound, each with that bound.
+        note: How the recordings were changed for the model, and what limits its prediction.
+        input_insufficient: Whether the reason is the input (files, settings) and not the numerics.
+        at_bound: Parameters whose estimates are at a bound, each with that bound.
         undetermined: Parameters that the training recording does not determine.
         fitted: Value, interval and unit of each parameter by name.
     """

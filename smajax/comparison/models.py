@@ -12,7 +12,13 @@ MODELS = (*MATERIALS, *MODEL_SPECS)
 
 
 def select_models(names: Sequence[str]) -> list[str]:
-    """Check names of models, and return each once; "transfer-function" stands for its four structures.
+    """Check names of models, and replace "transfer-function" by its four structures.
+
+    Args:
+        names: The names, as in ``MODELS``, or "transfer-function".
+
+    Returns:
+        The names in their order, each once.
 
     Raises:
         InputError: If a name is unknown, or if there is none.

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.comparison.model_result import ModelResult
 from smajax.recordings.recording import Recording
 
-# Least error in the logarithm of the BIC: an exact model has a finite one.
+# Least RMSE in the logarithm of the BIC, so that the BIC of an exact model is finite.
 _MIN_ERROR = 1e-300
 
 
@@ -17,8 +18,8 @@ class Scores(NamedTuple):
     """Scores of one model.
 
     Attributes:
-        rmse: Root mean square errors on the training and on the holdout recording, SI units.
-        fit_percent: Fit percentages on both.
+        rmse: Root mean square errors on the training and on the holdout recording, SI.
+        fit_percent: Fit percentages on both (``fit_percent``).
         bic: Bayesian information criterion on the training recording.
     """
 
@@ -28,9 +29,14 @@ class Scores(NamedTuple):
 
 
 def score_model(result: ModelResult, recordings: Sequence[Recording], channel: str) -> Scores:
-    """Score a fitted model on the training and the holdout recording by one channel.
+    """Compute the scores of a fitted model on the training and the holdout recording by one channel.
 
-    With n measured samples and p parameters the criterion is n log(RMSE^2) + p log(n).
+    With n measured samples and p parameters, BIC = n log(RMSE^2) + p log(n).
+
+    Args:
+        result: The result of the model, with predictions.
+        recordings: The training recording, and the holdout.
+        channel: The compared channel; rows where it is NaN are left out.
 
     Source: schwarz1978.
     """
@@ -42,14 +48,18 @@ def score_model(result: ModelResult, recordings: Sequence[Recording], channel: s
     return Scores((errors[0], errors[1]), (percent[0], percent[1]), bic)
 
 
-def fit_percent(measured: np.ndarray, model: np.ndarray) -> float:
-    """Return 100 (1 - |y - model| / |y - mean(y)|), as MATLAB's ``compare`` does (NRMSE).
+def fit_percent(measured: Float[np.ndarray, " n"], model: Float[np.ndarray, " n"]) -> float:
+    """Compute the fit percentage (NRMSE) of a prediction, as ``compare`` of MATLAB does.
 
-    100 is perfect, 0 is as good as the mean of the measurements.
+    With the measurements y and predictions m it is 100 (1 - |y - m| / |y - mean(y)|): 100 for an exact prediction, 0
+    for one as good as the mean of the measurements.
 
     Args:
-        measured: Measurements (n,); NaN where there is none.
-        model: Predictions (n,).
+        measured: Measurements, shape ``(n,)``; NaN where there is none.
+        model: Predictions, shape ``(n,)``, in the same unit.
+
+    Returns:
+        The percentage; NaN if the measurements are constant.
     """
     finite = np.isfinite(measured)
     scale = float(np.linalg.norm(measured[finite] - np.mean(measured[finite])))

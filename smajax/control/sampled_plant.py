@@ -1,8 +1,8 @@
 """Plants from one sample of a controller to the next: a rig's plant, or a linear transfer function in its place.
 
-``step`` takes the state through one period under constant commands, ``observe`` gives the channels at a sample.
-Commands have the shape ``(wires,)``. Steps that solve an implicit equation have a second form, ``differentiable_step``,
-which takes the solutions of ``step`` and is differentiable without solving again.
+``step`` advances the state by one period under constant commands, ``observe`` returns the channels at a sample. Steps
+that solve an implicit equation have a second form, ``differentiable_step``, which takes the solutions of ``step`` and
+is differentiable without solving again.
 """
 
 import math
@@ -14,6 +14,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
+from jaxtyping import Array, Complex, Float, Int
 
 from smajax import parameters
 from smajax.control.pulse_width import on_fraction
@@ -24,15 +26,15 @@ from smajax.plant.implicit_step import differentiable_step, twice_differentiable
 from smajax.plant.plant import Plant
 from smajax.simulation.step_size import default_step
 
-# Steps of the plant in one period of the carrier: the pulses are resolved to an eighth of it. Chosen by trial;
+# Steps of the plant in one period of the carrier: the pulses are resolved to an eighth of a period. Chosen by trial;
 # tests/unit/control/test_control.py holds it.
 _STEPS_PER_PULSE = 8.0
-# Rounding error that is allowed where a duration is divided by another one.
+# Tolerance for the rounding error of a quotient of two durations: double precision rounds quotients up to 1e6 to 1e-10.
 _ROUNDING = 1e-9
 
 
 class AbstractSampledSystem(eqx.Module):
-    """Base class of the systems that a controller steers, sampled once a period."""
+    """Base class of the systems that a loop controls, sampled once a period."""
 
     @property
     def is_implicit(self) -> bool:
@@ -48,20 +50,16 @@ class AbstractSampledSystem(eqx.Module):
         """Return the state at rest without any command."""
         raise NotImplementedError
 
-    def with_parameters(self, values: Mapping[str, jax.Array]) -> "AbstractSampledSystem":
-        """Return the system with other values of some parameters.
-
-        Args:
-            values: Scalars in internal units by parameter name.
-        """
+    def with_parameters(self, values: Mapping[str, ArrayLike]) -> "AbstractSampledSystem":
+        """Return the system with other values of some parameters, scalars in internal units by name."""
         raise NotImplementedError
 
-    def step(self, state: Any, command: jax.Array) -> tuple[Any, Any, jax.Array]:
+    def step(self, state: Any, command: Float[Array, " wires"]) -> tuple[Any, Any, Int[Array, ""]]:
         """Take one period.
 
         Args:
             state: State at the beginning.
-            command: Commands during the period, shape ``(wires,)``.
+            command: Commands during the period, in the unit of the drive.
 
         Returns:
             The state at the end, the solutions that ``differentiable_step`` takes, and the number of steps that could
@@ -69,16 +67,33 @@ class AbstractSampledSystem(eqx.Module):
         """
         raise NotImplementedError
 
-    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
-        """Return the state after one period from the solutions of ``step``, differentiable once in both modes."""
+    def differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
+        """Return the state at the end of a period, differentiable once, in forward and in reverse mode.
+
+        Args:
+            state: State at the beginning.
+            command: Commands during the period, in the unit of the drive.
+            step_solutions: Solutions that ``step`` has returned for this state and these commands.
+        """
         raise NotImplementedError
 
-    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
-        """Return the state at the end of the period, differentiable twice, from the solutions of ``step``."""
+    def twice_differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
+        """Return the state at the end of a period, differentiable twice.
+
+        Args:
+            state: State at the beginning.
+            command: Commands during the period, in the unit of the drive.
+            step_solutions: Solutions that ``step`` has returned for this state and these commands.
+        """
         raise NotImplementedError
 
-    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
-        """Return the channels at a sample by name, scalars; the electrical ones are those under ``command``."""
+    def observe(self, state: Any, command: Float[Array, " wires"]) -> dict[str, Float[Array, ""]]:
+        """Return the channels at a sample by name.
+
+        Args:
+            state: State at the sample.
+            command: Commands, under which the electrical channels are computed.
+        """
         raise NotImplementedError
 
     def estimated_leaves(self, state: Any) -> Any:
@@ -86,23 +101,28 @@ class AbstractSampledSystem(eqx.Module):
         return jax.tree.map(eqx.is_inexact_array, state)
 
     def frequency_response(
-        self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array
-    ) -> jax.Array:
+        self,
+        state: Any,
+        command: Float[Array, " wires"],
+        direction: Float[Array, " wires"],
+        channel: str,
+        z: Complex[Array, " points"],
+    ) -> Complex[Array, " points"]:
         """Return the frequency response of a channel to the command, linearised about a state.
 
         Args:
             state: Operating point.
-            command: Commands there, shape ``(wires,)``.
-            direction: Direction of the command's change, shape ``(wires,)``.
+            command: Commands at the operating point.
+            direction: Direction of the change of the commands.
             channel: Name of the channel.
-            z: Points of the unit circle, complex, shape ``(n,)``.
+            z: Points of the unit circle.
 
         Returns:
-            C (z I - A)^-1 B, complex, shape ``(n,)``.
+            C (z I - A)^-1 B at these points.
         """
         flat, unflatten = ravel_pytree(state)
 
-        def next_state(flat: jax.Array, amplitude: jax.Array) -> jax.Array:
+        def next_state(flat: Float[Array, " states"], amplitude: Float[Array, ""]) -> Float[Array, " states"]:
             end = self.differentiable_step(unflatten(flat), command + amplitude * direction, step_solutions)
             return ravel_pytree(end)[0]
 
@@ -113,12 +133,18 @@ class AbstractSampledSystem(eqx.Module):
 
 
 class SampledPlant(AbstractSampledSystem):
-    """A plant under a controller of period ``period`` s, each period in ``substeps`` steps of the plant.
+    """A plant sampled at the period of a controller.
 
-    With a ``carrier`` in Hz, a duty cycle is applied as the pulses of a pulse-width modulator and not as its mean. The
-    transformed fraction then differs from that under the mean, however fast the carrier: kinetics in relative form have
-    no memory of the highest temperature so far, so that every pulse transforms a part of the rest and the pause after
-    it transforms nothing back. Real wires have that memory, and the mean is closer to them.
+    With a carrier, a duty cycle is applied as the pulses of a pulse-width modulator and not as its mean. The
+    transformed fraction then differs from that under the mean, however fast the carrier is: kinetics in relative form
+    have no memory of the highest temperature so far, so that every pulse transforms a part of the remaining fraction
+    and the pause after it transforms nothing back. Real wires have that memory, and the mean is closer to them.
+
+    Attributes:
+        plant: The plant.
+        period: Period of the controller, s.
+        substeps: Steps of the plant in one period.
+        carrier: Frequency of the pulse-width modulator, Hz; ``None``: the mean of the pulses.
     """
 
     plant: Plant
@@ -145,7 +171,8 @@ class SampledPlant(AbstractSampledSystem):
             carrier: Frequency of the pulse-width modulator, Hz; ``None``: the mean of the pulses.
 
         Raises:
-            InputError: if no controller can steer the plant, or a carrier is given and the drive takes no duty cycle.
+            InputError: if the plant has no drive or its motion is prescribed, or if a carrier is given and the drive
+                takes no duty cycle.
         """
         if not plant.drive.control or plant.signals != plant.signals[: plant.mechanism.wires]:
             raise InputError(
@@ -172,15 +199,17 @@ class SampledPlant(AbstractSampledSystem):
         """Return the plant's state at rest without any command, and the time since then, 0 s."""
         return self.plant.start(jnp.zeros(self.wires)), jnp.zeros(())
 
-    def with_parameters(self, values: Mapping[str, jax.Array]) -> "SampledPlant":
+    def with_parameters(self, values: Mapping[str, ArrayLike]) -> "SampledPlant":
         """Return the sampled plant with other values of some parameters, named as in ``smajax.parameters``."""
         return eqx.tree_at(lambda d: d.plant, self, parameters.replace(self.plant, values))
 
-    def step(self, state: Any, command: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
+    def step(
+        self, state: Any, command: Float[Array, " wires"]
+    ) -> tuple[Any, Float[Array, "substeps unknowns"], Int[Array, ""]]:
         """Take one period; the solutions are temperatures and unknowns of each substep."""
         duration = jnp.asarray(self.period / self.substeps)
 
-        def substep(carry: tuple, _: Any) -> tuple[tuple, jax.Array]:
+        def substep(carry: tuple, _: Any) -> tuple[tuple, Float[Array, " unknowns"]]:
             state, time, unsolved = carry
             signal = self._signal(command, time)
             state, failed = self.plant.step(state, signal, signal, duration)
@@ -191,44 +220,60 @@ class SampledPlant(AbstractSampledSystem):
         )
         return (plant_state, time), solutions, unsolved
 
-    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+    def differentiable_step(
+        self, state: Any, command: Float[Array, " wires"], step_solutions: Float[Array, "substeps unknowns"]
+    ) -> Any:
         """Return the state at the end of the period, differentiable once by the implicit function theorem."""
         return self._scan_substeps(differentiable_step, state, command, step_solutions)
 
-    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+    def twice_differentiable_step(
+        self, state: Any, command: Float[Array, " wires"], step_solutions: Float[Array, "substeps unknowns"]
+    ) -> Any:
         """Return the state at the end of the period, differentiable twice by the implicit function theorem."""
         return self._scan_substeps(twice_differentiable_step, state, command, step_solutions)
 
-    def _scan_substeps(self, step: Callable, state: Any, command: jax.Array, step_solutions: jax.Array) -> Any:
+    def _scan_substeps(
+        self,
+        step: Callable,
+        state: Any,
+        command: Float[Array, " wires"],
+        step_solutions: Float[Array, "substeps unknowns"],
+    ) -> Any:
+        """The state after all substeps, each by ``step`` at its solution."""
         duration = jnp.asarray(self.period / self.substeps)
 
-        def substep(carry: tuple, solution: jax.Array) -> tuple[tuple, None]:
+        def substep(carry: tuple, solution: Float[Array, " unknowns"]) -> tuple[tuple, None]:
             state, time = carry
             return (step(self.plant, state, self._signal(command, time), duration, solution), time + duration), None
 
         return jax.lax.scan(substep, state, step_solutions)[0]
 
-    def _signal(self, command: jax.Array, time: jax.Array) -> jax.Array:
+    def _signal(self, command: Float[Array, " wires"], time: Float[Array, ""]) -> Float[Array, " wires"]:
         """Signal of the drive in the substep that begins at ``time``."""
         if self.carrier is None:
             return command
         return on_fraction(command, time, jnp.asarray(self.period / self.substeps), self.carrier)
 
-    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
-        """Return the plant's channels as its sensors give them, scalars by name."""
+    def observe(self, state: Any, command: Float[Array, " wires"]) -> dict[str, Float[Array, ""]]:
+        """Return the observed channels of the plant by name."""
         return self.plant.observe(state[0], command)
 
     def estimated_leaves(self, state: Any) -> Any:
-        """Return which leaves are estimated: the numbers of the plant's state but the memories of its effects."""
+        """Return which leaves are estimated: the numbers of the plant's state except the memories of its effects."""
         plant_state, _ = jax.tree.map(eqx.is_inexact_array, state)
         return plant_state._replace(memory=jax.tree.map(lambda _: False, state[0].memory)), False
 
 
 class SampledTransferFunction(AbstractSampledSystem):
-    """A transfer function from one command to ``channel``, stepped exactly, including its delay.
+    """A transfer function from one command to one channel, stepped exactly, including its delay.
 
-    ``period`` is the controller's in s; the delay is ``delay_periods`` whole periods and a remainder. The system is at
-    rest before the first command.
+    The system is at rest before the first command.
+
+    Attributes:
+        function: The transfer function.
+        channel: Name of its output.
+        period: Period of the controller, s.
+        delay_periods: Number of whole periods in the delay; the remainder follows from the function.
     """
 
     function: TransferFunction
@@ -255,57 +300,62 @@ class SampledTransferFunction(AbstractSampledSystem):
 
     @property
     def wires(self) -> int:
-        """One."""
+        """Number of wires: one."""
         return 1
 
     def start(self) -> Any:
-        """Return the state at rest: states, ring buffer of delayed commands, and the place to fill next."""
+        """Return the state at rest: states, ring buffer of delayed commands, and index of its next entry."""
         return jnp.zeros(self.function.order), jnp.zeros(self.delay_periods + 2), jnp.asarray(0)
 
-    def with_parameters(self, values: Mapping[str, jax.Array]) -> "SampledTransferFunction":
+    def with_parameters(self, values: Mapping[str, ArrayLike]) -> "SampledTransferFunction":
         """Return the system with other values of the function's fields; the whole periods of the delay are fixed."""
         function = self.function
         for name, value in values.items():
             function = eqx.tree_at(lambda f, n=name: getattr(f, n), function, value)
         return eqx.tree_at(lambda d: d.function, self, function)
 
-    def step(self, state: Any, command: jax.Array) -> tuple[Any, Any, jax.Array]:
+    def step(self, state: Any, command: Float[Array, " wires"]) -> tuple[Any, Any, Int[Array, ""]]:
         """Take one period; there are no step solutions, and every step succeeds."""
         return self.differentiable_step(state, command, ()), (), jnp.asarray(0)
 
-    def differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+    def differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
         """Return the state at the end of the period; ``step_solutions`` is not used."""
-        states, ring, place = state
+        states, ring, index = state
         size = self.delay_periods + 2
-        ring = ring.at[place].set(command[0])
+        ring = ring.at[index].set(command[0])
         # In the remainder of the delay, the command of one period earlier still acts.
         remainder = maximum(self.function.delay - self.delay_periods * self.period, 0.0)
         for duration, age in ((remainder, self.delay_periods + 1), (self.period - remainder, self.delay_periods)):
             transition, input_gain = self.function.zero_order_hold(duration)
-            states = transition @ states + input_gain * ring[(place - age) % size]
-        return states, ring, (place + 1) % size
+            states = transition @ states + input_gain * ring[(index - age) % size]
+        return states, ring, (index + 1) % size
 
-    def twice_differentiable_step(self, state: Any, command: jax.Array, step_solutions: Any) -> Any:
+    def twice_differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
         """Return the state at the end of the period; ``step_solutions`` is not used."""
         return self.differentiable_step(state, command, step_solutions)
 
-    def observe(self, state: Any, command: jax.Array) -> dict[str, jax.Array]:
+    def observe(self, state: Any, command: Float[Array, " wires"]) -> dict[str, Float[Array, ""]]:
         """Return the output under the name of its channel."""
         return {self.channel: self.function.rest + self.function.gain * state[0][0]}
 
     def frequency_response(
-        self, state: Any, command: jax.Array, direction: jax.Array, channel: str, z: jax.Array
-    ) -> jax.Array:
+        self,
+        state: Any,
+        command: Float[Array, " wires"],
+        direction: Float[Array, " wires"],
+        channel: str,
+        z: Complex[Array, " points"],
+    ) -> Complex[Array, " points"]:
         """Return the exact frequency response at the points ``z``; it does not depend on ``state`` and ``command``."""
         remainder = maximum(self.function.delay - self.delay_periods * self.period, 0.0)
         first_transition, first_gain = self.function.zero_order_hold(remainder)
         second_transition, second_gain = self.function.zero_order_hold(self.period - remainder)
         size = self.function.order
 
-        def at(z: jax.Array) -> jax.Array:
+        def response(z: Complex[Array, ""]) -> Complex[Array, ""]:
             # The command of one period earlier, and that of this one.
             drive = second_transition @ first_gain / z + second_gain
             transition = second_transition @ first_transition
             return jnp.linalg.solve(z * jnp.eye(size) - transition, drive)[0] * z ** (-self.delay_periods)
 
-        return self.function.gain * direction[0] * jax.vmap(at)(z)
+        return self.function.gain * direction[0] * jax.vmap(response)(z)

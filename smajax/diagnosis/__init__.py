@@ -1,10 +1,19 @@
 """Diagnosis: from the residual of a fit to the physical effect that the model lacks.
 
-``problem`` augments the plant with every effect of the catalogue (its compile-time machinery is in ``compiled_model``).
-``screening`` is the score test and ``detectability`` what an input can show at all. ``forward_selection`` refits the
-best candidates (``successive_halving``), accepts one by its prediction of a second recording (``acceptance``), lists
-its equivalents (``equivalence``) and goes on; ``backward_elimination`` drops what is not needed. ``outcome`` predicts a
-third recording once and classifies the result; ``localisation`` and ``nonparametric_fit`` describe an unexplained
-residual, ``next_experiment`` proposes the input that distinguishes equivalent effects. The modules are imported by
-name, not from here, so that reading a document needs no JAX.
+Where to look, in the order of the algorithm:
+
+- ``outcome``: ``diagnose``, the whole algorithm, and the verdict.
+- ``problem``: the plant with every effect of the catalogue; ``compiled_model`` keeps all simulations on two programs.
+- ``detectability``: what an input can show of each effect: testable, absorbed or blind.
+- ``base_fit``, ``residual_checks``: the fit without further effects, its noise and its correlations.
+- ``screening``: the score test (``score_test``), on the derivatives of ``sensitivities``.
+- ``forward_selection``: ``select_effects``; candidates are refitted by ``successive_halving``, with onsets by
+  ``onset_times``, and accepted by their prediction of a second recording (``acceptance``).
+- ``equivalence``, ``confusable_effects``: effects that explain the recordings as well.
+- ``backward_elimination``: effects that are no longer needed next to the others are dropped.
+- ``localisation``, ``nonparametric_fit``: the stage and the form of an unexplained residual.
+- ``next_experiment``: the input that distinguishes equivalent effects.
+- ``result``: the numbers of a diagnosis.
+
+The modules are imported by name, not from here, so that reading a document needs no JAX.
 """

@@ -1,31 +1,39 @@
-"""When an effect is accepted: by its fit of the training split, and by its prediction of the selection split."""
+"""Acceptance of an effect by its fit of the training split and its prediction of the selection split."""
 
 import math
 
 from smajax.diagnosis.candidates import CandidateFit
 
-# Least fall of chi-squared on the training split, as a multiple of the reduced chi-squared: five standard deviations of
+# Least fall of chi-squared on the training split as a multiple of the reduced chi-squared: five standard deviations of
 # one parameter, squared. From the prototype study of the diagnosis.
 MIN_CHI2_FALL = 25.0
-# Least cut of the selection split's RMSE: in the prototype study of the diagnosis it accepted 16 of 16 real second
-# effects (13.6 % and more) and none of 23 surrogates of unmodelled kinetics (2.9 % and less).
+# Least relative fall of the selection split's RMSE. From the prototype study of the diagnosis, where it accepted 16 of
+# 16 real second effects (13.6 % and more) and none of 23 surrogates of unmodelled kinetics (2.9 % and less).
 MIN_SELECT_CUT = 0.05
-# Least fall of the selection split's reduced chi-squared next to other effects: that of the noise. Chosen by trial;
+# Least fall of the selection split's reduced chi-squared for a further effect: the noise itself. Chosen by trial;
 # tests/unit/diagnosis holds it.
 _MIN_SELECT_FALL = 1.0
-# Excess of chi-squared over the noise, on both recordings, below which the kinetics may be a little off, which many an
-# effect fits in part; and the share of it that a cause may leave then. Chosen by trial; tests/unit/diagnosis holds it.
+# Excess of the two reduced chi-squared over the noise below which slightly wrong kinetics can be the reason, which many
+# effects fit in part; and the largest share of it that remains with a real cause. Chosen by trial; tests/unit/diagnosis
+# holds both.
 _SMALL_EXCESS = 10.0
 _MAX_REMAINING = 0.15
 
 
 def rejection_reason(current: CandidateFit, best: CandidateFit, samples: int) -> str:
-    """Say why a fit with one effect more is not accepted; empty if it is.
+    """Return why a fit with one more effect is not accepted.
+
+    Accepted is an effect that lowers chi-squared of the training split by at least 25 times the reduced chi-squared,
+    and the RMSE of the selection split by at least 5 %. A further effect must also lower the selection split's reduced
+    chi-squared by at least 1, and explain nearly all of a small excess.
 
     Args:
         current: The fit without the effect.
         best: The fit with it.
-        samples: Scored samples of the training split.
+        samples: Number of scored samples of the training split.
+
+    Returns:
+        The reason, for the report; empty if the effect is accepted.
     """
     if (current.train_chi2 - best.train_chi2) * samples < MIN_CHI2_FALL * max(1.0, best.train_chi2):
         return "fits the training recording no better than chance would"
@@ -37,16 +45,16 @@ def rejection_reason(current: CandidateFit, best: CandidateFit, samples: int) ->
         )
     if not current.keys:
         return ""
-    others = " and ".join(current.keys)
+    accepted = " and ".join(current.keys)
     if current.select_chi2 - best.select_chi2 < _MIN_SELECT_FALL:
         return (
-            f"moves the selection recording's prediction by less than the noise, in addition to {others}: "
+            f"moves the selection recording's prediction by less than the noise, in addition to {accepted}: "
             "perhaps a surrogate"
         )
     before, after = (max(fit.total_chi2 - 2.0, 0.0) for fit in (current, best))
     if before < _SMALL_EXCESS and after > _MAX_REMAINING * before:
         return (
-            f"explains {100 * (1.0 - after / before):.0f} % of the little that {others} left: a cause would explain "
-            "nearly all of it, a surrogate of kinetics that are a little off does not"
+            f"explains {100 * (1.0 - after / before):.0f} % of the small excess that {accepted} does not explain: "
+            "a cause would explain nearly all of it, a surrogate of slightly wrong kinetics does not"
         )
     return ""

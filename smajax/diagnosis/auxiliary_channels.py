@@ -1,7 +1,7 @@
-"""Auxiliary channels: recorded and not observed, which a diagnosis explains in addition to the observed ones.
+"""Auxiliary channels: recorded channels that are not observed, which a diagnosis fits in addition to the observed ones.
 
-Each is fitted up to a gain and an offset of its sensor: a channel that nobody meant to fit need not be calibrated, and
-its shape shows all the same where a residual lives. In documents these channels are called evidence.
+Each is fitted with a free gain and offset of its sensor: such a channel need not be calibrated, and its shape still
+shows which stage a residual comes from. In documents these channels are called evidence.
 """
 
 import dataclasses
@@ -15,10 +15,11 @@ from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
 from smajax.recordings.recording import Recording
 
-# Share of a recording's rows at the lowest or highest value from which a channel counts as saturated. Chosen by trial;
+# Share of a recording's rows at the lowest or highest value above which a channel counts as saturated. Chosen by trial;
 # tests/unit/diagnosis holds it.
 _SATURATED_SHARE = 0.02
-# Distance of neighbouring levels, in standard deviations of the noise, above which rounding hides saturation.
+# Distance between neighbouring levels, in standard deviations of the noise, above which rounding hides saturation:
+# finer levels are mixed by the noise. Chosen by trial.
 _MAX_ROUNDING = 0.5
 
 
@@ -33,7 +34,7 @@ def auxiliary_channels(
         recordings: All recordings of the diagnosis.
 
     Returns:
-        The channels, and of those that are recorded and cannot be used, why.
+        The channels, and for each recorded channel that cannot be used the reason.
     """
     recorded = {c for r in recordings for c in r.channels}
     predicted = [c for c in plant.observable if c in recorded and c not in plant.signals and c not in observed]
@@ -42,12 +43,15 @@ def auxiliary_channels(
 
 
 def with_auxiliary_channels(plant: Plant, settings: Any, channels: Sequence[str]) -> tuple[Plant, Any]:
-    """Return the plant with sensors of these channels, and settings that observe them with gain and offset free.
+    """Add sensors of auxiliary channels to a plant, and observe them with free gain and offset.
 
     Args:
         plant: The plant.
         settings: Fit settings.
         channels: The auxiliary channels.
+
+    Returns:
+        The plant and the settings with the channels.
     """
     identity = Sensor.identity(tuple(channels))
     sensor = Sensor(plant.sensor.gain | identity.gain, plant.sensor.offset | identity.offset)
@@ -57,20 +61,28 @@ def with_auxiliary_channels(plant: Plant, settings: Any, channels: Sequence[str]
 
 
 def without_channels(settings: Any, channels: Sequence[str]) -> Any:
-    """Return settings in which these channels are not observed and their sensors' parameters are not free."""
+    """Return settings in which channels are not observed and the parameters of their sensors are not free.
+
+    Args:
+        settings: Fit settings.
+        channels: The channels.
+    """
     own = {f"sensor.{key}" for key in Sensor.identity(tuple(channels)).declarations()}
     observe = tuple(c for c in settings.observe if c not in channels)
     return dataclasses.replace(settings, observe=observe, free=tuple(n for n in settings.free if n not in own))
 
 
 def saturation_reason(channel: str, recordings: Sequence[Recording]) -> str:
-    """Say where a channel stays at its lowest or highest value more often than noise would let it; empty if nowhere.
+    """Return where a channel is saturated: at its lowest or highest value for more than 2 % of the rows.
 
-    Rounding that is coarser than the noise hides saturation.
+    A recording whose rounding is coarser than the noise is left out, because rounding hides saturation.
 
     Args:
         channel: The channel.
         recordings: Recordings that have it.
+
+    Returns:
+        The reason, for a message; empty if the channel is not saturated.
     """
     for recording in recordings:
         values = recording.channels[channel]
@@ -85,6 +97,7 @@ def saturation_reason(channel: str, recordings: Sequence[Recording]) -> str:
 
 
 def _unusable_reason(channel: str, recordings: Sequence[Recording]) -> str:
+    """Why a channel cannot be used; empty if it can."""
     for recording in recordings:
         values = recording.channels.get(channel)
         if values is None:

@@ -1,4 +1,4 @@
-"""Backward elimination: accepted effects that are no longer needed are dropped, and confusable ones swapped."""
+"""Backward elimination: drop accepted effects that are no longer needed, and swap confusable ones."""
 
 import dataclasses
 import math
@@ -12,8 +12,8 @@ from smajax.diagnosis.selection_state import SelectionState
 def drop_unneeded_effects(evaluator: CandidateEvaluator, state: SelectionState) -> None:
     """Drop each accepted effect without which the recordings are explained as well.
 
-    An effect stays where the fit without it leaves significantly more of the training split and predicts the selection
-    split worse.
+    An effect stays if the fit without it is significantly worse on the training split and predicts the selection split
+    worse by at least 5 %, as in ``acceptance``.
 
     Args:
         evaluator: The evaluator.
@@ -24,12 +24,12 @@ def drop_unneeded_effects(evaluator: CandidateEvaluator, state: SelectionState) 
         if len(state.accepted) < 2:
             return
         refit, current = state.current.refit, state.current
-        others = refit.effect_set.without(key)
-        earlier = [fit for fit in state.accepted_fits if set(fit.keys) == set(others.keys)]
+        remaining = refit.effect_set.without(key)
+        earlier = [fit for fit in state.accepted_fits if set(fit.keys) == set(remaining.keys)]
         if earlier:
             without = earlier[0]
         else:
-            without = evaluator.evaluate(evaluator.fit(others, refit.base, evaluator.stride(current.train_chi2)))
+            without = evaluator.evaluate(evaluator.fit(remaining, refit.base, evaluator.stride(current.train_chi2)))
         if not math.isfinite(without.total_chi2):
             continue
         cut = 1.0 - math.sqrt(current.select_chi2 / without.select_chi2)
@@ -40,9 +40,9 @@ def drop_unneeded_effects(evaluator: CandidateEvaluator, state: SelectionState) 
 
 
 def swap_confusable_effects(evaluator: CandidateEvaluator, state: SelectionState) -> None:
-    """Replace an effect by a confusable one, where several nearly explain the residual and that leaves less.
+    """Replace an effect by a confusable one if several effects nearly explain the residual and the fit improves.
 
-    The effect that was found first was alone then, and may have been the wrong one of two that are alike.
+    The first effect was selected alone, and may have been the wrong one of two similar effects.
 
     Args:
         evaluator: The evaluator.
@@ -58,6 +58,6 @@ def swap_confusable_effects(evaluator: CandidateEvaluator, state: SelectionState
         best = min(refit_confusable_effects(evaluator, last), key=lambda fit: fit.total_chi2, default=None)
         fall = MIN_CHI2_FALL * max(1.0, current.train_chi2) / samples
         if best is not None and best.total_chi2 < current.total_chi2 - fall:
-            state.rejected.append((key, f"leaves more, next to the other effects, than {best.key} in its place"))
+            state.rejected.append((key, f"explains less, next to the other effects, than {best.key} in its place"))
             state.current = evaluator.refit_to_convergence(best)
             state.equivalent.pop(key, None)

@@ -1,4 +1,4 @@
-"""The base fit: the rig as its file has it, without further effects, and the noise that it shows."""
+"""The base fit: the rig as its file describes it, without further effects, and the noise of its residual."""
 
 import math
 from typing import NamedTuple
@@ -17,22 +17,30 @@ from smajax.fitting.multi_start import MultiStartResult, MultiStartSolver
 from smajax.fitting.noise import rounding_noise
 from smajax.fitting.problem import Problem
 
-# Length of the residual's projection on the free parameters' Jacobian, relative to the residual, up to which a fit is
-# stationary. Chosen by trial; the prototype study of the diagnosis asked for 1e-3.
+# Norm of the residual's projection on the free parameters' Jacobian, relative to the residual, up to which a fit is
+# stationary. Chosen by trial; the prototype study of the diagnosis used 1e-3.
 _STATIONARY = 2e-2
-# Start points after which a stationary fit is taken though no second one has the same cost, and after which one that is
-# not is: where a large effect is missing there may be no stationary point. Chosen by trial.
+# Number of starts after which a fit is accepted although no second start has the same cost: a stationary fit, and one
+# that is not stationary. With a large missing effect there may be no stationary point. Chosen by trial.
 _MAX_STARTS = 10
 _MAX_STARTS_NOT_STATIONARY = 4
-# Starts further than the rig's own values, as a share of the search box on each side. Chosen by trial.
+# Largest distance of the start points from the rig's own values as a share of the search box. Chosen by trial.
 _START_SPREAD = 0.1
 # Cost over the least one up to which two starts have found the same optimum. Chosen by trial.
 _SAME_COST = 1.01
+# Relative fall of the cost at which a search ends. Chosen by trial.
 _RTOL = 1e-8
 
 
 class BaseFit(NamedTuple):
-    """The base fit: base vector, solver status, noise of each channel (SI, and its source), converged or not."""
+    """The base fit.
+
+    Attributes:
+        point: The base vector, shape ``(p,)``.
+        status: Status of the solver.
+        noise: Standard deviation of each channel's noise, SI, and its source.
+        converged: Whether the fit is stationary.
+    """
 
     point: np.ndarray
     status: SolverStatus
@@ -41,17 +49,19 @@ class BaseFit(NamedTuple):
 
 
 def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:
-    """Fit the rig as its file has it, from its own values and points near them, until two starts end alike.
+    """Fit the rig as its file describes it, from its own values and from random points near them.
 
-    They have to end in a stationary point.
-
-    A step may leave the range in which the wire transforms at all, and end where nothing matters: so each search is
-    first held near the rig's own values.
+    Starts are added until two of them end at the same cost in a stationary point. Each search is first bounded to the
+    search box around the rig's own values, because a step may leave the range in which the wire transforms and end
+    where the parameters have no influence.
 
     Args:
         problem: The diagnosis problem.
         seed: Seed of the start points.
         starts: Least number of starts.
+
+    Returns:
+        The best fit.
 
     Raises:
         NumericsError: If the simulation fails at the rig's own values.
@@ -77,13 +87,20 @@ def fit_base(problem: DiagnosisProblem, seed: int, starts: int) -> BaseFit:
         if len(ends) >= starts and ((len(same) > 1 and converged) or len(ends) >= limit):
             break
     if best.statuses[0] is SolverStatus.failed:
-        raise NumericsError("the simulation fails at the rig's own values: check them by smajax simulate")
+        raise NumericsError("the simulation fails at the rig's own values: check them with smajax simulate")
     noise = _channel_noise(problem, base, best.residuals[0])
     return BaseFit(problem.padded(best.points[0]), best.statuses[0], noise, converged)
 
 
 def is_stationary(problem: Problem, result: MultiStartResult) -> bool:
-    """Say whether the cost has next to no slope along the parameters that are not on a bound."""
+    """Return whether the cost has almost no slope along the parameters that are not on a bound.
+
+    With Q an orthonormal basis of their Jacobian and r the residual, the criterion is |Q^T r| <= 0.02 |r|.
+
+    Args:
+        problem: The fit problem.
+        result: The result of a search on it.
+    """
     jacobian, residual, point = result.jacobians[0], result.residuals[0], result.points[0]
     inside = (point > problem.bounds[0]) & (point < problem.bounds[1])
     slope = np.linalg.norm(orthonormal_basis(jacobian[:, inside]).T @ residual)
@@ -103,7 +120,7 @@ def _solve(problem: DiagnosisProblem, point: np.ndarray, bounds: tuple[np.ndarra
 
 
 def _channel_noise(problem: DiagnosisProblem, base: Problem, residual: np.ndarray) -> dict[str, tuple[float, str]]:
-    """Noise of each channel by the residual, or its rounding where that is larger."""
+    """Noise of each channel, SI: that of the residual, or that by rounding if it is larger; and its source."""
     inputs, rows = problem.inputs(), problem.splits[TRAIN].rows()
     by_recording = residual.reshape(len(rows), len(base.channels), -1)
     noise = {}

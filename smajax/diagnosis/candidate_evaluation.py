@@ -1,4 +1,4 @@
-"""Evaluation of a fit: scores of what the model could lack, refits, and their prediction of the selection split."""
+"""Evaluation of a fit: scores of the effects that it lacks, refits, and their prediction of the selection split."""
 
 import dataclasses
 import math
@@ -24,17 +24,18 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 
 # Distances of the samples that a search may use, the largest first.
 _STRIDES = (16, 8, 4, 2)
-# Reduced chi-squared from which a search may use fewer samples and longer steps: nearer to the noise each sample
-# counts. Chosen by trial; tests/unit/diagnosis holds it.
+# Reduced chi-squared above which a search may use fewer samples and longer steps; nearer to the noise every sample is
+# needed. Chosen by trial; tests/unit/diagnosis holds it.
 FAR_FROM_NOISE = 9.0
-# Share of the reduced chi-squared that the longer steps may change: a tenth of the residual. Chosen by trial.
+# Largest mean square error by longer steps as a share of the reduced chi-squared: a tenth of the residual. Chosen by
+# trial.
 _MAX_STEP_ERROR = 0.01
-# A strength below this share of the typical one is as good as 0: a search that frees an effect rarely ends at 0
-# exactly. Chosen by trial.
+# Share of the typical strength below which a strength counts as 0: a search rarely ends at 0 exactly. Chosen by trial.
 _NEGLIGIBLE = 1e-3
-# Distance from a bound, relative to 1 plus the value, within which a parameter is on it: rounding.
+# Distance from a bound, relative to 1 plus the absolute value, up to which a parameter is on it: rounding.
 _ON_BOUND = 1e-9
-# Steps and tolerances of a refit to convergence; on some of the samples its end need not be exact.
+# Largest number of steps of a refit to convergence, from the prototype study of the diagnosis, and its relative
+# tolerances, chosen by trial; on some of the samples the optimum need not be exact.
 _CONVERGENCE_STEPS = 60
 _CONVERGENCE_RTOL = 1e-9
 _CONVERGENCE_RTOL_STRIDED = 1e-6
@@ -42,12 +43,16 @@ _CONVERGENCE_RTOL_STRIDED = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Scores:
-    """Scores at one fit.
+    """Scores of all effects at one fit; arrays have one row for each of the m scored samples.
 
-    ``best`` is the largest score of each effect by key and ``shapes`` the shape at which it has it; ``sensitivities``
-    are those of all effects and shapes, not projected. ``jacobian``, shape ``(m, p)``, is that of the free parameters,
-    ``basis`` its orthonormal basis and ``residual`` the projected residual. ``p_values`` are the probabilities that
-    noise gives any effect so large a gain.
+    Attributes:
+        best: Score of each effect, by key, at the shape with the largest gain.
+        shapes: That shape of each effect, by key.
+        sensitivities: Sensitivities by effect and shape, not projected, each of shape ``(m,)``.
+        jacobian: Jacobian of the free parameters, shape ``(m, p)``.
+        basis: Orthonormal basis of the Jacobian, shape ``(m, rank)``.
+        residual: Projected residual over the noise, shape ``(m,)``.
+        p_values: Probability by effect that noise gives any effect so large a gain.
     """
 
     best: dict[str, Score]
@@ -60,7 +65,7 @@ class Scores:
 
     @property
     def p_value(self) -> float:
-        """Probability of the largest gain."""
+        """p-value of the largest gain; 1 without effects."""
         return min(self.p_values.values(), default=1.0)
 
 
@@ -77,7 +82,12 @@ class CandidateEvaluator:
         self._stride_errors: dict[int, float] = {}
 
     def base_refit(self, point: np.ndarray, status: SolverStatus) -> Refit:
-        """Return the refit without effects at a base vector, and measure which step lengths are accurate there."""
+        """Make a refit without effects, and measure which step lengths and strides are accurate enough there.
+
+        Args:
+            point: The base vector, shape ``(p,)``.
+            status: Status of the search that ended there.
+        """
         self.problem.wait_for_compilation()
 
         def evaluate() -> Refit:
@@ -86,20 +96,24 @@ class CandidateEvaluator:
 
         refit = evaluate()
         before = self.problem.problems[TRAIN]
-        # Several steps a sample resolve a thin wire better than most recordings show.
+        # Several steps for each sample are more accurate than most recordings need.
         self.problem.lengthen_steps(lambda longer: step_length_error(self.problem, refit, longer) < _MAX_STEP_ERROR)
         refit = refit if self.problem.problems[TRAIN] is before else evaluate()
         self._stride_errors = {stride: stride_error(self.problem, refit, stride) for stride in _STRIDES}
         return refit
 
     def stride(self, reduced_chi2: float) -> int:
-        """Return the distance of the samples that a search needs at this reduced chi-squared."""
+        """Return the largest distance of samples with which a search is accurate enough at a reduced chi-squared."""
         errors = self._stride_errors.items()
-        enough = (k for k, e in errors if e < _MAX_STEP_ERROR * reduced_chi2 and reduced_chi2 > FAR_FROM_NOISE)
-        return next(enough, 1)
+        accurate = (k for k, e in errors if e < _MAX_STEP_ERROR * reduced_chi2 and reduced_chi2 > FAR_FROM_NOISE)
+        return next(accurate, 1)
 
     def free_columns(self, refit: Refit) -> np.ndarray:
-        """Mark the Jacobian columns of parameters that can move: not held, and not pressed against a bound."""
+        """Return a mask of the Jacobian's columns: true for parameters that are neither held nor pressed on a bound.
+
+        Args:
+            refit: The refit; its effect parameters count as free.
+        """
         lower, upper = self.problem.bounds
         gradient = refit.jacobian[:, : self.problem.size].T @ refit.residual
         margin = _ON_BOUND * (1 + np.abs(refit.base))
@@ -111,7 +125,7 @@ class CandidateEvaluator:
         return np.append(~pressed, np.ones(refit.jacobian.shape[1] - self.problem.size, bool))
 
     def scores(self, refit: Refit) -> Scores:
-        """Score every effect that a refit does not have, at each of its shapes."""
+        """Score every effect that a refit lacks, at each of its shapes (``screening.score_test``)."""
         problem = self.problem
         columns = refit.jacobian[:, self.free_columns(refit)].T
         jacobian = np.column_stack([problem.counted_samples(derivative) for derivative in columns])
@@ -131,7 +145,7 @@ class CandidateEvaluator:
     def _p_values(
         self, refit: Refit, jacobian: np.ndarray, sensitivities: dict[EffectShape, np.ndarray]
     ) -> dict[str, float]:
-        """Each effect's p-value among all of them, after whitening by the residual's own autocorrelation."""
+        """p-values by effect, after whitening by the residual's own autocorrelation."""
         problem = self.problem
         series = list(problem.series(refit.residual).values())
         models = [noise_model(s) for s in series]
@@ -152,7 +166,12 @@ class CandidateEvaluator:
         return {key: float(np.mean(by_noise >= gain)) for key, gain in gains.items()}
 
     def stage_shares(self, refit: Refit, scores: Scores) -> dict[str, float]:
-        """Return the share of a refit's residual that can live in each stage."""
+        """Return the share of a refit's residual that each stage can explain.
+
+        Args:
+            refit: The refit.
+            scores: Its scores.
+        """
         return stage_shares(self.problem, refit, scores.basis, scores.residual, scores.sensitivities)
 
     def fit(
@@ -160,18 +179,25 @@ class CandidateEvaluator:
     ) -> Refit:
         """Fit a set of effects to the training split, from a base vector and the set's own values.
 
-        The search ends on all samples, unless it needs no more than it has.
+        The search ends on all samples, unless the residual is so large that fewer are enough.
+
+        Args:
+            effect_set: The effects, with start values of their parameters.
+            base: Start of the base vector, shape ``(p,)``.
+            stride: Distance of the samples with which the search starts.
+            max_steps: Largest number of steps with them.
+            rtol: Relative fall of the cost at which the search ends.
         """
         search = self.problem.start_search(effect_set, base, rtol=rtol, stride=stride).advance(max_steps)
         return self.problem.refit_from(self.continue_if_needed(search))
 
     def continue_if_needed(self, search: RefitSearch) -> RefitSearch:
-        """Continue a search on all samples, unless its residual is so large that it needs no more than it has."""
-        enough = search.stride > 1 and self.stride(search.cost / self.problem.samples) >= search.stride
-        return search if enough else self.problem.continue_on_all_samples(search)
+        """Continue a search on all samples, unless its residual is so large that its own samples are enough."""
+        is_accurate = search.stride > 1 and self.stride(search.cost / self.problem.samples) >= search.stride
+        return search if is_accurate else self.problem.continue_on_all_samples(search)
 
     def refit_to_convergence(self, fit: CandidateFit) -> CandidateFit:
-        """Refit until convergence: from the fit's point and, unless it is at the noise, the rig's nominal values."""
+        """Refit until convergence, from the fit's point and, unless it is at the noise, from the nominal values."""
         effect_set, stride = fit.refit.effect_set, self.stride(fit.train_chi2)
         starts = [fit.refit.base, self.problem.nominal][: 1 if fit.at_noise else 2]
         rtol = _CONVERGENCE_RTOL if stride == 1 else _CONVERGENCE_RTOL_STRIDED
@@ -181,7 +207,7 @@ class CandidateEvaluator:
         return self.evaluate(min(refits, key=lambda r: r.chi2))
 
     def evaluate(self, refit: Refit) -> CandidateFit:
-        """Return a refit with its reduced chi-squared on training and selection split."""
+        """Compute the errors of a refit on training and selection split."""
         problem = self.problem
         predicted = problem.predict(refit.effect_set, refit.base, SELECT)
         channel = problem.channels[0]
@@ -190,12 +216,16 @@ class CandidateEvaluator:
         return CandidateFit(refit, train, problem.reduced_chi2(predicted, SELECT), rmse)
 
     def is_negligible(self, fit: CandidateFit) -> bool:
-        """Say whether a fit's last effect is as good as absent, so that what improves are the other parameters."""
+        """Return whether the strength of a fit's last effect is almost 0, so that other parameters improve the fit."""
         strength = abs(fit.refit.values[f"effects.{fit.key}.strength"])
         return strength < _NEGLIGIBLE * self.problem.effects[fit.key].typical
 
     def log_distance_from_typical(self, fit: CandidateFit) -> float:
-        """Return the squared logarithmic distance of a fit's last effect from typical strength and shapes."""
+        """Return the squared logarithmic distance of a fit's last effect from its typical strength and shapes.
+
+        It is the sum of the squares of log(strength / typical strength) and, for each shape but an onset time, of the
+        logarithm of its ratio to the nearest usual value.
+        """
         effect, values = self.problem.effects[fit.key], fit.refit.values
         distance = math.log(max(abs(values[f"effects.{fit.key}.strength"]) / effect.typical, 1e-9)) ** 2
         for name, usual in effect.shapes:

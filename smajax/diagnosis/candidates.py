@@ -1,4 +1,4 @@
-"""Candidates of a diagnosis: sets of effects, their fits, and searches that are still running."""
+"""Candidates of a diagnosis: sets of effects, their fits, and searches that can be continued."""
 
 import dataclasses
 import math
@@ -10,24 +10,34 @@ import numpy as np
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 
-# Reduced chi-squared that a fit with the right effects may leave, where the threshold of ``chi2_threshold`` asks for
-# less. Chosen by trial.
+# Reduced chi-squared up to which a fit with the right effects is at the noise, where ``chi2_threshold`` is smaller.
+# Chosen by trial.
 AT_NOISE = 1.25
 
 
 @dataclasses.dataclass(frozen=True)
 class EffectSet:
-    """Effects that are added to the plant: their keys, and values of strengths and shapes by parameter name."""
+    """Effects that are added to the plant.
+
+    Attributes:
+        keys: Keys of the effects, in the order in which they were added.
+        values: Strengths and shapes, SI, by parameter name.
+    """
 
     keys: tuple[str, ...] = ()
     values: tuple[tuple[str, float], ...] = ()
 
     def with_effect(self, key: str, values: dict[str, float]) -> "EffectSet":
-        """Return the set with one effect more and the values of its parameters."""
+        """Return the set with one more effect.
+
+        Args:
+            key: Key of the effect.
+            values: Its strength and shapes, SI, by parameter name.
+        """
         return EffectSet((*self.keys, key), (*self.values, *values.items()))
 
     def with_values(self, values: dict[str, float]) -> "EffectSet":
-        """Return the set with other values of some parameters."""
+        """Return the set with new values, SI, of some parameters, by name."""
         return EffectSet(self.keys, tuple({**dict(self.values), **values}.items()))
 
     def without(self, key: str) -> "EffectSet":
@@ -40,11 +50,14 @@ class EffectSet:
 
 @dataclasses.dataclass(frozen=True)
 class NonparametricTerm:
-    """A piecewise linear term of a stage.
+    """A piecewise linear term of a stage, as a function of one variable.
 
-    ``kind`` is a row of ``nonparametric.KINDS``. ``variable`` is a word of ``nonparametric.VARIABLES``, taken from
-    ``low`` to ``high``. ``matrix``, shape ``(KNOTS, nodes)``, turns the values of the nodes, which fill slots, into
-    those of the knots.
+    Attributes:
+        kind: Row of ``nonparametric.KINDS``.
+        variable: Word of ``nonparametric.VARIABLES``.
+        low: Lower end of the variable's range, in its unit.
+        high: Upper end of the variable's range.
+        matrix: Maps the values of the nodes, which fill slots, to those of the knots, shape ``(KNOTS, nodes)``.
     """
 
     kind: int
@@ -58,9 +71,14 @@ class NonparametricTerm:
 class Refit:
     """A set of effects fitted to the training split together with the base parameters.
 
-    ``base``, shape ``(p,)``, are the base parameters; ``residual``, shape ``(m,)``, is divided by the noise;
-    ``jacobian`` has the columns of the base parameters, then those of the free effect parameters. ``nodes`` are those
-    of a nonparametric term, where there is one.
+    Attributes:
+        effect_set: The effects with their fitted values.
+        base: Base parameters, shape ``(p,)``.
+        residual: Model minus measurement over the noise, shape ``(m,)``.
+        jacobian: Derivatives of the residual with respect to the base parameters, then the free effect parameters,
+            shape ``(m, columns)``.
+        status: Status of the search at its end.
+        nodes: Values of a nonparametric term's nodes; empty without one.
     """
 
     effect_set: EffectSet
@@ -77,16 +95,16 @@ class Refit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Strengths and shapes by parameter name."""
+        """Strengths and shapes, SI, by parameter name."""
         return dict(self.effect_set.values)
 
     def values_of(self, key: str) -> dict[str, float]:
-        """Return strength and shapes of one effect by parameter name."""
+        """Return strength and shapes of one effect, SI, by parameter name."""
         return {name: value for name, value in self.values.items() if name.split(".")[1] == key}
 
     @property
     def chi2(self) -> float:
-        """Sum of the squared residuals over the noise; infinite if the simulation fails at the start point."""
+        """Chi-squared, the sum of the squared residuals; infinite if the simulation fails at the start point."""
         return math.inf if self.status is SolverStatus.failed else float(self.residual @ self.residual)
 
 
@@ -94,8 +112,14 @@ class Refit:
 class RefitSearch:
     """A search for a refit that can be continued.
 
-    ``stride`` is the distance of the samples that it uses; with ``near_nominal`` the base parameters are held near the
-    rig's own values. ``count_simulations`` is called with the number of simulations of each advance.
+    Attributes:
+        solver: The solver, at the search's current point.
+        effect_set: The effects with their start values.
+        term: A nonparametric term that is fitted as well, or ``None``.
+        stride: Distance of the samples that the search uses.
+        near_nominal: Whether the base parameters are held near the rig's own values.
+        rtol: Relative fall of the cost at which the search ends.
+        count_simulations: Called with the number of simulations of each advance.
     """
 
     solver: MultiStartSolver
@@ -108,11 +132,11 @@ class RefitSearch:
 
     @property
     def cost(self) -> float:
-        """Sum of the squared residuals over the noise, scaled to all samples."""
+        """Chi-squared on the samples that the search uses, scaled to all samples."""
         return self.stride * self.solver.cost
 
     def advance(self, steps: int) -> "RefitSearch":
-        """Take at most so many further steps and return the search itself."""
+        """Take at most ``steps`` further steps, in place, and return the search itself."""
         before = self.solver.simulations
         self.solver.advance(steps)
         self.count_simulations(self.solver.simulations - before)
@@ -122,8 +146,12 @@ class RefitSearch:
 class Candidate(NamedTuple):
     """One effect to be added to a fit.
 
-    ``strength`` is the expected one in units of the typical strength, ``shape`` the values of its shape parameters, and
-    ``gain`` the fall of chi-squared that its score predicts (0: unknown).
+    Attributes:
+        parent: The fit.
+        key: Key of the effect.
+        strength: Expected strength in units of the typical strength.
+        shape: Names and values of its shape parameters.
+        gain: Fall of chi-squared that its score predicts; 0 if unknown.
     """
 
     parent: Refit
@@ -135,9 +163,13 @@ class Candidate(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class CandidateFit:
-    """A refit with its reduced chi-squared on the training split and on the selection split.
+    """A refit with its errors on the training split and on the selection split.
 
-    ``rmse_select`` is the RMSE of the first observed channel on the selection split, SI.
+    Attributes:
+        refit: The refit.
+        train_chi2: Reduced chi-squared on the training split.
+        select_chi2: Reduced chi-squared on the selection split.
+        rmse_select: RMSE of the first observed channel on the selection split, SI.
     """
 
     refit: Refit
@@ -157,10 +189,10 @@ class CandidateFit:
 
     @property
     def total_chi2(self) -> float:
-        """Sum of both, by which candidate fits are compared."""
+        """Sum of the two reduced chi-squared, by which candidate fits are compared; about 2 for noise."""
         return self.train_chi2 + self.select_chi2
 
     @property
     def at_noise(self) -> bool:
-        """Whether its residuals are as small as those of a fit with the right effects."""
+        """Whether the residuals of both splits are as small as those of a fit with the right effects."""
         return self.total_chi2 < 2.0 * AT_NOISE

@@ -1,14 +1,14 @@
-"""The compiled programs of a diagnosis, and all that is done only so that they need to be compiled once.
+"""The two compiled programs of a diagnosis, on which every set of effects and every split runs.
 
-- Slots: the plant has every effect that its rig could have, those of the rig file as they are and all others at
-  strength 0. A vector holds the rig's free parameters, then ``SLOTS`` slots; which effect parameter a slot moves is
-  data (a matrix), so that no set of effects needs a compilation of its own. Compiling one set takes longer than a whole
-  search with it.
-- Padding: grids and samples are filled up to a multiple of ``PADDING_MULTIPLE``, and all splits have as many
-  recordings, those that fill up without weight (``problem_layout``), so that training, selection, holdout and proposed
-  inputs run on one program.
-- Two programs: simulation, and simulation with derivatives. They compile at the same time, and a search asks for
-  derivatives only where a step is taken: they cost several simulations.
+Compiling one set of effects takes longer than a whole search with it, so each program is compiled once:
+
+- Slots: the plant has every effect that its rig could have, those of the rig file with their values and all others at
+  strength 0. A vector holds the rig's free parameters, then ``SLOTS`` slots. Which effect parameter a slot moves is
+  data (a matrix), so that no set of effects needs its own compilation.
+- Padding: grids and samples are padded to a multiple of ``PADDING_MULTIPLE``, and all splits to the same number of
+  recordings, with weight 0 (``problem_layout``). Training, selection, holdout and proposed inputs run on one program.
+- Two programs: simulation, and simulation with derivatives. Derivatives cost several simulations, so a search computes
+  them only where it accepts a step.
 - Background: both compile in threads while the small program of the rig without effects is fitted
   (``start_compilation``).
 """
@@ -32,29 +32,40 @@ from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
 from smajax.simulation.sensitivities import Trajectory
 
-# Effect parameters that a fit can free at once: three effects with a strength and a shape each. More make every
-# derivative dearer.
+# Number of effect parameters that a fit can free: three effects with a strength and a shape each. More slots make every
+# derivative more expensive.
 SLOTS = 6
-# Grids and samples are padded to a multiple of this: recordings of nearly one length, and proposed inputs, fit the same
-# program.
+# Grids and samples are padded to a multiple of this number, so that proposed inputs and recordings of similar length
+# run on the same program.
 PADDING_MULTIPLE = 512
-# Relative fall of the cost at which a search ends where nothing else is asked for.
+# Relative fall of the cost at which a search ends by default. Chosen by trial.
 _RTOL = 1e-7
 
 
 class Simulated(NamedTuple):
-    """The trajectory of the plant in each recording, and the residual."""
+    """The result of a simulation of all recordings.
+
+    Attributes:
+        trajectories: Trajectory of the plant in each recording.
+        residual: Model minus measurement over the noise.
+    """
 
     trajectories: Trajectory
     residual: Float[Array, " residuals"]
 
 
 class SlottedModel(eqx.Module):
-    """What the compiled programs take in addition to the vector.
+    """The data of the compiled programs in addition to the vector.
 
-    ``problem`` is that of a split. ``fixed`` and the rows of ``slot_matrix`` hold the named effect parameters and then
-    the knots of the nonparametric terms. ``term`` says of which variable these are a function: selection, low and high
-    as in ``NonparametricEffect``.
+    With the slots s, the values of the effect parameters, followed by the knots of the nonparametric terms, are
+    ``fixed + slot_matrix @ s``.
+
+    Attributes:
+        problem: The problem of a split.
+        fixed: Values of the entries that no slot moves, SI; 0 for the others.
+        slot_matrix: Change of each entry by a unit of each slot, SI.
+        term: ``selection``, ``low`` and ``high`` of ``NonparametricEffect``.
+        names: Names of the effect parameters.
     """
 
     problem: Problem
@@ -64,7 +75,12 @@ class SlottedModel(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def residual(self, vector: Float[Array, " p"], trajectories: Trajectory) -> Float[Array, " residuals"]:
-        """Return model minus measurement over the noise; ``trajectories`` are those of this vector."""
+        """Compute model minus measurement over the noise.
+
+        Args:
+            vector: Base parameters, then slots.
+            trajectories: The trajectories of this vector.
+        """
         problem, base = self._fill(vector)
         return problem.residual(base, trajectories)
 
@@ -80,11 +96,11 @@ class SlottedModel(eqx.Module):
 
     def _fill(self, vector: Float[Array, " p"]) -> tuple[Problem, Float[Array, " base"]]:
         """The problem with the slots' values in its plant, and the base parameters."""
-        base = len(self.problem.unknowns)
-        values = self.fixed + self.slot_matrix @ vector[base:]
+        base_size = len(self.problem.unknowns)
+        values = self.fixed + self.slot_matrix @ vector[base_size:]
         plant = parameters.replace(self.problem.plant, {name: values[i] for i, name in enumerate(self.names)})
         plant = set_terms(plant, values[len(self.names) :].reshape(len(KINDS), KNOTS), *self.term)
-        return dataclasses.replace(self.problem, plant=plant), vector[:base]
+        return dataclasses.replace(self.problem, plant=plant), vector[:base_size]
 
 
 def slotted_model(
@@ -94,14 +110,14 @@ def slotted_model(
     free: Sequence[tuple[str, float]],
     term: NonparametricTerm | None = None,
 ) -> SlottedModel:
-    """Assemble the programs' data for a set of effects on a problem.
+    """Assemble the data of the compiled programs for a set of effects on a problem.
 
     Args:
         problem: The problem of a split.
-        effect_parameters: Names and own values of all effect parameters.
+        effect_parameters: Names of all effect parameters and the rig's own values, SI, shape ``(names,)``.
         effect_set: The effects with their values.
-        free: Names and scales of the parameters that the first slots move.
-        term: A nonparametric term, whose nodes are the slots after these.
+        free: Names and scales, SI, of the parameters that the first slots move.
+        term: A nonparametric term, whose nodes are in the following slots.
     """
     all_names, values = effect_parameters
     names = tuple(all_names)
@@ -124,12 +140,17 @@ def slotted_model(
 
 
 def residual(vector: Float[Array, " p"], args: tuple[SlottedModel, Simulated]) -> Float[Array, " residuals"]:
-    """Return ``SlottedModel.residual`` in the form in which a search calls it."""
+    """Return ``SlottedModel.residual`` with the signature that the solver needs.
+
+    Args:
+        vector: Base parameters, then slots.
+        args: The model, and the result of its simulation.
+    """
     model, simulated = args
     return model.residual(vector, simulated.trajectories)
 
 
-def _simulate(vector: jax.Array, model: SlottedModel) -> Simulated:
+def _simulate(vector: Float[Array, " p"], model: SlottedModel) -> Simulated:
     trajectories = model.trajectories(vector)
     return Simulated(trajectories, model.residual(vector, trajectories))
 
@@ -143,16 +164,16 @@ simulate: Callable[[jax.Array, SlottedModel], Simulated] = eqx.filter_jit(
 
 def start_solver(
     model: SlottedModel,
-    start: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
+    start: Float[np.ndarray, " p"],
+    lower: Float[np.ndarray, " p"],
+    upper: Float[np.ndarray, " p"],
     rtol: float = _RTOL,
     primal_fn: Callable[[jax.Array, SlottedModel], Simulated] = simulate,
 ) -> MultiStartSolver:
     """Set up a search for the vector, without a step.
 
     Args:
-        model: The programs' data.
+        model: The data of the compiled programs.
         start: Start vector, shape ``(p,)``.
         lower: Lower bounds, shape ``(p,)``.
         upper: Upper bounds, shape ``(p,)``.
@@ -164,11 +185,18 @@ def start_solver(
     )
 
 
-def start_compilation(model: SlottedModel, vector: np.ndarray) -> list[threading.Thread]:
-    """Compile both programs in the background; they are compiled when the threads have ended.
+def start_compilation(model: SlottedModel, vector: Float[np.ndarray, " p"]) -> list[threading.Thread]:
+    """Compile both programs in the background.
 
-    Tracing holds Python's lock and compiling does not: the program that takes longer to compile is traced first, before
-    this returns.
+    Tracing holds Python's global lock and compiling does not. The program that takes longer to compile is therefore
+    traced here, before the threads start.
+
+    Args:
+        model: The data of the compiled programs, of the shapes that all later calls have.
+        vector: A vector of the right shape, ``(p,)``.
+
+    Returns:
+        The threads; the programs are compiled when they have ended.
     """
     point, unbounded = jnp.asarray(vector), np.full(len(vector), np.inf)
     blank = Simulated(model.blank_trajectories(point), jnp.zeros(model.problem.size))

@@ -1,4 +1,4 @@
-"""Refits in which an effect that is known to be confused with an accepted one takes its place."""
+"""Confusable effects: refits in which an effect is replaced by one that it is often confused with."""
 
 import math
 
@@ -9,43 +9,44 @@ from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit, RefitSea
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.parameters import declarations
 
-# Steps of one stage of a search, and how many stages follow that with held shapes. Chosen by trial;
+# Number of steps of one stage of a search, and of stages that follow the one with held shapes. Chosen by trial;
 # tests/unit/diagnosis holds them.
 _STAGE_STEPS = 8
 _MAX_STAGES = 4
-# Cost over that of the fit whose place is taken beyond which a search is behind, and the share of its own cost that a
-# search that is behind has to keep below in each stage to catch up. Chosen by trial.
+# A search is behind if its cost exceeds the first number times that of the fit whose effect is replaced; it continues
+# if each stage reduces its cost to at most the second number times that before. Chosen by trial.
 _BEHIND = 4.0
 _CATCHING_UP = 0.5
-# Relative fall of the cost at which these searches end: effects that are nearly equivalent differ by little.
+# Relative fall of the cost at which these searches end: small, since nearly equivalent effects differ by little.
+# Chosen by trial.
 _RTOL = 1e-7
-# Start strength of the effect in the other's place, in units of the typical one. Chosen by trial.
+# Start strength of the replacing effect in units of the typical strength. Chosen by trial.
 _START_STRENGTH = 0.3
 
 
 def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -> list[CandidateFit]:
-    """Refit with each effect that may be confused with a fit's last one in its place.
+    """Refit with each effect that may be confused with the last effect of a fit, in its place.
 
-    The searches start at the fit's own point, with its shape where the other effect has a shape of the same name, else
-    with each of its usual ones. Shapes are held at first: freed too early, they drift away. A search goes on unless it
-    is far behind and does not catch up: where the other parameters have a long way to go, an effect as good as the
-    fit's takes a while.
+    The searches start at the point of the fit, with its shape where the other effect has a shape of the same name, and
+    else with each usual shape. Shapes are held at first, because they drift away if they are freed too early. A search
+    continues while its cost is near that of the fit or falls fast: an equally good effect may need many steps if the
+    other parameters have to change much.
 
     Args:
         evaluator: The evaluator.
         fit: The fit whose last effect is replaced.
 
     Returns:
-        The fits that are not far behind.
+        The fits whose cost is at most 4 times that of ``fit``.
     """
     problem = evaluator.problem
     effects, key, refit, stride = problem.effects, fit.key, fit.refit, evaluator.stride(fit.train_chi2)
-    others, taken = refit.effect_set.without(key), (*fit.keys, *problem.modelled_effects)
+    remaining, in_model = refit.effect_set.without(key), (*fit.keys, *problem.modelled_effects)
     confusable = [
-        k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in taken
+        k for k in effects if (k in effects[key].confused_with or key in effects[k].confused_with) and k not in in_model
     ]
     starts = [
-        others.with_effect(other, {f"effects.{other}.strength": _START_STRENGTH * effects[other].typical, **shape})
+        remaining.with_effect(other, {f"effects.{other}.strength": _START_STRENGTH * effects[other].typical, **shape})
         for other in confusable
         for shape in replacement_shapes(evaluator, other, key, refit)
     ]
@@ -54,7 +55,7 @@ def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -
         search = problem.start_search(start, refit.base, rtol=_RTOL, hold_shapes=True, stride=stride)
         return search.advance(_STAGE_STEPS)
 
-    def search_on(held: RefitSearch) -> RefitSearch:
+    def search_with_free_shapes(held: RefitSearch) -> RefitSearch:
         end, before = problem.refit_from(held), held.cost
         search = problem.start_search(end.effect_set, end.base, rtol=_RTOL, stride=stride).advance(_STAGE_STEPS)
         for _ in range(_MAX_STAGES):
@@ -67,22 +68,22 @@ def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -
     best: dict[str, RefitSearch] = {}
     for search in sorted(map_in_pairs(search_with_held_shapes, starts), key=lambda s: s.cost):
         best.setdefault(search.effect_set.keys[-1], search)
-    close = [s for s in map_in_pairs(search_on, list(best.values())) if s.cost < _BEHIND * refit.chi2]
+    close = [s for s in map_in_pairs(search_with_free_shapes, list(best.values())) if s.cost < _BEHIND * refit.chi2]
     fits = map_in_pairs(lambda s: evaluator.evaluate(problem.refit_from(s)), close)
     return [f for f in fits if math.isfinite(f.total_chi2) and not evaluator.is_negligible(f)]
 
 
 def replacement_shapes(evaluator: CandidateEvaluator, other: str, key: str, refit: Refit) -> list[dict[str, float]]:
-    """Return start shapes of an effect that takes another's place.
+    """Return start shapes of an effect that replaces another one.
 
     Args:
         evaluator: The evaluator.
-        other: Key of the effect.
-        key: Key of the effect whose place it takes.
-        refit: The refit with that one.
+        other: Key of the replacing effect.
+        key: Key of the replaced effect.
+        refit: The refit with the replaced effect.
 
     Returns:
-        The fitted shape, where it has the same name, else each of the usual ones, by parameter name.
+        Shapes, SI, by parameter name: the fitted values where the names are the same, else each of the usual ones.
     """
     shapes: dict[tuple, dict[str, float]] = {}
     for shape in evaluator.problem.shape_grid(other):

@@ -1,9 +1,11 @@
-"""The recordings that serve one purpose in a diagnosis, and which of their rows are scored."""
+"""The splits of a diagnosis: training, selection and holdout recordings, and which of their rows are scored."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from smajax.errors import InputError
 from smajax.recordings.recording import Recording
 
 # Positions of the splits in ``DiagnosisProblem.splits``, and their names in documents.
@@ -16,9 +18,11 @@ SPLIT_NAMES = ("train", "select", "holdout")
 class DataSplit(NamedTuple):
     """Recordings that serve one purpose: training, selection or holdout.
 
-    ``scored`` are boolean masks of the rows of each recording that are scored (default: all rows). Where every
-    recording has parameters of its own, those of a recording outside of the training split are fitted to its rows
-    ``anchor`` (default: the scored ones).
+    Attributes:
+        recordings: The recordings.
+        scored: Boolean mask of the scored rows of each recording, shape ``(rows,)``; empty for all rows.
+        anchor: Boolean mask of the rows of each recording to which its own parameters are fitted, where each recording
+            has some and the split is not the training split; empty for the scored rows.
     """
 
     recordings: tuple[Recording, ...]
@@ -32,3 +36,21 @@ class DataSplit(NamedTuple):
     def anchor_rows(self) -> list[np.ndarray]:
         """Return the indices of the rows of each recording to which its own parameters are fitted."""
         return [np.flatnonzero(mask) for mask in self.anchor] or self.rows()
+
+
+def check_complete(splits: Sequence[DataSplit], observe: Sequence[str]) -> None:
+    """Check that all recordings have every observed channel at every row.
+
+    Args:
+        splits: The splits.
+        observe: The observed channels.
+
+    Raises:
+        InputError: If a row of an observed channel is NaN.
+    """
+    for recording in (r for split in splits for r in split.recordings):
+        gaps = [c for c in observe if not np.all(np.isfinite(recording.channels.get(c, 0.0)))]
+        if gaps:
+            raise InputError(
+                f"{recording.name}: a diagnosis needs {gaps[0]} at every row: leave out the rows without a value"
+            )

@@ -1,10 +1,16 @@
-"""What an input can show of each effect, before anything is fitted: testable, absorbed by free parameters, or blind."""
+"""Detectability: what an input can show of each effect before a fit, namely testable, absorbed or blind.
+
+- testable: its minimum detectable strength, 3.5 standard errors, is below the largest plausible strength.
+- absorbed: a change of the free parameters has the same influence on the residual.
+- blind: this input, or this rig, does not show it at any plausible strength.
+"""
 
 import dataclasses
 import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.data_split import TRAIN
@@ -14,9 +20,8 @@ from smajax.diagnosis.sensitivities import effect_sensitivities
 from smajax.plant.effects import catalogue
 from smajax.plant.effects.base import AbstractEffect
 
-# Share of an effect's squared sensitivity that the parameters named as its absorbers have to explain together: a list
-# that is short and explains all that one would see in a plot. Chosen by trial; only the words of the report depend on
-# it.
+# Share of an effect's squared sensitivity that its listed absorbers explain together: the list stays short, and the
+# remainder would not show in a plot. Chosen by trial; only the text of the report depends on it.
 _ABSORBED_SHARE = 0.99
 
 
@@ -24,8 +29,14 @@ _ABSORBED_SHARE = 0.99
 class Detectability:
     """What the training input can show of one effect.
 
-    ``status`` is "testable", "absorbed" (the parameters ``absorbed_by`` have the same influence) or "blind" (``why``
-    says so); ``minimum_detectable_strength`` is the detectable strength, SI, that exceeds the noise 3.5 times.
+    Attributes:
+        key: Key of the effect.
+        stage: Its stage: "drive", "heat", "material", "mechanism" or "sensor".
+        unit: Unit of its strength.
+        status: "testable", "absorbed" or "blind".
+        minimum_detectable_strength: Strength, SI, that is 3.5 times its standard error; ``None`` if there is none.
+        absorbed_by: Free parameters that have the same influence, where it is absorbed.
+        why: Why it is blind; empty otherwise.
     """
 
     key: str
@@ -38,10 +49,12 @@ class Detectability:
 
 
 class NominalScore(NamedTuple):
-    """What an effect would explain of the residual at the rig's own values, to first order, beyond the free parameters.
+    """Score of an effect at the rig's own values, at the shape with the largest gain.
 
-    ``gain`` is the fall of chi-squared; ``strength``, in units of the typical one, and ``shape`` are those of the
-    largest gain.
+    Attributes:
+        gain: Fall of chi-squared to first order, beyond that of the free parameters.
+        strength: Expected strength in units of the typical strength.
+        shape: Names and values of the shape parameters.
     """
 
     gain: float
@@ -51,6 +64,9 @@ class NominalScore(NamedTuple):
 
 def assess_detectability(problem: DiagnosisProblem) -> tuple[dict[str, Detectability], dict[str, NominalScore]]:
     """Assess every effect of the catalogue at the rig's own values, with the problem's noise.
+
+    Args:
+        problem: The diagnosis problem.
 
     Returns:
         Detectability and nominal score of each effect by key; the latter only of effects that the rig can have.
@@ -79,7 +95,11 @@ def assess_detectability(problem: DiagnosisProblem) -> tuple[dict[str, Detectabi
 
 
 def detectability_from_score(
-    kind: type[AbstractEffect], score: Score, sensitivity: np.ndarray, jacobian: np.ndarray, names: list[str]
+    kind: type[AbstractEffect],
+    score: Score,
+    sensitivity: Float[np.ndarray, " m"],
+    jacobian: Float[np.ndarray, "m p"],
+    names: list[str],
 ) -> Detectability:
     """Classify an effect as testable, absorbed or blind by its score.
 
@@ -88,7 +108,7 @@ def detectability_from_score(
         score: Its score.
         sensitivity: Its sensitivity, shape ``(m,)``, not projected.
         jacobian: Jacobian of the free parameters, shape ``(m, p)``.
-        names: Their names, of which the absorbers are listed.
+        names: Names of the free parameters; without names no absorbers are searched for.
     """
 
     def with_status(status: str, absorbed_by: tuple[str, ...] = (), why: str = "") -> Detectability:
@@ -105,32 +125,44 @@ def detectability_from_score(
 
 
 def undetectable(problem: DiagnosisProblem, kind: type[AbstractEffect]) -> Detectability:
-    """Return the detectability of an effect that the rig file models, or that the rig cannot have or show."""
+    """Return the detectability of an effect that the rig file already models, or that the rig cannot have or show.
+
+    Args:
+        problem: The diagnosis problem.
+        kind: The effect.
+    """
     reason = kind.unavailable_reason(problem.capabilities)
     why = reason if kind.no_mean_effect else f"this rig cannot show it: {reason}"
     why = "the rig file has it" if kind.key in problem.modelled_effects else why
     return Detectability(kind.key, kind.stage, kind.unit(), "blind", None, (), why)
 
 
-def find_absorbers(sensitivity: np.ndarray, jacobian: np.ndarray, names: list[str]) -> tuple[str, ...]:
-    """Find few parameters, greedily, that together have all but 1 % of an effect's influence.
+def find_absorbers(
+    sensitivity: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m p"], names: list[str]
+) -> tuple[str, ...]:
+    """Find a few parameters that together absorb 99 % of an effect's squared sensitivity, by greedy selection.
+
+    Each step adds the parameter whose projected column has the largest correlation with the remaining sensitivity.
 
     Args:
-        sensitivity: The effect's sensitivity, shape ``(m,)``.
-        jacobian: Jacobian of the parameters, shape ``(m, p)``.
-        names: Their names; without names nothing is searched for.
+        sensitivity: Sensitivity of the effect, shape ``(m,)``.
+        jacobian: Jacobian of the free parameters, shape ``(m, p)``.
+        names: Names of the free parameters; without names nothing is searched for.
+
+    Returns:
+        The names of the parameters, in the order of ``names``.
     """
     total, chosen = float(sensitivity @ sensitivity), []
-    size = np.linalg.norm(jacobian, axis=0)
+    norms = np.linalg.norm(jacobian, axis=0)
     while len(chosen) < len(names):
         basis = orthonormal_basis(jacobian[:, chosen])
         remaining = project_out(basis, sensitivity)
         if remaining @ remaining <= (1.0 - _ABSORBED_SHARE) * total:
             break
-        others = [i for i in range(len(names)) if i not in chosen and size[i] > 0]
-        if not others:
+        candidates = [i for i in range(len(names)) if i not in chosen and norms[i] > 0]
+        if not candidates:
             break
-        projected = [project_out(basis, jacobian[:, i]) for i in others]
+        projected = [project_out(basis, jacobian[:, i]) for i in candidates]
         correlation = [abs(p @ remaining) / max(np.linalg.norm(p), 1e-300) for p in projected]
-        chosen.append(others[int(np.argmax(correlation))])
+        chosen.append(candidates[int(np.argmax(correlation))])
     return tuple(names[i] for i in sorted(chosen))

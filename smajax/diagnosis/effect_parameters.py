@@ -1,4 +1,4 @@
-"""Parameters of the effects that a rig could have: values, scales, bounds, and the shapes that are tried."""
+"""Parameters of the effects that a rig could have: values, scales, bounds, and grids of shapes."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -14,19 +14,23 @@ from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 
-# Change of a shape that counts as one, as a share of its value, or of its range where the value is 0: near 1 for the
-# searches. Chosen by trial; it scales the searches' steps and changes no optimum.
+# Scale of a shape parameter as a share of its value, or of its range where the value is 0. Chosen by trial; it scales
+# the steps of the searches and changes no optimum.
 _SHARE_OF_VALUE = 0.3
 _SHARE_OF_RANGE = 0.15
 
 
 class EffectParameters:
-    """The parameters of effects, in the order of ``names``, each in units of its ``scale``.
+    """The parameters of effects, in the order of ``names``.
+
+    Attributes:
+        names: Names of all parameters.
+        values: The rig's own values, SI, shape ``(names,)``.
 
     Args:
         effects: The effects by key.
         plant: A plant that has them all.
-        duration: Length of the longest training recording, s: no onset lies beyond it.
+        duration: Length of the longest training recording, s, the upper bound of onset times.
     """
 
     def __init__(self, effects: Mapping[str, AbstractEffect], plant: Plant, duration: float):
@@ -40,7 +44,7 @@ class EffectParameters:
         return float(self.values[self.names.index(name)])
 
     def scale(self, name: str) -> float:
-        """Return a typical change of a parameter, SI: the typical strength, or a share of a shape's value or range."""
+        """Return the scale of a parameter, SI: the typical strength, or a share of a shape's value or range."""
         _, key, field = name.split(".")
         if field == "strength":
             return self.effects[key].typical
@@ -50,7 +54,7 @@ class EffectParameters:
         )
 
     def bounds(self, names: Sequence[str]) -> tuple[list[float], list[float]]:
-        """Return lower and upper bounds of parameters in units of their scales; onsets end with the recordings."""
+        """Return lower and upper bounds of parameters in units of their scales."""
         declared = [declarations(self.effects[name.split(".")[1]])[name.split(".")[2]] for name in names]
         highest = [
             min(d.upper, self.duration) if name.endswith(".instant") else d.upper
@@ -61,18 +65,21 @@ class EffectParameters:
         return lower, upper
 
     def plausible_range(self, key: str) -> tuple[float, float]:
-        """Return an effect's plausible strengths in units of the typical one."""
+        """Return the lowest and highest plausible strength of an effect in units of the typical strength."""
         low, high = self.effects[key].plausible_range()
         return low / self.effects[key].typical, high / self.effects[key].typical
 
     def free(self, effect_set: EffectSet) -> list[str]:
-        """Return the parameters that a fit frees: strengths first, then shapes as far as there are slots."""
+        """Return the names of the parameters that a fit frees: strengths, then shapes as far as there are slots."""
         strengths = [f"effects.{key}.strength" for key in effect_set.keys]
         shapes = [f"effects.{key}.{shape}" for key in effect_set.keys for shape, _ in self.effects[key].shapes]
         return [*strengths, *shapes][:SLOTS]
 
     def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
-        """Return the shapes at which an effect is tried: each usual value of its first shape parameter."""
+        """Return the shapes at which an effect is tried: each usual value of its first shape parameter, SI.
+
+        Usual onset times are shares of the duration.
+        """
         shapes = self.effects[key].shapes
         if not shapes:
             return [()]
@@ -92,19 +99,19 @@ def possible_effects(
         capabilities: What the rig can have and show (``Plant.capabilities``).
 
     Returns:
-        The keys of the effects that the rig file models (free, or of a strength that is not 0), and all effects by key:
-        those, and at strength 0 every other effect of the catalogue that the rig can have.
+        The keys of the effects that the rig file models (free, or of a nonzero strength), and all effects by key: the
+        modelled ones, then every other effect of the catalogue that the rig can have, at strength 0.
     """
     fitted = {name.split(".")[1] for name in free if name.startswith("effects.")}
     modelled: dict[str, AbstractEffect] = {
         e.key: e for e in plant.effects if e.key in fitted or float(e.strength) != 0.0
     }
-    others = {
+    candidates = {
         key: _zero_effect(kind, recordings)
         for key, kind in catalogue().items()
         if key not in modelled and not kind.unavailable_reason(capabilities)
     }
-    return tuple(modelled), modelled | others
+    return tuple(modelled), modelled | candidates
 
 
 def _zero_effect(kind: type[AbstractEffect], recordings: Sequence[Recording]) -> AbstractEffect:

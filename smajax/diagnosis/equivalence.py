@@ -1,4 +1,8 @@
-"""Equivalence of effects: which of them the recordings cannot distinguish."""
+"""Equivalence of effects: which of them the recordings cannot distinguish.
+
+Before a refit, effects whose projected sensitivities are nearly collinear form a class (``equivalence_classes``). After
+a refit, two effects are equivalent if both fits explain the recordings as well (``is_equivalent``).
+"""
 
 from collections.abc import Mapping
 
@@ -6,24 +10,30 @@ import numpy as np
 
 from smajax.diagnosis.candidates import CandidateFit
 
-# Cosine between two projected sensitivities from which the effects are hard to distinguish: in the prototype study of
-# the diagnosis classes of this threshold had 1.0 to 1.1 members on average.
+# Cosine between two projected sensitivities above which the effects are hard to distinguish. From the prototype study
+# of the diagnosis, where classes of this threshold had 1.0 to 1.1 members on average.
 _CLASS_COSINE = 0.9
-# Difference of chi-squared up to which two fits of different effects are equivalent, as a multiple of the reduced
-# chi-squared: 10 is a likelihood ratio of 150. From the prototype study of the diagnosis, whose equivalence sets had
-# 1.03 members on average.
+# Difference of chi-squared below which two fits are equivalent, as a multiple of the reduced chi-squared: 10 is a
+# likelihood ratio of exp(5) = 150. From the prototype study of the diagnosis, where equivalence sets had 1.03 members
+# on average.
 _EQUIVALENT_CHI2 = 10.0
-# Difference of the reduced chi-squared of the selection split that never counts: a hundredth of what noise gives.
-# Chosen by trial.
+# Difference of the reduced chi-squared of the selection split below which two fits always predict it equally well: a
+# hundredth of the noise. Chosen by trial.
 _EQUIVALENT_SELECT = 0.01
 
 
 def equivalence_classes(sensitivities: Mapping[str, np.ndarray], threshold: float = _CLASS_COSINE) -> list[set[str]]:
     """Group effects that are hard to distinguish, by single linkage on the cosine between their sensitivities.
 
+    With the projected sensitivities a and b, two effects are linked if ``|a^T b| / (|a| |b|)`` exceeds the threshold; a
+    group is everything that is linked directly or through others. Effects without a sensitivity are left out.
+
     Args:
-        sensitivities: Projected sensitivities of the effects.
-        threshold: Absolute cosine from which two effects are linked.
+        sensitivities: Projected sensitivities of the effects by key, each of shape ``(m,)``.
+        threshold: Absolute cosine above which two effects are linked.
+
+    Returns:
+        The keys of each group.
     """
     groups: list[set[str]] = []
     unit = {
@@ -39,13 +49,16 @@ def equivalence_classes(sensitivities: Mapping[str, np.ndarray], threshold: floa
 
 
 def is_equivalent(fit: CandidateFit, best: CandidateFit, samples: int) -> bool:
-    """Say whether a fit explains both recordings as well as the best one.
+    """Return whether a fit explains training and selection split as well as the best fit.
+
+    With the reduced chi-squared c of the best fit and n samples, the difference of the training split's chi-squared is
+    below 10 max(1, c), and that of the selection split's reduced chi-squared below max(0.01, 10 max(1, c) / n).
 
     Args:
         fit: A fit with another effect.
         best: The best fit.
-        samples: Scored samples of the training split.
+        samples: Number of scored samples of the training split.
     """
-    close = (fit.train_chi2 - best.train_chi2) * samples < _EQUIVALENT_CHI2 * max(1.0, best.train_chi2)
+    fits_as_well = (fit.train_chi2 - best.train_chi2) * samples < _EQUIVALENT_CHI2 * max(1.0, best.train_chi2)
     margin = max(_EQUIVALENT_SELECT, _EQUIVALENT_CHI2 * max(1.0, best.select_chi2) / samples)
-    return close and fit.select_chi2 < best.select_chi2 + margin
+    return fits_as_well and fit.select_chi2 < best.select_chi2 + margin

@@ -1,11 +1,19 @@
 """Forward selection: from the residual of a fit to the effects that are missing.
 
-One round: scores say whether anything is missing and what is worth a refit; each of the best candidates is added to the
-plant and all parameters are fitted again; the one that explains the training split and predicts the selection split
-best is accepted, if it lowers the error there by more than chance (``acceptance``). What explains both as well is its
-equivalent (``equivalence``). Where more than noise is left, the best few fits get another effect each (a beam search),
-so that a first choice can still be changed for a better pair. At last each accepted effect is dropped if the fit
-without it is as good (``backward_elimination``). ``outcome`` evaluates a third recording, once, at the end.
+One round:
+
+1. Score every effect at the current fit (``screening``). Stop if no score is significant and the residual is noise.
+2. Add each of the best candidates to the plant and refit all parameters (``successive_halving``).
+3. Take the fit with the smallest sum of the reduced chi-squared of the training and the selection split.
+4. Accept its effect if both splits improve by more than chance (``acceptance``).
+5. List the effects that explain both splits as well as the accepted one (``equivalence``).
+
+Where the residual still exceeds the noise, the best few fits get another effect each (a beam search), so that a better
+pair can replace the first choice. Finally each accepted effect is dropped if the fit without it is as good
+(``backward_elimination``). ``outcome`` predicts a third recording, once, at the end.
+
+Source: efroymson1960 (stepwise regression), with refits of all parameters, and the prediction of a second recording in
+addition to a test of the fit.
 """
 
 import dataclasses
@@ -36,37 +44,38 @@ from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.onset_times import refine_onsets
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
-from smajax.diagnosis.screening import DETECTABLE
+from smajax.diagnosis.screening import half_width_95
 from smajax.diagnosis.selection_state import SIGNIFICANCE, CandidateSummary, SelectionState, chi2_threshold
 from smajax.diagnosis.successive_halving import successive_halving
 from smajax.plant.effects import catalogue
 
-# Share of the base fit's excess that a cause explains at least; from the prototype study of the diagnosis, where the
-# nearest effect to a cause outside of the catalogue explained at most 0.54 (median 0.34).
+# Least share of the base fit's excess over the noise that a cause explains. From the prototype study of the diagnosis:
+# the effect nearest to a cause outside of the catalogue explained at most 0.54 of it (median 0.34).
 MIN_CAUSE_FRACTION = 0.5
-# A third effect is searched for where two explain at least this share of the excess, and another promises at least this
-# share of what they leave: less points to a cause outside of the catalogue. Chosen by trial.
+# A third effect is searched for if two explain at least the first share of the excess, and the largest score is at
+# least the second share of the remaining excess: less points to a cause outside of the catalogue. Chosen by trial.
 MIN_EXPLAINED_FRACTION = 0.75
 MIN_SCORE_GAIN = 1.0 / 3.0
-# Effects that are accepted at most.
+# Largest number of accepted effects, as in the prototype study of the diagnosis.
 MAX_EFFECTS = 3
-# Effects, of the largest nominal scores, that are also refitted from the rig's nominal values. Chosen by trial.
+# Number of effects, those with the largest scores at the rig's nominal values, that are refitted from there as well.
+# Chosen by trial.
 _FROM_NOMINAL = 4
-# Fits that get another effect, and how many candidates of each. Chosen by trial.
+# Number of fits that get another effect, and of candidates for each of them. Chosen by trial.
 _BEAM_WIDTH = 3
 _CANDIDATES_PER_FIT = 4
-# Unconverged fits that are refitted to convergence, and fits at the noise that are refitted jointly. Chosen by trial.
+# Number of unconverged fits that are refitted to convergence, and of fits that are refitted jointly. Chosen by trial.
 _MAX_CONVERGED = 2
 _MAX_JOINT = 2
-# Alternatives that are kept of each accepted effect: what the next experiment can distinguish.
+# Number of alternatives that are stored for each accepted effect: what the next experiment can distinguish.
 _MAX_ALTERNATIVES = 3
-# Difference of chi-squared that says nothing: of two fits this close the one with the more typical effect comes first.
-# Chosen by trial.
+# Difference of chi-squared below which two fits count as equally good: the one with the more typical effect is
+# preferred. Chosen by trial.
 _SAME_CHI2 = 2.0
-# Rounding that is coarser than the noise errs all the same way where nothing moves: the threshold of chi-squared is at
-# least this. Chosen by trial.
+# Least threshold of the reduced chi-squared where rounding is coarser than the noise: the rounding error is constant
+# while nothing moves, and does not average out. Chosen by trial.
 _MIN_LIMIT_IF_ROUNDED = 1.5
-# Reduced chi-squared of the training split from which a further effect is searched for. Chosen by trial.
+# Reduced chi-squared of the training split below which no further effect is searched for. Chosen by trial.
 _MIN_CHI2_TO_GO_ON = 1.02
 
 Report = Callable[[str], None]
@@ -88,11 +97,11 @@ def select_effects(
         problem: The diagnosis problem.
         seed: Seed of the start points and of the null distribution.
         starts: Least number of starts of the base fit.
-        min_explained_fraction: Share of the excess over the noise that two effects have to explain for a third to be
+        min_explained_fraction: Share of the excess over the noise that two effects must explain before a third is
             searched for.
-        min_score_gain: Share of what they leave that the third has to promise, to first order.
-        known_noise: Standard deviations of channels' noise that are known, SI; the others are estimated.
-        report_progress: Called with a line for each stage.
+        min_score_gain: Share of the remaining excess that the score of the third must reach.
+        known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
+        report_progress: Called with a line of text at each stage.
 
     Returns:
         The evaluator of the problem, and the state at the end of the selection.
@@ -100,6 +109,26 @@ def select_effects(
     Raises:
         NumericsError: If the simulation fails at the rig's own values.
     """
+    evaluator, state = _start_selection(problem, seed, starts, known_noise, report_progress)
+    beam = [state.base_fit]
+    for round_index in range(MAX_EFFECTS):
+        is_third = round_index > 1
+        if is_third and state.explained < min_explained_fraction:
+            break
+        min_gain = min_score_gain if is_third else 0.0
+        beam = _run_round(evaluator, state, beam, round_index, min_gain, report_progress)
+        if not beam:
+            break
+    drop_unneeded_effects(evaluator, state)
+    swap_confusable_effects(evaluator, state)
+    state.current = refine_onsets(evaluator, state.current)
+    return evaluator, state
+
+
+def _start_selection(
+    problem: DiagnosisProblem, seed: int, starts: int, known_noise: Mapping[str, float], report_progress: Report
+) -> tuple[CandidateEvaluator, SelectionState]:
+    """Fit the rig without further effects and set the noise. Return evaluator and state before the first round."""
     base, detectability, nominal_scores = _prepare(problem, seed, starts, report_progress)
     noise = base.noise | {c: (value, "rig file") for c, value in known_noise.items() if c in base.noise}
     if not base.converged:
@@ -109,24 +138,13 @@ def select_effects(
     base_fit = evaluator.evaluate(evaluator.base_refit(base.point, base.status))
     limit = chi2_threshold(problem.samples)
     limit = max(limit, _MIN_LIMIT_IF_ROUNDED) if any(source == "rounding" for _, source in noise.values()) else limit
-    state = SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
-    beam = [base_fit]
-    for turn in range(MAX_EFFECTS):
-        if turn > 1 and state.explained < min_explained_fraction:
-            break
-        beam = _select_next(evaluator, state, beam, turn, min_score_gain if turn > 1 else 0.0, report_progress)
-        if not beam:
-            break
-    drop_unneeded_effects(evaluator, state)
-    swap_confusable_effects(evaluator, state)
-    state.current = refine_onsets(evaluator, state.current)
-    return evaluator, state
+    return evaluator, SelectionState(detectability, noise, base_fit, base_fit, limit, nominal_scores, base.converged)
 
 
 def _prepare(
     problem: DiagnosisProblem, seed: int, starts: int, report_progress: Report
 ) -> tuple[BaseFit, dict[str, Detectability], dict[str, NominalScore]]:
-    """The base fit, which runs while the large programs are compiled, and what the input can show of each effect."""
+    """Run the base fit while the large programs compile, then assess what the input can show of each effect."""
     report_progress("preflight: what these inputs can show")
     with ThreadPoolExecutor(1) as pool:
         base_fit: Future[BaseFit] = pool.submit(fit_base, problem, seed, starts)
@@ -137,34 +155,34 @@ def _prepare(
         statuses = [d.status for d in detectability.values()]
         counts = [statuses.count(status) for status in ("testable", "absorbed", "blind")]
         report_progress("preflight: {} effects are testable, {} are absorbed, {} are blind".format(*counts))
-        report_progress("fitting the rig as its file has it")
+        report_progress("fitting the rig without further effects")
         return base_fit.result(), detectability, nominal_scores
 
 
-def _select_next(
+def _run_round(
     evaluator: CandidateEvaluator,
     state: SelectionState,
     beam: list[CandidateFit],
-    turn: int,
+    round_index: int,
     min_score_gain: float,
     report_progress: Report,
 ) -> list[CandidateFit]:
-    """One round: adds an effect to each fit of the beam; returns the next beam, empty if no effect was accepted."""
+    """Run one round: add an effect to each fit of the beam. Return the next beam, empty if no effect was accepted."""
     problem, current = evaluator.problem, state.current
     beam = [fit for fit in beam if len(problem.free_effect_parameters(fit.refit.effect_set)) < SLOTS]
-    if not beam or (turn and current.train_chi2 < max(state.chi2_limit, _MIN_CHI2_TO_GO_ON)):
+    if not beam or (round_index and current.train_chi2 < max(state.chi2_limit, _MIN_CHI2_TO_GO_ON)):
         return []
-    others = len(problem.effects) - len(problem.modelled_effects) - turn
-    report_progress(f"round {turn + 1}: scoring {others} effects")
-    if turn == 0:
+    scored_count = len(problem.effects) - len(problem.modelled_effects) - round_index
+    report_progress(f"round {round_index + 1}: scoring {scored_count} effects")
+    if round_index == 0:
         fits = _fit_first_effects(evaluator, state, report_progress)
     else:
-        fits = _fit_further_effects(evaluator, beam, turn, min_score_gain, report_progress)
+        fits = _fit_further_effects(evaluator, beam, round_index, min_score_gain, report_progress)
     fits = _converge_worse_fits(evaluator, fits, current)
     if not fits:
         return []
     best, fits = _refine_best(evaluator, fits, state.acceptable_chi2)
-    if turn == 0:
+    if round_index == 0:
         for fit in fits:
             summary = state.ranking[fit.key]
             state.ranking[fit.key] = dataclasses.replace(summary, refit_rmse_select=fit.rmse_select)
@@ -179,7 +197,7 @@ def _select_next(
 def _fit_first_effects(
     evaluator: CandidateEvaluator, state: SelectionState, report_progress: Report
 ) -> list[CandidateFit]:
-    """Scores all effects at the base fit and refits with one effect each; empty if nothing is missing."""
+    """Score all effects at the base fit and refit with one effect each; empty if nothing is missing."""
     base = state.current.refit
     scores = evaluator.scores(base)
     state.stage_shares = evaluator.stage_shares(base, scores)
@@ -192,7 +210,7 @@ def _fit_first_effects(
 def _fit_single_effects(
     evaluator: CandidateEvaluator, state: SelectionState, scores: Scores, report_progress: Report
 ) -> list[CandidateFit]:
-    """Refits with every detectable effect: at a biased fit even the cause may gain nothing to first order."""
+    """Refit with every detectable effect: at a biased fit even the score of the cause may be 0."""
     problem, refit = evaluator.problem, state.current.refit
     keys = [key for key, s in scores.best.items() if math.isfinite(s.minimum_detectable_strength)]
     nominal = state.nominal_scores
@@ -206,8 +224,7 @@ def _fit_single_effects(
     best = min(fits, key=lambda fit: fit.total_chi2, default=None)
     if best is not None and (best.at_noise or _explains_enough(state, best)):
         return fits
-    # A large effect gains nothing to first order, neither at the fit nor at the rig's own values: each in its typical
-    # strength.
+    # The score of a large effect may be 0 at the fit and at the rig's own values: start each at its typical strength.
     report_progress("round 1: refitting them from the rig's own values")
     typical = [
         Candidate(refit, key, sign, shape)
@@ -220,7 +237,7 @@ def _fit_single_effects(
 
 
 def _explains_enough(state: SelectionState, fit: CandidateFit) -> bool:
-    """Whether a fit explains enough of a reliable base residual that no other start is tried."""
+    """Whether a fit explains so much of a reliable base residual that no other start is needed."""
     explained = min(state.explained_by(fit), state.explained_in_training_by(fit))
     return state.base_fit_converged and explained > MIN_CAUSE_FRACTION
 
@@ -228,13 +245,13 @@ def _explains_enough(state: SelectionState, fit: CandidateFit) -> bool:
 def _fit_further_effects(
     evaluator: CandidateEvaluator,
     beam: list[CandidateFit],
-    turn: int,
+    round_index: int,
     min_score_gain: float,
     report_progress: Report,
 ) -> list[CandidateFit]:
-    """Refits the beam's fits with one effect more.
+    """Refit each fit of the beam with one more effect.
 
-    None if on the first of them no score promises the share ``min_score_gain`` of its excess.
+    Empty if no score at the first fit reaches the share ``min_score_gain`` of its excess.
     """
     candidates: list[Candidate] = []
     queued: set[frozenset] = set()
@@ -249,17 +266,17 @@ def _fit_further_effects(
             if score.gain > 0.0 and keys not in queued:
                 queued.add(keys)
                 candidates.append(Candidate(fit.refit, key, score.strength, scores.shapes[key], score.gain))
-    report_progress(f"round {turn + 1}: refitting {len(candidates)} sets of effects")
+    report_progress(f"round {round_index + 1}: refitting {len(candidates)} sets of effects")
     return successive_halving(evaluator, candidates)
 
 
 def _converge_worse_fits(
     evaluator: CandidateEvaluator, fits: list[CandidateFit], current: CandidateFit
 ) -> list[CandidateFit]:
-    """The fits that leave less of the training split than ``current``, and the best others, converged.
+    """The fits that improve the training split over ``current``, and the best of the others after convergence.
 
-    With one effect more nothing gets worse there but by a search that was held, or stopped early, whatever it predicts
-    of another input.
+    ``current`` is nested in each fit, so a fit that is worse on the training split only stopped early or had its
+    parameters held.
     """
     better = [fit for fit in fits if fit.train_chi2 < current.train_chi2]
     least = min((fit.total_chi2 for fit in better), default=math.inf)
@@ -271,38 +288,38 @@ def _converge_worse_fits(
 def _refine_best(
     evaluator: CandidateEvaluator, fits: list[CandidateFit], acceptable_chi2: float
 ) -> tuple[CandidateFit, list[CandidateFit]]:
-    """The best fit, converged and compared with confusable effects, and all fits, one a set of effects."""
+    """The best fit, converged and compared with confusable effects, and all fits, one for each set of effects."""
     samples = evaluator.problem.samples
     best = evaluator.refit_to_convergence(min(fits, key=lambda fit: fit.total_chi2))
     by_effects: dict[frozenset, CandidateFit] = {}
-    everyone = [best, *fits, *refit_confusable_effects(evaluator, best)]
-    for fit in sorted(everyone, key=lambda fit: fit.total_chi2):
+    all_fits = [best, *fits, *refit_confusable_effects(evaluator, best)]
+    for fit in sorted(all_fits, key=lambda fit: fit.total_chi2):
         by_effects.setdefault(frozenset(fit.keys), fit)
     fits = list(by_effects.values())
-    # From where it has converged before, a search would only get to the same end.
+    # A search with the same effects as ``best`` would converge to the same point again.
     fall = MIN_CHI2_FALL * max(1.0, best.train_chi2) / samples
     if set(fits[0].keys) != set(best.keys) and fits[0].total_chi2 < best.total_chi2 - fall:
         best = evaluator.refit_to_convergence(fits[0])
     fits = _refit_open_fits_jointly(evaluator, fits, acceptable_chi2)
     best = min([best, *fits], key=lambda fit: fit.total_chi2)
-    others = set(best.keys) - {best.key}
-    same = [
+    other_keys = set(best.keys) - {best.key}
+    equally_good = [
         fit
         for fit in fits
-        if fit.key not in others
-        and set(fit.keys) - {fit.key} == others
+        if fit.key not in other_keys
+        and set(fit.keys) - {fit.key} == other_keys
         and (fit.total_chi2 - best.total_chi2) * samples < _SAME_CHI2
     ]
-    return min([best, *same], key=evaluator.log_distance_from_typical), fits
+    return min([best, *equally_good], key=evaluator.log_distance_from_typical), fits
 
 
 def _refit_open_fits_jointly(
     evaluator: CandidateEvaluator, fits: list[CandidateFit], acceptable_chi2: float
 ) -> list[CandidateFit]:
-    """The fits, those that explain the training split to the noise refitted to both splits where that explains both.
+    """The fits, with those at the noise of the training split replaced by joint refits that are at the noise of both.
 
-    Else a cause with an instant at which nothing moves would be rejected for a prediction that the training split does
-    not determine.
+    The training split hardly determines an onset at which nothing moves. Without the joint refit, the cause would be
+    rejected for its prediction of the selection split.
     """
     if any(fit.at_noise for fit in fits):
         return fits
@@ -318,21 +335,21 @@ def _refit_open_fits_jointly(
 
 
 def _accept(state: SelectionState, best: CandidateFit, fits: list[CandidateFit], samples: int) -> list[CandidateFit]:
-    """Notes the best fit as accepted, with the alternatives and equivalents of its effects; returns the next beam."""
+    """Store the best fit as accepted, with alternatives and equivalents of its effects. Return the next beam."""
     state.current = best
     state.accepted_fits.append(best)
-    others = sorted((fit for fit in fits if set(fit.keys) != set(best.keys)), key=lambda fit: fit.total_chi2)
+    other_fits = sorted((fit for fit in fits if set(fit.keys) != set(best.keys)), key=lambda fit: fit.total_chi2)
     for key in best.keys:
-        swapped = [fit for fit in others if set(best.keys) - {key} <= set(fit.keys) and key not in fit.keys]
+        swapped = [fit for fit in other_fits if set(best.keys) - {key} <= set(fit.keys) and key not in fit.keys]
         if key == best.key or swapped:
             state.alternatives[key] = swapped[:_MAX_ALTERNATIVES]
             equivalent = (fit for fit in swapped if is_equivalent(fit, best, samples))
             state.equivalent[key] = tuple((set(fit.keys) - set(best.keys)).pop() for fit in equivalent)
-    return [best, *others[: _BEAM_WIDTH - 1]]
+    return [best, *other_fits[: _BEAM_WIDTH - 1]]
 
 
 def _rank(evaluator: CandidateEvaluator, scores: Scores, base: Refit) -> dict[str, CandidateSummary]:
-    """A summary of every effect by its score at the base fit, with a 95 % interval widened by the misfit."""
+    """Summarise every effect by its score at the base fit, with a 95 % interval that is widened by the misfit."""
     problem, ranking = evaluator.problem, {}
     free = zip(problem.problems[TRAIN].unknowns, evaluator.free_columns(base), strict=True)
     names = [unknown.label for unknown, is_free in free if is_free]
@@ -347,7 +364,7 @@ def _rank(evaluator: CandidateEvaluator, scores: Scores, base: Refit) -> dict[st
         if detectability.status != "testable" or detectable is None:
             ranking[key] = CandidateSummary(detectability)
             continue
-        estimate, half_width = score.strength * kind.typical, 1.96 / DETECTABLE * detectable * inflation
+        estimate, half_width = score.strength * kind.typical, half_width_95(detectable) * inflation
         ranking[key] = CandidateSummary(
             detectability, estimate, estimate - half_width, estimate + half_width, score.gain, scores.p_values[key]
         )

@@ -1,4 +1,4 @@
-"""Refit of the training and the selection split together, by which the holdout is predicted."""
+"""Joint refit: a fit to training and selection split together, by which the holdout is predicted."""
 
 import dataclasses
 import functools
@@ -13,35 +13,35 @@ from smajax.diagnosis.onset_times import with_better_onsets
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 
-# Largest number of evaluations of a search: it starts at a fit of the training split, near its end. Chosen by trial.
+# Largest number of evaluations of a search, which starts near its optimum, at a fit of the training split. Chosen by
+# trial.
 _MAX_EVALUATIONS = 12
-# Reduced chi-squared beyond which the exact optimum does not matter, and the relative falls of the cost at which a
-# search ends below and beyond it. Chosen by trial; a diagnosis that explains nothing would spend most of its time here.
+# Reduced chi-squared above which the exact optimum does not matter, and the relative falls of the cost at which a
+# search ends below and above it. Chosen by trial; a diagnosis that explains nothing would spend most of its time here.
 _FAR_FROM_FIT = 100.0
 _FTOL = 1e-6
 _FTOL_FAR = 1e-3
-# A parameter that moves the residual by less than this share of the most influential one is held: its column is
-# rounding.
+# Share of the largest norm of a Jacobian column below which a parameter is held: such a column is rounding.
 _MIN_INFLUENCE = 1e-9
 
 
 def refit_jointly(problem: DiagnosisProblem, refit: Refit) -> Refit:
-    """Fit a refit's parameters to training and selection split together, starting from where they are.
+    """Fit the parameters of a refit to training and selection split together, starting at its point.
 
-    What one recording does not determine, the other may. A refit with parameters that each recording has of its own
-    stays what it is.
+    One split may determine a parameter that the other does not.
 
     Args:
         problem: The diagnosis problem.
         refit: A refit of the training split.
 
     Returns:
-        The joint refit, with residual and Jacobian of the training split.
+        The joint refit, with residual and Jacobian of the training split; ``refit`` itself if each recording has own
+        parameters.
     """
     if problem.own_count:
         return refit
-    # Instants first: where one recording does not determine one, a search of all parameters would let the others
-    # compensate for it.
+    # Onset times first: where one recording does not determine an onset, a search of all parameters would let the
+    # others compensate for it.
     joint = refit
     for turn in range(2):
         better = with_better_onsets(problem, joint, (TRAIN, SELECT))
@@ -51,25 +51,22 @@ def refit_jointly(problem: DiagnosisProblem, refit: Refit) -> Refit:
 
 
 class _JointResidual:
-    """Residual and Jacobian of both splits as functions of one vector.
-
-    The vector is the base vector, then the effect parameters in units of their scales.
-    """
+    """Residual and Jacobian of both splits as functions of one vector: base vector, then scaled effect parameters."""
 
     def __init__(self, problem: DiagnosisProblem, refit: Refit):
         self.problem, self.refit = problem, refit
         self.free = problem.free_effect_parameters(refit.effect_set)
         self.scales = np.array([problem.effect_parameters.scale(name) for name in self.free])
-        # SciPy asks for the residual and for its derivative one after the other.
+        # SciPy calls for the residual and for its derivative one after the other.
         self.evaluate = functools.lru_cache(maxsize=2)(self._evaluate)
 
     def start(self) -> np.ndarray:
-        """Return the vector of the refit."""
+        """Return the vector at the refit."""
         effects = [self.refit.values[name] / scale for name, scale in zip(self.free, self.scales, strict=True)]
         return np.append(self.refit.base, effects)
 
     def effect_set(self, point: np.ndarray) -> EffectSet:
-        """Return the effects with the values of a vector."""
+        """Return the effects with the values in a vector."""
         values = (point[self.problem.size :] * self.scales).tolist()
         return self.refit.effect_set.with_values(dict(zip(self.free, values, strict=True)))
 
@@ -91,7 +88,7 @@ class _JointResidual:
 
 
 def _minimise(problem: DiagnosisProblem, refit: Refit) -> Refit:
-    """The joint refit by one search, instants included as continuous parameters."""
+    """The joint refit by one search, with onset times as continuous parameters."""
     function = _JointResidual(problem, refit)
     lower, upper = problem.vector_bounds(function.free)
     start = function.start().clip(lower, upper)

@@ -1,15 +1,15 @@
-"""Localisation: in which stage of the plant a residual can live.
+"""Localisation: the stage of the plant that a residual can come from.
 
-Heat and material are each given a piecewise linear function of time, added as heat or as a shift of the transformation
-temperatures, and each channel one that is added to it. Whatever of the residual such a function explains beyond the
-free parameters, adjusted for its number of nodes, is the share that can live there. Drive, mechanism and sensor have no
-such function of their own (a current is heat, and what happens between mechanism and sensor adds to the channel): the
-sensitivities of their effects decide between them.
+A piecewise linear function of time is added in turn as heat, as a shift of the transformation temperatures, and to each
+channel. The share of the residual that it explains beyond the free parameters, an adjusted R squared, is the share of
+that stage. Drive, mechanism and sensor have no such function of their own: an error of the current acts as heat, and
+mechanism and sensor both act on the channel. The sensitivities of their effects decide between them.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.candidates import NonparametricTerm, Refit
 from smajax.diagnosis.compiled_model import SLOTS
@@ -20,25 +20,30 @@ from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import orthonormal_basis, project_out
 
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
-# Shares within this of the largest, or of half of it, are as good: of these the most upstream stage is named, since one
-# cause there shows in all that follows. 0.1 is from the prototype study of the diagnosis.
+# A stage ties with the one of the largest share if its share is within the first number of the largest, or at least the
+# second times the largest. Of tied stages the most upstream is named, since a cause there acts on all that follow. 0.1
+# is from the prototype study of the diagnosis.
 _TIE = 0.1
 _TIE_FRACTION = 0.5
-# Largest share below which the residual lives in no stage. Chosen by trial; tests/unit/diagnosis holds it.
+# Largest share up to which no stage is named. Chosen by trial; tests/unit/diagnosis holds it.
 _NO_STAGE = 0.02
-# Share of a column's norm that has to remain after projection: less is rounding.
+# Least share of a column's norm that remains after projection; below it the remainder is rounding.
 _MIN_REMAINING = 1e-3
-# Values of nodes of order one: ten kelvin times the heat balance's conductance, a kelvin, a hundredth of a per cent of
-# strain.
+# Units of the nodes, which make their values of order one: 10 K times the heat balance's conductance, 1 K, and a strain
+# of 0.01 %.
 _HEAT_UNIT_KELVIN = 10.0
 _SHIFT_UNIT = 1.0
 _STRAIN_UNIT = 1e-4
 
 
 def stage_shares(
-    problem: DiagnosisProblem, refit: Refit, basis: np.ndarray, residual: np.ndarray, sensitivities: Mapping
+    problem: DiagnosisProblem,
+    refit: Refit,
+    basis: Float[np.ndarray, "m rank"],
+    residual: Float[np.ndarray, " m"],
+    sensitivities: Mapping,
 ) -> dict[str, float]:
-    """Compute the share of a residual that can live in each stage.
+    """Compute the share of a residual that each stage can explain.
 
     Args:
         problem: The diagnosis problem.
@@ -46,6 +51,9 @@ def stage_shares(
         basis: Orthonormal basis of the free parameters' Jacobian, shape ``(m, rank)``.
         residual: The projected residual, shape ``(m,)``.
         sensitivities: Sensitivities of the effects by key and shape, each of shape ``(m,)``.
+
+    Returns:
+        The share, from 0 to 1, of each of ``STAGES``.
     """
     by_effects = {
         stage: explained_share(
@@ -70,15 +78,30 @@ def stage_shares(
 
 
 def most_likely_stage(shares: Mapping[str, float]) -> str | None:
-    """Return the most upstream stage whose share comes near the largest; ``None`` if all shares are next to 0."""
+    """Return the most upstream stage whose share ties with the largest; ``None`` if all shares are nearly 0.
+
+    Args:
+        shares: The share of each of ``STAGES``.
+    """
     largest = max(shares.values())
     if largest <= _NO_STAGE:
         return None
     return next(stage for stage in STAGES if shares[stage] >= max(largest - _TIE, _TIE_FRACTION * largest))
 
 
-def explained_share(basis: np.ndarray, residual: np.ndarray, columns: Sequence[np.ndarray]) -> float:
-    """Return the share of a projected residual that columns explain beyond the basis (adjusted R squared)."""
+def explained_share(
+    basis: Float[np.ndarray, "m rank"], residual: Float[np.ndarray, " m"], columns: Sequence[Float[np.ndarray, " m"]]
+) -> float:
+    """Compute the share of a projected residual that columns explain beyond a basis (adjusted R squared).
+
+    With R^2 the share of the squares in the span of the p projected columns, of n samples, it is
+    1 - (1 - R^2) (n - 1) / (n - p - 1), clipped to 0 and 1.
+
+    Args:
+        basis: Orthonormal basis of the free parameters' Jacobian, shape ``(m, rank)``.
+        residual: The projected residual, shape ``(m,)``.
+        columns: The columns, each of shape ``(m,)``, not projected.
+    """
     total, n = float(residual @ residual), len(residual)
     projected = [
         p
@@ -87,27 +110,32 @@ def explained_share(basis: np.ndarray, residual: np.ndarray, columns: Sequence[n
     ]
     if not projected or total <= 0.0:
         return 0.0
-    own = orthonormal_basis(np.column_stack(projected))
-    explained, p = float(np.sum((own.T @ residual) ** 2)) / total, own.shape[1]
-    return float(np.clip(1.0 - (1.0 - explained) * (n - 1) / max(n - p - 1, 1), 0.0, 1.0))
+    column_basis = orthonormal_basis(np.column_stack(projected))
+    r_squared, p = float(np.sum((column_basis.T @ residual) ** 2)) / total, column_basis.shape[1]
+    return float(np.clip(1.0 - (1.0 - r_squared) * (n - 1) / max(n - p - 1, 1), 0.0, 1.0))
 
 
 def node_unit(problem: DiagnosisProblem, kind: int) -> float:
-    """Return the value of a node that counts as one, in the unit of a row of ``nonparametric.KINDS``."""
+    """Return the unit of the nodes of a nonparametric term: W/m^3 for heat, K for a shift, 1 for a strain.
+
+    Args:
+        problem: The diagnosis problem.
+        kind: Row of ``nonparametric.KINDS``.
+    """
     plant = problem.problems[TRAIN].plant
     conductance = float(plant.heat.conductance(plant.environment.ambient, plant.wire))
     units = {FreeHeat: _HEAT_UNIT_KELVIN * conductance, FreeShift: _SHIFT_UNIT, FreeStrain: _STRAIN_UNIT}
     return units[KINDS[kind]]
 
 
-def node_matrix(nodes: int) -> np.ndarray:
-    """Return the matrix that makes knots of equally spaced nodes, shape ``(KNOTS, nodes)``."""
+def node_matrix(nodes: int) -> Float[np.ndarray, "knots nodes"]:
+    """Return the matrix that interpolates the knots from equally spaced nodes, shape ``(KNOTS, nodes)``."""
     return hat_functions(np.linspace(0.0, 1.0, KNOTS), nodes)
 
 
 def node_sensitivities(
     problem: DiagnosisProblem, refit: Refit, kind: int, variable: str, span: tuple[float, float], nodes: int
-) -> list[np.ndarray]:
+) -> list[Float[np.ndarray, " m"]]:
     """Differentiate the training residual with respect to each node of a nonparametric term.
 
     Args:
@@ -115,8 +143,11 @@ def node_sensitivities(
         refit: The refit to which the term is added.
         kind: Row of ``nonparametric.KINDS``.
         variable: Word of ``nonparametric.VARIABLES``.
-        span: Range of the variable.
-        nodes: Number of nodes; as many as there are slots share a simulation.
+        span: Lowest and highest value of the variable.
+        nodes: Number of nodes; ``SLOTS`` of them share a simulation.
+
+    Returns:
+        The derivative with respect to each node in units of ``node_unit``, each of shape ``(m,)``.
     """
     matrix = node_matrix(nodes) * node_unit(problem, kind)
     terms = [NonparametricTerm(kind, variable, *span, matrix[:, k : k + SLOTS]) for k in range(0, nodes, SLOTS)]
@@ -127,7 +158,7 @@ def node_sensitivities(
 
 
 def _channel_columns(problem: DiagnosisProblem) -> list[np.ndarray]:
-    """Hat functions of time added to each channel."""
+    """Hat functions of time of each channel, as columns of all scored samples."""
     lengths = [len(v) for v in problem.series(np.zeros(problem.problems[TRAIN].data.measured.size)).values()]
     zeros, columns = np.zeros(sum(lengths)), []
     for first, length in zip(np.cumsum([0, *lengths]), lengths, strict=False):

@@ -1,9 +1,11 @@
-"""The next experiment: the input on which the remaining effects differ most, beyond the free parameters.
+"""The next experiment: the input that best distinguishes effects which explain the recordings equally well.
 
-Inputs are taken from a library (steps, pulses and ramps of several levels and paces) within the range of the inputs
-recorded so far; one that makes a wire hotter than training or selection input do, by the fitted plant without its
-effects, is left out. Each costs the derivatives of one simulation. The measure is the distance between the two most
-similar effects in standard deviations, a T-optimal design for discrimination (atkinson1975) to first order.
+Candidates are steps, pulses and ramps of several levels and durations within the range of the recorded inputs. An input
+is left out if it makes a wire hotter than the training and the selection input do, by the fitted plant without effects.
+Each candidate costs one simulation with derivatives. The criterion is the distance between the two most similar effects
+in standard deviations (``discrimination``), a T-optimal design to first order.
+
+Source: atkinson1975.
 """
 
 import dataclasses
@@ -23,26 +25,34 @@ from smajax.diagnosis.screening import orthonormal_basis, project_out
 from smajax.fitting.problem import Problem
 from smajax.recordings.recording import Recording
 
-# Inputs that are evaluated: in the prototype study of the diagnosis the distance between two effects varied by factors
-# of 3 to 14 among 24 random inputs, so that the best of them was worth four times as much data.
+# Largest number of inputs that are evaluated. From the prototype study of the diagnosis, where the distance between two
+# effects varied by factors of 3 to 14 among 24 random inputs, and the best of them was worth four times as much data.
 _MAX_EVALUATED = 24
-# Distance in standard deviations that makes an input worth its experiment, and by how much it has to exceed that of the
-# training input. Chosen by trial.
+# Least distance in standard deviations with which an input is proposed, and its least ratio to that of the training
+# input. Chosen by trial.
 _MIN_DISCRIMINATION = 5.0
 _MIN_IMPROVEMENT = 1.2
-# Temperature by which an input may exceed the hottest one recorded, K. Chosen by trial.
+# Temperature by which a proposed input may exceed the highest one of the recordings, K. Chosen by trial.
 _MAX_EXCESS_TEMPERATURE = 1.0
-# Levels of the library's inputs between the lowest and the highest recorded value, so that heating is often
+# Levels of the library's inputs between the lowest (0) and the highest (1) recorded value, so that heating is often
 # partial. Chosen by trial.
 _LEVELS = (0.0, 0.3, 0.5, 0.7, 0.85, 1.0)
-# Pieces into which the library's inputs divide the recording, and the share of its piece that a pulse lasts.
+# Numbers of pieces into which the library's inputs divide the recording, and the duration of a pulse as a share of its
+# piece. Chosen by trial.
 _PIECES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
 _PULSE_SHARE = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
 class NextExperiment:
-    """The input to run next (``None`` if none helps), the effects it separates, by how many sigma, and advice."""
+    """The experiment to run next.
+
+    Attributes:
+        recording: The input, as a recording without outputs; ``None`` if no input within the limits helps.
+        separates: Keys of the effects to distinguish.
+        sigma: Least distance between two of them in standard deviations, under the best input.
+        advice: A sentence for the report.
+    """
 
     recording: Recording | None
     separates: tuple[str, ...]
@@ -53,16 +63,16 @@ class NextExperiment:
 def propose_experiment(
     problem: DiagnosisProblem, refit: Refit, rivals: Mapping[str, Mapping[str, float]], seed: int
 ) -> NextExperiment | None:
-    """Search for the input that distinguishes effects.
+    """Search a library of inputs for the one that best distinguishes effects.
 
     Args:
         problem: The diagnosis problem.
         refit: The last refit.
-        rivals: The effects with the strength and shapes that each was fitted with, by parameter name.
+        rivals: The fitted strength and shapes of each effect, by key and parameter name.
         seed: Seed of the library's inputs.
 
     Returns:
-        The proposal; ``None`` where there are fewer than two effects.
+        The proposal; ``None`` if there are fewer than two effects.
     """
     keys = [key for key in rivals if key in problem.effects]
     if len(keys) < 2:
@@ -71,7 +81,7 @@ def propose_experiment(
     def separation(candidate: Problem) -> float:
         return discrimination(problem, refit, rivals, keys, candidate)
 
-    present = separation(problem.problems[TRAIN])
+    training_sigma = separation(problem.problems[TRAIN])
     limit = max(_highest_temperature(problem, refit, problem.problems[k]) for k in (TRAIN, SELECT))
     options: list[tuple[Recording, Problem]] = []
     for recording in input_library(problem.splits[TRAIN].recordings[0], problem.base_problem.plant.signals, seed):
@@ -84,23 +94,27 @@ def propose_experiment(
             break
     separations = map_in_pairs(lambda option: separation(option[1]), options)
     best = max(range(len(options)), key=lambda i: separations[i]) if options else -1
-    if best < 0 or separations[best] < max(_MIN_DISCRIMINATION, _MIN_IMPROVEMENT * present):
-        return NextExperiment(None, tuple(keys), max([present, *separations]), _advise_channel(problem, keys))
+    if best < 0 or separations[best] < max(_MIN_DISCRIMINATION, _MIN_IMPROVEMENT * training_sigma):
+        return NextExperiment(None, tuple(keys), max([training_sigma, *separations]), _advise_channel(problem, keys))
     recording, sigma = options[best][0], separations[best]
     names = " and ".join(keys)
     advice = (
-        f"{recording.name}; it sets {names} {sigma:.0f} standard deviations apart, the training input {present:.0f}"
+        f"{recording.name}; it sets {names} {sigma:.0f} standard deviations apart, "
+        f"the training input {training_sigma:.0f}"
     )
     return NextExperiment(recording, tuple(keys), sigma, advice)
 
 
 def input_library(like: Recording, signals: Sequence[str], seed: int) -> list[Recording]:
-    """Make steps, pulse trains and ramps on a recording's own clock, within the range of its inputs.
+    """Make steps, pulse trains and ramps on the clock of a recording, within the range of its inputs.
 
     Args:
         like: The recording.
-        signals: Its driving channels.
+        signals: Names of its driving channels.
         seed: Seed of the levels.
+
+    Returns:
+        Recordings of the driving channels, from few pieces to many.
     """
     rng, time = np.random.default_rng(seed), like.time
     span = time[-1] - time[0]
@@ -131,16 +145,29 @@ def discrimination(
     keys: Sequence[str],
     inputs: Problem,
 ) -> float:
-    """Return the least distance between two effects in standard deviations, under the inputs of a problem.
+    """Compute the least distance between two effects in standard deviations, under the inputs of a problem.
 
-    With the projected sensitivities a and b, each times its fitted strength, it is min(|a|, |b|) sqrt(1 - cos(a, b)^2):
-    the weaker of the two is present, and the other fitted in its place.
+    With the projected sensitivities a and b, each times its fitted strength, the distance is
+    min(|a|, |b|) sqrt(1 - cos(a, b)^2): the residual if the weaker effect is present and the other one is fitted in its
+    place.
+
+    Args:
+        problem: The diagnosis problem.
+        refit: The last refit.
+        rivals: The fitted strength and shapes of each effect, by key and parameter name.
+        keys: Keys of the effects.
+        inputs: The training split's problem under other inputs.
+
+    Returns:
+        The least distance over all pairs; 0 if an effect has no influence, or the simulation fails.
+
+    Source: atkinson1975, to first order.
     """
-    others = refit.effect_set
+    without_rivals = refit.effect_set
     for key in keys:
-        others = others.without(key)
+        without_rivals = without_rivals.without(key)
     shapes = [item for key in keys for item in rivals[key].items() if not item[0].endswith(".strength")]
-    effect_set = dataclasses.replace(others, values=(*others.values, *shapes))
+    effect_set = dataclasses.replace(without_rivals, values=(*without_rivals.values, *shapes))
     sensitivities, base_jacobian = [], np.zeros((0, problem.size))
     for batch in (keys[i : i + SLOTS] for i in range(0, len(keys), SLOTS)):
         strengths = [f"effects.{key}.strength" for key in batch]
@@ -148,8 +175,8 @@ def discrimination(
         base_jacobian = jacobian[:, : problem.size]
         sensitivities += [jacobian[:, problem.size + j] for j in range(len(batch))]
     basis = orthonormal_basis(base_jacobian)
-    size = {k: abs(rivals[k].get(f"effects.{k}.strength", 0.0)) / problem.effects[k].typical or 1.0 for k in keys}
-    projected = {k: project_out(basis, c) * size[k] for k, c in zip(keys, sensitivities, strict=True)}
+    strength = {k: abs(rivals[k].get(f"effects.{k}.strength", 0.0)) / problem.effects[k].typical or 1.0 for k in keys}
+    projected = {k: project_out(basis, c) * strength[k] for k, c in zip(keys, sensitivities, strict=True)}
     least = math.inf
     for a, b in itertools.combinations(keys, 2):
         norms = np.linalg.norm(projected[a]), np.linalg.norm(projected[b])
@@ -168,7 +195,7 @@ def _highest_temperature(problem: DiagnosisProblem, refit: Refit, inputs: Proble
 
 
 def _advise_channel(problem: DiagnosisProblem, keys: Sequence[str]) -> str:
-    """What to record instead, where no input within the limits distinguishes the effects."""
+    """Advice on further channels, where no input within the limits distinguishes the effects."""
     stages = {problem.effects[key].stage for key in keys}
     thermal = stages & {"drive", "heat", "material"}
     channels = [c for c in ("temperature", "voltage") if c not in problem.channels and thermal]

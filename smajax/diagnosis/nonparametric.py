@@ -1,7 +1,7 @@
-"""Nonparametric terms: what a stage would have to add, as a piecewise linear function of time or of a state.
+"""Nonparametric terms: a piecewise linear function of time or of a state that is added in a stage of the plant.
 
-They describe a residual and name no cause. As functions of time they show in which stage a residual can live; as
-functions of a state, the form of a term that the catalogue lacks.
+They describe a residual and name no cause. As functions of time they show which stage a residual can come from
+(``localisation``); as functions of a state, the form of a term that the catalogue lacks (``nonparametric_fit``).
 """
 
 import dataclasses
@@ -17,18 +17,23 @@ from smajax.parameters import parameter
 from smajax.plant.effects.base import AbstractEffect, HeatEffect, MaterialEffect, StageContext, WireState
 from smajax.plant.plant import Plant
 
-# Knots of a term: as a function of time they resolve a twenty-fourth of the recording. Chosen by trial;
+# Number of knots of a term: as a function of time they resolve a twenty-fourth of the recording. Chosen by trial;
 # tests/unit/diagnosis holds it.
 KNOTS = 24
-# What a term may be a function of: words of diagnosis.json.
+# Variables of which a term may be a function, as in diagnosis.json; "travel" is the accumulated transformation.
 VARIABLES = ("time", "temperature", "martensite", "travel")
 
 
 class NonparametricEffect(AbstractEffect):
     """A piecewise linear function of one of ``VARIABLES``.
 
-    ``selection``, ``low`` and ``high`` have one entry a variable: 1 for the one that counts and 0 for the others, and
-    the range of each. ``knots`` are the values at equal distances of that range.
+    Attributes:
+        knots: Values at equally spaced points of the variable's range, in the unit ``adds``, shape ``(KNOTS,)``.
+        selection: 1 for the variable that is used and 0 for the others, shape ``(variables,)``.
+        low: Lower end of each variable's range, shape ``(variables,)``.
+        high: Upper end of each variable's range, shape ``(variables,)``.
+        strength: Factor of the term.
+        adds: Unit of the term.
     """
 
     knots: Float[Array, " knots"]
@@ -41,7 +46,7 @@ class NonparametricEffect(AbstractEffect):
     adds: ClassVar[str]
 
     def term(self, state: WireState) -> Float[Array, " wires"]:
-        """Return the value of the term; without a variable it is not computed."""
+        """Return the value of the term; 0 without a computation if no variable is selected."""
         return jax.lax.cond(
             jnp.any(self.selection != 0.0), lambda: self._interpolate(state), lambda: jnp.zeros_like(state.temperature)
         )
@@ -56,8 +61,8 @@ class NonparametricEffect(AbstractEffect):
         each = zip(self.selection, variables, self.low, self.high, strict=True)
         position = sum(selected * (value - low) / (high - low) for selected, value, low, high in each)
         position = clip(position, 0.0, 1.0) * (KNOTS - 1)
-        left = jnp.clip(jnp.floor(position).astype(int), 0, KNOTS - 2)
-        return self.strength * (self.knots[left] * (left + 1 - position) + self.knots[left + 1] * (position - left))
+        k = jnp.clip(jnp.floor(position).astype(int), 0, KNOTS - 2)
+        return self.strength * (self.knots[k] * (k + 1 - position) + self.knots[k + 1] * (position - k))
 
 
 class FreeHeat(NonparametricEffect, HeatEffect):
@@ -89,7 +94,7 @@ class FreeStrain(NonparametricEffect, MaterialEffect):
     adds = "1"
 
     def strain(self, state: WireState, memory: Any, context: StageContext) -> Float[Array, " wires"]:
-        """Return the strain added."""
+        """Return the strain added, dimensionless."""
         return self.term(state)
 
 
@@ -110,7 +115,15 @@ def set_terms(
     low: Float[Array, " variables"],
     high: Float[Array, " variables"],
 ) -> Plant:
-    """Return a plant whose nonparametric terms have these values."""
+    """Return a plant with other values of its nonparametric terms.
+
+    Args:
+        plant: A plant with one term of each kind.
+        knots: Values of the knots of each kind.
+        selection: 1 for the variable that is used and 0 for the others.
+        low: Lower end of each variable's range.
+        high: Upper end of each variable's range.
+    """
     effects = tuple(
         dataclasses.replace(e, knots=knots[KINDS.index(type(e))], selection=selection, low=low, high=high)
         if isinstance(e, KINDS)
@@ -120,7 +133,7 @@ def set_terms(
     return dataclasses.replace(plant, effects=effects)
 
 
-def hat_functions(positions: np.ndarray, nodes: int) -> np.ndarray:
+def hat_functions(positions: Float[np.ndarray, " n"], nodes: int) -> Float[np.ndarray, "n nodes"]:
     """Evaluate the hat functions of equally spaced nodes on 0 to 1.
 
     Args:

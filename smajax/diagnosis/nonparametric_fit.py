@@ -1,4 +1,4 @@
-"""Fit of a nonparametric term: the form of what a stage would have to add to explain a residual."""
+"""Fit of a nonparametric term: the form of the term that a stage lacks to explain a residual."""
 
 import dataclasses
 import math
@@ -13,17 +13,26 @@ from smajax.diagnosis.localisation import explained_share, node_matrix, node_sen
 from smajax.diagnosis.nonparametric import KINDS, VARIABLES, FreeHeat, FreeShift, FreeStrain
 from smajax.diagnosis.problem import DiagnosisProblem
 
-# Nodes of a term, as far as there are slots: chosen by trial. With fewer than three there is no form to see.
+# Largest number of nodes of a term, as far as there are free slots, chosen by trial; and the least one: two nodes show
+# no form.
 _NODES = 5
 _MIN_NODES = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class NonparametricFit:
-    """A fitted nonparametric term: its stage, kind and unit, its variable, the positions of its nodes and their values.
+    """A fitted nonparametric term.
 
-    ``train_chi2`` and ``select_chi2`` are the reduced chi-squared of the fit with it, ``base_chi2`` that of the
-    training split without it.
+    Attributes:
+        stage: The stage to which it belongs.
+        kind: "free-heat", "free-shift" or "free-strain".
+        unit: Unit of its values.
+        variable: The variable of which it is a function, a word of ``nonparametric.VARIABLES``.
+        positions: Values of the variable at the nodes, shape ``(nodes,)``.
+        values: Values of the term at the nodes, shape ``(nodes,)``.
+        base_chi2: Reduced chi-squared of the training split without the term.
+        train_chi2: Reduced chi-squared of the training split with it.
+        select_chi2: Reduced chi-squared of the selection split with it.
     """
 
     stage: str
@@ -40,18 +49,20 @@ class NonparametricFit:
 def fit_nonparametric_term(
     problem: DiagnosisProblem, refit: Refit, basis: np.ndarray, residual: np.ndarray, stage: str, stride: int = 1
 ) -> NonparametricFit | None:
-    """Fit the term of a stage, as a function of a state, that explains most, together with all other parameters.
+    """Fit the term of a stage that explains most of a residual, as a function of a state, with all other parameters.
+
+    The variable and the kind of the term are those with the largest explained share to first order.
 
     Args:
         problem: The diagnosis problem.
         refit: The refit to which the term is added.
         basis: Orthonormal basis of the free parameters' Jacobian, shape ``(m, rank)``.
         residual: The projected residual, shape ``(m,)``.
-        stage: The stage.
+        stage: The stage that the residual comes from.
         stride: Distance of the samples that are used (``strided_problem``).
 
     Returns:
-        The fit; ``None`` if too few slots are left for its nodes, or the simulation fails.
+        The fit; ``None`` if there are too few free slots for its nodes, no state changes, or the simulation fails.
     """
     nodes = min(_NODES, SLOTS - len(problem.free_effect_parameters(refit.effect_set)))
     if nodes < _MIN_NODES:

@@ -1,8 +1,15 @@
-"""Onset times: the instants of effects that set in at some moment, such as a draught.
+"""Onset times: the instants at which effects such as a change of the airflow begin.
 
-A residual depends on an instant with many a minimum, one for each motion of the wire that the change may be taken for,
-and hardly at all while the wire is cold; so instants are also scanned, and a prediction may miss by all that the
-recordings leave open.
+As a function of an onset time the cost has many local minima, one for each motion of the wire that could be mistaken
+for the change, and it is nearly flat while the wire is cold. A search by derivatives therefore fails, and onset times
+are scanned:
+
+1. ``scan_onset_times``: a coarse grid over the whole recording, with a search from the best points.
+2. ``refine_onsets``: a fine grid around the fitted onset, as far as the cost is flat.
+3. ``onset_prediction_error``: how much a prediction changes over all onset times that the recordings allow.
+
+An onset time has no influence at strength 0, so the score test takes the largest gain over a grid of onset times, and
+its p-value is that of the largest gain (``screening``). Source: davies1977.
 """
 
 import math
@@ -17,32 +24,37 @@ from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
 
-# Instants of the scan over a whole recording, and from how many of the best a search starts. Chosen by trial;
-# tests/unit/diagnosis holds them.
+# Number of onset times of the scan over a whole recording, and of the best of them from which a search starts. Chosen
+# by trial; tests/unit/diagnosis holds them.
 _SCANNED = 32
 _SEARCHED = 5
-# Steps of each of these searches, the first of which only evaluates the start, and of the best of them to its end.
+# Number of steps of each of these searches, the first of which only evaluates the start, and of the further steps of
+# the best search. Chosen by trial; tests/unit/diagnosis holds the onset times.
 _SEARCH_STEPS = 9
 _FINAL_STEPS = 30
-# Resolution of instants near a fitted one, as a share of the recording's length, and how many are evaluated at most.
-# Chosen by trial.
+# The resolution of onset times near a fitted one is the recording's length over the first number; the second is the
+# largest number of them. Chosen by trial.
 _RESOLUTION = 1200
 _MAX_INSTANTS = 60
-# Cost over that of the fitted instant up to which it counts as flat. Chosen by trial.
+# Cost over that of the fitted onset time below which it counts as flat. Chosen by trial.
 _FLAT = 1.1
-# Fall of chi-squared that is worth another search: the square of two standard deviations.
+# Fall of chi-squared that justifies another search: two standard deviations, squared.
 _MIN_FALL = 4.0
-# Reduced chi-squared from which the misfit is more than an instant that is a little off. Chosen by trial.
+# Reduced chi-squared above which the misfit is more than a small error of an onset time. Chosen by trial.
 _FAR_FROM_FIT = 100.0
-# Rise of chi-squared over its minimum that noise may cause: the square of three standard deviations of one parameter.
+# Rise of chi-squared over its minimum that noise may cause: three standard deviations of one parameter, squared.
 _ALLOWED_RISE = 9.0
 
 
 def scan_onset_times(evaluator: CandidateEvaluator, search: RefitSearch) -> list[RefitSearch]:
-    """Continue a search from each of its instants, squares over the whole recording to where that costs least.
+    """Scan each onset time of a search over the whole recording, and search again from the best points of the scan.
+
+    Args:
+        evaluator: The evaluator.
+        search: The search, at its end.
 
     Returns:
-        One search for each instant; none if the search is at the noise, or fails.
+        The best search for each onset time; empty if the search is at the noise already, or fails.
     """
     problem = evaluator.problem
     refit = problem.refit_from(search)
@@ -50,25 +62,33 @@ def scan_onset_times(evaluator: CandidateEvaluator, search: RefitSearch) -> list
         return []
     searches, stride = [], evaluator.stride(problem.reduced_chi2(refit.residual, TRAIN))
 
-    def advance_from(name: str, instant: float) -> RefitSearch:
-        effect_set = refit.effect_set.with_values({name: instant})
+    def search_from(name: str, onset: float) -> RefitSearch:
+        effect_set = refit.effect_set.with_values({name: onset})
         return problem.start_search(effect_set, refit.base, stride=stride).advance(_SEARCH_STEPS)
 
-    def cost_at(name: str, instant: float) -> float:
-        return problem.cost(refit.effect_set.with_values({name: instant}), refit.base, stride)
+    def cost_at(name: str, onset: float) -> float:
+        return problem.cost(refit.effect_set.with_values({name: onset}), refit.base, stride)
 
-    for name in _instants(problem, refit):
-        times = [problem.duration * (k + 0.5) / _SCANNED for k in range(_SCANNED)]
-        costs = map_in_pairs(lambda t, name=name: cost_at(name, t), times)
-        best = sorted(zip(costs, times, strict=True))[:_SEARCHED]
-        advanced = map_in_pairs(lambda pair, name=name: advance_from(name, pair[1]), best)
-        nearest = min(advanced, key=lambda s: s.cost)
-        searches.append(evaluator.continue_if_needed(nearest.advance(_FINAL_STEPS)))
+    for name in _onset_names(problem, refit):
+        onsets = [problem.duration * (k + 0.5) / _SCANNED for k in range(_SCANNED)]
+        costs = map_in_pairs(lambda onset, name=name: cost_at(name, onset), onsets)
+        best_points = sorted(zip(costs, onsets, strict=True))[:_SEARCHED]
+        from_best = map_in_pairs(lambda point, name=name: search_from(name, point[1]), best_points)
+        best = min(from_best, key=lambda s: s.cost)
+        searches.append(evaluator.continue_if_needed(best.advance(_FINAL_STEPS)))
     return searches
 
 
 def refine_onsets(evaluator: CandidateEvaluator, fit: CandidateFit) -> CandidateFit:
-    """Refit with the instants that leave least of the training split, near where the search has left them."""
+    """Refit with better onset times near the fitted ones.
+
+    Args:
+        evaluator: The evaluator.
+        fit: A fit to the training split.
+
+    Returns:
+        The new fit if it explains the training split better, else ``fit``.
+    """
     better = with_better_onsets(evaluator.problem, fit.refit, (TRAIN,))
     if better is None:
         return fit
@@ -78,62 +98,75 @@ def refine_onsets(evaluator: CandidateEvaluator, fit: CandidateFit) -> Candidate
 
 
 def with_better_onsets(problem: DiagnosisProblem, refit: Refit, splits: Sequence[int]) -> EffectSet | None:
-    """Move instants to where the residual on these splits is smaller.
+    """Move each onset time to the smallest cost near it.
+
+    Args:
+        problem: The diagnosis problem.
+        refit: The fitted model.
+        splits: The splits whose squared residuals are the cost.
 
     Returns:
-        The set of effects with other instants; ``None`` if its own are as good as any near them.
+        The effects with the new onset times; ``None`` if no cost near the fitted ones is smaller by more than 4.
     """
     better = None
-    for name in _instants(problem, refit) if problem.reduced_chi2(refit.residual, TRAIN) < _FAR_FROM_FIT else ():
-        times, costs = _costs_near(problem, refit, better or refit.effect_set, name, splits)
+    if not problem.reduced_chi2(refit.residual, TRAIN) < _FAR_FROM_FIT:
+        return None
+    for name in _onset_names(problem, refit):
+        onsets, costs = _costs_near(problem, refit, better or refit.effect_set, name, splits)
         if np.min(costs) < costs[0] - _MIN_FALL:
-            better = (better or refit.effect_set).with_values({name: float(times[np.argmin(costs)])})
+            better = (better or refit.effect_set).with_values({name: float(onsets[np.argmin(costs)])})
     return better
 
 
 def onset_prediction_error(
     problem: DiagnosisProblem, refit: Refit, split: int, fitted: Sequence[int] = (TRAIN,)
 ) -> float:
-    """Return the mean square by which a prediction moves as instants take all values that the fitted splits allow.
+    """Compute the mean square change of a prediction over all onset times that the fitted splits allow.
+
+    An onset time is allowed if its cost on the fitted splits is within 9 of the smallest one.
 
     Args:
         problem: The diagnosis problem.
         refit: The fitted model.
         split: The split that is predicted.
-        fitted: The splits to which the instants were fitted.
+        fitted: The splits to which the onset times were fitted.
+
+    Returns:
+        The mean square over the noise, averaged over the allowed times and added over the onsets; 0 without an onset.
     """
     total = 0.0
     predicted = problem.predict(refit.effect_set, refit.base, split)
-    for name in _instants(problem, refit):
-        times, costs = _costs_near(problem, refit, refit.effect_set, name, fitted)
-        allowed = times[costs < np.min(costs) + _ALLOWED_RISE]
-        others = map_in_pairs(
-            lambda t, name=name: problem.predict(refit.effect_set.with_values({name: t}), refit.base, split),
+    for name in _onset_names(problem, refit):
+        onsets, costs = _costs_near(problem, refit, refit.effect_set, name, fitted)
+        allowed = onsets[costs < np.min(costs) + _ALLOWED_RISE]
+        predictions = map_in_pairs(
+            lambda onset, name=name: problem.predict(refit.effect_set.with_values({name: onset}), refit.base, split),
             list(allowed),
         )
-        squares = [np.mean(problem.counted_samples(other - predicted, split) ** 2) for other in others]
+        squares = [np.mean(problem.counted_samples(p - predicted, split) ** 2) for p in predictions]
         total += float(np.mean(squares))
     return total
 
 
-def _instants(problem: DiagnosisProblem, refit: Refit) -> list[str]:
+def _onset_names(problem: DiagnosisProblem, refit: Refit) -> list[str]:
+    """Names of the onset times among a refit's effect parameters."""
     return [n for n in problem.free_effect_parameters(refit.effect_set) if n.endswith(".instant")]
 
 
 def _costs_near(
     problem: DiagnosisProblem, refit: Refit, effect_set: EffectSet, name: str, splits: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An instant's own value and others near it, and the sum of squares that each leaves of these splits.
+    """A fitted onset time and others near it, and the sum of squared residuals of each on some splits.
 
-    While the wire is cold it hardly matters when a draught sets in: the cost is all but flat there, its slope is
-    useless to a search, and the instant is where it dips a little. The instants reach on each side to where the cost
-    rises.
+    While the wire is cold the cost is nearly flat, with a shallow minimum at the onset. The grid therefore extends on
+    each side until the cost has risen by a tenth.
     """
     fitted, ends = refit.values[name], []
 
-    def cost(instant: float) -> float:
-        at = effect_set.with_values({name: instant})
-        total = sum(float(np.sum(problem.counted_samples(problem.predict(at, refit.base, k), k) ** 2)) for k in splits)
+    def cost(onset: float) -> float:
+        with_onset = effect_set.with_values({name: onset})
+        residuals = ((problem.predict(with_onset, refit.base, k), k) for k in splits)
+        total = sum(float(np.sum(problem.counted_samples(residual, k) ** 2)) for residual, k in residuals)
         return total if math.isfinite(total) else math.inf
 
     fitted_cost, resolution = cost(fitted), problem.duration / _RESOLUTION
@@ -146,5 +179,5 @@ def _costs_near(
             distance *= 2.0
         ends.append(float(np.clip(fitted + direction * distance, 0.0, problem.duration)))
     count = min(int((ends[1] - ends[0]) / resolution) + 2, _MAX_INSTANTS)
-    times = np.linspace(ends[0], ends[1], count)
-    return np.append(fitted, times), np.array([fitted_cost, *map_in_pairs(cost, list(times))])
+    onsets = np.linspace(ends[0], ends[1], count)
+    return np.append(fitted, onsets), np.array([fitted_cost, *map_in_pairs(cost, list(onsets))])

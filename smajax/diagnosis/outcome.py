@@ -1,4 +1,4 @@
-"""The outcome of a diagnosis: effects are selected, the holdout is predicted once, and the result is classified."""
+"""The whole diagnosis: select effects, predict the holdout once, and classify the outcome."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -22,14 +22,14 @@ from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summar
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.errors import NumericsError
 
-# Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise; of the
-# holdout, whose inputs may reach further, the square of it. Chosen by trial.
+# Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise. For the
+# holdout, whose inputs may have a larger range, its square. Chosen by trial.
 _MAX_MISS = 1.2
-# Reduced chi-squared of the training split above which something is missing, where the threshold asks for less. Chosen
-# by trial.
+# Reduced chi-squared of the training split above which an effect is missing, where ``chi2_threshold`` is smaller.
+# Chosen by trial.
 _MIN_MISSING = 1.1
-# Alternatives, at most, from which the next experiment distinguishes each accepted effect, or effects where none is
-# accepted.
+# Largest number of alternatives from which the next experiment distinguishes each accepted effect, and of effects that
+# it distinguishes where none is accepted. Chosen by trial.
 _MAX_RIVALS = 2
 
 
@@ -40,18 +40,22 @@ def diagnose(
     known_noise: Mapping[str, float] = MappingProxyType({}),
     report_progress: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
-    """Select effects, classify the outcome, and propose what to do next.
+    """Find the effects that a rig lacks, classify the outcome, and propose the next experiment.
+
+    1. Select effects on the training and the selection split (``forward_selection``).
+    2. Reject them if they leave most of the excess, or do not improve the holdout.
+    3. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
+    4. Locate an unexplained residual (``localisation``), and propose an input that distinguishes equivalent effects.
 
     Args:
         problem: The diagnosis problem, with three splits for training, selection and holdout.
         seed: Seed of all random samples.
-        known_noise: Standard deviations of channels' noise that are known, SI; the others are estimated.
-        report_progress: Called with a line for each stage.
+        known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
+        report_progress: Called with a line of text at each stage.
 
     Raises:
-        NumericsError: If the base fit did not converge, is not at the noise either, and no effect is accepted; its
-        ``state`` holds the
-            parameters where it ended.
+        NumericsError: If the simulation fails at the rig's own values, or if the base fit neither converged nor is at
+            the noise, and no effect is accepted; its ``state`` then holds the parameters of the base fit.
     """
     evaluator, state = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
     reject_if_little_explained(state)
@@ -64,7 +68,7 @@ def diagnose(
         after, verdict = before, "unresolved"
     stage = term = experiment = None
     if verdict in ("unresolved", "partial"):
-        report_progress("searching for the stage where the residual lives")
+        report_progress("searching for the stage that the residual comes from")
         stage, term = _locate_residual(evaluator, state)
     if verdict not in ("named", "nothing-missing"):
         report_progress("designing the next experiment")
@@ -73,9 +77,13 @@ def diagnose(
 
 
 def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
-    """Return the first of the refits whose predictions of selection and holdout split are finite; else the last one.
+    """Return the first refit whose predictions of selection and holdout split are finite; if none is, the last one.
 
     The simulation of a bad fit may diverge under another input.
+
+    Args:
+        problem: The diagnosis problem.
+        *refits: The refits, the preferred one first.
     """
     for refit in refits:
         predictions = ((k, problem.predict(refit.effect_set, refit.base, k)) for k in (SELECT, HOLDOUT))
@@ -85,33 +93,43 @@ def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
 
 
 def reject_if_little_explained(state: SelectionState) -> None:
-    """Reject all effects if they leave most of the excess unexplained."""
+    """Reject all accepted effects if they explain less than half of the excess and do not fit to the noise."""
     if state.accepted and state.explained < MIN_CAUSE_FRACTION and state.current.train_chi2 > state.acceptable_chi2:
-        explained = f"together the effects found explain {100 * state.explained:.0f} % of what is missing"
+        explained = f"the accepted effects together explain {100 * state.explained:.0f} % of the excess over the noise"
         _reject_all(state, f"{explained}, too little for a cause")
 
 
 def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
-    """Say whether the holdout's error falls in any channel by more than chance, or is finite only afterwards."""
+    """Return whether the RMSE of the holdout falls significantly in any channel, or is finite only with the effects.
+
+    Args:
+        evaluator: The evaluator, whose seed the bootstrap uses.
+        before: The fit without effects.
+        after: The fit with the accepted effects.
+    """
     problem = evaluator.problem
-    first, last = (
+    without, with_effects = (
         problem.series(problem.predict(refit.effect_set, refit.base, HOLDOUT), HOLDOUT) for refit in (before, after)
     )
-    return any(not bootstrap_cut(first[c], last[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
+    return any(not bootstrap_cut(without[c], with_effects[c], evaluator.seed)[0] <= 0.0 for c in problem.channels)
 
 
 def classify_outcome(state: SelectionState, joint: tuple[float, ...], expected_chi2: tuple[float, float]) -> str:
     """Return the verdict.
 
-    Effects are named if they predict selection split and holdout as well as expected. Where the training split
-    determines less than it seems to, such as an instant at which nothing moves, it is enough that one fit explains the
-    first two splits and predicts the holdout, all three to the noise.
+    - "nothing-missing": no effect is accepted, and all three splits are at the noise.
+    - "unresolved": no effect is accepted, and a split is not at the noise.
+    - "named": the accepted effects predict selection split and holdout as well as expected, or one fit to the first two
+      splits is at the noise on all three. The latter is enough where the training split determines little, such as an
+      onset at which nothing moves.
+    - "named-up-to-class": the same, with effects that explain the recordings as well.
+    - "partial": the accepted effects explain a part only.
 
     Args:
         state: The state at the end of the selection.
         joint: Reduced chi-squared of the fit to training and selection split on all three splits.
-        expected_chi2: What noise and the parameters' uncertainty would leave on the selection split, by the fit to the
-            training split, and on the holdout.
+        expected_chi2: Reduced chi-squared by the noise and the uncertainty of the parameters: on the selection split,
+            of the fit to the training split, and on the holdout, of the fit to both.
     """
     current, acceptable = state.current, state.acceptable_chi2
     select, holdout = current.select_chi2 / expected_chi2[0], joint[HOLDOUT] / expected_chi2[1]
@@ -126,6 +144,7 @@ def classify_outcome(state: SelectionState, joint: tuple[float, ...], expected_c
 
 
 def _check_convergence(problem: DiagnosisProblem, state: SelectionState) -> None:
+    """Raise ``NumericsError`` if the base fit is not reliable and no effect is accepted."""
     if state.base_fit_converged or state.accepted or state.base_fit.train_chi2 < state.acceptable_chi2:
         return
     values, _ = problem.problems[TRAIN].values(jnp.asarray(state.base_fit.refit.base))
@@ -147,12 +166,12 @@ def _joint_refits(problem: DiagnosisProblem, state: SelectionState) -> tuple[Ref
 
 
 def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit) -> str:
-    """The verdict; onsets that the recordings leave open count only where it would else be partial."""
+    """The verdict; the uncertainty of onset times is evaluated only where it would otherwise be "partial"."""
     problem, current = evaluator.problem, state.current
     splits = range(len(problem.splits))
     joint = tuple(problem.reduced_chi2(problem.predict(after.effect_set, after.base, k), k) for k in splits)
     fitted = (TRAIN,) if problem.own_count else (TRAIN, SELECT)
-    # Where nothing is accepted and no effect is significant, whatever is left is noise.
+    # Where nothing is accepted and no effect is significant, the whole residual counts as noise.
     autocorrelated = not state.accepted and state.base_residual_may_be_noise
     expected_chi2 = (
         expected_reduced_chi2(evaluator, current.refit, SELECT, autocorrelated=autocorrelated),
@@ -160,7 +179,7 @@ def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit)
     )
     verdict = classify_outcome(state, joint, expected_chi2)
     if verdict == "partial" and min(current.train_chi2, max(joint[:HOLDOUT])) < state.acceptable_chi2:
-        # An instant may be more uncertain than its derivative says.
+        # An onset time may be more uncertain than its derivative says.
         onset_errors = (
             onset_prediction_error(problem, current.refit, SELECT),
             onset_prediction_error(problem, after, HOLDOUT, fitted),
@@ -177,10 +196,10 @@ def _reject_all(state: SelectionState, reason: str) -> None:
 def _locate_residual(
     evaluator: CandidateEvaluator, state: SelectionState
 ) -> tuple[str | None, NonparametricFit | None]:
-    """The stage where the unexplained residual lives, and its form.
+    """The stage that the unexplained residual comes from, and its form.
 
-    If only another input shows the residual, it is the stage of the effect that stands in for the cause, or ``None``
-    without one.
+    If the accepted effects explain the training split, only another input shows the residual: then it is the stage of
+    the last accepted effect, a surrogate of the cause.
     """
     refit = state.current.refit
     if state.accepted and state.current.train_chi2 < state.acceptable_chi2:
@@ -195,7 +214,7 @@ def _locate_residual(
 
 
 def _rivals(state: SelectionState) -> dict[str, dict[str, float]]:
-    """Effects to be distinguished, with their values: accepted ones and alternatives, or the two largest gains."""
+    """Effects to distinguish, with their values: accepted ones and their alternatives, or the two largest gains."""
     rivals: dict[str, dict[str, float]] = {}
     for key in state.accepted:
         equivalent = state.equivalent.get(key, ())

@@ -6,11 +6,11 @@ from typing import Any
 
 
 def map_in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
-    """Apply a function to tasks, two at a time: one simulation keeps one core busy.
+    """Apply a function to tasks, two at a time, since a simulation uses one core.
 
     Args:
-        function: What is called with each task.
-        tasks: Its arguments.
+        function: Called with each task, in a thread.
+        tasks: The tasks.
 
     Returns:
         The results in the order of the tasks.

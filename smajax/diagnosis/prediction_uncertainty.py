@@ -1,4 +1,4 @@
-"""How far a perfect model's prediction may miss because its parameters are uncertain."""
+"""Prediction uncertainty: the error of a correct model's prediction by the uncertainty of its parameters."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import numpy as np
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import TRAIN
-from smajax.fitting.intervals import estimate_covariance
+from smajax.fitting.intervals import covariance_under_autocorrelation
 
 
 def expected_reduced_chi2(
@@ -18,21 +18,21 @@ def expected_reduced_chi2(
     *,
     autocorrelated: bool = False,
 ) -> float:
-    """Return the reduced chi-squared that a perfect model with uncertain parameters has on a split: at least 1.
+    """Compute the reduced chi-squared that a correct model with uncertain parameters has on a split: at least 1.
 
-    With the covariance C of the parameters it is 1 + mean(diag(J C J')), J the Jacobian on the split. A parameter that
-    the fitted splits do not determine may be off by its scale: C = inv(J_f' J_f + I), J_f the Jacobian on the fitted
-    splits.
+    With the covariance C of the parameters and the Jacobian J on the split it is 1 + mean(diag(J C J^T)). With the
+    Jacobian J_f on the fitted splits, C = inv(J_f^T J_f + I): a parameter that these do not determine has its scale as
+    standard deviation.
 
     Args:
         evaluator: The evaluator.
         refit: The fitted model.
         split: The split that is predicted.
         fitted: The splits to which the parameters were fitted.
-        autocorrelated: Take the autocorrelation of the residual for that of the noise.
+        autocorrelated: Whether the autocorrelation of the residual is that of the noise; C includes it then.
     """
     problem, free = evaluator.problem, evaluator.free_columns(refit)
-    # Another recording's own parameters do not move a prediction.
+    # The own parameters of the training recordings do not act on other splits.
     own = (np.arange(len(free)) >= problem.shared_count) & (np.arange(len(free)) < problem.size)
 
     def linearise(k: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -50,6 +50,6 @@ def expected_reduced_chi2(
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(jacobian.shape[1]))
     if autocorrelated:
         jacobians, series = ([each for pair in linearised for each in pair[i]] for i in (0, 1))
-        estimate = estimate_covariance(jacobians, series, jacobian.shape[1])
+        estimate = covariance_under_autocorrelation(jacobians, series, jacobian.shape[1])
         covariance = estimate if np.all(np.isfinite(estimate)) else covariance
     return 1.0 + float(np.mean(np.sum((predicted @ covariance) * predicted, axis=1)))

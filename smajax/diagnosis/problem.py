@@ -1,6 +1,6 @@
-"""The plant with every effect that its rig could have, and the recordings of a diagnosis on grids of one shape.
+"""The diagnosis problem: the plant with every effect that its rig could have, and the recordings on grids of one shape.
 
-Fits, scores, refits and predictions all run on the same compiled programs (``smajax.diagnosis.compiled_model``).
+Fits, scores, refits and predictions all run on the same compiled programs (``compiled_model``).
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ from smajax.diagnosis.compiled_model import (
     start_compilation,
     start_solver,
 )
-from smajax.diagnosis.data_split import TRAIN, DataSplit
+from smajax.diagnosis.data_split import TRAIN, DataSplit, check_complete
 from smajax.diagnosis.effect_parameters import EffectParameters, possible_effects
 from smajax.diagnosis.nonparametric import zero_terms
 from smajax.diagnosis.problem_layout import GriddedSplits, with_weights
@@ -38,26 +38,36 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs
 from smajax.simulation.run import simulate_states
 
-# Steps on all samples after a search on some of them: its end is near, chosen by trial.
+# Largest number of steps on all samples after a search on some of them, which has come near the optimum. Chosen by
+# trial.
 _STEPS_ON_ALL_SAMPLES = 8
-# Steps for the own parameters of recordings outside of the training split, which are few and start at the rig's values;
-# chosen by trial.
+# Largest number of steps for the own parameters of recordings outside of the training split; these are few and start at
+# the rig's values. Chosen by trial.
 _ANCHOR_STEPS = 15
 
 _states = eqx.filter_jit(simulate_states)
 
 
 class DiagnosisProblem(GriddedSplits):
-    """A rig's augmented plant with its recordings on grids of one shape.
+    """A rig's plant with all possible effects, and its recordings on grids of one shape.
 
-    ``base_problem`` is the rig as its file has it, on the training split. ``effects`` are all effects that the rig has
-    or could have; those of the rig file (``modelled_effects``) stay, fitted where they are free, and candidates are the
-    others. A *base vector* holds the rig's free parameters, then those of each training recording; residuals are model
-    minus measurement over the noise. Data and their noise are those of ``GriddedSplits``.
+    A *base vector* holds the rig's free parameters, then the own parameters of each training recording, shape ``(p,)``.
+    A *residual* is model minus measurement over the noise at all samples of a split, shape ``(m,)``.
+
+    Attributes:
+        base_problem: Fit problem of the rig as its file describes it, on the training split.
+        effects: All effects that the rig has or could have, by key. Candidates are those that are not in
+            ``modelled_effects``.
+        modelled_effects: Keys of the effects of the rig file, which stay in the model and are fitted where free.
+        capabilities: What the rig can have and show (``Plant.capabilities``).
+        duration: Length of the longest training recording, s.
+        nominal: The base vector with the rig's own values, shape ``(p,)``.
+        bounds: Lower and upper bounds of the base vector, each of shape ``(p,)``.
+        simulations: Number of simulations so far.
 
     Args:
         plant: The plant of the rig file.
-        splits: Training, selection and holdout split, in this order; a recording stands for a split of its own.
+        splits: Training, selection and holdout split, in this order; a recording alone is a split.
         settings: The fit settings of the rig file.
         interpolation: How inputs are interpolated (``discretise``).
         step: Length of the steps, s; ``None`` for the default.
@@ -78,7 +88,7 @@ class DiagnosisProblem(GriddedSplits):
         if settings.initial:
             raise InputError("a diagnosis takes no free start values: leave out fit.initial")
         splits = [DataSplit((s,)) if isinstance(s, Recording) else s for s in splits]
-        _check_complete(splits, settings.observe)
+        check_complete(splits, settings.observe)
         train = splits[TRAIN].recordings
         without_clock = set() if all(r.has_clock for r in train) else {"clock"}
         self.capabilities = plant.capabilities(tuple(settings.observe)) - without_clock
@@ -102,7 +112,7 @@ class DiagnosisProblem(GriddedSplits):
             thread.join()
 
     def count_simulations(self, count: int) -> None:
-        """Add to the number of simulations."""
+        """Add to the number of simulations; safe in threads."""
         with self._counting:  # searches run two at a time
             self.simulations += count
 
@@ -112,28 +122,35 @@ class DiagnosisProblem(GriddedSplits):
         return len(self.nominal)
 
     def padded(self, point: np.ndarray) -> np.ndarray:
-        """Return the base vector of a point of ``base_problem``."""
+        """Return the base vector of a point of ``base_problem``, which has no entries for padding recordings."""
         return np.append(point, self.nominal[len(point) :])
 
     def plausible_range(self, key: str) -> tuple[float, float]:
-        """Return an effect's plausible strengths in units of the typical one."""
+        """Return the lowest and highest plausible strength of an effect in units of the typical strength."""
         return self.effect_parameters.plausible_range(key)
 
     def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
-        """Return the shapes at which an effect is tried."""
+        """Return the shapes at which an effect is tried: names and values of its shape parameters, SI."""
         return self.effect_parameters.shape_grid(key)
 
     def free_effect_parameters(self, effect_set: EffectSet) -> list[str]:
-        """Return the names of the parameters that a fit of a set of effects frees: strengths first, then shapes."""
+        """Return the names of the parameters that a fit frees: strengths, then shapes as far as there are slots."""
         return self.effect_parameters.free(effect_set)
 
     def vector_bounds(self, free: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds of the base vector followed by these effect parameters."""
+        """Return lower and upper bounds of the base vector followed by effect parameters in units of their scales."""
         lower, upper = self.effect_parameters.bounds(free)
         return np.append(self.bounds[0], lower), np.append(self.bounds[1], upper)
 
     def score_effect(self, key: str, basis: np.ndarray, residual: np.ndarray, sensitivity: np.ndarray) -> Score:
-        """Score one effect's sensitivity against a projected residual (``score_test``)."""
+        """Run the score test of one effect (``screening.score_test``).
+
+        Args:
+            key: Key of the effect.
+            basis: Orthonormal basis of the free parameters' Jacobian, shape ``(m, rank)``.
+            residual: Projected residual, shape ``(m,)``.
+            sensitivity: Sensitivity of the effect, shape ``(m,)``, not projected.
+        """
         return score_test(basis, residual, sensitivity, self.plausible_range(key), self.effects[key].absorbed_from)
 
     def fitted_plant(self, refit: Refit) -> Plant:
@@ -146,7 +163,15 @@ class DiagnosisProblem(GriddedSplits):
         return parameters.replace(plant, {**shared, **values})
 
     def states(self, refit: Refit, inputs: Inputs) -> Any:
-        """Simulate the plant without effects, at a refit's parameters; ``inputs`` have the problem's shapes."""
+        """Simulate the plant without effects at a refit's parameters.
+
+        Args:
+            refit: The refit.
+            inputs: Inputs of one recording, of the problem's shapes.
+
+        Returns:
+            The states at all samples.
+        """
         return _states(dataclasses.replace(self.fitted_plant(refit), effects=()), inputs)[0]
 
     def fit(
@@ -186,8 +211,14 @@ class DiagnosisProblem(GriddedSplits):
     ) -> RefitSearch:
         """Set up the search of ``fit`` without a step.
 
-        With ``near_nominal`` the base parameters are held near the rig's own values, with ``hold_shapes`` the effects'
-        shapes at theirs.
+        Args:
+            effect_set: The effects, with start values of their parameters.
+            base: Start of the base vector, shape ``(p,)``.
+            rtol: Relative fall of the cost at which the search ends.
+            term: A nonparametric term that is fitted as well.
+            near_nominal: Bound the base parameters to the search box around the rig's own values.
+            hold_shapes: Hold the effects' shapes at their start values.
+            stride: Distance of the samples that are used (``strided_problem``).
         """
         free, nodes = self.free_effect_parameters(effect_set), term.matrix.shape[1] if term else 0
         lower, upper = (np.append(side, np.zeros(SLOTS - len(free))) for side in self.vector_bounds(free))
@@ -206,7 +237,12 @@ class DiagnosisProblem(GriddedSplits):
         return RefitSearch(solver, effect_set, term, stride, near_nominal, rtol, self.count_simulations)
 
     def continue_on_all_samples(self, search: RefitSearch, steps: int = _STEPS_ON_ALL_SAMPLES) -> RefitSearch:
-        """Continue a search that uses some of the samples with all of them, by at most so many steps."""
+        """Continue a search that uses some of the samples with all of them.
+
+        Args:
+            search: The search; one that uses all samples is returned as it is.
+            steps: Largest number of steps.
+        """
         if search.stride == 1:
             return search
         effect_set, base, _ = self._end_of(search)
@@ -226,7 +262,7 @@ class DiagnosisProblem(GriddedSplits):
         return Refit(effect_set, base, residual, jacobian[:, :columns], status, nodes)
 
     def _end_of(self, search: RefitSearch) -> tuple[EffectSet, np.ndarray, MultiStartResult]:
-        """The set of effects with the values where a search is, the base vector there, and the solver's result."""
+        """The effects and the base vector at the current point of a search, and the solver's result."""
         result, free = search.solver.result(), self.free_effect_parameters(search.effect_set)
         point = result.points[0]
         scale = self.effect_parameters.scale
@@ -234,7 +270,13 @@ class DiagnosisProblem(GriddedSplits):
         return search.effect_set.with_values(values), point[: self.size], result
 
     def cost(self, effect_set: EffectSet, base: np.ndarray, stride: int) -> float:
-        """Return the sum of the squared residuals on the samples of ``strided_problem``; infinite where it fails."""
+        """Compute the sum of the squared residuals on the training split; infinite if the simulation fails.
+
+        Args:
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+            stride: Distance of the samples that are used (``strided_problem``).
+        """
         residual = self.predict_on(self.strided_problem(stride), effect_set, base)
         return float(residual @ residual) if np.all(np.isfinite(residual)) else math.inf
 
@@ -249,9 +291,17 @@ class DiagnosisProblem(GriddedSplits):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute residual and Jacobian on a split.
 
+        Args:
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+            split: Position of the split.
+            free: Names of the effect parameters to differentiate with respect to.
+            term: A nonparametric term that is added.
+            nodes: Values of its nodes; 0 by default.
+
         Returns:
-            The residual, shape ``(m,)``, and its derivatives with respect to the base vector, the effect parameters
-            ``free`` and the nodes of a nonparametric term, shape ``(m, columns)``.
+            The residual, shape ``(m,)``, NaN if the simulation fails, and its derivatives with respect to the base
+            vector, the parameters ``free`` in units of their scales, and the nodes, shape ``(m, columns)``.
         """
         if split and self.own_count:
             base = self._with_own_parameters(effect_set, base, split)
@@ -266,7 +316,16 @@ class DiagnosisProblem(GriddedSplits):
         term: NonparametricTerm | None = None,
         nodes: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute residual and Jacobian as ``evaluate`` does, on a problem of the same shapes."""
+        """Compute residual and Jacobian as ``evaluate`` does, on a problem of the same shapes.
+
+        Args:
+            problem: The problem, such as a strided one.
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+            free: Names of the effect parameters to differentiate with respect to.
+            term: A nonparametric term that is added.
+            nodes: Values of its nodes; 0 by default.
+        """
         columns = self.size + len(free) + (term.matrix.shape[1] if term else 0)
         start, unbounded = self._vector(effect_set, base, free, nodes), np.full(self.size + SLOTS, math.inf)
         model = self._model(effect_set, free, problem, term)
@@ -276,7 +335,13 @@ class DiagnosisProblem(GriddedSplits):
         return np.where(failed, math.nan, result.residuals[0]), result.jacobians[0][:, :columns]
 
     def predict(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
-        """Compute the residual on a split, shape ``(m,)``, without derivatives; NaN where the simulation fails."""
+        """Compute the residual on a split without derivatives, shape ``(m,)``; all NaN if the simulation fails.
+
+        Args:
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+            split: Position of the split.
+        """
         if split and self.own_count:
             base = self._with_own_parameters(effect_set, base, split)
         return self.predict_on(self.problems[split], effect_set, base)
@@ -290,7 +355,16 @@ class DiagnosisProblem(GriddedSplits):
         term: NonparametricTerm | None = None,
         nodes: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Compute the residual as ``predict`` does, on a problem of the same shapes."""
+        """Compute the residual as ``predict`` does, on a problem of the same shapes.
+
+        Args:
+            problem: The problem, such as a strided one.
+            effect_set: The effects with their values.
+            base: The base vector, shape ``(p,)``.
+            free: Names of the effect parameters that slots hold, where there is a term.
+            term: A nonparametric term that is added.
+            nodes: Values of its nodes; 0 by default.
+        """
         start = jnp.asarray(self._vector(effect_set, base, free, nodes))
         residual = np.asarray(simulate(start, self._model(effect_set, free, problem, term)).residual)
         self.count_simulations(1)
@@ -306,14 +380,14 @@ class DiagnosisProblem(GriddedSplits):
     def _vector(
         self, effect_set: EffectSet, base: np.ndarray, free: Sequence[str], nodes: np.ndarray | None = None
     ) -> np.ndarray:
-        """The programs' vector: base vector, then the slots."""
+        """The vector of the compiled programs: base vector, then the slots."""
         values, own = dict(effect_set.values), self.effect_parameters
         slots = [values.get(name, own.value(name)) / own.scale(name) for name in free]
         slots += [] if nodes is None else list(nodes)
         return np.concatenate([base, slots, np.zeros(SLOTS - len(slots))])
 
     def _with_own_parameters(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
-        """The base vector on a split: shared parameters of ``base``, each recording's own fitted to its anchor rows."""
+        """The base vector on a split: shared parameters of ``base``, own ones fitted to the anchor rows."""
         start, lower, upper = (
             np.concatenate([base[: self.shared_count], own[self.shared_count :], np.zeros(SLOTS)])
             for own in self._vector_bounds[split]
@@ -322,12 +396,3 @@ class DiagnosisProblem(GriddedSplits):
         result = start_solver(self._model(effect_set, (), problem), start, lower, upper).advance(_ANCHOR_STEPS).result()
         self.count_simulations(result.simulations)
         return result.points[0][: self.size]
-
-
-def _check_complete(splits: Sequence[DataSplit], observe: Sequence[str]) -> None:
-    for recording in (r for split in splits for r in split.recordings):
-        gaps = [c for c in observe if not np.all(np.isfinite(recording.channels.get(c, 0.0)))]
-        if gaps:
-            raise InputError(
-                f"{recording.name}: a diagnosis needs {gaps[0]} at every row: leave out the rows without a value"
-            )

@@ -1,4 +1,4 @@
-"""The recordings of a diagnosis on grids of one shape: one fit problem, divided into one a split."""
+"""The recordings of a diagnosis on grids of one shape: one fit problem, divided into one for each split."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.compiled_model import PADDING_MULTIPLE
 from smajax.diagnosis.data_split import TRAIN, DataSplit
@@ -20,7 +21,13 @@ from smajax.simulation.inputs import discretise
 
 
 class VectorBounds(NamedTuple):
-    """Nominal values and bounds of a split's base parameters, each of shape ``(p,)``."""
+    """Nominal values and bounds of a split's base parameters, each of shape ``(p,)``.
+
+    Attributes:
+        nominal: The rig's own values.
+        lower: Lower bounds.
+        upper: Upper bounds; equal to the lower ones where a parameter is held.
+    """
 
     nominal: np.ndarray
     lower: np.ndarray
@@ -28,13 +35,17 @@ class VectorBounds(NamedTuple):
 
 
 def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Problem], list[VectorBounds]]:
-    """Make a problem of each split, and the bounds of its vector: shared parameters, then those of its own recordings.
+    """Divide a problem of all recordings into one of the same shapes for each split.
 
-    Splits with fewer recordings than the largest are filled up with their last one, whose own parameters are held then.
+    Splits with fewer recordings than the largest are padded with copies of their last one, whose own parameters are
+    held.
 
     Args:
         whole: The problem of all recordings, split after split.
         splits: The splits.
+
+    Returns:
+        The problem of each split, and the bounds of its base vector: shared parameters, then own ones by recording.
     """
     shared, own = len(whole.shared), len(whole.per_recording)
     size, first = max(len(split.recordings) for split in splits), 0
@@ -58,12 +69,12 @@ def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Pr
 
 
 def with_weights(problem: Problem, rows: Sequence[np.ndarray], noise: Mapping[str, float]) -> Problem:
-    """Return the problem with only these rows of each recording weighted; recordings without rows have no weight.
+    """Return the problem in which only the scored rows have a weight, the inverse of the noise.
 
     Args:
         problem: The problem of a split.
-        rows: Indices of the scored rows of each recording.
-        noise: Standard deviation of each channel, SI.
+        rows: Indices of the scored rows of each recording; padding recordings, which have no entry, get no weight.
+        noise: Standard deviation of the noise by channel, SI.
     """
     weight = np.zeros(problem.data.weight.shape)
     inverse = np.array([1.0 / noise[c] for c in problem.channels])
@@ -74,6 +85,14 @@ def with_weights(problem: Problem, rows: Sequence[np.ndarray], noise: Mapping[st
 
 class GriddedSplits:
     """The splits of a diagnosis, each as a fit problem of the same shapes, with the noise of their channels.
+
+    Attributes:
+        splits: Training, selection and holdout split.
+        channels: The observed channels.
+        noise: Standard deviation of the noise by channel, SI.
+        problems: The fit problem of each split.
+        shared_count: Number of base parameters that all recordings share.
+        own_count: Number of own parameters of each recording.
 
     Args:
         plant: The plant of all problems.
@@ -86,10 +105,10 @@ class GriddedSplits:
         self.splits = list(splits)
         self.channels = tuple(settings.observe)
         self._grid_options = grid_options
-        self._pieces = 1  # usual steps that one step of the problems replaces
+        self._pieces = 1  # default steps that one step of the problems replaces
         self._rows = [split.rows() for split in self.splits]
         self._has_clock = all(r.has_clock for r in self.splits[TRAIN].recordings)
-        # Built together, so that all have the length of the longest.
+        # Built together, so that all grids have the length of the longest.
         everything = [r for split in self.splits for r in split.recordings]
         whole = build_problem(plant, everything, settings, **grid_options, multiple=PADDING_MULTIPLE)
         end = jnp.max(whole.data.inputs.sample_indices)
@@ -101,7 +120,7 @@ class GriddedSplits:
         self.set_noise(self.noise)
 
     def set_noise(self, noise: dict[str, float]) -> None:
-        """Weight all recordings by these standard deviations of the channels, SI."""
+        """Weight all recordings by the inverse of the standard deviations of the noise, SI, by channel."""
         self.noise = dict(noise)
         self.problems = [with_weights(p, rows, self.noise) for p, rows in zip(self.problems, self._rows, strict=True)]
         self._strided: dict[int, Problem] = {}
@@ -111,8 +130,16 @@ class GriddedSplits:
         """Number of scored samples of the training split."""
         return int(np.sum(np.asarray(self.problems[TRAIN].data.weight) > 0.0))
 
-    def series(self, residual: np.ndarray, split: int = TRAIN) -> dict[str, np.ndarray]:
-        """Return a residual of a split as a series of scored samples a channel, recording after recording."""
+    def series(self, residual: Float[np.ndarray, " m"], split: int = TRAIN) -> dict[str, np.ndarray]:
+        """Return the scored samples of each channel.
+
+        Args:
+            residual: A residual of a split, or a column of its Jacobian, shape ``(m,)``.
+            split: Position of the split.
+
+        Returns:
+            One series for each channel, recording after recording.
+        """
         by_recording = residual.reshape(len(self.problems[split].data.measured), len(self.channels), -1)
         return {
             c: np.concatenate([by_recording[r, i, rows] for r, rows in enumerate(self._rows[split])])
@@ -120,23 +147,36 @@ class GriddedSplits:
         }
 
     def inputs(self, split: int = TRAIN) -> dict[str, np.ndarray]:
-        """Return the driving channels of a split on the rows of ``series``."""
+        """Return the driving channels of a split, SI, on the rows of ``series``."""
         pairs = list(zip(self.splits[split].recordings, self._rows[split], strict=True))
         signals = self.problems[split].plant.signals
         return {name: np.concatenate([r.channels[name][rows] for r, rows in pairs]) for name in signals}
 
-    def counted_samples(self, residual: np.ndarray, split: int = TRAIN) -> np.ndarray:
-        """Return the scored samples of a residual of a split, channel after channel."""
+    def counted_samples(self, residual: Float[np.ndarray, " m"], split: int = TRAIN) -> Float[np.ndarray, " scored"]:
+        """Return the scored samples of a residual, channel after channel.
+
+        Args:
+            residual: A residual of a split, or a column of its Jacobian, shape ``(m,)``.
+            split: Position of the split.
+
+        Returns:
+            The samples, shape ``(scored,)``.
+        """
         return np.concatenate(list(self.series(residual, split).values()))
 
-    def reduced_chi2(self, residual: np.ndarray, split: int) -> float:
-        """Return the mean square of a residual over the noise: 1 where only noise is left."""
+    def reduced_chi2(self, residual: Float[np.ndarray, " m"], split: int) -> float:
+        """Compute the reduced chi-squared: the mean square of a residual over the noise, about 1 for noise alone.
+
+        Args:
+            residual: A residual of a split, shape ``(m,)``.
+            split: Position of the split.
+        """
         return float(np.mean(self.counted_samples(residual, split) ** 2))
 
     def strided_problem(self, stride: int) -> Problem:
-        """Return the training split at every ``stride``-th sample, on steps as many times as long.
+        """Return the training split at every ``stride``-th sample, on steps ``stride`` times as long.
 
-        A split without a clock, or whose steps would be too long for it, stays what it is.
+        A training split without a clock, or whose steps would become too long, is returned as it is.
         """
         if stride > 1 and stride not in self._strided:
             longer = self._with_longer_steps(TRAIN, stride, self._pieces)
@@ -150,16 +190,25 @@ class GriddedSplits:
         return with_longer_steps(self.problems[split], recordings, stride, pieces=pieces, **self._grid_options)
 
     def lengthen_steps(self, is_accurate: Callable[[Problem], bool]) -> None:
-        """Take one step from sample to sample, where there usually are more, if that ``is_accurate``.
+        """Replace several steps between two samples by one, if that is accurate enough.
 
-        ``is_accurate`` is called with the problem of the training split on these steps."""
+        Args:
+            is_accurate: Called with the problem of the training split on the longer steps.
+        """
         pieces = steps_per_sample(self.problems[TRAIN], self.splits[TRAIN].recordings)
         if pieces > 1 and (first := self._with_longer_steps(TRAIN, 1, pieces)) and is_accurate(first):
-            others = [self._with_longer_steps(k, 1, pieces) or p for k, p in enumerate(self.problems[1:], 1)]
-            self._pieces, self.problems, self._strided = pieces, [first, *others], {}
+            further = [self._with_longer_steps(k, 1, pieces) or p for k, p in enumerate(self.problems[1:], 1)]
+            self._pieces, self.problems, self._strided = pieces, [first, *further], {}
 
     def problem_for_inputs(self, recording: Recording) -> Problem | None:
-        """Return a problem of the same shapes under a recording's inputs; ``None`` if these need a longer grid."""
+        """Return a problem of the training split's shapes under a recording's inputs.
+
+        Args:
+            recording: A recording with the driving channels; its rows are weighted, its outputs are not used.
+
+        Returns:
+            The problem; ``None`` if the inputs need a longer grid.
+        """
         train = self.problems[TRAIN]
         inputs = discretise(train.plant, recording, **self._grid_options)
         if self._pieces > 1:

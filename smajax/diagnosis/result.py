@@ -1,9 +1,10 @@
-"""The result of a diagnosis, in numbers: errors before and after, intervals, and what is excluded."""
+"""The result of a diagnosis in numbers: errors before and after, intervals, and excluded effects."""
 
 import dataclasses
 import math
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet, Refit
@@ -12,23 +13,28 @@ from smajax.diagnosis.detectability import Detectability, detectability_from_sco
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
-from smajax.diagnosis.screening import DETECTABLE
+from smajax.diagnosis.screening import NORMAL_95, half_width_95
 from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
 from smajax.diagnosis.step_errors import estimate_step_error
-from smajax.fitting.intervals import estimate_covariance
+from smajax.fitting.intervals import covariance_under_autocorrelation
 from smajax.plant.effects import catalogue
 
-# Half width of a 95 % interval in standard deviations.
-_NORMAL_95 = 1.96
-# Blocks into which a residual is divided for the bootstrap, each longer than its correlation. Chosen by trial.
+# Number of blocks into which the bootstrap divides a residual, each longer than its correlation. Chosen by trial.
 _BLOCKS = 50
-# Random samples of the bootstrap: its 2.5 % quantile then rests on 25 of them.
+# Number of random samples of the bootstrap: 25 of them then lie below its 2.5 % quantile.
 _DRAWS = 1000
 
 
 @dataclasses.dataclass(frozen=True)
 class Conclusion:
-    """The conclusion of a diagnosis: verdict, stage of the residual, its form, and the next experiment."""
+    """The conclusion of a diagnosis.
+
+    Attributes:
+        verdict: "named", "named-up-to-class", "partial", "unresolved" or "nothing-missing".
+        unresolved_stage: The stage that an unexplained residual comes from.
+        nonparametric_fit: The form of an unexplained residual.
+        next_experiment: The input to run next.
+    """
 
     verdict: str
     unresolved_stage: str | None = None
@@ -38,28 +44,28 @@ class Conclusion:
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """The result of a diagnosis. RMSEs in SI by channel.
+    """The result of a diagnosis.
 
     Attributes:
         verdict: "named", "named-up-to-class", "partial", "unresolved" or "nothing-missing".
         effects: Keys of the accepted effects.
-        equivalent: For each of them the effects that explain the recordings as well.
-        unresolved_stage: The stage where an unexplained residual lives.
+        equivalent: For each accepted effect, those that explain the recordings as well.
+        unresolved_stage: The stage that an unexplained residual comes from.
         detectability: What the training input can show of each effect.
-        ranking: What the first round says of each effect.
-        excluded: Effects that would have been seen from their minimum detectable strength on.
-        stage_shares: Share of the base fit's residual that can live in each stage.
+        ranking: Summary of each effect after the first round.
+        excluded: Effects that would have been detected from their minimum detectable strength on.
+        stage_shares: Share of the base fit's residual that each stage can explain.
         noise: Standard deviation of each channel, SI, and its source.
         before: The base fit, fitted to training and selection split together.
         after: The fit with the accepted effects, fitted likewise.
         base_fit_converged: Whether the base fit of the training split converged.
         reduced_chi2: Reduced chi-squared of ``before`` and ``after`` on the training split, and its limit.
-        rmse: RMSE by channel and "train_before", ..., "holdout_after".
-        cut95: 95 % interval of the cut of the holdout's RMSE by channel.
-        rejected: Effects that were not accepted, and why.
+        rmse: RMSE, SI, by channel and "train_before", ..., "holdout_after".
+        cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel.
+        rejected: Effects that were not accepted, each with the reason.
         intervals: 95 % intervals of the effects' parameters, SI.
-        predictions: Model minus measurement, SI, by "before" and "after", split and channel.
-        residual_statistics: Those of the training residual by "before" and "after", and channel.
+        predictions: Model minus measurement at the scored samples, SI, by "before" and "after", split and channel.
+        residual_statistics: Statistics of the training residual by "before" and "after", and channel.
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
     """
@@ -90,14 +96,14 @@ class Diagnosis:
 def summarise(
     evaluator: CandidateEvaluator, state: SelectionState, before: Refit, after: Refit, conclusion: Conclusion
 ) -> Diagnosis:
-    """Put the result of a diagnosis together.
+    """Collect the result of a diagnosis.
 
     Args:
-        evaluator: The evaluator.
+        evaluator: The evaluator, whose seed the bootstrap uses.
         state: The state at the end of the selection.
         before: The base fit by which the holdout is predicted.
         after: The fit with the accepted effects by which the holdout is predicted.
-        conclusion: The outcome.
+        conclusion: Verdict, stage and form of the residual, and the next experiment.
     """
     problem, noise = evaluator.problem, evaluator.problem.noise
     series = _residual_series(evaluator, before, after)
@@ -168,28 +174,31 @@ def _errors(series: dict[str, list[dict[str, np.ndarray]]], noise: dict[str, flo
 
 
 def _excluded_effects(evaluator: CandidateEvaluator, state: SelectionState) -> tuple[Detectability, ...]:
-    """Effects of which the last fit's residual, which is noise, has no trace: their strength there may as well be 0."""
+    """Detectable effects whose strength at the last fit, which leaves noise only, does not differ from 0."""
     scores = evaluator.scores(state.current.refit)
-    doubtful = {key for keys in state.equivalent.values() for key in keys} | {key for key, _ in state.rejected}
+    not_excluded = {key for keys in state.equivalent.values() for key in keys} | {key for key, _ in state.rejected}
     excluded = []
     for key, score in scores.best.items():
         sensitivity = scores.sensitivities[key, scores.shapes[key]]
         detectability = detectability_from_score(catalogue()[key], score, sensitivity, scores.jacobian, [])
-        half_width = _NORMAL_95 / DETECTABLE * score.minimum_detectable_strength
-        if detectability.status == "testable" and key not in doubtful and abs(score.strength) < half_width:
+        half_width = half_width_95(score.minimum_detectable_strength)
+        if detectability.status == "testable" and key not in not_excluded and abs(score.strength) < half_width:
             excluded.append(detectability)
     return tuple(excluded)
 
 
 def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, tuple[float, float]]:
-    """Compute 95 % intervals of the effects' parameters, SI.
+    """Compute 95 % intervals of the effects' parameters.
 
-    Their width is that by the residual's own autocorrelation, and the change of the estimates by the finite length of
-    the steps.
+    The half width is 1.96 standard errors, which include the autocorrelation of the residual, plus the error of the
+    estimate by the finite length of the steps.
 
     Args:
         evaluator: The evaluator.
         refit: The fit to training and selection split.
+
+    Returns:
+        Lower and upper end, SI, by parameter name; parameters without a finite standard error are left out.
     """
     problem, free_parameters = evaluator.problem, evaluator.problem.free_effect_parameters(refit.effect_set)
     if not free_parameters:
@@ -203,27 +212,29 @@ def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, t
             jacobians.append(np.column_stack([c[name] for c in columns]))
             residuals.append(series)
         by_split.append(np.concatenate(jacobians[-len(problem.channels) :]))
-    covariance = estimate_covariance(jacobians, residuals, int(np.sum(free)))
-    spread = _NORMAL_95 * np.sqrt(np.diag(covariance))
-    # Steps of finite length pull the parameters on the other recordings as they do on the first one.
+    covariance = covariance_under_autocorrelation(jacobians, residuals, int(np.sum(free)))
+    half_width = NORMAL_95 * np.sqrt(np.diag(covariance))
+    # The error of the steps' finite length is assumed to bias the parameters on the other recordings as on the first.
     inverse = np.linalg.pinv(sum(j.T @ j for j in by_split), hermitian=True)
-    spread += np.abs(inverse @ (by_split[0].T @ estimate_step_error(problem, refit))) * len(by_split)
+    half_width += np.abs(inverse @ (by_split[0].T @ estimate_step_error(problem, refit))) * len(by_split)
     scale = problem.effect_parameters.scale
     return {
         name: (refit.values[name] - s * scale(name), refit.values[name] + s * scale(name))
-        for name, s in zip(free_parameters, spread[-len(free_parameters) :], strict=True)
+        for name, s in zip(free_parameters, half_width[-len(free_parameters) :], strict=True)
         if math.isfinite(s)
     }
 
 
-def bootstrap_cut(before: np.ndarray, after: np.ndarray, seed: int, draws: int = _DRAWS) -> tuple[float, float]:
-    """Compute a 95 % interval of the fall of the RMSE by a bootstrap of blocks, each a fiftieth of the recording.
+def bootstrap_cut(
+    before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"], seed: int, draws: int = _DRAWS
+) -> tuple[float, float]:
+    """Compute a 95 % interval of the fall of the RMSE by a block bootstrap with 50 blocks.
 
     Args:
         before: Residual without effects, shape ``(n,)``.
         after: Residual with them, shape ``(n,)``.
         seed: Seed of the random samples.
-        draws: Their number.
+        draws: Number of random samples.
 
     Returns:
         Lower and upper end, in the unit of the residuals.

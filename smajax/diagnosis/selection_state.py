@@ -1,4 +1,4 @@
-"""The state of a forward selection: what was fitted, accepted, rejected and found equivalent so far."""
+"""The state of a forward selection: the fits and the accepted, rejected and equivalent effects so far."""
 
 import dataclasses
 import math
@@ -8,18 +8,29 @@ import numpy as np
 from smajax.diagnosis.candidates import AT_NOISE, CandidateFit
 from smajax.diagnosis.detectability import Detectability, NominalScore
 
-# Significance level of the score test over the whole catalogue: in the prototype study of the diagnosis it gave no
-# false alarm in 128 recordings without a hidden effect, and 0.05 gave 4.7 %.
+# Significance level of the score test over the whole catalogue. From the prototype study of the diagnosis, where it
+# gave no false alarm in 128 recordings without a hidden effect, and a level of 0.05 gave 4.7 %.
 SIGNIFICANCE = 0.01
-# The threshold of chi-squared: so many of its standard deviations, with so many independent samples a sample. Both from
-# the prototype study, where the threshold flagged 15 of 15 causes outside of the catalogue.
+# The threshold of the reduced chi-squared in its standard deviations, and the number of independent values for each
+# sample. Both from the prototype study of the diagnosis, where the threshold flagged 15 of 15 causes outside of the
+# catalogue.
 _STANDARD_DEVIATIONS = 4.0
 _INDEPENDENT_SHARE = 0.8
 
 
 @dataclasses.dataclass(frozen=True)
 class CandidateSummary:
-    """What the first round says of one effect; strengths in SI, ``None`` where it was not fitted."""
+    """Summary of one effect after the first round; a field is ``None`` where it was not computed.
+
+    Attributes:
+        detectability: What the training input can show of the effect.
+        strength: Expected strength at the base fit, SI.
+        lower95: Lower end of the strength's 95 % interval, SI.
+        upper95: Upper end of the strength's 95 % interval, SI.
+        gain: Fall of chi-squared that the score predicts.
+        p_value: Probability that noise gives any effect so large a gain.
+        refit_rmse_select: RMSE of the first observed channel on the selection split after a refit, SI.
+    """
 
     detectability: Detectability
     strength: float | None = None
@@ -38,14 +49,17 @@ class SelectionState:
         detectability: What the training input can show of each effect.
         noise: Standard deviation of each channel, SI, and its source.
         base_fit: The fit without further effects.
-        current: The fit with the effects that are accepted.
-        chi2_limit: Reduced chi-squared above which more than noise is left. nominal_scores: Scores at the rig's nominal
-        values: a large effect has biased the base fit so far that scores there mislead. base_fit_converged: Whether the
-        base fit is stationary; a large effect may keep it from that. accepted_fits: The fits that were accepted one
-        after the other. alternatives: For each accepted effect, the best fits with another one in its place.
-        equivalent: For each accepted effect, those that explain both recordings as well. rejected: Effects that were
-        not accepted, and why. ranking: Summary of every effect after the first round. stage_shares: Share of the base
-        fit's residual that can live in each stage.
+        current: The fit with the accepted effects.
+        chi2_limit: Reduced chi-squared above which a residual is more than noise.
+        nominal_scores: Scores at the rig's nominal values. A large effect biases the base fit so much that the scores
+            there mislead.
+        base_fit_converged: Whether the base fit is stationary; a large effect can prevent that.
+        accepted_fits: The accepted fits, one for each round.
+        alternatives: For each accepted effect, the best fits with another one in its place.
+        equivalent: For each accepted effect, those that explain both recordings as well.
+        rejected: Effects that were not accepted, each with the reason.
+        ranking: Summary of every effect after the first round.
+        stage_shares: Share of the base fit's residual that each stage can explain.
     """
 
     detectability: dict[str, Detectability]
@@ -69,43 +83,47 @@ class SelectionState:
 
     @property
     def acceptable_chi2(self) -> float:
-        """Reduced chi-squared that a fit with the right effects may leave."""
+        """Reduced chi-squared of the training split up to which a fit with the right effects is at the noise."""
         return max(self.chi2_limit, AT_NOISE)
 
     @property
     def base_residual_may_be_noise(self) -> bool:
-        """Whether no effect is significant at the base fit: its residual may be noise that is autocorrelated."""
+        """Whether no effect is significant at the base fit, so that its residual may be autocorrelated noise."""
         p_values = (r.p_value for r in self.ranking.values() if r.p_value is not None)
         return min(p_values, default=1.0) > SIGNIFICANCE
 
     @property
     def explained(self) -> float:
-        """Share of the base fit's excess over the noise, on both recordings, that the current fit explains."""
+        """Share of the base fit's excess over the noise that the current fit explains (``explained_by``)."""
         return self.explained_by(self.current)
 
     def explained_by(self, fit: CandidateFit) -> float:
-        """Return the share that a fit explains; of the training split where the base fit cannot predict the other."""
+        """Compute the share of the base fit's excess over the noise that a fit explains.
+
+        The excess is that of training and selection split; of the training split alone if the base fit's prediction of
+        the selection split is not finite.
+        """
         pairs = [(fit.train_chi2, self.base_fit.train_chi2), (fit.select_chi2, self.base_fit.select_chi2)]
         excess = [np.maximum(np.array(pair) - 1.0, 0.0) for pair in pairs if math.isfinite(pair[1])]
         after, before = np.sum(excess, axis=0)
         return float(1.0 - after / max(before, 1e-9))
 
     def explained_in_training_by(self, fit: CandidateFit) -> float:
-        """Return the share that a fit explains of the training split alone.
+        """Compute the share of the base fit's excess over the noise that a fit explains on the training split alone.
 
-        An effect that is not the cause may mend a prediction that a biased base fit spoilt, and fit no better.
+        An effect that is not the cause may improve the prediction of a biased base fit without fitting better.
         """
         after, before = (max(f.train_chi2 - 1.0, 0.0) for f in (fit, self.base_fit))
         return float(1.0 - after / max(before, 1e-9))
 
 
 def chi2_threshold(samples: int) -> float:
-    """Return the reduced chi-squared above which more than noise is left.
+    """Return the reduced chi-squared above which a residual is more than noise.
 
-    1 plus four standard deviations of the reduced chi-squared of 0.8 independent values a sample, each sqrt(2 / (0.8
-    samples)).
+    With n samples, of which 0.8 n count as independent, it is 1 + 4 sqrt(2 / (0.8 n)): four standard deviations of the
+    reduced chi-squared above its mean.
 
     Args:
-        samples: Scored samples of the training split.
+        samples: Number n of scored samples of the training split.
     """
     return 1.0 + _STANDARD_DEVIATIONS * math.sqrt(2.0 / (_INDEPENDENT_SHARE * samples))

@@ -1,6 +1,7 @@
-"""Sensitivity of the residual to the strength of every effect that is not in the model yet."""
+"""Sensitivity of the residual to the strength of every effect that is not in the model."""
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.candidates import EffectSet
 from smajax.diagnosis.compiled_model import SLOTS
@@ -12,11 +13,11 @@ EffectShape = tuple[str, tuple[tuple[str, float], ...]]  # key and shape of an e
 
 
 def effect_sensitivities(
-    problem: DiagnosisProblem, effect_set: EffectSet, base: np.ndarray
-) -> dict[EffectShape, np.ndarray]:
+    problem: DiagnosisProblem, effect_set: EffectSet, base: Float[np.ndarray, " p"]
+) -> dict[EffectShape, Float[np.ndarray, " m"]]:
     """Differentiate the training residual with respect to the strength of every other effect, at each shape.
 
-    As many effects as there are slots share a simulation with derivatives, each with one of its shapes.
+    ``SLOTS`` effects, each with one of its shapes, share a simulation with derivatives.
 
     Args:
         problem: The diagnosis problem.

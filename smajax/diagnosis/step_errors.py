@@ -1,8 +1,9 @@
-"""Errors of a refit's residual by the length of the steps: of longer ones, which searches may take, and of its own."""
+"""Errors of a residual by the length of the time steps: longer steps for searches, and the default steps."""
 
 import math
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.diagnosis.candidates import Refit
 from smajax.diagnosis.data_split import TRAIN
@@ -12,13 +13,22 @@ from smajax.fitting.problem import Problem
 
 
 def stride_error(problem: DiagnosisProblem, refit: Refit, stride: int) -> float:
-    """Return the mean square error by the longer steps of ``strided_problem``; infinite if it has no such steps."""
+    """Compute the mean square error by the longer steps of ``strided_problem``.
+
+    Args:
+        problem: The diagnosis problem.
+        refit: A refit of the training split.
+        stride: Distance of the samples.
+
+    Returns:
+        The mean square over the noise; infinite if there are no such steps.
+    """
     strided = problem.strided_problem(stride)
     return math.inf if strided is problem.problems[TRAIN] else step_length_error(problem, refit, strided, stride)
 
 
 def step_length_error(problem: DiagnosisProblem, refit: Refit, longer: Problem, stride: int = 1) -> float:
-    """Return the mean square by which longer steps change a refit's residual, over the noise.
+    """Compute the mean square change of a residual, over the noise, by longer steps.
 
     Args:
         problem: The diagnosis problem.
@@ -33,18 +43,19 @@ def step_length_error(problem: DiagnosisProblem, refit: Refit, longer: Problem, 
     return float(np.mean((coarse.reshape(shape) - fine)[scored] ** 2))
 
 
-def estimate_step_error(problem: DiagnosisProblem, refit: Refit) -> np.ndarray:
-    """Estimate the error of the training residual by the steps' finite length (Richardson, second order).
+def estimate_step_error(problem: DiagnosisProblem, refit: Refit) -> Float[np.ndarray, " scored"]:
+    """Estimate the error of the training residual by the finite length of the steps (Richardson extrapolation).
 
-    Steps half as long are simulated on the same program, so that they cover the first half of each recording only. The
-    samples there count twice, and those after them nothing.
+    For a method of second order, the error of the residual r is 4/3 (r - r_half), with r_half from steps half as long.
+    These run on the same program and therefore cover the first half of each recording only: its samples
+    count twice, and the later ones are 0.
 
     Args:
         problem: The diagnosis problem.
         refit: A refit of the training split.
 
     Returns:
-        The error over the noise, of the shape of ``counted_samples``.
+        The error over the noise at the scored samples, shape ``(scored,)``.
     """
     halved, covered = with_halved_steps(problem.problems[TRAIN])
     finer = problem.predict_on(halved, refit.effect_set, refit.base)

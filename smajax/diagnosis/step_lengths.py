@@ -1,4 +1,4 @@
-"""A split's problem on longer steps, with fewer samples, and on shorter steps; all on the same compiled program."""
+"""Problems of a split on longer or shorter time steps, all on the same compiled program."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,13 +12,18 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import discretise
 from smajax.simulation.step_size import default_step
 
-# Longest step that a search may take, as a multiple of the step that resolves the plant. Up to there the error of a
-# step falls with its length; whether it matters is measured (``step_errors``).
+# Longest step of a search as a multiple of the default step, which resolves the plant. Up to there the error falls with
+# the length of the step; ``step_errors`` measures whether it matters.
 _LONGEST = 4.0
 
 
 def steps_per_sample(problem: Problem, recordings: Sequence[Recording]) -> int:
-    """Return the median number of steps from one sample to the next."""
+    """Return the median number of steps from one sample to the next.
+
+    Args:
+        problem: The problem of a split.
+        recordings: Its recordings.
+    """
     indices = np.asarray(problem.data.inputs.sample_indices)
     return int(np.median(np.concatenate([np.diff(indices[k])[: len(r) - 1] for k, r in enumerate(recordings)])))
 
@@ -32,7 +37,7 @@ def with_longer_steps(
     step: float | None,
     pieces: int = 1,
 ) -> Problem | None:
-    """Return the problem at every ``stride``-th sample, on longer steps; ``None`` if these were too long for its plant.
+    """Return the problem at every ``stride``-th sample, on longer steps.
 
     Args:
         problem: The problem of a split.
@@ -40,7 +45,10 @@ def with_longer_steps(
         stride: Distance of the samples that are used.
         interpolation: How inputs are interpolated (``discretise``).
         step: Length of the usual steps, s; ``None`` for the default.
-        pieces: How many of the usual steps one step within a sample replaces.
+        pieces: Number of usual steps that one step replaces.
+
+    Returns:
+        The problem; ``None`` if the steps would exceed four default steps of its plant.
     """
     grids = [discretise(problem.plant, r, interpolation=interpolation, step=step) for r in recordings]
     usual = max(float(np.median(np.diff(grid.time))) for grid in grids)
@@ -51,8 +59,8 @@ def with_longer_steps(
     points, samples = problem.data.inputs.time.shape[1], problem.data.inputs.sample_indices.shape[1]
     inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(grid.pad(points, samples) for grid in coarse))
     measured, weight = (np.zeros(problem.data.measured.shape) for _ in range(2))
-    kept = -(-samples // stride)
-    measured[:, :, :kept], weight[:, :, :kept] = (
+    count = -(-samples // stride)
+    measured[:, :, :count], weight[:, :, :count] = (
         np.asarray(a)[:, :, ::stride] for a in (problem.data.measured, problem.data.weight)
     )
     data = FitData(inputs, jnp.asarray(measured), jnp.asarray(weight), jnp.max(inputs.sample_indices))
@@ -60,9 +68,15 @@ def with_longer_steps(
 
 
 def with_halved_steps(problem: Problem) -> tuple[Problem, list[int]]:
-    """Return the problem on steps half as long, and how many samples of each recording they cover.
+    """Return the problem on steps half as long.
 
     The grid keeps its length, so that the steps cover the first half of each recording.
+
+    Args:
+        problem: The problem of a split.
+
+    Returns:
+        The problem, and the number of samples of each recording that the steps cover.
     """
     halves = [
         jax.tree.map(lambda leaf, k=k: leaf[k], problem.data.inputs).halve() for k in range(len(problem.data.measured))

@@ -1,4 +1,7 @@
-"""Successive halving: many refits take a few steps, then the best of them go on, in several rounds (jamieson2016)."""
+"""Successive halving: all refits take a few steps, and the best of them continue, in several rounds.
+
+Source: jamieson2016.
+"""
 
 import math
 from collections.abc import Sequence
@@ -11,27 +14,28 @@ from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.onset_times import scan_onset_times
 from smajax.diagnosis.parallel import map_in_pairs
 
-# Rounds: how many searches of each group go on, and for how many steps, the first of which only evaluates the start.
-# Chosen by trial.
+# Rounds: number of searches of each group that continue, and number of their steps, the first of which only evaluates
+# the start. Chosen by trial.
 HALVING_SCHEDULE = (
     (99, 5),
     (8, 4),
     (5, 8),
     (3, 30),
 )
-# Steps of a round beyond which candidates that started near and far compete with each other: by then both have left
-# their start errors.
+# Number of steps of a round above which near and far starts compete with each other: by then both have reduced the
+# errors of their start. It is that of the first round.
 _SEPARATE_STEPS = 5
-# Cost over the least one beyond which a search is dropped in any round, and in those in which all compete. Chosen by
+# Cost over the least one above which a search is dropped in any round, and in those in which all compete. Chosen by
 # trial.
 _HOPELESS = 30.0
 _BEHIND = 4.0
-# Candidates, of the largest gains, that start a second time with their shape held. Chosen by trial.
+# Number of candidates, those of the largest gains, that start a second time with their shape held. Chosen by trial.
 _HELD_SHAPES = 3
-# Sets of effects, at most, whose prediction of the selection split is evaluated; each costs a refit's end.
+# Largest number of sets of effects whose prediction of the selection split is evaluated; each costs a simulation with
+# derivatives. Chosen by trial.
 _MAX_EVALUATED = 10
-# Start strengths in units of the typical one: small near a fit, so that all parameters move together from there; large
-# from the rig's nominal values, within what a search recovers from. Chosen by trial.
+# Start strengths in units of the typical strength: small near a fit, so that all parameters move together from there;
+# larger from the rig's nominal values, within the range from which a search converges. Chosen by trial.
 _SMALL_STRENGTH = 0.1
 _MIN_FAR_STRENGTH = 0.3
 _MAX_FAR_STRENGTH = 2.0
@@ -40,16 +44,16 @@ _MAX_FAR_STRENGTH = 2.0
 def successive_halving(
     evaluator: CandidateEvaluator, near: Sequence[Candidate], far: Sequence[Candidate] = ()
 ) -> list[CandidateFit]:
-    """Fit candidates with one effect more each: a few steps for all, then the best of them until they converge.
+    """Fit candidates with one more effect each: a few steps for all, then more for the best of them.
 
     Args:
         evaluator: The evaluator.
-        near: Candidates that start at their parent's point with a small strength.
-        far: Candidates that start at the rig's nominal values and stay near them: what a large effect has done to the
-            other parameters may keep a search from leaving the parent's point.
+        near: Candidates that start at the point of their parent with a small strength.
+        far: Candidates that start at the rig's nominal values and are bounded near them. A large effect may have biased
+            the parameters of the parent so much that a search from there does not find it.
 
     Returns:
-        The fits of the best sets of effects; sets that most others have left behind by then are missing.
+        The fits of the best sets of effects that improve by the new effect.
 
     Source: jamieson2016, with two groups of starts.
     """
@@ -57,12 +61,12 @@ def successive_halving(
     parents = (problem.reduced_chi2(c.parent.residual, TRAIN) for c in (*near, *far))
     stride = evaluator.stride(min(parents, default=0.0))
     starts = _Starts(evaluator, near, far, stride)
-    groups, everyone = _halve(evaluator, starts, stride)
-    everyone += map_in_pairs(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
-    scanned = map_in_pairs(lambda search: scan_onset_times(evaluator, search), groups[0])
-    everyone += [search for searches in scanned for search in searches]
+    groups, searches = _halve(evaluator, starts, stride)
+    searches += map_in_pairs(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
+    by_search = map_in_pairs(lambda search: scan_onset_times(evaluator, search), groups[0])
+    searches += [search for scanned in by_search for search in scanned]
     best: dict[frozenset, RefitSearch] = {}
-    for search in sorted(everyone, key=lambda s: s.cost):
+    for search in sorted(searches, key=lambda s: s.cost):
         best.setdefault(frozenset(search.effect_set.keys), search)
     refits = map_in_pairs(problem.refit_from, list(best.values())[:_MAX_EVALUATED])
     fits = map_in_pairs(evaluator.evaluate, [r for r in refits if math.isfinite(r.chi2)])
@@ -70,7 +74,15 @@ def successive_halving(
 
 
 def trusted_candidate(evaluator: CandidateEvaluator, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the candidate of the largest gain, if its parent is so near to the noise that a score holds there."""
+    """Return the candidate of the largest gain, if its parent is so near the noise that its score is reliable.
+
+    Args:
+        evaluator: The evaluator.
+        candidates: The candidates.
+
+    Returns:
+        The candidate; ``None`` if no gain is positive, or the parent's reduced chi-squared is 9 or more.
+    """
     largest = max(candidates, key=lambda c: c.gain, default=None)
     if largest is None or largest.gain <= 0.0:
         return None
@@ -79,39 +91,39 @@ def trusted_candidate(evaluator: CandidateEvaluator, candidates: Sequence[Candid
 
 
 class _Starts:
-    """The searches at their start: ``near`` and ``far`` groups, and those that are ``trusted``."""
+    """The searches at their start: ``near`` and ``far`` groups, and the ``trusted`` one, which is not dropped."""
 
     def __init__(self, evaluator: CandidateEvaluator, near: Sequence[Candidate], far: Sequence[Candidate], stride: int):
         self._problem, self._stride = evaluator.problem, stride
         nominal = self._problem.nominal
         self.near = [self._search(c, _near_strength(c), c.parent.base) for c in near]
         self.far = [self._search(c, _far_strength(c), nominal, near_nominal=True) for c in far]
-        # The largest gains start a second time, with their shape held: freed too early, a shape may drift away.
+        # The largest gains start a second time with their shape held: a shape may drift away if it is freed too early.
         promising = sorted((c for c in near if c.gain > 0.0 and c.shape), key=lambda c: -c.gain)[:_HELD_SHAPES]
         self.near += [self._search(c, _near_strength(c), c.parent.base, hold_shapes=True) for c in promising]
-        # Near the noise the largest gain is trusted, and its search goes on though others fall sooner: its valley may
-        # be a long one.
+        # Near the noise the largest gain is trusted: its search continues although the cost of others falls sooner,
+        # because it may need many steps along a curved valley.
         trusted = trusted_candidate(evaluator, near)
         self.trusted = [s for c, s in zip(near, self.near, strict=False) if c is trusted]
 
     def _search(
         self,
         candidate: Candidate,
-        size: float,
+        start_strength: float,
         base: np.ndarray,
         *,
         near_nominal: bool = False,
         hold_shapes: bool = False,
     ) -> RefitSearch:
-        effect_set = self._effect_set(candidate, size)
+        effect_set = self._effect_set(candidate, start_strength)
         return self._problem.start_search(
             effect_set, base, near_nominal=near_nominal, hold_shapes=hold_shapes, stride=self._stride
         )
 
-    def _effect_set(self, candidate: Candidate, size: float) -> EffectSet:
-        """The parent's effects and the candidate's, with this start strength in units of the typical one."""
+    def _effect_set(self, candidate: Candidate, start_strength: float) -> EffectSet:
+        """The effects of the parent and the candidate; the start strength is in units of the typical strength."""
         key = candidate.key
-        strength = math.copysign(size, candidate.strength or 1.0) * self._problem.effects[key].typical
+        strength = math.copysign(start_strength, candidate.strength or 1.0) * self._problem.effects[key].typical
         shape = {f"effects.{key}.{name}": value for name, value in candidate.shape}
         return candidate.parent.effect_set.with_effect(key, {f"effects.{key}.strength": strength, **shape})
 
@@ -127,15 +139,15 @@ def _far_strength(candidate: Candidate) -> float:
 def _halve(
     evaluator: CandidateEvaluator, starts: _Starts, stride: int
 ) -> tuple[list[list[RefitSearch]], list[RefitSearch]]:
-    """The searches of the last round, and all that were started.
+    """The searches of the last round in one group, and all searches.
 
-    The two groups compete apart at first, since those from far begin with larger errors.
+    The two groups compete separately at first, since far starts begin with larger errors.
     """
     problem = evaluator.problem
     groups = [starts.near, starts.far]
-    everyone = [s for group in groups for s in group]
+    searches = [s for group in groups for s in group]
     for count, steps in HALVING_SCHEDULE:
-        least = min((s.cost for s in everyone), default=math.inf)
+        least = min((s.cost for s in searches), default=math.inf)
         groups = [
             sorted((s for s in g if not s.cost > _HOPELESS * least), key=lambda s: s.cost)[:count] for g in groups
         ]
@@ -147,6 +159,6 @@ def _halve(
             ]
             if ranked and evaluator.stride(ranked[0].cost / problem.samples) < stride:
                 groups = [[problem.continue_on_all_samples(s, 0) for s in groups[0]]]
-                everyone += groups[0]
+                searches += groups[0]
         map_in_pairs(lambda s, steps=steps: s.advance(steps), [s for g in groups for s in g])
-    return groups, everyone
+    return groups, searches

@@ -49,7 +49,7 @@ class _Head(BaseModel):
 
 
 def is_actuator(text: str) -> bool:
-    """Whether a TOML text is an actuator's, by its kind, and not a rig's."""
+    """Return whether the ``kind`` in a TOML text is that of an actuator, not of a rig."""
     try:
         head = tomllib.loads(text).get("rig")
     except tomllib.TOMLDecodeError:
@@ -58,28 +58,28 @@ def is_actuator(text: str) -> bool:
 
 
 def kind_of(actuator: AbstractActuator) -> str:
-    """Return the kind by which files name an actuator."""
+    """Return the value of ``kind`` under ``[rig]`` for an actuator."""
     return next(kind for kind, actuator_class in ACTUATORS.items() if actuator_class is type(actuator))
 
 
 def read_actuator(path: str | Path) -> AbstractActuator:
-    """Read and check an actuator's file.
+    """Read and check an actuator file.
 
     Raises:
-        InputError: one sentence with file, section and key, and the cure.
+        InputError: If the file is missing or invalid; the message names file, section and key.
     """
     return parse_actuator(read_text(Path(path), "actuator"), str(path))
 
 
 def parse_actuator(text: str, name: str = "actuator.toml") -> AbstractActuator:
-    """Parse and check the text of an actuator's file.
+    """Parse and check the text of an actuator file.
 
     Args:
         text: The text.
         name: Name of the file in messages.
 
     Raises:
-        InputError: one sentence with file, section and key, and the cure.
+        InputError: If the text is invalid; the message names file, section and key.
     """
     data = parse_toml(text, name)
     try:
@@ -89,14 +89,14 @@ def parse_actuator(text: str, name: str = "actuator.toml") -> AbstractActuator:
 
 
 def to_toml(actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> str:
-    """Return the text of a file that holds every parameter; read back it gives the same actuator.
+    """Return the text of a file with every parameter; reading it gives the same actuator.
 
     Args:
         actuator: The actuator.
-        values: Values by name in internal units, in place of its own.
+        values: Values by parameter name in internal units, which replace those of the actuator.
 
     Raises:
-        InputError: if the values make no actuator.
+        InputError: If a name is unknown, or the values fail the checks of ``parse_actuator``.
     """
     for name in values or {}:
         parameters.declaration(actuator, name)
@@ -111,7 +111,16 @@ def to_toml(actuator: AbstractActuator, values: Mapping[str, Any] | None = None)
 
 
 def write(path: str | Path, actuator: AbstractActuator, values: Mapping[str, Any] | None = None) -> None:
-    """Write ``to_toml`` to a file, completely or not at all."""
+    """Write the text of ``to_toml`` to a file, completely or not at all.
+
+    Args:
+        path: The file.
+        actuator: The actuator.
+        values: Values by parameter name in internal units, which replace those of the actuator.
+
+    Raises:
+        InputError: If the values fail the checks of ``parse_actuator``, or the file cannot be written.
+    """
     write_text(Path(path), to_toml(actuator, values))
 
 
@@ -121,26 +130,26 @@ def _build(data: Mapping[str, Any], name: str, rows: Mapping[str, int]) -> Abstr
         raise InputError('the section [rig] is missing: add [rig] with a line kind = "flexural"')
     kind = validate(_Head, data["rig"], "rig").kind
     actuator_class = ACTUATORS[kind]
-    typed = [(f.name, f.type) for f in dataclasses.fields(actuator_class)]
-    parts = {n: part for n, part in typed if isinstance(part, type) and issubclass(part, eqx.Module)}
+    field_types = [(f.name, f.type) for f in dataclasses.fields(actuator_class)]
+    part_classes = {n: part for n, part in field_types if isinstance(part, type) and issubclass(part, eqx.Module)}
     for section, content in data.items():
-        if section not in parts and section not in ("schema", "rig"):
-            unknown = f"[{section}] is not a section of this actuator"
-            what = unknown if isinstance(content, dict | list) else f"{section} is not known"
-            raise InputError(f"{what}{advice(section, ['rig', *parts], 'the sections are')}")
-    built: dict[str, Any] = {
-        section: _build_part(kind, section, part, data.get(section, {})) for section, part in parts.items()
+        if section not in part_classes and section not in ("schema", "rig"):
+            is_section = isinstance(content, dict | list)
+            problem = f"[{section}] is not a section of this actuator" if is_section else f"{section} is not known"
+            raise InputError(f"{problem}{advice(section, ['rig', *part_classes], 'the sections are')}")
+    parts: dict[str, Any] = {
+        section: _build_part(kind, section, part, data.get(section, {})) for section, part in part_classes.items()
     }
-    actuator = actuator_class(**built)
+    actuator = actuator_class(**parts)
     names = parameters.all_declarations(actuator)
     _check(actuator, {n: f"{name} line {rows[n]}" if n in rows else name for n in names})
     return actuator
 
 
 def _check(actuator: AbstractActuator, place: Mapping[str, str]) -> None:
-    """Refuse what no actuator, rig or coil can be, then what this actuator cannot be.
+    """Check what holds for every rig (counts, ordered pairs, coils), then what this actuator requires.
 
-    ``place`` says where each parameter stands.
+    ``place`` is the place of each parameter in the file, for messages.
     """
     table = parameters.all_declarations(actuator)
 
@@ -164,6 +173,6 @@ def _build_part(kind: str, section: str, part: type[eqx.Module], content: Any) -
             path = data_path("actuators", kind, "rig.toml")
             template = parse_toml(path.read_text("utf-8"), str(path))
             example = template.get(section, {}).get(key, example_of(declaration.unit))
-            needs = f'an actuator of kind {kind} needs a line like {key} = "{example}" under [{section}]'
-            raise InputError(f"{section}.{key} is missing: {needs}")
+            cure = f'an actuator of kind {kind} needs a line like {key} = "{example}" under [{section}]'
+            raise InputError(f"{section}.{key} is missing: {cure}")
     return part(**{key: as_float(value) for key, value in values.items()})

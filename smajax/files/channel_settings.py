@@ -22,8 +22,8 @@ class ChannelSettings:
     """The section ``[channels]``.
 
     Attributes:
-        columns: Sources by channel.
-        ignore: Headers that are no channels.
+        columns: Column and unit of each mapped channel, by channel.
+        ignore: Headers of columns that are not channels.
         skip_rows: Rows before the header.
         delimiter: Character between the cells of a text file.
         decimal: Decimal sign of a text file.
@@ -41,11 +41,11 @@ class ChannelSettings:
         """Return the section as a table that ``channel_settings`` reads back to the same settings."""
         default = ChannelSettings({})
         layout = {key: getattr(self, key) for key in ("skip_rows", "delimiter", "decimal", "sheet")}
-        unusual = {key: value for key, value in layout.items() if value != getattr(default, key)}
+        changed = {key: value for key, value in layout.items() if value != getattr(default, key)}
         columns = {
             c: {"column": s.column, "unit": s.unit, "any_scale": s.any_scale or None} for c, s in self.columns.items()
         }
-        return {"ignore": list(self.ignore) or None, **unusual, **columns}
+        return {"ignore": list(self.ignore) or None, **changed, **columns}
 
 
 class _Column(BaseModel):
@@ -66,15 +66,23 @@ class _Layout(BaseModel):
 
 
 def channel_settings(data: Any) -> ChannelSettings:
-    """Return the settings from the section's data.
+    """Return the settings in the data of the section.
 
-    A channel's unit may stand next to its column (``displacement = {column = "Laser (um)", unit = "um"}``), under
-    ``[channels.unit]``, or, if only one channel is mapped, as ``unit`` alone.
+    The unit of a channel is given with its column (``displacement = {column = "Laser (um)", unit = "um"}``), under
+    ``[channels.unit]``, or as ``unit`` alone if only one channel is mapped.
+
+    Args:
+        data: Content of ``[channels]`` as parsed from the file.
+
+    Raises:
+        InputError: If a key, a channel, a column or a unit is not valid.
     """
     for key in data if isinstance(data, dict) else ():
         if key not in _Layout.model_fields and channel_of(key) is None:
             keys = [*CHANNELS, *_Layout.model_fields]
-            raise InputError(f"channels.{key} is neither a channel nor an option{advice(key, keys, 'there are')}")
+            raise InputError(
+                f"channels.{key} is neither a channel nor an option{advice(key, keys, 'the channels and options are')}"
+            )
     layout_data = {k: v for k, v in data.items() if channel_of(k) is None} if isinstance(data, dict) else data
     layout = validate(_Layout, layout_data, "channels")
     columns = {channel: _read_column(channel, source) for channel, source in data.items() if channel_of(channel)}
@@ -90,8 +98,8 @@ def channel_settings(data: Any) -> ChannelSettings:
                 raise InputError(f"channels.{channel}: {error}") from None
         sources[channel] = ChannelMap((source and source.column) or channel, unit, bool(source and source.any_scale))
     if layout.delimiter == layout.decimal:
-        both = f'channels.delimiter and channels.decimal are both "{layout.decimal}"'
-        raise InputError(f'{both}: set delimiter = ";" or "\\t"')
+        problem = f'channels.delimiter and channels.decimal are both "{layout.decimal}"'
+        raise InputError(f'{problem}: set delimiter = ";" or "\\t"')
     return ChannelSettings(
         sources, tuple(layout.ignore), layout.skip_rows, layout.delimiter, layout.decimal, layout.sheet
     )
@@ -111,14 +119,14 @@ def _read_units(unit: Any, columns: Mapping[str, _Column]) -> dict[str, str]:
     if isinstance(unit, str):
         if len(columns) != 1:
             cure = 'write it like displacement = {column = "Laser (um)", unit = "um"}'
-            raise InputError(f"channels.unit = '{unit}' does not say of which channel: {cure}")
+            raise InputError(f"channels.unit = '{unit}' does not name its channel: {cure}")
         return {next(iter(columns)): unit}
     if not isinstance(unit, dict):
         raise InputError('channels.unit is not a table: write lines like displacement = "um" below [channels.unit]')
     for channel, text in unit.items():
         if channel_of(channel) is None:
-            unknown = f"channels.unit has '{channel}', which is not a channel"
-            raise InputError(f"{unknown}{advice(channel, CHANNELS, 'there are')}")
+            problem = f"channels.unit has '{channel}', which is not a channel"
+            raise InputError(f"{problem}{advice(channel, CHANNELS, 'the channels are')}")
         if not isinstance(text, str):
             raise InputError(f'channels.unit.{channel} = {show(text)} is not a unit: write it like displacement = "um"')
     return dict(unit)

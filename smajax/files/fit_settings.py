@@ -16,7 +16,7 @@ from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial
 from smajax.units import as_text, parse_quantity
 
-# Starting points of a fit by default.
+# Default number of starting points of a fit. Chosen by trial.
 _STARTS = 4
 # Free parameters above which there is one starting point for each; chosen by trial, tests/unit/files/test_rig_file.py
 # holds it.
@@ -25,10 +25,10 @@ _MAX_PARAMETERS_OF_DEFAULT_STARTS = 10
 
 @dataclass(frozen=True)
 class FitSettings:
-    """The section ``[fit]``.
+    """The section ``[fit]``, checked against the plant.
 
     Attributes:
-        model: Material law.
+        model: Name of the material law.
         free: Parameters with one value for all recordings.
         per_recording: Parameters with a value for each recording, whether or not they are in ``free``.
         initial: Initial states that are free: temperature, detwinned, twinned.
@@ -51,12 +51,20 @@ class FitSettings:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All parameters that a fit may change, by name."""
+        """Names of all parameters that a fit may change."""
         return tuple(dict.fromkeys([*self.free, *self.per_recording, *(f"initial.{state}" for state in self.initial)]))
 
 
 def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
-    """Return the channels that are fitted: those of the file, else the coordinate of this kind of rig."""
+    """Return the channels that are fitted: those in the file, else the default of this kind of rig.
+
+    Args:
+        fit: The section of the file.
+        kind: Kind of the rig; the default is its coordinate, or the stress of a testing machine.
+
+    Raises:
+        InputError: If the list in the file is empty or has a channel twice.
+    """
     if fit.observe is None:
         return ("stress" if kind == "testing-machine" else KINDS[kind].coordinate,)
     if not fit.observe:
@@ -73,15 +81,24 @@ def channels_of_sensors(names: Iterable[str]) -> list[str]:
 
 
 def check_observed(observe: Sequence[str], plant: Plant, kind: str) -> None:
-    """Refuse channels that this plant does not give, or that drive it."""
-    possible = [channel for channel in plant.observable if channel not in plant.signals]
+    """Check that the fitted channels are outputs of the plant.
+
+    Args:
+        observe: Channels that are fitted.
+        plant: The plant.
+        kind: Kind of the rig, for messages.
+
+    Raises:
+        InputError: If a channel is an input of the plant, or not one of its channels.
+    """
+    outputs = [channel for channel in plant.observable if channel not in plant.signals]
     for channel in observe:
         if channel in plant.signals:
-            drives = f"fit.observe has {channel}, which drives this {kind} rig"
-            raise InputError(f"{drives}: observe one of {', '.join(possible)}")
-        if channel not in possible:
-            what = f"fit.observe has '{channel}', which {rig_phrase(kind)} does not give"
-            raise InputError(f"{what}{suggestion(channel, possible)}: it gives {', '.join(possible)}")
+            problem = f"fit.observe has {channel}, which drives this {kind} rig"
+            raise InputError(f"{problem}: observe one of {', '.join(outputs)}")
+        if channel not in outputs:
+            problem = f"fit.observe has '{channel}', which is not an output of {rig_phrase(kind)}"
+            raise InputError(f"{problem}{suggestion(channel, outputs)}: its outputs are {', '.join(outputs)}")
 
 
 def fit_settings(
@@ -98,20 +115,23 @@ def fit_settings(
         observe: Channels that are fitted.
         plant: The plant with its nominal values.
         inert: Parameters of the plant that this kind of rig does not use.
-        set_bounds: Bounds of the parameter set, which hold where the rig gives none.
+        set_bounds: Bounds ``(low, high)`` of the parameter set by name, used where the rig file has none.
+
+    Raises:
+        InputError: If a name, a bound or a noise is not valid for this plant.
     """
     table = {name: d for name, d in parameters.all_declarations(plant).items() if name not in inert}
     states = [f.name for f in fields(Initial) if f"initial.{f.name}" in table]
-    # An initial state may stand in either list, with or without its section; it is kept in one place.
-    among_free = [name.removeprefix("initial.") for name in fit.free if name.startswith("initial.")]
-    initial = [name.removeprefix("initial.") for name in fit.initial] + among_free
+    # An initial state may be in `free` or in `initial`, with or without its section; it is moved to `initial`.
+    initial_in_free = [name.removeprefix("initial.") for name in fit.free if name.startswith("initial.")]
+    initial = [name.removeprefix("initial.") for name in fit.initial] + initial_in_free
     free = [name for name in fit.free if not name.startswith("initial.")]
     _check_names(free, table, "fit.free")
     _check_names(fit.per_recording, table, "fit.per_recording")
     for state in initial:
         if state not in states:
-            what = f"fit.initial has '{state}', which is no initial state of this rig"
-            raise InputError(f"{what}{suggestion(state, states)}: it can be {', '.join(states)}")
+            problem = f"fit.initial has '{state}', which is not an initial state of this rig"
+            raise InputError(f"{problem}{suggestion(state, states)}: it can be {', '.join(states)}")
     refuse_duplicates(initial, "fit.initial")
     _refuse_overlap([*dict.fromkeys([*free, *fit.per_recording])])
     bounds = _read_bounds(fit.bounds, table, plant)
@@ -125,21 +145,29 @@ def fit_settings(
 
 
 def refuse_duplicates(names: Sequence[str], place: str) -> None:
-    """Refuse a list in which a name stands twice."""
+    """Refuse a list that has a name twice.
+
+    Args:
+        names: The list.
+        place: Its section and key, for the message.
+
+    Raises:
+        InputError: If it has one.
+    """
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(f"{place} lists {name} twice: take one of them out")
+            raise InputError(f"{place} lists {name} twice: remove one of them")
 
 
 def _check_names(names: Sequence[str], table: Mapping[str, Declaration], place: str) -> None:
-    """Refuse names that are no parameters of the plant."""
+    """Refuse names that are not parameters of the plant."""
     refuse_duplicates(names, place)
     for name in names:
         if name not in table:
             same_key = [other for other in table if other.split(".", 1)[1] == name.rpartition(".")[2]]
             hint = f" (did you mean '{same_key[0]}'?)" if same_key else suggestion(name, table)
-            unknown = f"{place} has '{name}', which is no parameter of this rig{hint}"
-            raise InputError(f"{unknown}: name it by section and key, as in heat.h0")
+            problem = f"{place} has '{name}', which is not a parameter of this rig{hint}"
+            raise InputError(f"{problem}: name it by section and key, as in heat.h0")
 
 
 def _refuse_overlap(names: Sequence[str]) -> None:
@@ -147,7 +175,7 @@ def _refuse_overlap(names: Sequence[str]) -> None:
     for tie in (name for name in names if name in TIES):
         for member in TIES[tie]:
             if member in names:
-                raise InputError(f"fit.free has {tie} and {member}, which it contains: keep the one or the other")
+                raise InputError(f"fit.free has {tie} and {member}, which it contains: keep only one of them")
 
 
 def _read_bounds(
@@ -161,8 +189,8 @@ def _read_bounds(
             nominal = float(parameters.get(plant, member))
             if not math.isnan(nominal) and not low <= nominal <= high:
                 value = as_text(nominal, table[name].unit)
-                without = f"fit.bounds of {name}, {show(ends)}, leave out its nominal value {value}"
-                raise InputError(f"{without}: widen them, or correct the value")
+                problem = f"fit.bounds of {name}, {show(ends)}, exclude its nominal value {value}"
+                raise InputError(f"{problem}: widen them, or correct the value")
         spans[name] = (low, high)
     return spans
 
@@ -177,14 +205,14 @@ def _read_span(name: str, ends: Any, declaration: Declaration) -> tuple[float, f
     except InputError as error:
         raise InputError(f"fit.bounds of {name}: {error}") from None
     if not low < high:
-        backwards = "run backwards: put the smaller one first"
-        what = backwards if low > high else "leave no room between them: move them apart"
-        raise InputError(f"fit.bounds of {name}, {show(ends)}, {what}")
+        in_reverse = "are in the wrong order: put the smaller one first"
+        problem = in_reverse if low > high else "are equal: move them apart"
+        raise InputError(f"fit.bounds of {name}, {show(ends)}, {problem}")
     for end, text in ((low, ends[0]), (high, ends[1])):
         if not declaration.lower <= end <= declaration.upper:
             limit = as_text(declaration.lower if end < declaration.lower else declaration.upper, declaration.unit)
-            beyond = f"{show(text)} is beyond {limit}, where the model ends"
-            raise InputError(f"fit.bounds of {name}: {beyond}: stay within")
+            problem = f"{show(text)} is beyond {limit}, the limit of the model"
+            raise InputError(f"fit.bounds of {name}: {problem}: stay within it")
     return low, high
 
 
@@ -193,8 +221,8 @@ def _read_noise(noise: Mapping[str, Any], observe: Sequence[str], plant: Plant) 
     for channel, text in noise.items():
         if channel not in plant.observable:
             hint = suggestion(channel, observe) or suggestion(channel, plant.observable)
-            unknown = f"fit.noise has '{channel}', which is no channel of this rig{hint}"
-            raise InputError(f"{unknown}: name one of fit.observe")
+            problem = f"fit.noise has '{channel}', which is not a channel of this rig{hint}"
+            raise InputError(f"{problem}: name one of fit.observe")
         try:
             deviations[channel] = parse_quantity(text, channel_unit(channel, difference=True))
         except InputError as error:

@@ -1,4 +1,4 @@
-"""The parameter names of all rigs, from the declarations of all stages."""
+"""Parameter names of all rigs, from the declarations of all stages."""
 
 from collections.abc import Iterator
 
@@ -14,7 +14,11 @@ from smajax.plant.wire import Environment, Initial, Wire
 
 
 def owners() -> Iterator[tuple[str, type[eqx.Module], str]]:
-    """Yield every parameter section of any rig, its class, and the choice in the rig file that leads to this class."""
+    """Yield every parameter section that a rig file may have.
+
+    Returns:
+        Tuples of the section's name, its class, and the choice in the rig file that selects this class, in words.
+    """
     yield from (("wire", Wire, "a straight wire"), ("wire", Coil, "a coiled wire"))
     yield from (("environment", Environment, ""), ("initial", Initial, ""))
     yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())
@@ -25,9 +29,14 @@ def owners() -> Iterator[tuple[str, type[eqx.Module], str]]:
 
 
 def declarations_of(name: str) -> list[Declaration]:
-    """Return the declarations that a parameter name has in any rig; none if there is no such name.
+    """Return the declarations of a parameter name in all rigs.
 
-    ``heat.h2`` has one for each law of convection.
+    Args:
+        name: Name as ``SECTION.KEY``, or that of a tie.
+
+    Returns:
+        The declarations; an empty list for an unknown name, and two for a name such as ``heat.h2`` whose unit depends
+        on the law of convection.
     """
     section, _, key = name.partition(".")
     if section == "sensor":

@@ -1,4 +1,4 @@
-"""Parameter files: named values with bounds and sources, shipped or written by a fit, which a rig file names.
+"""Parameter sets: files of named values with bounds and sources, shipped or written by a fit.
 
     schema = "smajax.parameters/1"
     title = "..."
@@ -9,7 +9,7 @@
     source = "..."
 
 A fit adds ``interval95``, ``free`` and ``at_bound``, a table ``[fit]`` with the origin of the values, and parameters
-that belong to one recording under ``[per_recording."NAME@RECORDING"]``. What is written reads back to the same floats.
+that belong to one recording under ``[per_recording."NAME@RECORDING"]``. Writing and reading returns the same floats.
 """
 
 import math
@@ -28,23 +28,23 @@ from smajax.files.validators import quantity
 from smajax.units import as_text, parse_quantity
 
 SCHEMA = "smajax.parameters/1"
-# An end of bounds or of an interval that is at infinity.
+# Text of an infinite end of bounds or of an interval.
 _OPEN = "none"
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One parameter of a file.
+    """One parameter of a parameter set.
 
     Attributes:
-        value: In the internal unit.
-        unit: Internal unit.
-        lower: Lower bound; minus infinity where open.
-        upper: Upper bound; infinity where open.
+        value: Value in ``unit``.
+        unit: Internal unit of the parameter.
+        lower: Lower bound in ``unit``; minus infinity if there is none.
+        upper: Upper bound in ``unit``; infinity if there is none.
         source: Where the value comes from.
-        interval95: Its 95 % interval.
-        free: Whether a fit changed it.
-        at_bound: Whether the fit ended at a bound.
+        interval95: Ends of the 95 % confidence interval in ``unit``.
+        free: Whether the parameter was free in a fit; ``None`` if the file does not say.
+        at_bound: Whether the estimate is at a bound; ``None`` if the file does not say.
     """
 
     value: float
@@ -68,26 +68,36 @@ class _EntryTable(BaseModel):
 
 
 def read_parameters(path: str | Path) -> dict[str, Entry]:
-    """Return the entries of a parameter file by name, those of one recording by ``NAME@RECORDING``.
+    """Read a parameter set.
+
+    Returns:
+        Entries by parameter name; those of one recording by ``NAME@RECORDING``.
 
     Raises:
-        InputError: with file, key and cure.
+        InputError: If the file is missing or invalid; the message names file and key.
     """
     return _read(Path(path))[1]
 
 
 def read_header(path: str | Path) -> dict[str, Any]:
-    """Return what else is in a parameter file: ``title``, ``source``, and after a fit the table ``fit``."""
+    """Read the header of a parameter set: ``title``, ``source``, and after a fit the table ``fit``.
+
+    Raises:
+        InputError: If the file is missing or invalid; the message names file and key.
+    """
     return _read(Path(path))[0]
 
 
 def write_parameters(path: str | Path, entries: Mapping[str, Entry], header: Mapping[str, Any]) -> None:
-    """Write a parameter file, completely or not at all.
+    """Write a parameter set, completely or not at all.
 
     Args:
         path: The file.
-        entries: Entries by name, those of one recording by ``NAME@RECORDING``.
-        header: What is written at its top: ``title``, ``source``, a table ``fit``.
+        entries: Entries by parameter name; those of one recording by ``NAME@RECORDING``.
+        header: Values at the top of the file: ``title``, ``source``, and a table ``fit``.
+
+    Raises:
+        InputError: If a value is not finite, or the file cannot be written.
     """
     tables: dict[str, Any] = {"schema": SCHEMA, **header}
     for name, entry in entries.items():
@@ -109,7 +119,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Entry]]:
             for key, table in (keys if section not in header else {}).items():
                 name = current_name(key if section == "per_recording" else f"{section}.{key}")
                 if name in entries:
-                    raise InputError(f"{name} is given under its old name, too: take one of the two out")
+                    raise InputError(f"{name} is also given under its old name: remove one of the two")
                 entries[name] = _entry(name, section, table)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -122,33 +132,33 @@ def _entry(name: str, section: str, table: Any) -> Entry:
     if not candidates or bool(at) != (section == "per_recording"):
         hint = suggestion(parameter, all_parameter_names()) if not candidates else ""
         rename = 'name it "SECTION.KEY@RECORDING"'
-        cure = rename if section == "per_recording" else "correct the name, or take the table out"
+        cure = rename if section == "per_recording" else "correct the name, or remove the table"
         raise InputError(f"there is no parameter '{name}'{hint}: {cure}")
     if not isinstance(table, dict):
         raise InputError(f'{name} = {show(table)} is not a table: write it as [{name}] with a line value = "..."')
-    checked = validate(_EntryTable, table, f'per_recording."{name}"' if at else name)
+    fields = validate(_EntryTable, table, f'per_recording."{name}"' if at else name)
     errors = []
-    # A name with two units, such as heat.h2, is of the law whose unit fits.
+    # The unit of a name with two declarations, such as heat.h2, selects the law.
     for declaration in candidates:
         try:
-            value = quantity(checked.value, declaration)
-            lower, upper = _read_span(checked.bounds, declaration.unit)
-            interval = _read_span(checked.interval95, declaration.unit) if checked.interval95 else None
+            value = quantity(fields.value, declaration)
+            lower, upper = _read_span(fields.bounds, declaration.unit)
+            interval = _read_span(fields.interval95, declaration.unit) if fields.interval95 else None
         except InputError as error:
             errors.append(error)
             continue
         if not lower <= value <= upper or not lower < upper:
-            outside = f"{name}.bounds = {show(checked.bounds)} do not hold the value {show(checked.value)}"
-            raise InputError(f"{outside}: correct one of them")
+            problem = f"{name}.bounds = {show(fields.bounds)} do not contain the value {show(fields.value)}"
+            raise InputError(f"{problem}: correct one of them")
         if interval and not interval[0] <= interval[1]:
-            backwards = f"{name}.interval95 = {show(checked.interval95)} runs backwards"
-            raise InputError(f"{backwards}: put the smaller end first")
-        return Entry(value, declaration.unit, lower, upper, checked.source, interval, checked.free, checked.at_bound)
+            problem = f"{name}.interval95 = {show(fields.interval95)} is in the wrong order"
+            raise InputError(f"{problem}: put the smaller end first")
+        return Entry(value, declaration.unit, lower, upper, fields.source, interval, fields.free, fields.at_bound)
     raise InputError(f"{name}: {errors[0]}")
 
 
 def _read_span(ends: list[Any] | None, unit: str) -> tuple[float, float]:
-    """Return two quantities in the internal unit; ``"none"`` is an open end."""
+    """Return two quantities in the internal unit; ``"none"`` is an infinite end."""
     low, high = ends or (_OPEN, _OPEN)
     lower = -math.inf if low == _OPEN else parse_quantity(low, unit)
     upper = math.inf if high == _OPEN else parse_quantity(high, unit)

@@ -1,8 +1,8 @@
-"""The folder of a run's results: written next to its place, flushed to the disk, and put there by one rename.
+"""Result folders: written under a temporary name, flushed to the disk, and moved into place by one rename.
 
-A run that is killed at any moment leaves the old folder or the new one, never half of one. A hidden folder
-``.NAME.XXXXXXXX.part`` may remain next to it, which a later run into the same place removes. A folder is replaced only
-if smajax wrote it and nothing else was put into it; ``run.json`` lists what a run wrote.
+A run that is killed at any moment leaves the old folder or the new one, never a partial one. A hidden folder
+``.NAME.XXXXXXXX.part`` may remain next to it; a later run into the same folder removes it. A folder is replaced only
+if smajax wrote it and it holds no other files; ``run.json`` lists the files of a run.
 """
 
 import contextlib
@@ -18,26 +18,27 @@ from pathlib import Path
 from typing import Any
 
 from smajax.errors import InputError
+from smajax.recordings.paths import replacing, unreadable
 
 SCHEMA = "smajax.run/1"
 _RUN = "run.json"
-# Age in s from which a hidden folder is that of a killed run: writing one takes seconds. Chosen by trial;
-# tests/unit/files/test_result_folder.py holds it.
+# Age in s from which a hidden folder counts as left by a killed run: writing one takes seconds. Chosen by trial;
+# tested in tests/unit/files/test_result_folder.py.
 _STALE_AFTER = 3600.0
-# Files that file managers put into a folder.
+# Files that file managers create in a folder.
 _SYSTEM_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
-# AT_FDCWD and RENAME_EXCHANGE of Linux, and RENAME_SWAP of macOS, which has the same value.
+# AT_FDCWD and RENAME_EXCHANGE of Linux; RENAME_SWAP of macOS has the value of RENAME_EXCHANGE.
 _AT_CWD = -100
 _EXCHANGE = 2
-# Random bytes in the name of a hidden folder, which has two characters for each.
+# Random bytes in the name of a hidden folder, two characters each.
 _TOKEN_BYTES = 4
 
 
 def check_output_folder(out: Path) -> Path:
-    """Return the absolute path of a folder for results; call it before any work is done.
+    """Return the absolute path of a result folder, checked before any computation.
 
     Raises:
-        InputError: with the cure, if a result must not be written there.
+        InputError: If results cannot be written there, or would replace files that smajax did not write.
     """
     place = Path(os.path.abspath(out)).resolve()
     if place == Path.cwd() or place in Path.cwd().parents:
@@ -45,11 +46,11 @@ def check_output_folder(out: Path) -> Path:
     if place.exists() and not place.is_dir():
         raise InputError(f"{out}: this is a file: name a folder for --out")
     if place.is_dir() and (stray := _stray(place)):
-        cure = "name another folder for --out, since writing there would delete what it holds"
+        cure = "name another folder for --out, since writing there would delete its files"
         raise InputError(f"{out}: {stray}: {cure}")
-    above = next((folder for folder in place.parents if folder.exists()), Path(place.anchor))
-    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"{out}: nothing can be written in {above}: name a folder for --out elsewhere")
+    parent = next((folder for folder in place.parents if folder.exists()), Path(place.anchor))
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise InputError(f"{out}: nothing can be written in {parent}: name a folder for --out elsewhere")
     return place
 
 
@@ -58,11 +59,11 @@ def write_folder(out: Path, run: Mapping[str, Any], fill: Callable[[Path], None]
 
     Args:
         out: The folder.
-        run: Content of run.json, which gets the list of files.
-        fill: Writes the files into the folder that it is called with.
+        run: Content of run.json, to which the list of files is added.
+        fill: Function that writes the other files into the folder that is passed to it.
 
     Raises:
-        InputError: if the place is taken by something else, or the disk does not take the files.
+        InputError: If the folder holds files that smajax did not write, or the files cannot be written.
     """
     place = check_output_folder(out)
     part = place.with_name(f".{place.name}.{secrets.token_hex(_TOKEN_BYTES)}.part")
@@ -86,60 +87,66 @@ def write_folder(out: Path, run: Mapping[str, Any], fill: Callable[[Path], None]
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Replace one file of a finished folder, completely or not at all."""
-    part = path.parent.with_name(f".{path.parent.name}.{secrets.token_hex(_TOKEN_BYTES)}.part")
-    try:
+    """Replace one file of a finished result folder, completely or not at all.
+
+    Args:
+        path: The file.
+        text: Its new text.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    folder = path.parent
+    with replacing(path, folder.with_name(f".{folder.name}.{secrets.token_hex(_TOKEN_BYTES)}.part")) as part:
         part.write_text(text, "utf-8")
         _flush(part)
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(f"{path}: the file cannot be written ({error.strerror or error}): check the folder") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def read_json(folder: Path, name: str) -> dict[str, Any]:
-    """Return a JSON document of a result folder.
+    """Read a JSON document of a result folder.
+
+    Args:
+        folder: The result folder.
+        name: Name of the file.
 
     Raises:
-        InputError: if it is not there or not complete.
+        InputError: If the file is missing, or smajax did not write it.
     """
     path = folder / name
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder: name one that smajax wrote")
     if not path.is_file():
-        raise InputError(f"{folder}: this is no result folder, as it has no {name}: name one that smajax wrote")
+        raise InputError(f"{folder}: this is not a result folder, since it has no {name}: name one that smajax wrote")
     try:
         document = json.loads(path.read_text("utf-8"))
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{path}: the file cannot be read ({reason}): check its permissions") from None
+        raise unreadable(path, error) from None
     except ValueError:
-        changed = "the file was changed since smajax wrote it, run the command again"
-        raise InputError(f"{path}: this is not JSON: {changed}") from None
+        cure = "the file was changed since smajax wrote it, run the command again"
+        raise InputError(f"{path}: this is not JSON: {cure}") from None
     if not isinstance(document, dict) or not str(document.get("schema", "")).startswith("smajax."):
-        raise InputError(f"{path}: this file is not one that smajax wrote: name a result folder of smajax")
+        raise InputError(f"{path}: smajax did not write this file: name a result folder of smajax")
     return document
 
 
 def _stray(folder: Path) -> str:
-    """Return why a folder must not be replaced; empty if it is empty, or holds what a run wrote and nothing else."""
-    there = {path.name for path in folder.iterdir()} - _SYSTEM_FILES
-    if not there:
+    """Return why a folder must not be replaced; an empty text if it has no files but those of a run."""
+    names = {path.name for path in folder.iterdir()} - _SYSTEM_FILES
+    if not names:
         return ""
     try:
         run = read_json(folder, _RUN)
     except InputError:
         return "this folder is not a result of smajax"
-    listed = run.get("files")
-    if not str(run["schema"]).startswith("smajax.run/") or not isinstance(listed, list):
+    run_files = run.get("files")
+    if not str(run["schema"]).startswith("smajax.run/") or not isinstance(run_files, list):
         return "this folder is not a result of smajax"
-    added = sorted(there - {str(name) for name in listed})
-    return f"this folder holds '{added[0]}', which smajax did not write" if added else ""
+    others = sorted(names - {str(name) for name in run_files})
+    return f"this folder holds '{others[0]}', which smajax did not write" if others else ""
 
 
 def _put(part: Path, place: Path) -> None:
-    """Put the new folder in its place; where the system can exchange two folders at once, there is always one."""
+    """Move the new folder into its place; if the system can exchange two folders, the place is never empty."""
     if not place.exists():
         os.rename(part, place)
     elif not _exchange(part, place):
@@ -154,7 +161,7 @@ def _put(part: Path, place: Path) -> None:
 
 
 def _exchange(first: Path, second: Path) -> bool:
-    """Swap two folders in one step; return whether this system and this disk can."""
+    """Swap two folders in one step; return whether the system and the disk support it."""
     if sys.platform == "win32":
         return False
     names = os.fsencode(first), os.fsencode(second)
@@ -167,7 +174,7 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def _remove_stale(place: Path) -> None:
-    """Remove what killed runs left next to this place; recent ones may belong to a run that is still writing."""
+    """Remove the hidden folders of killed runs; a recent one may belong to a run that is still writing."""
     for part in _parts(place):
         with contextlib.suppress(OSError):
             if time.time() - part.stat().st_mtime > _STALE_AFTER:
@@ -175,6 +182,7 @@ def _remove_stale(place: Path) -> None:
 
 
 def _parts(place: Path) -> Iterator[Path]:
+    """Yield the hidden files and folders that runs into this place have written."""
     start, end = f".{place.name}.", ".part"
     length = len(start) + 2 * _TOKEN_BYTES + len(end)
     for path in place.parent.iterdir():
@@ -183,7 +191,7 @@ def _parts(place: Path) -> Iterator[Path]:
 
 
 def _flush(path: Path) -> None:
-    """Flush a file or a folder's entries to the disk; Windows cannot do so for folders."""
+    """Flush a file or the entries of a folder to the disk; Windows cannot flush folders."""
     if sys.platform == "win32" and path.is_dir():
         return
     descriptor = os.open(path, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""Checks of a rig file against the sections and keys of its kind, and of values that no rig can have."""
+"""Checks of a rig file: its sections and keys against those of its kind, and values that are not possible."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -17,12 +17,19 @@ from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
 
 OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
-# Excess of the sum of phase fractions over 1 that counts as rounding of decimals.
+# Excess of the sum of phase fractions over 1 that counts as rounding of decimals in the file.
 _FRACTION_ROUNDING = 1e-12
 
 
 def check_sections(data: Mapping[str, Any]) -> None:
-    """Refuse a top-level key that is a section of no rig."""
+    """Refuse top-level keys that are not sections of a rig file.
+
+    Args:
+        data: Sections of the file.
+
+    Raises:
+        InputError: For the first such key, with its section if it is a known key of one.
+    """
     sections = [*dict.fromkeys(["rig", *(section for section, _, _ in owners()), *OTHER_SECTIONS])]
     homes = {key: section for section, part, _ in reversed(list(owners())) for key in declarations(part)}
     homes |= {key: "fit" for key in FitSection.model_fields} | {key: "rig" for key in RigSection.model_fields}
@@ -30,16 +37,27 @@ def check_sections(data: Mapping[str, Any]) -> None:
         if section in sections or section == "schema":
             continue
         if section in homes and not isinstance(value, dict):
-            raise InputError(f"{section} stands outside of its section: write it below a line [{homes[section]}]")
-        what = f"[{section}] is not a section of a rig" if isinstance(value, dict | list) else f"{section} is not known"
-        raise InputError(f"{what}{advice(section, sections, 'the sections are')}")
+            raise InputError(f"{section} is outside of its section: write it below a line [{homes[section]}]")
+        is_section = isinstance(value, dict | list)
+        problem = f"[{section}] is not a section of a rig" if is_section else f"{section} is not known"
+        raise InputError(f"{problem}{advice(section, sections, 'the sections are')}")
 
 
 def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) -> None:
-    """Refuse sections and keys of another kind, control or law, and unknown keys with the most similar one."""
+    """Refuse sections and keys that this rig does not have.
+
+    Args:
+        data: Sections of the rig file.
+        stages: Classes of the stages of this rig.
+        control: Electrical input.
+
+    Raises:
+        InputError: For a section or key of another kind, control or law, and for an unknown key with the most similar
+            one.
+    """
     if stages.kind == "path" and control is not None:
-        cure = "take it out, since the recording gives the temperature itself"
-        raise InputError(f"rig.control has no place on a path rig: {cure}")
+        cure = "remove it, since the recording has the temperature"
+        raise InputError(f"rig.control does not apply to a path rig: {cure}")
     for section, content in data.items():
         if section == "schema" or section in OTHER_SECTIONS:
             continue
@@ -47,7 +65,7 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
         if section not in stages.parts:
             kinds = [words for words in choices if words.startswith("kind")]
             cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
-            raise InputError(f"[{section}] has no place on {rig_phrase(stages.kind)}: take it out{cure}")
+            raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
         if not isinstance(content, dict):
             continue
         for key in content:
@@ -58,13 +76,13 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
 def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str, type[eqx.Module]]) -> str:
     """Return the sentence about a key that a section of this rig does not have."""
     if f"{section}.{key}" in stages.inert:
-        cure = "take it out, since the recording gives it"
-        return f"{section}.{key} has no place on {rig_phrase(stages.kind)}: {cure}"
+        cure = "remove it, since it follows from the recording"
+        return f"{section}.{key} does not apply to {rig_phrase(stages.kind)}: {cure}"
     others = [words for words, part in choices.items() if key in declarations(part)]
     if others:
-        chosen = next(words for words, part in choices.items() if part is stages.parts[section])
-        cure = f"it goes with {' or '.join(others)}, or take it out"
-        return f"{section}.{key} has no place with {chosen}: {cure}"
+        choice = next(words for words, part in choices.items() if part is stages.parts[section])
+        cure = f"choose {' or '.join(others)}, or remove it"
+        return f"{section}.{key} does not apply with {choice}: {cure}"
     homes = [home for home, part, _ in owners() if home in stages.parts and key in declarations(part)]
     if homes:
         return f"{section}.{key} is not known (did you mean '{homes[0]}.{key}'?): write it under [{homes[0]}]"
@@ -72,18 +90,27 @@ def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str,
 
 
 def require_values(names: Iterable[str], values: Mapping[str, Any], stages: Stages) -> None:
-    """Refuse a rig in which one of the parameters ``names`` has neither a value nor a default."""
+    """Refuse a rig in which a parameter without a default has no value.
+
+    Args:
+        names: Names of the parameters without a default.
+        values: Values by leaf.
+        stages: Classes of the stages of this rig.
+
+    Raises:
+        InputError: For the first missing value, with a line to add.
+    """
     for name in names:
         if name not in values:
             section, key = name.split(".", 1)
             line = f"{key} = {_example(stages, name)}"
             or_set = ', or name a parameter set under [rig], as in parameters = "NAME"' if section == "material" else ""
-            needs = f"{rig_phrase(stages.kind)} needs a line like {line} under [{section}]{or_set}"
-            raise InputError(f"{name} is missing: {needs}")
+            cure = f"{rig_phrase(stages.kind)} needs a line like {line} under [{section}]{or_set}"
+            raise InputError(f"{name} is missing: {cure}")
 
 
 def _example(stages: Stages, name: str) -> str:
-    """Return the parameter's value in the shipped template of this kind, else any quantity of its unit."""
+    """Return the value of a parameter in the shipped template of this kind, else some quantity in its unit."""
     section, key = name.split(".", 1)
     path = data_path("templates", f"{stages.kind}.toml")
     template = parse_toml(path.read_text("utf-8"), path.name) if path.is_file() else {}
@@ -94,12 +121,15 @@ def _example(stages: Stages, name: str) -> str:
 def check_order(
     value_of: Callable[[str], float | None], unit_of: Callable[[str], str], origin: Mapping[str, str]
 ) -> None:
-    """Refuse transformations without a width or that run backwards, and phase fractions that add up to more than 1.
+    """Check that transformations end above their start, and that the phase fractions add up to at most 1.
 
     Args:
-        value_of: Value of a parameter, ``None`` where there is none.
-        unit_of: Internal unit of a parameter.
-        origin: Where each value comes from, for messages.
+        value_of: Returns the value of a parameter in its internal unit, or ``None`` if it has none.
+        unit_of: Returns the internal unit of a parameter.
+        origin: Where the value of each parameter comes from, for messages.
+
+    Raises:
+        InputError: If they do not.
     """
     for low, high in ORDERED_PAIRS:
         below, above = value_of(low), value_of(high)
@@ -118,22 +148,30 @@ def check_order(
 def check_whole(
     table: Mapping[str, Declaration], value_of: Callable[[str], float | None], origin: Mapping[str, str]
 ) -> None:
-    """Refuse a fraction where something is counted.
+    """Check that parameters which are counts have whole values.
 
     Args:
         table: Declarations of the parameters to check.
-        value_of: Value of a parameter, ``None`` where there is none.
-        origin: Where each value comes from, for messages.
+        value_of: Returns the value of a parameter, or ``None`` if it has none.
+        origin: Where the value of each parameter comes from, for messages.
+
+    Raises:
+        InputError: If one has not.
     """
     for name, declaration in table.items():
         value = value_of(name) if declaration.whole else None
         if value is not None and value != round(value):
-            place = f"{name} = {value:.6g} ({origin[name]})"
-            raise InputError(f"{place} is not a whole number, and it is the {declaration.meaning}: give a whole one")
+            problem = f"{name} = {value:.6g} ({origin[name]}) is not a whole number, but is the {declaration.meaning}"
+            raise InputError(f"{problem}: give a whole number")
 
 
 def check_coil(wire: AbstractWire) -> None:
-    """Refuse a coil that cannot exist: its turns, its stretch, or the wiring of a bundle."""
+    """Check the geometry of a coil, its stretch and the wiring of a bundle; a straight wire passes.
+
+    Raises:
+        InputError: If the turns do not fit into the free length, the coil is stretched too far, or a bundle has more
+            current paths than springs.
+    """
     if not isinstance(wire, Coil):
         return
     if wire.free_length is not None and not wire.fits:
@@ -142,13 +180,13 @@ def check_coil(wire: AbstractWire) -> None:
         sizes = "wire.turns, wire.diameter or wire.free_length"
         cure = f"correct {sizes} (a radius taken for a diameter makes twice as much)"
         raise InputError(f"wire.free_length = {length} is too short: {turns}: {cure}")
-    most = declarations(Wire)["prestrain"].upper
-    if wire.prestrain > most:
-        stretch = f"wire.prestretch = {as_text(float(wire.prestretch), 'm')} is too much"
-        strain = f"it strains this coil's wire like a tension of {100 * wire.prestrain:.3g} %"
-        limit = f"at most {100 * most:g} % is possible"
-        raise InputError(f"{stretch}: {strain}, and {limit}: give less, or correct the coil's sizes")
+    max_prestrain = declarations(Wire)["prestrain"].upper
+    if wire.prestrain > max_prestrain:
+        stretch = f"wire.prestretch = {as_text(float(wire.prestretch), 'm')} is too large"
+        strain = f"the equivalent tensile strain of the wire is {100 * wire.prestrain:.3g} %"
+        limit = f"at most {100 * max_prestrain:g} % is possible"
+        raise InputError(f"{stretch}: {strain}, and {limit}: reduce it, or correct the dimensions of the coil")
     if wire.paths > wire.springs:
-        more = f"wire.paths = {wire.paths:.6g} is more than wire.springs = {wire.springs:.6g}"
-        cure = "a bundle has at most as many ways for the current as springs, and 1 where all are in series"
-        raise InputError(f"{more}: {cure}")
+        problem = f"wire.paths = {wire.paths:.6g} is more than wire.springs = {wire.springs:.6g}"
+        cure = "a bundle has at most as many parallel current paths as springs, and 1 if all are in series"
+        raise InputError(f"{problem}: {cure}")

@@ -1,8 +1,8 @@
-"""The rig: what stood on the bench, read from ``rig.toml``, checked, and made into a plant.
+"""Rig files: ``rig.toml`` describes a test rig; it is read, checked, and built into a plant.
 
-The sections of the file are checked one by one against models made from the stages' declarations. A value comes from
-the rig file, else from the parameter set that it names, else from the declaration's default; ``Rig.sources`` says
-which.
+Each section of the file is checked against a model built from the declarations of the stages. The value of a parameter
+comes from the rig file, else from the parameter set that it names, else from the default of its declaration;
+``Rig.sources`` says which.
 """
 
 from collections.abc import Iterable, Mapping
@@ -42,19 +42,19 @@ from smajax.recordings.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """One rig file.
+    """A rig: plant, settings of the fit, and columns of its recordings.
 
     Attributes:
         name: Name of the file.
-        path: Its path; ``None`` for a text.
-        kind: Kind of the rig.
+        path: Path of the file; ``None`` for a rig made from text.
+        kind: Kind of the rig, a key of ``rig_kinds.KINDS``.
         plant: The plant with the nominal values.
-        interpolation: Of the inputs between samples.
+        interpolation: Interpolation of the inputs between samples.
         fit: The section ``[fit]``.
         channels: The section ``[channels]``.
-        sources: Where the value of each parameter comes from: a line of the rig file, a parameter set, or "default".
-        notes: What was read and is not used.
-        misplaced: Effects that such a rig cannot have and that were left out, with the reason.
+        sources: Origin of each value by parameter name: a line of the rig file, a parameter set, or "default".
+        notes: Sentences on entries that were read and are not used.
+        misplaced: Effects that do not apply to this rig and were omitted, with the reason.
     """
 
     name: str
@@ -72,9 +72,12 @@ class Rig:
         """Read a recording of this rig.
 
         Args:
-            path: The file; the inputs of the plant have to be in it.
-            drop_bad_rows: Whether to leave out rows that cannot be used.
-            observed: Whether the channels that are fitted have to be in it, too.
+            path: The file, which must have the inputs of the plant.
+            drop_bad_rows: Whether to omit rows that cannot be used.
+            observed: Whether the file must also have the channels that are fitted.
+
+        Raises:
+            InputError: If the file cannot be used; the message names file, row and column.
         """
         return read_recording(
             path,
@@ -91,13 +94,14 @@ class Rig:
         )
 
     def to_toml(self, values: Mapping[str, Any] | None = None) -> str:
-        """Return the text of a rig file that holds every parameter's value; read back it gives the same plant.
+        """Return the text of a rig file with the value of every parameter; reading it gives the same plant.
 
         Args:
-            values: Values by name in internal units, in place of the nominal ones.
+            values: Values by parameter name in internal units, which replace the nominal ones.
 
         Raises:
-            InputError: if the values make no rig, such as an austenite finish below its start.
+            InputError: If a name is unknown, or the values fail the checks of ``parse_rig``, such as an austenite
+                finish below its start.
         """
         for name in values or {}:
             parameters.declaration(self.plant, name)
@@ -107,7 +111,15 @@ class Rig:
         return text
 
     def write(self, path: str | Path, values: Mapping[str, Any] | None = None) -> None:
-        """Write ``to_toml`` to a file, completely or not at all."""
+        """Write the text of ``to_toml`` to a file, completely or not at all.
+
+        Args:
+            path: The file.
+            values: Values by parameter name in internal units, which replace the nominal ones.
+
+        Raises:
+            InputError: If the values fail the checks of ``parse_rig``, or the file cannot be written.
+        """
         write_text(Path(path), self.to_toml(values))
 
 
@@ -116,11 +128,11 @@ def read_rig(path: str | Path, *, drop_misplaced: bool = False) -> Rig:
 
     Args:
         path: The file.
-        drop_misplaced: Whether effects that such a rig cannot have are left out (``Rig.misplaced`` says why) instead of
-            refused.
+        drop_misplaced: Whether effects that do not apply to this rig are omitted (``Rig.misplaced`` has the reasons)
+            instead of refused.
 
     Raises:
-        InputError: one sentence with file, section and key, and the cure.
+        InputError: If the file is missing or invalid; the message names file, section and key.
     """
     path = Path(path)
     rig = parse_rig(read_text(path, "rig"), str(path), path.parent, drop_misplaced=drop_misplaced)
@@ -133,18 +145,18 @@ def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, 
     Args:
         text: The text.
         name: Name of the file in messages.
-        folder: Folder where parameter sets given by a path are looked for; the current one by default.
-        drop_misplaced: Whether effects that such a rig cannot have are left out instead of refused.
+        folder: Folder to which paths of parameter sets are relative; the current folder by default.
+        drop_misplaced: Whether effects that do not apply to this rig are omitted instead of refused.
 
     Raises:
-        InputError: one sentence with file, section and key, and the cure.
+        InputError: If the text is invalid; the message names file, section and key.
     """
     data = parse_toml(text, name)
     try:
         rig = _build_rig(with_current_rig_keys(data), Path(name).name, current_line_numbers(text), folder or Path())
         if rig.misplaced and not drop_misplaced:
             key, reason = next(iter(rig.misplaced.items()))
-            raise InputError(f"effects.{key} has no place on this rig: {reason}")
+            raise InputError(f"effects.{key} does not apply to this rig: {reason}")
         return rig
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
@@ -159,7 +171,7 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
     place = {n: f"{name} line {rows[n]}" if n in rows else name for n in _names_in(data)}
     free = [*fit.free, *fit.per_recording]
 
-    # The stages, with values of the rig file, else of the set, else of the kind and the declarations.
+    # Stages, with values from the rig file, else the parameter set, else the kind and the declarations.
     table = stages.table()
     leaves = [n for n in table if n not in TIES]
     values = file_values(data, stages)
@@ -170,15 +182,15 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
     sources = value_sources(leaves, entries, values, parameter_set.name, place)
     _check_values(plant, table, free, sources)
 
-    # Effects and sensors, which depend on the stages.
+    # Effects and sensors depend on the stages.
     check_observed(observe, plant, head.kind)
     sensor_table = {f"sensor.{key}": d for key, d in Sensor.identity(plant.observable).declarations().items()}
     sensor_values = section_values("sensor", data.get("sensor", {}), sensor_table)
     sensor_entries = {n: e for n, e in parameter_set.entries.items() if n in sensor_table and n not in sensor_values}
     effects, misplaced = build_effects(data.get("effects", {}), plant.capabilities(tuple(observe)))
     plant, fit = replace(plant, effects=effects), _without_effects(fit, misplaced)
-    readings = entry_values(sensor_entries) | sensor_values
-    sensor = build_sensor([*observe, *channels_of_sensors([*readings, *free])], plant, readings)
+    calibration = entry_values(sensor_entries) | sensor_values
+    sensor = build_sensor([*observe, *channels_of_sensors([*calibration, *free])], plant, calibration)
     plant = replace(plant, sensor=sensor)
     sensor_leaves = [f"sensor.{key}" for key in plant.sensor.declarations()]
     sources |= value_sources(sensor_leaves, sensor_entries, sensor_values, parameter_set.name, place)
@@ -201,7 +213,7 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
 
 
 def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]:
-    """Check the sections of the file, and return those that do not depend on the plant."""
+    """Check the names of all sections, and return ``[rig]`` and ``[fit]``."""
     _refuse_actuator(data.get("rig"))
     check_sections(data)
     check_schema(data)
@@ -217,24 +229,24 @@ def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]
 
 
 def _refuse_actuator(head: Any) -> None:
-    """Refuse the file of an actuator, which is no rig's."""
+    """Refuse an actuator file, which is not a rig file."""
     kind = head.get("kind") if isinstance(head, dict) else None
     if not isinstance(kind, str) or kind in KINDS:
         return
     from smajax.files.actuator_file import ACTUATORS
 
     if kind in ACTUATORS:
-        what = f'rig.kind = "{kind}" is an actuator, which gives its metrics without a recording'
-        raise InputError(f"{what}: 'smajax sweep' computes them, 'smajax check' shows its file")
+        problem = f'rig.kind = "{kind}" is an actuator, whose metrics need no recording'
+        raise InputError(f"{problem}: 'smajax sweep' computes them, 'smajax check' shows its file")
 
 
 def _check_values(
     plant: Plant, table: Mapping[str, Declaration], free: Iterable[str], sources: Mapping[str, str]
 ) -> None:
-    """Refuse values that no rig can have; of what is fitted, a count may be any number."""
-    counted = {n: d for n, d in table.items() if n not in TIES and n not in set(free)}
+    """Check values that depend on each other, and counts; a count that is fitted may be any number."""
+    counts = {n: d for n, d in table.items() if n not in TIES and n not in set(free)}
     check_order(lambda n: value_of(plant, n), lambda n: table[n].unit, sources)
-    check_whole(counted, lambda n: value_of(plant, n), sources)
+    check_whole(counts, lambda n: value_of(plant, n), sources)
     check_coil(plant.wire)
 
 
@@ -251,7 +263,10 @@ def _without_effects(fit: FitSection, effects: Iterable[str]) -> FitSection:
 
 
 def _notes(parameter_set: ParameterSet, usable: set[str], settings: FitSettings) -> list[str]:
+    """Return sentences on entries of the parameter set and bounds that are not used."""
     unused = [*(n for n in parameter_set.entries if n not in usable), *parameter_set.per_recording]
-    notes = [f"parameter set {parameter_set.name}: not used here are {', '.join(unused)}"] if unused else []
+    notes = [f"parameter set {parameter_set.name}: unused entries: {', '.join(unused)}"] if unused else []
     idle = [n for n in settings.bounds if n not in settings.names]
-    return notes + ([f"fit.bounds without effect, since these are not free: {', '.join(idle)}"] if idle else [])
+    return notes + (
+        [f"fit.bounds without effect, since the parameters are not free: {', '.join(idle)}"] if idle else []
+    )

@@ -1,4 +1,4 @@
-"""The plant of a rig: its stages with their values, its effects and its sensors."""
+"""Plant of a rig: stages with their values, effects and sensors."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping
@@ -17,10 +17,10 @@ from smajax.plant.sensor import Sensor
 
 
 def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[str]) -> Plant:
-    """Build the plant, its sensors still without channels.
+    """Build the plant with a sensor that has no channels yet.
 
-    A pulley of two wires with neither inertia nor damping, and neither of them fitted, is massless; a sheath with
-    neither friction nor heat conduction, and nothing of it fitted, is left out.
+    A pulley with two wires is massless if it has neither inertia nor damping and none of the two is fitted. A sheath
+    with neither friction nor heat conduction is omitted if none of its parameters is fitted.
 
     Args:
         stages: Classes of the stages.
@@ -36,27 +36,27 @@ def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[st
     if mechanism is Rotary and not any(values.get(n) or n in free for n in ("pulley.inertia", "pulley.damping")):
         mechanism = MasslessRotary
     stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
-    built = {section: build(section, part) for section, part in stage_classes.items()}
-    mechanism_parts = {section: built.pop(section) for section in parts_of(stages.mechanism)}
+    parts = {section: build(section, part) for section, part in stage_classes.items()}
+    mechanism_parts = {section: parts.pop(section) for section in parts_of(stages.mechanism)}
     if "sheath" in mechanism_parts:
-        acts = values.get("sheath.friction") or values.get("sheath.conductance_ratio")
-        if not acts and not any(n.startswith("sheath.") for n in free):
+        has_effect = values.get("sheath.friction") or values.get("sheath.conductance_ratio")
+        if not has_effect and not any(n.startswith("sheath.") for n in free):
             mechanism_parts["sheath"] = None
-    return Plant(mechanism=mechanism(**mechanism_parts), sensor=Sensor.identity(()), **built)
+    return Plant(mechanism=mechanism(**mechanism_parts), sensor=Sensor.identity(()), **parts)
 
 
 def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:
-    """Build the effects of the ``[effects.KEY]`` sections.
+    """Build the effects in the sections ``[effects.KEY]``.
 
     Args:
         content: Content of ``[effects]``.
-        capabilities: What the plant and its observed channels offer to effects.
+        capabilities: Capabilities of the plant and its observed channels, as ``Plant.capabilities`` returns them.
 
     Returns:
-        The effects, and for those that such a rig cannot have the reason by key.
+        The effects, and the reasons, by key, why others do not apply to this rig.
 
     Raises:
-        InputError: for an effect that is not in the catalogue.
+        InputError: If an effect is not in the catalogue, or a value is not valid.
     """
     if not isinstance(content, dict):
         cure = 'write an effect as [effects.latent-heat] with strength = "60 MJ/m^3" below it'
@@ -76,7 +76,14 @@ def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[Abs
 
 
 def build_sensor(channels: Iterable[str], plant: Plant, values: Mapping[str, float]) -> Sensor:
-    """Build the sensors of those channels that the plant has, with the gains and offsets among ``values``."""
+    """Build the sensor.
+
+    Args:
+        channels: Channels; those that the plant does not have are ignored.
+        plant: The plant.
+        values: Gains and offsets by parameter name, ``sensor.CHANNEL_gain`` (1 by default) and
+            ``sensor.CHANNEL_offset`` (0 by default).
+    """
     observable = [channel for channel in dict.fromkeys(channels) if channel in plant.observable]
     gain = {channel: as_float(float(values.get(f"sensor.{channel}_gain", 1.0))) for channel in observable}
     offset = {channel: as_float(float(values.get(f"sensor.{channel}_offset", 0.0))) for channel in observable}
@@ -84,7 +91,15 @@ def build_sensor(channels: Iterable[str], plant: Plant, values: Mapping[str, flo
 
 
 def value_of(plant: Plant, name: str) -> float | None:
-    """Return the value of a parameter; ``None`` where the plant has no such parameter or derives an initial value."""
+    """Return the value of a parameter in its internal unit.
+
+    Args:
+        plant: The plant.
+        name: Name of the parameter.
+
+    Returns:
+        The value; ``None`` if the plant has no such parameter, or if it is an initial state that the plant derives.
+    """
     if name not in parameters.all_declarations(plant):
         return None
     value = float(parameters.get(plant, name))

@@ -1,4 +1,4 @@
-"""Sections of a rig file that do not depend on the plant: ``[rig]`` and ``[fit]``."""
+"""Models of the sections of a rig file that do not depend on the plant: ``[rig]`` and ``[fit]``."""
 
 from typing import Annotated, Any
 
@@ -17,7 +17,7 @@ _MAX_STARTS = 10_000
 
 
 class RigSection(BaseModel):
-    """``[rig]``."""
+    """The section ``[rig]``."""
 
     model_config = STRICT
     kind: Annotated[str, one_of(KINDS)] = Field(examples=['"dead-weight"'])
@@ -27,7 +27,7 @@ class RigSection(BaseModel):
 
 
 class FitSection(BaseModel):
-    """``[fit]``, as far as it can be checked without the plant."""
+    """The section ``[fit]``, checked without the plant."""
 
     model_config = STRICT
     model: Annotated[str, one_of(MATERIALS)] = "brinson"

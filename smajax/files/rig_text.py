@@ -1,4 +1,4 @@
-"""Writing of rig files: all values of a plant, its channels and its fit, as TOML."""
+"""Text of rig files: the values of a plant, its channels and its fit as TOML."""
 
 from typing import Any
 
@@ -14,7 +14,15 @@ from smajax.units import as_text
 
 
 def rig_toml(kind: str, interpolation: str, plant: Plant, channels: ChannelSettings, fit: FitSettings) -> str:
-    """Return the text of a rig file that holds every parameter's value; read back it gives the same plant."""
+    """Return the text of a rig file with the value of every parameter; reading it gives the same plant.
+
+    Args:
+        kind: Kind of the rig.
+        interpolation: Interpolation of the inputs between samples, ``hold`` or ``linear``.
+        plant: The plant.
+        channels: The section ``[channels]``.
+        fit: The section ``[fit]``.
+    """
     head = {"kind": kind, "control": plant.drive.control or None, "interpolation": interpolation}
     data: dict[str, Any] = {"schema": 1, "rig": head}
     for section, part in parameters.sections(plant).items():
@@ -28,7 +36,7 @@ def rig_toml(kind: str, interpolation: str, plant: Plant, channels: ChannelSetti
 
 
 def _section_table(plant: Plant, section: str, keys: list[str]) -> dict[str, Any]:
-    """Return a section as a table of quantities; a tie whose members agree is written as one key."""
+    """Return a section as a table of quantities; a tie whose members are equal is written as one key."""
     values = {f"{section}.{key}": value_of(plant, f"{section}.{key}") for key in keys}
     for tie, members in TIES.items():
         if tie.startswith(f"{section}.") and len({values.get(member) for member in members}) == 1:

@@ -1,4 +1,4 @@
-"""Values of a rig's parameters: from the rig file, else from the parameter set that it names, else defaults."""
+"""Values of the parameters of a rig: from the rig file, else from its parameter set, else the defaults."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,9 +18,9 @@ class ParameterSet(NamedTuple):
     """A parameter set that a rig names.
 
     Attributes:
-        name: Its name as the rig has it; empty if there is none.
+        name: Name in the rig file; empty if the rig has no parameter set.
         entries: Entries by parameter name.
-        per_recording: Names of the entries that belong to one recording only, which a rig does not use.
+        per_recording: Names of the entries that belong to one recording; a rig does not use them.
     """
 
     name: str
@@ -33,7 +33,13 @@ def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
 
     Args:
         data: Sections of the rig file.
-        folder: Folder where a set given by a path is looked for.
+        folder: Folder to which the path of a set is relative.
+
+    Returns:
+        The set; without entries if the rig names none.
+
+    Raises:
+        InputError: If the set is unknown, or its file is missing or invalid.
     """
     name = data["rig"].get("parameters")
     if name is None:
@@ -47,9 +53,9 @@ def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
     elif name.endswith(".toml") or "/" in name:
         path = folder / name
     else:
-        there = f"the shipped ones are {', '.join(shipped)}" if shipped else "none is shipped"
-        unknown = f"rig.parameters = '{name}' is not known{suggestion(name, shipped)}"
-        raise InputError(f"{unknown}: {there}, and a file of your own ends in .toml")
+        choices = f"the shipped ones are {', '.join(shipped)}" if shipped else "none is shipped"
+        problem = f"rig.parameters = '{name}' is not known{suggestion(name, shipped)}"
+        raise InputError(f"{problem}: {choices}, and a file of your own ends in .toml")
     try:
         entries = read_parameters(path)
     except InputError as error:
@@ -61,32 +67,41 @@ def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
 def entries_for(
     parameter_set: ParameterSet, table: Mapping[str, Declaration], leaf_values: Mapping[str, Any]
 ) -> dict[str, Entry]:
-    """Return the entries of a parameter set that the rig uses.
-
-    These are the entries whose leaves the rig file does not all give itself.
+    """Return the entries of a parameter set that a rig uses: those with a leaf that has no value in the rig file.
 
     Args:
         parameter_set: The set.
-        table: Declarations of the rig's parameters by name.
+        table: Declarations of the parameters of the rig by name.
         leaf_values: Values in the rig file by leaf.
 
     Raises:
-        InputError: if an entry is in another unit than the rig's parameter.
+        InputError: If the unit of an entry differs from that of the parameter of the rig.
     """
-    used = {
+    entries = {
         n: entry
         for n, entry in parameter_set.entries.items()
         if n in table and not leaf_values.keys() >= set(TIES.get(n, (n,)))
     }
-    for n, entry in used.items():
+    for n, entry in entries.items():
         if entry.unit != table[n].unit:
-            units = f"{n} is in {entry.unit}, and this rig's is in {table[n].unit}"
-            raise InputError(f"parameter set {parameter_set.name}: {units}: give it in the rig, in that unit")
-    return used
+            problem = f"{n} is in {entry.unit}, and that of this rig in {table[n].unit}"
+            raise InputError(f"parameter set {parameter_set.name}: {problem}: give it in the rig, in that unit")
+    return entries
 
 
 def file_values(data: Mapping[str, Any], stages: Stages) -> dict[str, float]:
-    """Return the parameters that the rig file itself gives, by name, ties among them."""
+    """Return the parameters in the rig file.
+
+    Args:
+        data: Sections of the rig file.
+        stages: Classes of the stages of the rig.
+
+    Returns:
+        Values in internal units by name, ties included.
+
+    Raises:
+        InputError: If a key or a value is not valid.
+    """
     values: dict[str, float] = {}
     for section in stages.parts:
         table = {n: d for n, d in stages.table().items() if n.startswith(f"{section}.")}
@@ -95,10 +110,22 @@ def file_values(data: Mapping[str, Any], stages: Stages) -> dict[str, float]:
 
 
 def section_values(section: str, content: Any, table: Mapping[str, Declaration]) -> dict[str, float]:
-    """Return the parameters of one section that the rig file gives, by name, checked against their declarations."""
+    """Return the parameters in one section of the rig file.
+
+    Args:
+        section: Name of the section.
+        content: Its content.
+        table: Declarations of its parameters by name.
+
+    Returns:
+        Values in internal units by name.
+
+    Raises:
+        InputError: If a key or a value is not valid.
+    """
     keys = {name.rsplit(".", 1)[1]: declaration for name, declaration in table.items()}
-    checked = validate(section_model(section, keys), content, section)
-    return {f"{section}.{key}": value for key, value in checked.model_dump(exclude_unset=True).items()}
+    values = validate(section_model(section, keys), content, section)
+    return {f"{section}.{key}": value for key, value in values.model_dump(exclude_unset=True).items()}
 
 
 def entry_values(entries: Mapping[str, Entry]) -> dict[str, float]:
@@ -107,7 +134,7 @@ def entry_values(entries: Mapping[str, Entry]) -> dict[str, float]:
 
 
 def by_leaf(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by leaf: a tie's goes to its members, and a member's own has precedence."""
+    """Return values by leaf: a tie sets its members, and a value of the member itself has precedence."""
     tied = {member: value for name, value in values.items() for member in TIES.get(name, ())}
     return tied | {name: value for name, value in values.items() if name not in TIES}
 
@@ -123,17 +150,28 @@ def value_sources(
 
     Args:
         leaves: Names of the parameters.
-        set_entries: Entries that are used of the parameter set, by name.
+        set_entries: Entries of the parameter set that the rig uses, by name.
         values: Values in the rig file by name.
         set_name: Name of the parameter set.
-        place: Place of each of these values in the rig file.
+        place: Place of each value in the rig file.
+
+    Returns:
+        Texts by name: a place in the rig file, "parameter set NAME", or "default".
     """
     from_set = dict.fromkeys(by_leaf(set_entries), f"parameter set {set_name}")
     return dict.fromkeys(leaves, "default") | from_set | by_leaf({n: place[n] for n in values})
 
 
 def set_bounds(entries: Mapping[str, Entry], leaf_values: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-    """Return the bounds that a parameter set gives for those of its values that the rig uses as they are."""
+    """Return the bounds in a parameter set of the values that the rig file does not replace.
+
+    Args:
+        entries: Entries of the parameter set that the rig uses, by name.
+        leaf_values: Values in the rig file by leaf.
+
+    Returns:
+        Bounds ``(low, high)`` in internal units by name.
+    """
     bounded = {n: entry for n, entry in entries.items() if entry.upper - entry.lower < math.inf}
     return {
         n: (entry.lower, entry.upper) for n, entry in bounded.items() if not leaf_values.keys() & set(TIES.get(n, (n,)))
@@ -141,7 +179,12 @@ def set_bounds(entries: Mapping[str, Entry], leaf_values: Mapping[str, Any]) -> 
 
 
 def has_exponent(data: Mapping[str, Any], parameter_set: ParameterSet) -> bool:
-    """Whether h(T) has an exponent: the rig's coefficients decide, else the set's."""
+    """Return whether h(T) has an exponent, by the coefficients in the rig file, else those in the parameter set.
+
+    Args:
+        data: Sections of the rig file.
+        parameter_set: The parameter set.
+    """
     heat = data.get("heat")
     keys = heat.keys() if isinstance(heat, dict) else set()
     return "exponent" in keys or ("heat.exponent" in parameter_set.entries and not {"h1", "h2"} & keys)

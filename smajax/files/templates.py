@@ -1,4 +1,4 @@
-"""Files of ``smajax init``: a rig file to start from, and an example."""
+"""Files of ``smajax init``: a rig file to fill in, and an example."""
 
 import os
 import re
@@ -9,28 +9,33 @@ from pathlib import Path
 from smajax.errors import InputError
 from smajax.recordings.datasets import data_path
 
-# Keys of [rig] that depend on the recording.
+# Keys of [rig] that depend on the recording; the template gets those of the example.
 _OF_RECORDING = ("control", "interpolation")
 
 
 def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
-    """Write the files to start from with a kind of rig.
+    """Write a commented rig file, an example recording and its rig.
 
-    These are a commented rig.toml for the user's own wire, a recording example.csv and the rig example.toml that it was
-    made on; where there are ones, also controller.toml for ``smajax tune`` and sweep.toml for ``smajax sweep``.
+    The files are rig.toml to fill in, the recording example.csv and its rig example.toml; for some kinds also
+    controller.toml for ``smajax tune`` and sweep.toml for ``smajax sweep``.
+
+    Args:
+        kind: Kind of the rig.
+        out: Folder of the files; created if necessary.
 
     Returns:
         The paths of rig.toml, example.toml and example.csv, and a list of the others.
 
     Raises:
-        InputError: and nothing is written, if one of them is there already.
+        InputError: If one of the files exists (then none is written), or they cannot be written.
     """
     example = _example_of(kind)
     template = data_path("templates", f"{kind}.toml").read_text("utf-8")
-    recorded = tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
+    example_head = tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
     for key in _OF_RECORDING:
-        if key in recorded:
-            template = re.sub(rf'^{key} = "[^"]*"', f'{key} = "{recorded[key]}"', template, count=1, flags=re.MULTILINE)
+        if key in example_head:
+            line = f'{key} = "{example_head[key]}"'
+            template = re.sub(rf'^{key} = "[^"]*"', line, template, count=1, flags=re.MULTILINE)
     files = {
         out / "rig.toml": template.encode(),
         out / "example.toml": (example / "rig.toml").read_bytes(),
@@ -49,18 +54,22 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
 
 
 def is_actuator_kind(kind: str) -> bool:
-    """Whether a kind is an actuator's, which has metrics of its own and no recordings."""
+    """Return whether a kind is that of an actuator, which has metrics and no recordings."""
     return data_path("actuators", kind, "rig.toml").is_file()
 
 
 def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
-    """Write an actuator's commented rig.toml and a sweep.toml of it.
+    """Write the commented rig.toml of an actuator, and a sweep.toml.
+
+    Args:
+        kind: Kind of the actuator.
+        out: Folder of the files; created if necessary.
 
     Returns:
-        The two paths.
+        The paths of rig.toml and sweep.toml.
 
     Raises:
-        InputError: and nothing is written, if one of them is there already.
+        InputError: If one of the files exists (then none is written), or they cannot be written.
     """
     sweep = data_path("sweeps", f"{kind}.toml").read_text("utf-8").replace(f"../actuators/{kind}/", "")
     rig = data_path("actuators", kind, "rig.toml").read_bytes()
@@ -69,10 +78,11 @@ def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
 
 
 def _write(files: Mapping[Path, bytes], out: Path) -> None:
+    """Write files, unless one of them exists."""
     for path in files:
         if path.exists():
             cure = "name another folder with --out"
-            raise InputError(f"{path}: this file is there already and is not overwritten: {cure}")
+            raise InputError(f"{path}: this file exists and is not overwritten: {cure}")
     try:
         out.mkdir(parents=True, exist_ok=True)
         for path, content in files.items():

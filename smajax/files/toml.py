@@ -1,8 +1,8 @@
-"""TOML files: read, checked section by section against a pydantic model, and written; every mistake is one sentence.
+"""TOML files: reading, checks of sections against pydantic models, and writing.
 
-A sentence names the place (row and column where the file is not TOML at all, section and key otherwise) and the cure.
-Section models say how a value is written by an example on the field, and raise ``InputError`` in their own validators
-where a type alone says too little.
+Every mistake is reported in one sentence with its place (row and column if the file is not TOML, else section and key)
+and the cure. The fields of the section models have an example of their value for these sentences; their validators
+raise ``InputError`` for what a type does not express.
 """
 
 import math
@@ -16,42 +16,41 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smajax.errors import InputError, suggestion
+from smajax.recordings.paths import replacing, similar_name, unreadable
 from smajax.units import parse_quantity
 
 Section = TypeVar("Section", bound=BaseModel)
 
 STRICT = ConfigDict(extra="forbid", strict=True, arbitrary_types_allowed=True)
-# Bytes of the largest file: far above a usual one of 2 kB, so that a recording given in its place is refused at once.
+# Bytes of the largest file: far above the usual 2 kB, so that a recording passed by mistake is refused at once.
 _MAX_BYTES = 2**20
-# Names up to which a sentence lists all of them even where a similar one is suggested; chosen to keep it one line.
+# Number of names up to which a sentence lists them even if it suggests one; chosen to keep the sentence on one line.
 _MAX_LISTED = 8
-# Characters of a value that a sentence shows.
+# Characters of a value that a sentence shows; chosen to keep it on one line.
 _SHOWN_CHARACTERS = 60
 _HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
 _SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
-# tomllib's message: what is wrong, and where.
+# Form of the messages of tomllib: what is wrong, and where.
 _TOML_ERROR = re.compile(
     r"^(?P<what>.*) \(at (?:line (?P<row>\d+), column (?P<column>\d+)|end of document)\)$", re.DOTALL
 )
-_QUOTES = 'quantities and names stand in quotation marks, as in diameter = "0.15 mm"'
+_QUOTES = 'put quantities and names in quotation marks, as in diameter = "0.15 mm"'
 _NO_SETTING = "this is neither a [section] nor a key = value: write one of the two"
-_OPEN_QUOTE = (
-    "a quotation mark is never closed on its line, or a character is not allowed here: close it, or take it out"
-)
-# What tomllib finds, by the beginning of its message, in the words of somebody who writes a rig file.
-_FINDINGS = {
-    "Cannot declare": "this section stands in the file a second time: put its keys together under one heading",
-    "Cannot overwrite": "this key (or section) has a value already: keep one of the two",
+_OPEN_QUOTE = "a quotation mark is not closed on its line, or a character is not allowed here: close it, or remove it"
+# Explanations for the author of a file, by the beginning of tomllib's message.
+_EXPLANATIONS = {
+    "Cannot declare": "this section is in the file twice: put its keys together under one heading",
+    "Cannot overwrite": "this key (or section) already has a value: keep one of the two",
     "Expected newline or end of document": f"something follows the value: {_QUOTES}",
     "Expected '=' after a key": _NO_SETTING,
     "Invalid statement": _NO_SETTING,
     "Invalid value": f"this is not a value: {_QUOTES}",
-    "Unterminated string": "a quotation mark is never closed: close it on its line",
+    "Unterminated string": "a quotation mark is not closed: close it on its line",
     "Illegal character": _OPEN_QUOTE,
-    "Unclosed array": "a bracket [ is never closed: close it with ]",
+    "Unclosed array": "a bracket [ is not closed: close it with ]",
 }
-# What pydantic expects, by the type of its error.
+# Expected values in words, by the type of pydantic's error.
 _EXPECTED = {
     "string_type": "text in quotation marks",
     "int_type": "a whole number",
@@ -68,41 +67,38 @@ _EXPECTED = {
 }
 
 
-def read_text(path: Path, what: str) -> str:
+def read_text(path: Path, kind: str) -> str:
     """Return the text of a TOML file.
 
     Args:
         path: The file.
-        what: Kind of the file in messages: "rig", "parameter set".
+        kind: Kind of the file in messages, such as "rig" or "parameter set".
 
     Raises:
-        InputError: if there is no such file, or it is no text.
+        InputError: If the file is missing, too large, or not text in UTF-8.
     """
     try:
         if path.is_dir():
-            raise InputError(f"{path}: this is a folder: name the {what} file in it, one ending in .toml")
+            raise InputError(f"{path}: this is a folder: name the {kind} file in it, one ending in .toml")
         if not path.exists():
-            there = [other.name for other in path.parent.iterdir()] if path.parent.is_dir() else []
-            hint = suggestion(path.name, there)
-            raise InputError(f"{path}: there is no such file{hint}: check the path of the {what}")
+            raise InputError(f"{path}: there is no such file{similar_name(path)}: check the path of the {kind}")
         if path.stat().st_size > _MAX_BYTES:
-            size = f"{path.stat().st_size} bytes are too many for a {what}"
-            raise InputError(f"{path}: {size}: name the .toml file, not a recording")
+            problem = f"{path.stat().st_size} bytes are too many for a {kind}"
+            raise InputError(f"{path}: {problem}: name the .toml file, not a recording")
         content = path.read_bytes()
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{path}: the file cannot be read ({reason}): check its permissions") from None
+        raise unreadable(path, error) from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = content[: error.start].count(b"\n") + 1
-        cure = f"name the .toml file of the {what}, saved as UTF-8"
+        cure = f"name the .toml file of the {kind}, saved as UTF-8"
         raise InputError(f"{path}: row {row} is not text in UTF-8: {cure}") from None
     if "\0" in text:
-        raise InputError(f"{path}: this is a binary file: name the .toml file of the {what}, saved as UTF-8 text")
+        raise InputError(f"{path}: this is a binary file: name the .toml file of the {kind}, saved as UTF-8 text")
     if not text.strip():
-        begins = f"a {what} begins with a line 'schema = ...', as 'smajax init' writes it"
-        raise InputError(f"{path}: the file is empty: {begins}")
+        cure = f"a {kind} begins with a line 'schema = ...', as 'smajax init' writes it"
+        raise InputError(f"{path}: the file is empty: {cure}")
     return text
 
 
@@ -114,25 +110,25 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         name: Name of the file in messages.
 
     Raises:
-        InputError: with row, column and cure, if the text is not TOML.
+        InputError: If the text is not TOML; the message names row, column and cure.
     """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         match = _TOML_ERROR.search(str(error))
-        what = match["what"] if match else str(error)
+        reason = match["what"] if match else str(error)
         rows = text.rstrip("\n").split("\n")
         row, column = (match["row"], match["column"]) if match and match["row"] else (len(rows), len(rows[-1]) + 1)
-        other = f"{what[0].lower()}{what[1:]}: {_QUOTES}"
-        meaning = next((words for start, words in _FINDINGS.items() if what.startswith(start)), other)
+        default = f"{reason[0].lower()}{reason[1:]}: {_QUOTES}"
+        meaning = next((words for start, words in _EXPLANATIONS.items() if reason.startswith(start)), default)
         raise InputError(f"{name}: row {row}, column {column}: {meaning}") from None
     except (ValueError, RecursionError):
-        beyond = "a number or a nesting of brackets in this file goes beyond all bounds"
-        raise InputError(f"{name}: {beyond}: write it anew") from None
+        problem = "a number or a nesting of brackets in this file is too large to be read"
+        raise InputError(f"{name}: {problem}: correct it") from None
 
 
 def line_numbers(text: str) -> dict[str, int]:
-    """Return the row of each ``section.key``, for those written one a row."""
+    """Return the row of each ``section.key`` that has a row of its own, counted from 1."""
     section, rows = "", {}
     for row, line in enumerate(text.splitlines(), 1):
         if heading := _HEADING.match(line):
@@ -143,7 +139,10 @@ def line_numbers(text: str) -> dict[str, int]:
 
 
 def flatten_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Flatten nested tables to dotted keys: ``heat.h0 = [...]`` without quotation marks is a table in a table."""
+    """Return nested tables as one table with dotted keys.
+
+    An unquoted key such as ``heat.h0 = [...]`` is a nested table in TOML.
+    """
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict):
@@ -156,36 +155,41 @@ def flatten_keys(table: Mapping[str, Any]) -> dict[str, Any]:
 def validate(model: type[Section], data: Any, section: str) -> Section:
     """Return the data of a section as an instance of its model.
 
+    Args:
+        model: The pydantic model.
+        data: Content of the section as parsed from the file.
+        section: Name of the section in messages.
+
     Raises:
-        InputError: with the key, its section and the cure.
+        InputError: If the data do not fit the model; the message names section, key and cure.
     """
     if not isinstance(data, dict):
         raise InputError(f"[{section}] is a section, not a value: write its keys below a line [{section}]")
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        # A misspelt key also leaves the right one missing: the misspelling is the one to report.
+        # A misspelt key is also reported as a missing one: the misspelling is what to correct.
         errors = error.errors(include_url=False)
         unknown = [e for e in errors if e["type"] == "extra_forbidden"]
         raise InputError(_sentence((unknown or errors)[0], model, section)) from None
 
 
-def advice(word: str, candidates: Iterable[str], what: str) -> str:
-    """Return the end of a sentence about an unknown word: the most similar candidate, and all of them where useful.
+def advice(word: str, candidates: Iterable[str], intro: str) -> str:
+    """Return the end of a sentence about an unknown word, with the most similar candidate and a list of all.
 
     Args:
         word: The unknown word.
-        candidates: Known words; they are listed where they are few or none is similar.
-        what: Begins the list, such as "the sections are".
+        candidates: Known words; they are listed if they are few or none is similar.
+        intro: Beginning of the list, such as "the sections are".
     """
     candidates = list(candidates)
     hint = suggestion(word, candidates)
-    many = hint and len(candidates) > _MAX_LISTED
-    return f"{hint}: " + ("correct it, or take it out" if many else f"{what} {', '.join(candidates)}")
+    is_long = hint and len(candidates) > _MAX_LISTED
+    return f"{hint}: " + ("correct it, or remove it" if is_long else f"{intro} {', '.join(candidates)}")
 
 
 def show(value: Any) -> str:
-    """Return a value from a TOML file as it stands in a sentence."""
+    """Return a value from a TOML file as text for a sentence, shortened if it is long."""
     if isinstance(value, bool):
         return str(value).lower()
     text = repr(value)
@@ -193,6 +197,7 @@ def show(value: Any) -> str:
 
 
 def _sentence(error: Any, model: type[BaseModel], section: str) -> str:
+    """Return the sentence on one of pydantic's errors."""
     location, kind, context = error["loc"], error["type"], error.get("ctx", {})
     key = str(location[0]) if location else ""
     place = section + "".join(f", item {part + 1}" if isinstance(part, int) else f".{part}" for part in location)
@@ -211,7 +216,11 @@ def _sentence(error: Any, model: type[BaseModel], section: str) -> str:
 
 
 def check_schema(data: Mapping[str, Any]) -> None:
-    """Refuse a file of a version that this one does not know."""
+    """Check the key ``schema`` of a file.
+
+    Raises:
+        InputError: If this version of smajax does not read that schema.
+    """
     if data.get("schema", 1) != 1 or isinstance(data.get("schema"), bool):
         raise InputError(f"schema = {show(data['schema'])} is not known: this version reads schema = 1")
 
@@ -222,11 +231,11 @@ def quantity_at(value: Any, unit: str, place: str, *, least: float = -math.inf) 
     Args:
         value: Value in the file.
         unit: Internal unit.
-        place: Its place in the file, for messages.
-        least: Smallest value that is accepted.
+        place: Section and key of the value, for messages.
+        least: Smallest value that is accepted, in the internal unit.
 
     Raises:
-        InputError: with the place and the cure.
+        InputError: If the value is not a quantity of that kind, or is too small.
     """
     try:
         number = parse_quantity(value, unit)
@@ -239,36 +248,37 @@ def quantity_at(value: Any, unit: str, place: str, *, least: float = -math.inf) 
 
 
 def render_toml(data: Mapping[str, Any]) -> str:
-    """Return the TOML text of nested tables, which ``parse_toml`` reads back to the same.
+    """Return the TOML text of nested tables; ``parse_toml`` returns the same tables.
 
     Args:
-        data: Tables of text, numbers, booleans and lists; ``None`` is left out.
+        data: Tables of text, numbers, booleans and lists; keys with the value ``None`` are omitted.
     """
     return "\n".join(_table(data, ())).strip("\n") + "\n"
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file completely or not at all, even if the computer stops meanwhile."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(f"{path}: the file cannot be written ({error.strerror or error}): check the folder") from None
-    finally:
-        part.unlink(missing_ok=True)
+    """Write a text file completely or not at all, even if the computer stops in the middle.
+
+    Args:
+        path: The file.
+        text: Its text.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    with replacing(path) as part, part.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _table(data: Mapping[str, Any], names: tuple[str, ...]) -> list[str]:
     present = {key: value for key, value in data.items() if value is not None}
-    plain = {key: value for key, value in present.items() if not isinstance(value, Mapping)}
-    rows = ["", f"[{'.'.join(map(_key, names))}]"] if names and (plain or not present) else []
-    rows += [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]
+    values = {key: value for key, value in present.items() if not isinstance(value, Mapping)}
+    rows = ["", f"[{'.'.join(map(_key, names))}]"] if names and (values or not present) else []
+    rows += [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
     for key, value in present.items():
-        if key not in plain:
+        if key not in values:
             rows += _table(value, (*names, key))
     return rows
 

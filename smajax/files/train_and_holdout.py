@@ -8,7 +8,7 @@ from smajax.errors import InputError
 from smajax.files.rig_file import Rig
 from smajax.recordings.recording import Recording
 
-# Folders that names may take to differ; deeper paths are named in full.
+# Folders that are added to a name to make it distinct; longer ones are replaced by the full path. Chosen by trial.
 _MAX_DEPTH = 64
 
 
@@ -21,13 +21,13 @@ def read_train_and_holdout(
         rig: The rig that all were made on.
         train: Files that are fitted.
         holdout: Files that are only scored.
-        drop_bad_rows: Whether to leave out rows that cannot be used.
+        drop_bad_rows: Whether to omit rows that cannot be used.
 
     Returns:
-        Each recording, under a name that no other one has, with its role, "train" or "holdout".
+        Pairs of a recording, with a distinct name, and its role, "train" or "holdout".
 
     Raises:
-        InputError: if a recording is given twice, or only some have a clock.
+        InputError: If a recording cannot be used or is given twice, or only some of them have a time.
     """
     paths = [*train, *holdout]
     places = [path.resolve() for path in paths]
@@ -36,15 +36,15 @@ def read_train_and_holdout(
             raise InputError(f"{paths[k]}: this recording is given twice: name each one once")
     recordings = [rig.read(path, drop_bad_rows=drop_bad_rows) for path in paths]
     if len({r.has_clock for r in recordings}) > 1:
-        odd = next(r.name for r in recordings if not r.has_clock)
+        name = next(r.name for r in recordings if not r.has_clock)
         cure = "give it a time column, or fit it on its own"
-        raise InputError(f"{odd}: this recording has no time and the others do: {cure}")
+        raise InputError(f"{name}: this recording has no time and the others do: {cure}")
     renamed = [dataclasses.replace(r, name=name) for r, name in zip(recordings, _short_names(places), strict=True)]
     return [(r, "train" if k < len(train) else "holdout") for k, r in enumerate(renamed)]
 
 
 def _short_names(places: Sequence[Path]) -> list[str]:
-    """Return file names, with as many folders before them as make them distinct."""
+    """Return file names with as many of their folders as are needed to make them distinct."""
     for depth in range(1, _MAX_DEPTH):
         names = ["/".join(place.parts[-depth:]) for place in places]
         if len(set(names)) == len(names):

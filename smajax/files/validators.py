@@ -1,4 +1,4 @@
-"""Checks of single values in files, for the models of their sections."""
+"""Validators of single values in files, for the models of their sections."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -13,10 +13,14 @@ from smajax.units import as_text, parse_quantity
 
 
 def quantity(value: Any, declaration: Declaration) -> float:
-    """Return a quantity from a file in the declaration's unit.
+    """Return a quantity from a file in the unit of its declaration.
+
+    Args:
+        value: Value in the file.
+        declaration: Declaration of the parameter.
 
     Raises:
-        InputError: if it has another unit or is outside of the declaration's bounds.
+        InputError: If its unit cannot be converted, or it is outside of the bounds of the declaration.
     """
     number = parse_quantity(value, declaration.unit)
     if not declaration.lower <= number <= declaration.upper:
@@ -32,7 +36,7 @@ def section_model(section: str, keys: Mapping[str, Declaration]) -> type[BaseMod
 
     Args:
         section: Name of the section.
-        keys: Declarations by key. Each key is a quantity; none is required here, since a parameter set may give it.
+        keys: Declarations by key. No key is required, since its value may come from a parameter set.
     """
 
     def field_type(declaration: Declaration) -> Any:
@@ -43,7 +47,7 @@ def section_model(section: str, keys: Mapping[str, Declaration]) -> type[BaseMod
 
 
 def one_of(choices: Iterable[str]) -> BeforeValidator:
-    """Return a validator that accepts one of some words, and suggests the most similar of them otherwise."""
+    """Return a validator that accepts one of some words; it suggests the most similar one for any other."""
     words = tuple(choices)
 
     def check(value: Any) -> str:

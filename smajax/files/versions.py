@@ -1,4 +1,4 @@
-"""Versions of the packages on which the numbers of a result depend."""
+"""Versions of the packages that the numbers of a result depend on."""
 
 import contextlib
 from importlib.metadata import PackageNotFoundError, version
@@ -7,9 +7,9 @@ _PACKAGES = ("jax", "diffrax", "optimistix", "equinox", "numpy", "scipy", "pint"
 
 
 def package_versions() -> dict[str, str]:
-    """Return the versions of the installed ones by package."""
-    installed = {}
+    """Return the version of each of these packages that is installed."""
+    versions = {}
     for name in _PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
-            installed[name] = version(name)
-    return installed
+            versions[name] = version(name)
+    return versions

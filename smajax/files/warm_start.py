@@ -1,4 +1,4 @@
-"""Start values of a fit from the parameter file of an earlier fit."""
+"""Start values of a fit from the parameter set of an earlier fit."""
 
 from pathlib import Path
 
@@ -13,16 +13,16 @@ from smajax.units import as_text
 
 
 def warm_start_plant(rig: Rig, path: Path) -> Plant:
-    """Return the rig's plant with the values of a parameter file.
+    """Return the plant of a rig with the values of a parameter set.
 
-    Parameters that the rig does not have are ignored; of values per recording the mean is taken.
+    Parameters that the rig does not have are ignored; values per recording are averaged.
 
     Args:
         rig: The rig to be fitted.
-        path: Parameter file, such as the fit.toml of an earlier fit.
+        path: Parameter set, such as the fit.toml of an earlier fit.
 
     Raises:
-        InputError: if none of the parameters belongs to the rig, or a value is outside of its bounds.
+        InputError: If the rig has none of the parameters, or a value is outside of its bounds.
     """
     table = parameters.all_declarations(rig.plant)
     values: dict[str, list[float]] = {}
@@ -37,6 +37,6 @@ def warm_start_plant(rig: Rig, path: Path) -> Plant:
     for name, value in start.items():
         low, high = rig.fit.bounds.get(name, (table[name].lower, table[name].upper))
         if not low <= value <= high:
-            outside = f"{name} = {as_text(value, table[name].unit)} is outside of its bounds in {rig.name}"
-            raise InputError(f"{path}: {outside}: widen these under [fit] bounds")
+            problem = f"{name} = {as_text(value, table[name].unit)} is outside of its bounds in {rig.name}"
+            raise InputError(f"{path}: {problem}: widen these under [fit] bounds")
     return parameters.replace(rig.plant, start)

@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,7 +13,8 @@ from smajax.fitting.compilation import vmap_unless_single
 class AbstractFitProblem(eqx.Module):
     """A weighted residual as a function of one vector of ``p`` numbers of order one, with bounds.
 
-    ``data.measured`` has a leading axis of recordings: each evaluation simulates all of them.
+    Attributes:
+        data: Recordings; ``data.measured`` has a leading axis of recordings, and each evaluation simulates all of them.
     """
 
     data: eqx.AbstractVar[Any]
@@ -38,21 +38,37 @@ class AbstractFitProblem(eqx.Module):
         """Return finite bounds within ``bounds``, each of shape ``(p,)``, for random starts and populations."""
         return self.bounds
 
-    def residual(self, vector: jax.Array) -> jax.Array:
+    def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
         """Return model minus measurement over the noise, shape ``(size,)``; zero where nothing was measured."""
         raise NotImplementedError
 
 
 def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[Array, " size"]:
-    """Return the weighted residual of a problem, with the arguments in the order of a solver."""
+    """Return the weighted residual of a problem, with the arguments in the order that a solver needs.
+
+    Args:
+        vector: The problem's vector (p,).
+        problem: The problem.
+
+    Returns:
+        Model minus measurement over the noise (size,).
+    """
     return problem.residual(vector)
 
 
 @eqx.filter_jit
-def costs(problem: AbstractFitProblem, vectors: jax.Array) -> jax.Array:
-    """Compute the sums of squares at ``m`` vectors, shape ``(m, p)``, as one batch; shape ``(m,)``."""
+def costs(problem: AbstractFitProblem, vectors: Float[Array, "m p"]) -> Float[Array, " m"]:
+    """Compute the sums of squares of the residual at several vectors, as one batch.
 
-    def cost(vector: jax.Array) -> jax.Array:
+    Args:
+        problem: The problem.
+        vectors: Vectors (m, p).
+
+    Returns:
+        The costs (m,); NaN or infinite where the residual is.
+    """
+
+    def cost(vector: Float[Array, " p"]) -> Float[Array, ""]:
         return jnp.sum(problem.residual(vector) ** 2)
 
     return vmap_unless_single(cost, vectors.shape[0], vectors)

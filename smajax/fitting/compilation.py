@@ -1,14 +1,12 @@
-"""What serves the compiler only.
+"""Code that serves the compiler only; none of it changes a result.
 
-- ``vmap_unless_single``: a batch of one compiles and runs slower than no batch, so one start, one recording or one
-  point is computed without.
-- ``LARGE_PROGRAM_OPTIONS``: in a large program that is no batch, LLVM's later optimisations take long and make nothing
-  faster.
-- Two programs (``primal_fn`` of ``smajax.fitting.multi_start.MultiStartSolver``): simulation and derivatives compile
-  side by side, and the derivatives are computed only for steps that are taken.
-- ``residual`` and ``costs`` in ``smajax.fitting.abstract_problem`` are one program each, whoever searches.
-
-None of this changes a result.
+- ``vmap_unless_single``: a batch of one compiles and runs slower than no batch, so a single start, recording or point
+  is computed without one.
+- ``LARGE_PROGRAM_OPTIONS``: in a large program without a batch, LLVM's later optimisations take long and save no run
+  time.
+- Two programs (``primal_fn`` of ``smajax.fitting.multi_start.MultiStartSolver``): simulation and derivatives are
+  compiled in parallel, and the derivatives are computed only for accepted steps.
+- ``residual`` and ``costs`` in ``smajax.fitting.abstract_problem`` are one compiled program each for all searches.
 """
 
 from collections.abc import Callable
@@ -20,7 +18,16 @@ LARGE_PROGRAM_OPTIONS = {"xla_backend_optimization_level": 1}
 
 
 def vmap_unless_single(function: Callable, size: int, *arguments: Any) -> Any:
-    """Map a function over the leading axis, of length ``size``, of all leaves of its arguments."""
+    """Map a function over the leading axis of all leaves of its arguments, without a batch where it has length 1.
+
+    Args:
+        function: Function of ``arguments`` without their leading axis.
+        size: Length of the leading axis.
+        *arguments: Pytrees of arrays.
+
+    Returns:
+        The function's result, with a leading axis of ``size`` on all leaves.
+    """
     if size == 1:
         result = function(*jax.tree.map(lambda leaf: leaf[0], arguments))
         return jax.tree.map(lambda leaf: leaf[None], result)

@@ -11,8 +11,9 @@ import numpy as np
 
 from smajax import parameters
 from smajax.errors import NumericsError
-from smajax.fitting import intervals
 from smajax.fitting.abstract_problem import residual
+from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
+from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartResult, MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
@@ -25,9 +26,9 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.status import SimulationStatus
 
-# Searches that end within this factor of the best cost count as ends at the best. Chosen by trial.
+# Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
-# A parameter this close to its bound, as a share of its value, is there up to rounding.
+# A parameter is at its bound where its distance from it is this share of its value: up to rounding.
 _BOUND_MARGIN_OF_VALUE = 1e-9
 # The same as a share of the range between the bounds: steps towards a bound grow ever shorter. Chosen by trial,
 # tests/unit/fitting/test_fit.py holds it.
@@ -59,64 +60,66 @@ def fit(
         max_steps: Most steps of the search.
         progress: Called after each step with its number and the best cost so far.
 
+    Returns:
+        Estimates with 95 % intervals, the fitted plants, and the responses to all recordings.
+
     Raises:
-        InputError: Recordings and settings do not fit together.
+        InputError: A channel is missing, a parameter does not exist, or nothing is free.
         NumericsError: The simulation fails at every start.
     """
     began = time.perf_counter()
     problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
-    starts, screened = screen_starts(problem, settings.starts, settings.seed)
-    screening_time = time.perf_counter() - began if screened else 0.0
-    solved = _start_searches(problem, starts, len(recordings)).advance(max_steps, progress).result()
-    _check_starts(solved, problem, starts[0], plant)
-    best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, solved)
-    estimates, covariance, groups = _estimates(problem, end.vector, solved.residuals[best], end.jacobian)
-    training = end.responses[: len(recordings)]
-    return FitResult(
-        problem=problem,
-        plant=end.plant,
-        plants=end.plants,
-        estimates=tuple(estimates),
-        covariance=covariance,
-        collinear_groups=tuple(groups),
-        responses=tuple(end.responses),
-        noise_floor={c: max(difference_noise(r.residual(c)) for r in training) for c in settings.observe},
-        cost=float(solved.costs[best]),
-        starts_at_best=int(np.sum(solved.costs <= solved.costs[best] * _SAME_COST)),
-        starts=len(starts),
-        status=solved.statuses[best],
-        steps=solved.steps,
-        simulations=solved.simulations + screened,
-        wall_time=solved.wall_time,
-        compile_time=screening_time + _first_step_excess(solved),
-        history=tuple(solved.history),
-        seed=settings.seed,
-        vector=end.vector,
-        interpolation=interpolation,
-        step=step,
-        discretisation_errors=end.discretisation_errors,
-    )
+    search = _search(problem, settings, len(recordings), max_steps, progress, began)
+    _check_starts(search, problem, plant)
+    best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, search.result)
+    return _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
 
 
-def _start_searches(problem: Problem, starts: np.ndarray, recordings: int) -> MultiStartSolver:
-    """The searches at their starts."""
+class _Search(NamedTuple):
+    """The searches of a fit.
+
+    Attributes:
+        starts: Start points (s, p).
+        result: The ends of the searches.
+        screening_simulations: Simulations that chose the starts.
+        screening_time: Time until the starts were chosen, s; 0 where none were.
+    """
+
+    starts: np.ndarray
+    result: MultiStartResult
+    screening_simulations: int
+    screening_time: float
+
+
+def _search(
+    problem: Problem,
+    settings: Settings,
+    recordings: int,
+    max_steps: int,
+    progress: Callable[[int, float], None],
+    began: float,
+) -> _Search:
+    """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s."""
+    starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
+    screening_time = time.perf_counter() - began if screening_simulations else 0.0
     sequential = recordings >= SEQUENTIAL_FROM
-    return MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
+    solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
+    return _Search(starts, solver.advance(max_steps, progress).result(), screening_simulations, screening_time)
 
 
-def _check_starts(solved: MultiStartResult, problem: Problem, start: np.ndarray, plant: Plant) -> None:
-    """Raises ``NumericsError`` if the simulation fails at every start."""
-    if any(status is not SolverStatus.failed for status in solved.statuses):
+def _check_starts(search: _Search, problem: Problem, plant: Plant) -> None:
+    """Raise ``NumericsError`` if the simulation fails at every start."""
+    if any(status is not SolverStatus.failed for status in search.result.statuses):
         return
-    _, codes = eqx.filter_jit(lambda p, v: p.predict(v))(problem, jnp.asarray(start))
+    _, codes = eqx.filter_jit(lambda p, v: p.predict(v))(problem, jnp.asarray(search.starts[0]))
     status = SimulationStatus(int(jnp.max(codes)))
     raise NumericsError(f"{status.name} at the start values: {status.hint}; parameters: {describe_parameters(plant)}")
 
 
-def _first_step_excess(solved: MultiStartResult) -> float:
+def _first_step_excess(result: MultiStartResult) -> float:
     """Time by which the first step took longer than the later ones: that of compiling, s."""
-    first = solved.history[0][1] if solved.history else 0.0
-    later = (solved.wall_time - first) / max(len(solved.history) - 1, 1)
+    first = result.history[0][1] if result.history else 0.0
+    later = (result.wall_time - first) / max(len(result.history) - 1, 1)
     return max(first - later, 0.0)
 
 
@@ -148,17 +151,17 @@ def _best_end(
     holdout: Sequence[Recording],
     interpolation: str,
     step: float | None,
-    solved: MultiStartResult,
+    result: MultiStartResult,
 ) -> tuple[int, _End]:
     """The index of the best search whose plant can simulate the training recordings on its own steps, and its end.
 
-    Next to a thermal runaway the best end may be valid on the problem's steps, and not on those that the fitted plant
-    asks for: then the next best counts. The best one is returned where none can.
+    Near a thermal runaway the best end may be valid on the problem's steps but not on those of the fitted plant: then
+    the next best end is taken. Where no end is valid on its own steps, the best one is returned.
     """
-    order = [int(i) for i in np.argsort(solved.costs) if np.isfinite(solved.costs[i])]
+    order = [int(i) for i in np.argsort(result.costs) if np.isfinite(result.costs[i])]
     ends: dict[int, _End] = {}
     for index in order:
-        vector, jacobian = problem.order_transformation_ends(solved.points[index], solved.jacobians[index])
+        vector, jacobian = problem.order_transformation_ends(result.points[index], result.jacobians[index])
         plants, general = _fitted_plants(problem, plant, vector, len(recordings))
         ends[index] = _End(
             vector,
@@ -179,12 +182,53 @@ def _best_end(
     return order[0], ends[order[0]]
 
 
+def _fit_result(
+    problem: Problem,
+    search: _Search,
+    best: int,
+    end: _End,
+    recordings: int,
+    seed: int,
+    interpolation: str,
+    step: float | None,
+) -> FitResult:
+    """The result of a fit whose best search ended at ``end``."""
+    result = search.result
+    estimates, covariance, groups = _estimates(problem, end.vector, result.residuals[best], end.jacobian)
+    training = end.responses[:recordings]
+    return FitResult(
+        problem=problem,
+        plant=end.plant,
+        plants=end.plants,
+        estimates=tuple(estimates),
+        covariance=covariance,
+        collinear_groups=tuple(groups),
+        responses=tuple(end.responses),
+        noise_floor={c: max(difference_noise(r.residual(c)) for r in training) for c in problem.channels},
+        cost=float(result.costs[best]),
+        starts_at_best=int(np.sum(result.costs <= result.costs[best] * _SAME_COST)),
+        starts=len(search.starts),
+        status=result.statuses[best],
+        steps=result.steps,
+        simulations=result.simulations + search.screening_simulations,
+        wall_time=result.wall_time,
+        compile_time=search.screening_time + _first_step_excess(result),
+        history=tuple(result.history),
+        seed=seed,
+        vector=end.vector,
+        interpolation=interpolation,
+        step=step,
+        discretisation_errors=end.discretisation_errors,
+    )
+
+
 def _fitted_plants(
     problem: Problem, plant: Plant, vector: np.ndarray, recordings: int
 ) -> tuple[tuple[Plant, ...], Plant]:
     """The plant of each recording, and the one for a new recording.
 
-    The latter has the mean of what each recording has for itself, and starts as the rig's ``plant`` does.
+    The plant for a new recording has the mean of the parameters of the single recordings, and the start values of the
+    rig's ``plant``.
     """
     shared, own = problem.values(jnp.asarray(vector))
     fitted = parameters.replace(problem.plant, shared)
@@ -204,37 +248,44 @@ def _fitted_plants(
 
 def _estimates(
     problem: Problem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
-) -> tuple[list[Estimate], np.ndarray, list[intervals.CollinearGroup]]:
+) -> tuple[list[Estimate], np.ndarray, list[CollinearGroup]]:
     """The estimates with their intervals, their covariance (p, p), and the groups of collinear parameters."""
-    held = _at_bounds(problem, vector, jacobian.T @ residual)
-    count, free = int(np.sum(~held)), np.flatnonzero(~held)
+    at_bound = _at_bounds(problem, vector, jacobian.T @ residual)
+    free = np.flatnonzero(~at_bound)
+    covariance, samples = _covariance(problem, free, residual, jacobian)
+    half_widths = confidence_half_widths(covariance, samples, len(free))
+    estimates = []
+    for i, unknown in enumerate(problem.unknowns):
+        value, half = float(vector[i] * unknown.scale), float(half_widths[i])
+        interval = (value - half, value + half) if math.isfinite(half) else (None, None)
+        bounds = (unknown.lower, unknown.upper)
+        estimates.append(Estimate(unknown.label, value, *interval, unknown.unit, bool(at_bound[i]), bounds))
+    names = [problem.unknowns[i].label for i in free]
+    sizes = np.array([max(abs(vector[i]), _MIN_SIZE) for i in free])
+    return estimates, covariance, find_collinear_groups(jacobian[:, free], names, sizes)
+
+
+def _covariance(
+    problem: Problem, free: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Covariance (p, p) in internal units, NaN for parameters that are not free, and the number of samples."""
     weight = problem.data.weight
     measured = np.asarray(weight).reshape(-1, weight.shape[-1]) > 0
     series = residual.reshape(measured.shape)
     columns = jacobian.reshape(*measured.shape, -1)[..., free]
-    samples = int(np.sum(measured))
-    scaled = intervals.estimate_covariance(
-        [columns[k][m] for k, m in enumerate(measured)], [series[k][m] for k, m in enumerate(measured)], count
+    scaled = covariance_under_autocorrelation(
+        [columns[k][rows] for k, rows in enumerate(measured)],
+        [series[k][rows] for k, rows in enumerate(measured)],
+        len(free),
     )
-    covariance = np.full((len(vector), len(vector)), np.nan)
-    scales = np.array([u.scale for u in problem.unknowns])
-    covariance[np.ix_(free, free)] = scaled * np.outer(scales[free], scales[free])
-    quantile = intervals.student_quantile(samples, count)
-    estimates = []
-    for i, unknown in enumerate(problem.unknowns):
-        value = float(vector[i] * unknown.scale)
-        deviation = math.sqrt(covariance[i, i]) if np.isfinite(covariance[i, i]) else math.inf
-        finite = math.isfinite(deviation)
-        interval = (value - quantile * deviation, value + quantile * deviation) if finite else (None, None)
-        bounds = (unknown.lower, unknown.upper)
-        estimates.append(Estimate(unknown.label, value, *interval, unknown.unit, bool(held[i]), bounds))
-    names = [problem.unknowns[i].label for i in free]
-    sizes = np.array([max(abs(vector[i]), _MIN_SIZE) for i in free])
-    return estimates, covariance, intervals.find_collinear_groups(jacobian[:, free], names, sizes)
+    scales = np.array([u.scale for u in problem.unknowns])[free]
+    covariance = np.full((len(problem.unknowns),) * 2, np.nan)
+    covariance[np.ix_(free, free)] = scaled * np.outer(scales, scales)
+    return covariance, int(np.sum(measured))
 
 
 def _at_bounds(problem: Problem, vector: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Which parameters the data press against a bound, shape ``(p,)``."""
+    """Which parameters are at a bound with a cost that falls beyond it, shape ``(p,)``."""
     lower, upper = problem.bounds
     span = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     margin = _BOUND_MARGIN_OF_VALUE * (1.0 + np.abs(vector)) + _BOUND_MARGIN_OF_RANGE * span

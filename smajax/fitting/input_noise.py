@@ -1,10 +1,10 @@
 """The effect of noise in a fit's input columns on its parameters.
 
 A material law takes the temperatures, stresses and strains that drive it as exact. Where these scatter from row to row,
-a hysteretic law oscillates, and its parameters are biased by more than their intervals say, which count the noise of
-the fitted channels only. The bias is found by adding as much noise once more and fitting again from the end of the fit:
-what that moves, the first noise has moved about as far (the first step of simulation-extrapolation). Currents and
-voltages act through the wire's heat, which averages them.
+a hysteretic law oscillates, and the bias of its parameters may exceed their intervals, which account for the noise of
+the fitted channels only. The bias is estimated by adding noise of the same size once more and fitting again from the
+end of the fit: the estimates change about as much as they have by the noise of the recording (the first step of
+simulation-extrapolation). Noise of currents and voltages is averaged by the wire's heat capacity.
 
 Source: cook1994.
 """
@@ -35,19 +35,24 @@ _DRAWS = 3
 _MAX_STEPS = 20
 # Noise below this share of a column's range has no effect; chosen by trial, held by the same tests.
 _MIN_NOISE = 1e-4
-# Above this share of the range it is no noise but the input itself; chosen by trial, held by the same tests.
+# Above this share of the range it is the input itself, not noise; chosen by trial, held by the same tests.
 _MAX_NOISE = 0.05
 # Fourth differences of white noise have 1 + 16 + 36 + 16 + 1 times its variance.
 _FOURTH_DIFFERENCE_GAIN = math.sqrt(70.0)
-# A bias is reported from this share of the interval's width.
+# Least bias that is reported, as a share of the interval's width: a bias of half the width alone puts the true value
+# outside the interval.
 _REPORTED_SHARE = 0.5
 
 
 def row_noise(values: np.ndarray) -> float:
     """Estimate the standard deviation of a column's scatter from row to row, from its fourth differences.
 
+    Args:
+        values: The column (n,); NaN where not measured.
+
     Returns:
-        In the column's unit; 0 where it has none, or so much that it is the input itself.
+        The standard deviation in the column's unit; 0 where the scatter is negligible, or so large that it is the
+        input itself.
     """
     fourth = np.diff(values, 4)
     fourth = fourth[np.isfinite(fourth)]
@@ -63,9 +68,12 @@ def input_noise_warnings(
 
     Args:
         result: A fit.
-        plant: The plant that it began with.
-        recordings: Its training recordings.
-        settings: Its settings.
+        plant: The plant with the start values of the fit.
+        recordings: The training recordings of the fit.
+        settings: The settings of the fit.
+
+    Returns:
+        The sentences; none where the input columns are free of noise.
     """
     temperature = ["temperature"] if isinstance(plant.heat, PrescribedTemperature) else []
     warnings = []
@@ -78,22 +86,22 @@ def input_noise_warnings(
         if biases:
             size = as_text(float(f"{max(noise):.2g}"), channel_unit(channel, difference=True))
             warnings.append(
-                f"{channel} goes up and down by {size} from row to row, which the model takes as exact. As much noise "
-                f"again moves {', '.join(biases)}: the estimates have moved about as far already. Smooth the column, "
-                "or average rows, before the fit."
+                f"{channel} scatters by {size} from row to row, and the model takes it as exact. Adding the same "
+                f"noise once more changes {', '.join(biases)}: the noise in the recording has biased the estimates "
+                "by about as much. Smooth the column, or average rows, before the fit."
             )
     return warnings
 
 
-def _large_biases(result: FitResult, change: np.ndarray) -> list[str]:
-    """The parameters that ``change`` (p,) moves by more than half the width of their intervals, in words."""
+def _large_biases(result: FitResult, changes: np.ndarray) -> list[str]:
+    """The parameters whose ``changes`` (p,) exceed half the width of their intervals, in words."""
     biases = []
-    for estimate, bias in zip(result.estimates, change, strict=True):
+    for estimate, bias in zip(result.estimates, changes, strict=True):
         low, high = estimate.lower95, estimate.upper95
         if low is not None and high is not None and abs(bias) > _REPORTED_SHARE * (high - low):
             unit = "K" if estimate.unit == "degC" else estimate.unit
-            moved, half_width = (as_text(float(f"{v:.2g}"), unit) for v in (bias, 0.5 * (high - low)))
-            biases.append(f"{estimate.name} by {moved} (interval +- {half_width})")
+            change, half_width = (as_text(float(f"{v:.2g}"), unit) for v in (bias, 0.5 * (high - low)))
+            biases.append(f"{estimate.name} by {change} (interval +- {half_width})")
     return biases
 
 
@@ -106,7 +114,7 @@ def _refit_change(
     noise: Sequence[float],
     seed: int,
 ) -> np.ndarray:
-    """Change of the estimates (p,) when noise is added to a channel, in internal units; uses the program of the fit."""
+    """Change of the estimates (p,), internal units, when noise is added to a channel; same program as the fit's."""
     rng = np.random.default_rng(seed)
     noisy = []
     for recording, deviation in zip(recordings, noise, strict=True):
@@ -117,6 +125,6 @@ def _refit_change(
     starts = np.tile(result.vector, (result.starts, 1))
     sequential = len(recordings) >= SEQUENTIAL_FROM
     solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
-    solved = solver.advance(_MAX_STEPS).result()
+    point = solver.advance(_MAX_STEPS).result().points[0]
     scales = np.array([u.scale for u in result.problem.unknowns])
-    return (solved.points[0] - result.vector) * scales
+    return (point - result.vector) * scales

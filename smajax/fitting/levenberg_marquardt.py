@@ -1,13 +1,13 @@
 """Bounded Levenberg-Marquardt as an optimistix least-squares solver.
 
-Each step solves the normal equations, damped in proportion to their diagonal, for the parameters that no bound holds:
+Each step solves the normal equations, damped in proportion to their diagonal, for the parameters that are free to move:
 
     (J' J + lambda diag(J' J)) d = -J' r
 
-A parameter on its bound whose gradient pushes it outwards stays there; the rest of the step is cut to the bounds.
-Residual and Jacobian are evaluated together at the trial point, because with forward tangents the pair costs less than
-two residuals. A trial that does not lower the cost raises the damping, the more so the more trials were rejected in a
-row. A parameter whose two bounds are equal is fixed, so that profiles and nested models need no other program.
+A parameter at a bound beyond which the cost falls stays there; the rest of the step is cut to the bounds. Residual and
+Jacobian are evaluated together at the trial point, because with forward tangents the pair costs less than two
+residuals. A trial that does not lower the cost raises the damping, by more for each rejected trial in a row. A
+parameter whose two bounds are equal is fixed, so that profiles and nested models need no new compiled program.
 
 The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``smajax.fitting.multi_start`` drives it.
 
@@ -29,19 +29,21 @@ from jaxtyping import Array, Float
 _INITIAL_DAMPING = 1e-3
 # Least factor by which an accepted trial reduces the damping (nielsen1999 has 1/3).
 _MIN_REDUCTION = 0.1
-# A rejected trial multiplies the damping by this ...
+# A rejected trial multiplies the damping by this.
 _REJECTION_FACTOR = 5.0
-# ... and by this once more for each rejection in a row before it.
+# A rejected trial also multiplies it by this, once for each rejection in a row before it.
 _REPEATED_REJECTION_FACTOR = 3.0
 # Least damping, so that it can be raised again.
 _MIN_DAMPING = 1e-12
-# Beyond this damping a step is below rounding: no step lowers the cost any more.
+# Beyond this damping a step is below rounding and the search has stalled.
 _MAX_DAMPING = 1e12
 # Least diagonal as a share of the largest, so that a parameter without effect leaves the matrix regular.
 _MIN_DIAGONAL = 1e-12
-# So many small decreases of the cost in a row end the search.
+# Keeps the matrix regular where no parameter has an effect.
+_TINY = 1e-300
+# This number of small decreases of the cost in a row ends the search.
 _SMALL_DECREASES = 2
-# A predicted decrease this much below the relative tolerance ends it at once.
+# A predicted decrease below this share of the relative tolerance ends it at once.
 _PREDICTED_SHARE = 1e-2
 
 
@@ -57,7 +59,7 @@ class SolverStatus(enum.IntEnum):
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """The reason in words, for messages and reports."""
         return {
             SolverStatus.running: "still running",
             SolverStatus.converged: "the cost falls by less than its tolerance",
@@ -78,10 +80,10 @@ class LMState(NamedTuple):
         cost: Sum of squares there.
         damping: Damping lambda.
         predicted: Decrease of the cost that the linear model predicts for the trial.
-        small_decreases: Small decreases in a row.
-        rejections: Rejected trials in a row.
-        steps: Steps so far.
-        status: ``SolverStatus``.
+        small_decreases: Number of small decreases in a row.
+        rejections: Number of rejected trials in a row.
+        steps: Number of steps so far.
+        status: Value of ``SolverStatus``.
     """
 
     trial: jax.Array
@@ -104,17 +106,19 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     Attributes:
         rtol: Relative decrease of the cost; two smaller ones in a row end the search.
-        lazy_jacobian: Evaluate the Jacobian after the residual, and only at trials that are accepted. That pays where
-            the Jacobian costs several residuals, and not in a batch.
+        atol: Not used; part of the optimistix interface.
+        lazy_jacobian: Evaluate the Jacobian after the residual, and only at trials that are accepted. This is faster
+            where the Jacobian costs several residuals, but not in a batch.
+        norm: Not used; part of the optimistix interface.
     """
 
-    rtol: Any  # an array of no dimensions: as a number, each value would be a program of its own
+    rtol: Any  # a scalar array: with a Python number each value would be compiled anew
     atol: float = 0.0
     lazy_jacobian: bool = eqx.field(static=True, default=False)
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
 
     def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
-        """Return a state in which nothing is evaluated yet: the first step accepts the start point."""
+        """Return a state in which nothing is evaluated yet; the first step evaluates and accepts the start point."""
         # Types are spelt out: a weakly typed start would compile the step twice.
         size, real, whole = f_struct.shape[0], jnp.float64, jnp.int64
         return LMState(
@@ -133,7 +137,19 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def step(
         self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any
     ) -> tuple[Any, LMState, Any]:
-        """Evaluate the trial point, accept or reject it, and propose the next one."""
+        """Evaluate the trial point, accept or reject it, and propose the next one.
+
+        Args:
+            fn: Residual function of ``y`` and the last entry of ``args``; returns the residual and ``None``.
+            y: Best point so far (p,).
+            args: Lower bounds (p,), upper bounds (p,), and the arguments of ``fn``.
+            options: Not used.
+            state: State of the search.
+            tags: Not used.
+
+        Returns:
+            The best point, the state, and the residual (m,) there.
+        """
         lower, upper, fn_args = args
         residual, jacobian, cost = self._evaluate(lambda v: fn(v, fn_args)[0], state)
         finite = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
@@ -172,22 +188,24 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def _evaluate(self, fn: Callable, state: LMState) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Residual, Jacobian and cost at the trial point."""
 
-        def twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def with_value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
             r = fn(v)
             return r, r
 
         if self.lazy_jacobian:
-            residual = twice(state.trial)[0]
+            residual = with_value(state.trial)[0]
             cost = jnp.sum(residual**2)
-            slopes = jax.jacfwd(twice, has_aux=True)
-            jacobian = jax.lax.cond(cost < state.cost, lambda v: slopes(v)[0], lambda _: state.jacobian, state.trial)
+            derivative = jax.jacfwd(with_value, has_aux=True)
+            jacobian = jax.lax.cond(
+                cost < state.cost, lambda v: derivative(v)[0], lambda _: state.jacobian, state.trial
+            )
         else:
-            jacobian, residual = jax.jacfwd(twice, has_aux=True)(state.trial)
+            jacobian, residual = jax.jacfwd(with_value, has_aux=True)(state.trial)
             cost = jnp.sum(residual**2)
         return residual, jacobian, cost
 
     def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
-        """Tell optimistix whether the search has ended, and how."""
+        """Return whether the search has ended, and optimistix's result code."""
         done = (state.status == SolverStatus.converged) | (state.status == SolverStatus.stalled)
         failed = state.status == SolverStatus.failed
         result = optx.RESULTS.where(failed, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful)
@@ -219,19 +237,19 @@ def _propose(
     """Next trial point within the bounds, and the decrease of the cost that the linear model predicts for it."""
     gradient = jacobian.T @ residual
     normal = jacobian.T @ jacobian
-    held = ((y <= lower) & (gradient > 0)) | ((y >= upper) & (gradient < 0)) | (lower >= upper)
+    fixed = ((y <= lower) & (gradient > 0)) | ((y >= upper) & (gradient < 0)) | (lower >= upper)
 
     diagonal = jnp.diag(normal)
-    damped = normal + damping * jnp.diag(jnp.maximum(diagonal, _MIN_DIAGONAL * jnp.max(diagonal) + 1e-300))
+    damped = normal + damping * jnp.diag(jnp.maximum(diagonal, _MIN_DIAGONAL * jnp.max(diagonal) + _TINY))
 
-    def solve(right: jax.Array, held: jax.Array) -> jax.Array:
-        matrix = jnp.where(held[:, None] | held[None, :], jnp.eye(y.shape[0]), damped)
-        return jnp.where(held, 0.0, jnp.linalg.solve(matrix, jnp.where(held, 0.0, right)))
+    def solve(right: jax.Array, fixed: jax.Array) -> jax.Array:
+        matrix = jnp.where(fixed[:, None] | fixed[None, :], jnp.eye(y.shape[0]), damped)
+        return jnp.where(fixed, 0.0, jnp.linalg.solve(matrix, jnp.where(fixed, 0.0, right)))
 
-    # Parameters whose step leaves the bounds go to their bound, and the others are solved for again, given that.
-    change = solve(-gradient, held)
-    leaving = ~held & ((y + change < lower) | (y + change > upper))
+    # Parameters whose step leaves the bounds go to their bound; then the step of the others is solved for again.
+    change = solve(-gradient, fixed)
+    leaving = ~fixed & ((y + change < lower) | (y + change > upper))
     cut = jnp.where(leaving, jnp.clip(y + change, lower, upper) - y, 0.0)
-    change = jnp.clip(y + cut + solve(-gradient - normal @ cut, held | leaving), lower, upper) - y
+    change = jnp.clip(y + cut + solve(-gradient - normal @ cut, fixed | leaving), lower, upper) - y
     predicted = -(2.0 * gradient @ change + change @ normal @ change)
     return y + change, predicted

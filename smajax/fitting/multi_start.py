@@ -1,7 +1,7 @@
 """Least-squares searches from several starts, step by step.
 
 ``MultiStartSolver`` drives ``BoundedLevenbergMarquardt`` on a batch of starts, so that progress can be shown, an
-interruption keeps the best point so far, and one start's failure leaves the others alone.
+interruption keeps the best point so far, and the failure of one start does not affect the others.
 """
 
 import time
@@ -22,15 +22,20 @@ from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMStat
 _MIN_SCREENED = 48
 # Least number of these per start; chosen by trial on fits of rigs.
 _SCREENED_PER_START = 4
-# With this many recordings each simulation is a wide batch by itself, and starts are searched one after another. Chosen
-# by trial for speed.
+# From this number of recordings on, one simulation is a wide batch by itself, and the starts are searched one after
+# another. Chosen by trial for speed.
 SEQUENTIAL_FROM = 4
 
 
 def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[np.ndarray, int]:
     """Choose the best of many random points, simulated as one batch, as starts in addition to the nominal one.
 
-    Most random points never transform at all, and gradients say little there.
+    At most random points the wire never transforms, and the gradient does not lead to a transformation.
+
+    Args:
+        problem: The problem.
+        starts: Number of starts.
+        seed: Seed of the random points.
 
     Returns:
         The nominal point and ``starts - 1`` others, shape ``(starts, p)``, and the number of simulations.
@@ -54,9 +59,9 @@ class MultiStartResult(NamedTuple):
         jacobians: Jacobians there (s, m, p).
         costs: Sums of squares there (s,).
         statuses: Why each search ended.
-        steps: Steps taken.
-        simulations: Evaluations of the residual; a Jacobian counts p.
-        wall_time: s.
+        steps: Number of steps.
+        simulations: Number of evaluations of the residual; a Jacobian counts as p.
+        wall_time: Time of the steps, s.
         history: After each step: simulations, wall time in s, best cost.
     """
 
@@ -75,6 +80,10 @@ class MultiStartSolver:
     """Searches from several starts that can be continued where they stopped.
 
     Minimises ``sum(fn(vector, args)**2)`` within bounds.
+
+    Attributes:
+        steps: Number of steps so far.
+        simulations: Number of evaluations of the residual so far; a Jacobian counts as p.
     """
 
     def __init__(
@@ -100,10 +109,11 @@ class MultiStartSolver:
             upper: Upper bounds of the same shape.
             size: Length of the residual.
             rtol: Relative tolerance of ``BoundedLevenbergMarquardt``.
-            sequential: Take the starts' steps one after another instead of as one batch. That is as fast where ``fn``
-                is a batch itself, and searches that have ended cost nothing.
-            primal_fn: A program of its own for a single start, called with the trial point and ``args`` before each
-                step. ``fn`` is then called with ``(args, result)``, and only a step that is taken costs derivatives.
+            sequential: Step the starts one after another instead of as one batch. This is as fast where ``fn`` is a
+                batch itself, and searches that have ended cost nothing.
+            primal_fn: Function without derivatives, for a single start, called with the trial point and ``args``
+                before each step. ``fn`` is then called with ``(args, result)``, and derivatives are computed only for
+                accepted steps.
         """
         self._fn, self._args, self._primal_fn = fn, args, primal_fn
         self._solver = BoundedLevenbergMarquardt(jnp.asarray(rtol), lazy_jacobian=sequential or primal_fn is not None)
@@ -121,7 +131,10 @@ class MultiStartSolver:
 
         Args:
             steps: Number of steps.
-            progress: Called after each with its number and the best cost so far.
+            progress: Called after each step with its number and the best cost so far.
+
+        Returns:
+            This solver.
         """
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
         try:
@@ -138,7 +151,7 @@ class MultiStartSolver:
         return self
 
     def trace_program(self) -> None:
-        """Trace the program of a step, so that its compilation needs no more Python."""
+        """Trace and lower the program of a step, so that it can be compiled in another thread."""
         self._program.lower(*self._arguments())
 
     @property

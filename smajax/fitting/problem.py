@@ -1,10 +1,10 @@
 """The fit of a plant: free parameters, recordings, weights, and the weighted residual as a function of one vector.
 
-The vector holds the shared parameters first and then, recording by recording, those that each recording has for itself.
-Its entries are the parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different
-length are laid on grids of one length: the shorter ones stand still at their end, unobserved, and all are simulated as
-one batch. A row at which a channel is NaN was not measured there and has weight 0, so that channels of different rates
-stand in one recording.
+The vector has the shared parameters first and then, recording by recording, each recording's own parameters. Its
+entries are the parameters over their ``scale``, so that steps and bounds are of order one. Recordings of different
+length get grids of one length: the inputs of shorter ones are constant after their end, with weight 0, and all are
+simulated as one batch. Rows at which a channel is NaN were not measured and have weight 0, so that one recording may
+have channels of different sampling rates.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from smajax import parameters
 from smajax.errors import InputError
@@ -33,13 +34,13 @@ from smajax.simulation.status import SimulationStatus
 # Factor on the residual of a simulation that fails: so large that no search steps from a valid state into a failed one.
 # test_a_search_takes_no_step_into_states_in_which_the_simulation_fails in tests/unit/fitting/test_fit.py holds it.
 _FAILURE_FACTOR = 1e3
-# Random starts and populations go this share of a start value towards zero; chosen by trial on fits of rigs.
+# Random starts and populations reach this share of a start value towards zero; chosen by trial on fits of rigs.
 _SEARCH_TOWARDS_ZERO = 0.6
-# The same away from zero: a factor of 2.5.
+# The same away from zero: a factor of 2.5; chosen by trial on fits of rigs.
 _SEARCH_AWAY_FROM_ZERO = 1.5
-# Start values below this many scales count as zero.
+# Start values below this many scales count as zero; chosen by trial on fits of rigs.
 _NEARLY_ZERO = 0.5
-# Distance in scales that starts go from such a value.
+# Distance in scales that starts reach from such a value; chosen by trial on fits of rigs.
 _SEARCH_AROUND_ZERO = 2.0
 
 
@@ -65,11 +66,11 @@ class Problem(AbstractFitProblem):
     Attributes:
         plant: The plant with all parameters that are not free.
         data: Recordings and weights.
-        scales: Scales of the unknowns (p,); data, so that rigs with other values need no other program.
+        scales: Scales of the unknowns (p,); an array, so that other values need no new compiled program.
         unknowns: The entries of the vector.
         channels: Channels that are fitted.
         shared: Names of the parameters that all recordings share.
-        per_recording: Names of those that each recording has for itself.
+        per_recording: Names of the parameters that each recording has its own value of.
     """
 
     plant: Plant
@@ -88,15 +89,14 @@ class Problem(AbstractFitProblem):
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of the vector, each of shape ``(p,)``."""
-        return np.array([u.lower / u.scale for u in self.unknowns]), np.array(
-            [u.upper / u.scale for u in self.unknowns]
-        )
+        lower = np.array([u.lower / u.scale for u in self.unknowns])
+        return lower, np.array([u.upper / u.scale for u in self.unknowns])
 
     def search_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return finite bounds within ``bounds``, each of shape ``(p,)``, for random starts and populations.
 
-        A bound further than a factor of 2.5 from the nominal value, or further than two scales where that is zero, is
-        moved there.
+        The range reaches from 0.4 to 2.5 times the nominal value, or two scales to either side where that is zero,
+        as far as the bounds allow.
         """
         lower, upper = self.bounds
         middle = self.nominal
@@ -106,11 +106,17 @@ class Problem(AbstractFitProblem):
         above = np.where(middle > 0, far, near)
         return np.maximum(lower, middle - below), np.minimum(upper, middle + above)
 
-    def values(self, vector: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+    def values(self, vector: Float[Array, " p"]) -> tuple[dict[str, Float[Array, ""]], dict[str, Float[Array, " r"]]]:
         """Return the parameter values of a vector: shared ones (scalars), and each recording's own, shape ``(r,)``.
 
-        Where the vector has the two free ends of a transformation in the wrong order, they change places: a search may
-        cross that line, and finds the same plant on its other side.
+        Two free ends of a transformation that are in the wrong order are exchanged: a search may cross the line at
+        which they are equal, and has the same plant on both sides.
+
+        Args:
+            vector: The problem's vector (p,).
+
+        Returns:
+            The shared values and the recordings' own values, each by parameter name, in internal units.
         """
         natural = vector * self.scales
         shared = {name: natural[i] for i, name in enumerate(self.shared)}
@@ -118,8 +124,18 @@ class Problem(AbstractFitProblem):
         per_recording = {name: own[i] for i, name in enumerate(self.per_recording)}
         return _order_ends(shared), _order_ends(per_recording)
 
-    def order_transformation_ends(self, vector: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vector of the same plant with all ends of transformations in order, and the Jacobian there."""
+    def order_transformation_ends(
+        self, vector: Float[np.ndarray, " p"], jacobian: Float[np.ndarray, "m p"]
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "m p"]]:
+        """Return the vector of the same plant with all ends of transformations in order, and the Jacobian there.
+
+        Args:
+            vector: The problem's vector (p,).
+            jacobian: Jacobian (m, p) of the residual.
+
+        Returns:
+            The ordered vector (p,) and the Jacobian (m, p) with its columns exchanged and scaled in the same way.
+        """
         vector, jacobian, scales = vector.copy(), jacobian.copy(), np.asarray(self.scales)
         places = {(u.name, u.recording): i for i, u in enumerate(self.unknowns)}
         for (name, recording), i in places.items():
@@ -131,10 +147,17 @@ class Problem(AbstractFitProblem):
                     jacobian[:, i], jacobian[:, k] = jacobian[:, k] / ratio, jacobian[:, i] * ratio
         return vector, jacobian
 
-    def predict(self, vector: jax.Array, trajectories: Trajectory | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the modelled channels, shape ``(r, c, n)``, and the status code of each recording, shape ``(r,)``.
+    def predict(
+        self, vector: Float[Array, " p"], trajectories: Trajectory | None = None
+    ) -> tuple[Float[Array, "r c n"], Int[Array, " r"]]:
+        """Simulate all recordings at a vector.
 
-        ``trajectories`` is the result of the method of that name at this vector, where it is known.
+        Args:
+            vector: The problem's vector (p,).
+            trajectories: Result of ``trajectories`` at this vector, if it has been computed.
+
+        Returns:
+            The modelled channels (r, c, n), SI and degC, and the status code of each recording (r,).
         """
 
         def single(plant: Plant, inputs: Inputs, trajectory: Trajectory | None) -> tuple[jax.Array, jax.Array]:
@@ -143,20 +166,20 @@ class Problem(AbstractFitProblem):
 
         return self._for_each_recording(single, vector, trajectories)
 
-    def trajectories(self, vector: jax.Array) -> Trajectory:
-        """Simulate all recordings for ``predict`` and ``residual``; leaves with a leading axis of ``r`` recordings."""
+    def trajectories(self, vector: Float[Array, " p"]) -> Trajectory:
+        """Return the trajectories of all recordings, for ``predict`` and ``residual``; leading axis of ``r``."""
 
         def single(plant: Plant, inputs: Inputs, _: None) -> Trajectory:
             return run.trajectory(plant, inputs, self.data.end_index)
 
         return self._for_each_recording(single, vector, None)
 
-    def blank_trajectories(self, vector: jax.Array) -> Trajectory:
+    def blank_trajectories(self, vector: Float[Array, " p"]) -> Trajectory:
         """Return trajectories of zeros with the right shapes, to compile with."""
         return self._for_each_recording(lambda plant, inputs, _: run.blank_trajectory(plant, inputs), vector, None)
 
     def _for_each_recording(self, single: Callable[[Plant, Inputs, Any], Any], vector: jax.Array, more: Any) -> Any:
-        """A function of each recording's plant, inputs and entry of ``more``."""
+        """Map a function over each recording's plant, inputs and entry of ``more``."""
         shared, own = self.values(vector)
         plant = parameters.replace(self.plant, shared)
 
@@ -165,11 +188,14 @@ class Problem(AbstractFitProblem):
 
         return vmap_unless_single(of_recording, self.data.measured.shape[0], own, self.data.inputs, more)
 
-    def residual(self, vector: jax.Array, trajectories: Trajectory | None = None) -> jax.Array:
+    def residual(self, vector: Float[Array, " p"], trajectories: Trajectory | None = None) -> Float[Array, " size"]:
         """Return model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
 
-        The residual of a simulation that fails is ``_FAILURE_FACTOR`` times as large. ``trajectories`` as in
-        ``predict``.
+        The residual of a simulation that fails is 1000 times as large.
+
+        Args:
+            vector: The problem's vector (p,).
+            trajectories: Result of ``trajectories`` at this vector, if it has been computed.
         """
         model, status = self.predict(vector, trajectories)
         weight = self.data.weight * jnp.where(status == SimulationStatus.done, 1.0, _FAILURE_FACTOR)[:, None, None]
@@ -202,8 +228,11 @@ def build_problem(
         settings: Free parameters, observed channels, bounds and noise.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; the plant's default if not given.
-        multiple: Grids and samples are filled up to a multiple of this, so that recordings of nearly one length share a
+        multiple: Grids and samples are filled up to a multiple of this, so that recordings of similar length share a
             compiled program.
+
+    Returns:
+        The problem, with a weight of one over the noise where a channel was measured.
 
     Raises:
         InputError: A channel is missing, a parameter does not exist, or nothing is free.
@@ -222,13 +251,13 @@ def build_problem(
     noise = {
         c: settings.noise.get(c) or max(difference_noise(r.channels[c]) for r in recordings) for c in settings.observe
     }
-    for name in own:  # a start value left to the plant becomes a leaf
+    for name in own:  # a start value that the plant would derive becomes a leaf
         if name.startswith("initial."):
             plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
-    laid_out = [discretise(plant, r, interpolation=interpolation, step=step) for r in recordings]
+    inputs = [discretise(plant, r, interpolation=interpolation, step=step) for r in recordings]
     return Problem(
         plant=plant,
-        data=_fit_data(laid_out, recordings, tuple(settings.observe), noise, multiple),
+        data=_fit_data(inputs, recordings, tuple(settings.observe), noise, multiple),
         scales=jnp.asarray([u.scale for u in unknowns]),
         unknowns=tuple(unknowns),
         channels=tuple(settings.observe),
@@ -238,17 +267,17 @@ def build_problem(
 
 
 def _fit_data(
-    laid_out: Sequence[Inputs],
+    inputs: Sequence[Inputs],
     recordings: Sequence[Recording],
     channels: tuple[str, ...],
     noise: dict[str, float],
     multiple: int,
 ) -> FitData:
     """Inputs, measurements and weights of all recordings, filled up to one length."""
-    grid = -(-max(i.time.shape[0] for i in laid_out) // multiple) * multiple
-    samples = -(-max(i.sample_indices.shape[0] for i in laid_out) // multiple) * multiple
-    filled = [i.pad(grid, samples) for i in laid_out]
-    inputs = jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *filled)
+    grid = -(-max(i.time.shape[0] for i in inputs) // multiple) * multiple
+    samples = -(-max(i.sample_indices.shape[0] for i in inputs) // multiple) * multiple
+    padded = [i.pad(grid, samples) for i in inputs]
+    batch = jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves)), *padded)
     measured = np.zeros((len(recordings), len(channels), samples))
     weight = np.zeros_like(measured)
     for k, recording in enumerate(recordings):
@@ -257,4 +286,4 @@ def _fit_data(
             finite = np.isfinite(values)
             measured[k, j, : len(values)] = np.where(finite, values, 0.0)
             weight[k, j, : len(values)] = np.where(finite, 1.0 / noise[channel], 0.0)
-    return FitData(inputs, jax.device_put(measured), jax.device_put(weight))
+    return FitData(batch, jax.device_put(measured), jax.device_put(weight))

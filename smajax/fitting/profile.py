@@ -24,12 +24,12 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
         result: A fit.
         name: Label of a free parameter.
         points: Number of values.
-        width: The values cover so many standard errors either way.
+        width: The values reach this number of standard errors to either side.
 
     Returns:
-        ``values`` (internal unit); ``rise`` of the cost, in units in which 3.84 bounds a 95 % interval, corrected for
-        the noise's autocorrelation; ``lower95`` and ``upper95``, ``None`` where the rise does not reach 3.84 within the
-        range.
+        ``values`` (points,) in the internal unit; ``rise`` (points,) of the cost, in units in which 3.84 bounds a 95 %
+        interval, corrected for the noise's autocorrelation; ``lower95`` and ``upper95``, ``None`` where the rise does
+        not reach 3.84 within the range.
 
     Raises:
         InputError: The parameter is not free, is at its bound, or has no effect.
@@ -43,14 +43,14 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
         upper[0, index] * scale,
     )
     lower[:, index] = upper[:, index] = values / scale
-    # The other parameters start where the covariance says that they go with this one.
+    # The other parameters start at their conditional means given this one, by the covariance.
     starts = np.tile(result.vector, (points, 1))
     slope = result.covariance[:, index] / result.covariance[index, index]
     scales = np.array([u.scale for u in result.problem.unknowns])
     starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
     solver = MultiStartSolver(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=_RTOL)
     rise = solver.advance().result().costs - result.cost
-    # Near the estimate the profile is a parabola; the noise's autocorrelation widens it as it widens the interval.
+    # Near the estimate the profile is a parabola; autocorrelated noise widens it by the same factor as the interval.
     curvature = np.sum(rise * (values - estimate.estimate) ** 2) / np.sum((values - estimate.estimate) ** 4)
     rise = rise / (curvature * deviation**2)
     middle = points // 2
@@ -72,8 +72,8 @@ def _index_and_deviation(result: FitResult, name: str) -> tuple[int, float]:
     deviation = math.sqrt(variance) if np.isfinite(variance) else math.nan
     if not math.isfinite(deviation):
         raise InputError(
-            f"'{name}' has no finite standard error here (it sits on its bound, or the data do not show it): no "
-            "profile can be drawn"
+            f"'{name}' has no finite standard error in this fit (it is at its bound, or the data do not determine "
+            "it): no profile can be computed"
         )
     return index, deviation
 

@@ -13,6 +13,9 @@ from smajax.simulation.inputs import discretise
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.step_size import default_step
 
+# A row that is a whole number of steps long up to this share of a step gets no further step: rounding of times.
+_ROUNDING = 1e-9
+
 
 def simulate_responses(
     plants: Sequence[Plant],
@@ -24,13 +27,13 @@ def simulate_responses(
 ) -> tuple[list[Response], dict[str, float]]:
     """Simulate each recording with its plant, and measure the error of the time steps.
 
-    All are laid on grids of one length, so that they share one compiled program. A simulation that fails raises
-    nothing: its response has the status.
+    All recordings get grids of one length, so that they share one compiled program. A simulation that fails does not
+    raise: its response has the status.
 
     Args:
-        plants: One plant a recording.
+        plants: One plant for each recording.
         recordings: The recordings.
-        roles: ``train`` or ``holdout``, one a recording.
+        roles: ``train`` or ``holdout`` for each recording.
         channels: Observed channels.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; the plants' default if not given.
@@ -39,27 +42,42 @@ def simulate_responses(
         The responses, and by channel the RMS change (SI) when the first half of the first recording is simulated with
         half the step; 0 for recordings without a clock.
     """
-    laid_out = [
-        discretise(p, r, interpolation=interpolation, step=step) for p, r in zip(plants, recordings, strict=True)
-    ]
-    grid, samples = max(len(i.time) for i in laid_out), max(len(i.sample_indices) for i in laid_out)
-    results = [run.simulate_inputs(p, i.pad(grid, samples)) for p, i in zip(plants, laid_out, strict=True)]
+    inputs = [discretise(p, r, interpolation=interpolation, step=step) for p, r in zip(plants, recordings, strict=True)]
+    grid, samples = max(len(i.time) for i in inputs), max(len(i.sample_indices) for i in inputs)
+    results = [run.simulate_inputs(p, i.pad(grid, samples)) for p, i in zip(plants, inputs, strict=True)]
     responses = []
     for result, recording, role in zip(results, recordings, roles, strict=True):
         model = {c: np.asarray(v)[: len(recording)] for c, v in result.channels.items()}
         responses.append(Response(recording, role, model, SimulationStatus(int(result.status))))
-    first = recordings[0]
-    count = len(first) // 2
-    if not first.has_clock or count < 2:
-        return responses, dict.fromkeys(channels, 0.0)
+    errors = _discretisation_errors(plants[0], responses[0], channels, interpolation, step, (grid, samples))
+    return responses, errors
+
+
+def _discretisation_errors(
+    plant: Plant,
+    response: Response,
+    channels: Sequence[str],
+    interpolation: str,
+    step: float | None,
+    lengths: tuple[int, int],
+) -> dict[str, float]:
+    """RMS change (SI) of each channel on the first half of a recording with half the step.
+
+    ``lengths`` are those of the grid and of the samples in the compiled program; it is used where the finer grid fits.
+    """
+    recording = response.recording
+    count = len(recording) // 2
+    if not recording.has_clock or count < 2:
+        return dict.fromkeys(channels, 0.0)
     half = dataclasses.replace(
-        first, time=first.time[:count], channels={c: v[:count] for c, v in first.channels.items()}
+        recording, time=recording.time[:count], channels={c: v[:count] for c, v in recording.channels.items()}
     )
-    pieces = np.maximum(1, np.ceil(np.diff(half.time) / (step or default_step(plants[0])) - 1e-9))
+    pieces = np.maximum(1, np.ceil(np.diff(half.time) / (step or default_step(plant)) - _ROUNDING))
     fine_step = float(np.max(np.diff(half.time) / pieces)) / 2
-    inputs = discretise(plants[0], half, interpolation=interpolation, step=fine_step)
+    inputs = discretise(plant, half, interpolation=interpolation, step=fine_step)
+    grid, samples = lengths
     if len(inputs.time) <= grid:
         inputs = inputs.pad(grid, samples)
-    fine = run.simulate_inputs(plants[0], inputs).channels
-    change = {c: np.asarray(fine[c])[:count] - responses[0].model[c][:count] for c in channels}
-    return responses, {c: float(np.sqrt(np.mean(v**2))) for c, v in change.items()}
+    fine = run.simulate_inputs(plant, inputs).channels
+    changes = {c: np.asarray(fine[c])[:count] - response.model[c][:count] for c in channels}
+    return {c: float(np.sqrt(np.mean(v**2))) for c, v in changes.items()}

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from smajax.fitting.intervals import CollinearGroup
+from smajax.fitting.collinearity import CollinearGroup
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.problem import Problem
 from smajax.plant.plant import Plant
@@ -20,10 +20,10 @@ class Estimate:
     Attributes:
         name: ``section.key``, followed by ``@recording`` where each recording has its own.
         estimate: Its value.
-        lower95: Lower end of the 95 % interval; ``None`` where the data give none.
-        upper95: Upper end.
+        lower95: Lower end of the 95 % interval; ``None`` at a bound and where the data do not determine the parameter.
+        upper95: Upper end of the interval.
         unit: Internal unit.
-        at_bound: Whether a bound holds it.
+        at_bound: Whether it is at a bound beyond which the cost falls further.
         bounds: Lower and upper bound.
     """
 
@@ -53,11 +53,11 @@ class Response:
     status: SimulationStatus
 
     def residual(self, channel: str) -> np.ndarray:
-        """Return measurement minus model; NaN where the channel was not measured."""
+        """Return measurement minus model of a channel, shape ``(n,)``, SI; NaN where it was not measured."""
         return self.recording.channels[channel] - self.model[channel]
 
     def rmse(self, channel: str) -> float:
-        """Return the root mean square of the residual, SI; NaN where nothing was measured."""
+        """Return the root mean square of a channel's residual, SI; NaN where nothing was measured."""
         residual = self.residual(channel)
         measured = residual[np.isfinite(residual)]
         return float(np.sqrt(np.mean(measured**2))) if len(measured) else math.nan
@@ -77,11 +77,11 @@ class FitResult:
         responses: Responses to the training and then the holdout recordings.
         noise_floor: Noise of the residual by channel, SI, from its second differences.
         cost: Sum of squares of the weighted residual.
-        starts_at_best: Starts that ended within a thousandth of the best cost.
+        starts_at_best: Number of starts that ended within a thousandth of the best cost.
         starts: Number of starts.
         status: Why the best search ended.
         steps: Steps of the search.
-        simulations: Simulations, a derivative counted as one.
+        simulations: Number of simulations; each column of a Jacobian counts as one.
         wall_time: Time of the search, s.
         compile_time: Time of compiling, s.
         history: After each step: simulations, wall time in s, best cost.
@@ -123,7 +123,15 @@ class FitResult:
             return self.covariance / np.outer(deviation, deviation)
 
     def rmse(self, channel: str, role: str = "train") -> float | None:
-        """Return the pooled RMSE of a channel over a role's recordings, SI; ``None`` where nothing was measured."""
+        """Return the pooled RMSE of a channel over the recordings of one role.
+
+        Args:
+            channel: Name of the channel.
+            role: ``train`` or ``holdout``.
+
+        Returns:
+            The RMSE, SI; ``None`` where nothing was measured.
+        """
         residuals = [r.residual(channel) for r in self.responses if r.role == role]
         measured = np.concatenate([r[np.isfinite(r)] for r in residuals]) if residuals else np.zeros(0)
         return float(np.sqrt(np.mean(measured**2))) if len(measured) else None

@@ -13,19 +13,21 @@ from smajax.parameters import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 
-# Least band of a transformation, relative to where its first end lies: enough for a material law to run through.
+# Least width of a transformation, relative to the value of its first end: enough to simulate a material law through it.
+# Chosen by trial; tests/unit/fitting/test_fit.py holds it on ends that cross.
 MIN_RELATIVE_BAND = 1e-3
-# Steps of order one where a start value of zero gives no scale; typical sizes by unit.
+# Scales by unit where a start value of zero gives none: typical sizes in the parameter sets, so that steps are of order
+# one.
 _TYPICAL_SCALES = {"K": 10.0, "W/m^2/K": 100.0, "W/m^2/K^2": 0.5, "W/m^2/K^3": 0.005, "1/K": 1e-5, "ohm": 0.1}
 
 
 @runtime_checkable
 class Settings(Protocol):
-    """What a fit needs to know; ``smajax.files.rig_file.FitSettings`` has it.
+    """Settings of a fit; ``smajax.files.rig_file.FitSettings`` has these attributes.
 
     Attributes:
         free: Names of the free parameters.
-        per_recording: Those that each recording has for itself.
+        per_recording: Names of the parameters of which each recording has its own value.
         initial: Start values that are free, such as ``temperature``.
         bounds: Bounds by name, where they differ from the declared ones.
         observe: Channels that are fitted.
@@ -48,7 +50,7 @@ class Settings(Protocol):
 class Unknown:
     """One entry of the vector: a parameter of one recording, or (``recording`` is ``None``) of all.
 
-    Unknowns are equal if name and unit are: what else differs needs no other program.
+    Unknowns are equal if their names and units are, so that other values need no new compiled program.
 
     Attributes:
         name: ``section.key``.
@@ -56,7 +58,7 @@ class Unknown:
         nominal: Start value, internal unit.
         lower: Lower bound.
         upper: Upper bound.
-        scale: The vector's entry is the value over this scale.
+        scale: Scale, internal unit; the vector's entry is the value over this scale.
         unit: Internal unit.
     """
 
@@ -80,11 +82,17 @@ def make_unknown(
     """Make an unknown, with a scale that gives steps of order one.
 
     Args:
-        plant: Gives the start value; one that is NaN follows from the plant's state at the first row of ``sample``.
-        name: The parameter.
-        recording: Name of the recording whose parameter it is, or ``None``.
-        bounds: Lower and upper bound.
-        sample: Its channel gives the scale of a sensor's offset.
+        plant: Plant with the start value; where that is NaN, it is the plant's state at the first row of ``sample``.
+        name: Name of the parameter.
+        recording: Name of the recording whose parameter it is; ``None`` for a shared one.
+        bounds: Lower and upper bound, internal unit.
+        sample: Recording whose channel gives the scale of a sensor's offset.
+
+    Returns:
+        The unknown, in internal units.
+
+    Raises:
+        InputError: The plant has no parameter of this name.
     """
     declared = parameters.declaration(plant, name)
     nominal = float(parameters.get(plant, name))
@@ -105,6 +113,18 @@ def bounds_of(plant: Plant, name: str, settings: Settings, free: Collection[str]
     """Return the bounds of a parameter.
 
     A free end of a transformation stays on its side of the other end where that is not in ``free``.
+
+    Args:
+        plant: Plant with the declared bounds and the values of the parameters that are not free.
+        name: Name of the parameter.
+        settings: Settings with the bounds that differ from the declared ones.
+        free: Names of all free parameters.
+
+    Returns:
+        Lower and upper bound, internal unit.
+
+    Raises:
+        InputError: The plant has no parameter of this name.
     """
     declared = parameters.declaration(plant, name)
     lower, upper = settings.bounds.get(name, (declared.lower, declared.upper))

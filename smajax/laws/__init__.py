@@ -1,9 +1,9 @@
 """Input-output models: black boxes that map an electrical input to a measured output, without a model of the wire.
 
-With hysteresis: ``bouc_wen`` and ``prandtl_ishlinskii`` with its inverse. With dynamics: ``transfer_function``,
-``hammerstein_wiener``, ``narx`` (a network), and ``switched`` (a network while heating, a recovery curve while
-cooling). ``base`` holds the interface that they share; ``response.compute_response`` evaluates any of them on a
-recording. ``smajax.fitting.io_models`` fits them.
+Models of hysteresis are ``bouc_wen`` and ``prandtl_ishlinskii`` with its inverse, ``prandtl_ishlinskii_inverse``.
+Dynamic models are ``transfer_function``, ``hammerstein_wiener``, ``narx`` (a network), and ``switched`` (a network
+during heating, a recovery curve during cooling). ``base`` holds their common interface;
+``response.compute_response`` evaluates any of them on a recording. ``smajax.fitting.io_models`` fits them.
 """
 
 from smajax.laws.base import AbstractInputOutputModel as AbstractInputOutputModel

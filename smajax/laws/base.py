@@ -1,8 +1,8 @@
-"""Interface of the input-output models: hysteresis operators and black boxes alike.
+"""Interface of the input-output models, for hysteresis operators and for black boxes.
 
-A model maps the input at the rows of a recording to the output there. It is a state machine: ``init`` gives the state
-at the first row, ``step`` advances it from one row to the next, and ``output`` reads it. Inputs and outputs are in the
-units of the fit; the arrays of a model are its parameters.
+A model maps the inputs at the rows of a recording to the outputs there. It is a state machine: ``init`` gives the state
+at the first row, ``step`` advances it from one row to the next, and ``output`` computes the output from it. Inputs and
+outputs are in the units of the fit; the arrays of a model are its parameters.
 """
 
 from typing import Any
@@ -10,22 +10,44 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 
 class AbstractInputOutputModel(eqx.Module):
     """Base class of the input-output models."""
 
     def init(self, first: Float[Array, ""]) -> Any:
-        """Return the state at the first row: at rest before it, with its input ``first`` held for ever."""
+        """Return the state at the first row, whose input is taken to have been held before it.
+
+        Args:
+            first: Input at the first row.
+
+        Returns:
+            The state, a pytree.
+        """
         raise NotImplementedError
 
     def step(self, state: Any, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]) -> Any:
-        """Return the state after ``duration`` s, in which the input goes from ``before`` to ``after``."""
+        """Advance the state from one row to the next.
+
+        Args:
+            state: State at the first of the two rows.
+            before: Input there.
+            after: Input at the next row.
+            duration: Time between the rows, s.
+
+        Returns:
+            The state at the next row.
+        """
         raise NotImplementedError
 
     def output(self, state: Any, value: Float[Array, ""]) -> Float[Array, ""]:
-        """Return the output at a row whose input is ``value``."""
+        """Compute the output at a row.
+
+        Args:
+            state: State at the row.
+            value: Input at the row.
+        """
         raise NotImplementedError
 
     @property
@@ -34,7 +56,12 @@ class AbstractInputOutputModel(eqx.Module):
         raise NotImplementedError
 
     def with_history(self, state: Any, outputs: Float[Array, " history"]) -> Any:
-        """Return the state with its past outputs replaced by ``outputs``, newest first."""
+        """Return the state with its past outputs replaced.
+
+        Args:
+            state: The state.
+            outputs: Past outputs, newest first, shape ``(history_length,)``.
+        """
         raise NotImplementedError
 
     def predict_ahead(
@@ -42,14 +69,19 @@ class AbstractInputOutputModel(eqx.Module):
         time: Float[Array, " rows"],
         values: Float[Array, " rows"],
         measured: Float[Array, " rows"],
-        every: jax.Array,
+        every: Int[Array, ""],
     ) -> Float[Array, " rows"]:
-        """Return predictions that restart from the measured outputs every ``every`` rows.
+        """Predict the outputs, restarting from the measured outputs every few rows.
 
         Args:
-            time: Times of the rows, s. values: Inputs. measured: Measured outputs. every: Rows between restarts. 1 is
-            open loop, the one-step-ahead prediction of each row; the number of rows is closed loop
-                from the measured first row.
+            time: Times of the rows, s.
+            values: Inputs at the rows.
+            measured: Measured outputs at the rows.
+            every: Number of rows between restarts. 1 gives the one-step-ahead prediction of each row (open loop); the
+                number of rows gives the simulation from the measured first row (closed loop).
+
+        Returns:
+            Predicted outputs at the rows; the first one is the measured output.
         """
         numbers = jnp.arange(1, len(values))
         past = measured[jnp.maximum(numbers[:, None] - 1 - jnp.arange(self.history_length)[None, :], 0)]
@@ -66,7 +98,12 @@ class AbstractInputOutputModel(eqx.Module):
         return jnp.append(measured[:1], predicted)
 
     def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
-        """Return the outputs at all rows for the inputs ``values``."""
+        """Compute the outputs at all rows.
+
+        Args:
+            time: Times of the rows, s.
+            values: Inputs at the rows.
+        """
 
         def advance(state: Any, row: tuple) -> tuple[Any, jax.Array]:
             before, after, duration = row

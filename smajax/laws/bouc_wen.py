@@ -2,16 +2,19 @@
 
     y = k_x x + k_w w,      dw = rho (1 - sigma sgn(dx) |w|^(n-1) w + (sigma - 1) |w|^n) dx
 
-Source: ikhouane2007 (normalised form); copaci2020, equations 4 and 5. Written in increments of the input it does not
-depend on the rate; |w| stays below 1. The seven parameters of the older form, y = alpha k x + (1 - alpha) D k z, are
-two too many: different sets give the same model.
+x is the input, y the output, and w the hysteretic state. The model is written in increments of the input, so it does
+not depend on the rate; |w| stays below 1. The older form has seven parameters, y = alpha k x + (1 - alpha) D k z. Two
+of them are redundant: different sets give the same model.
 
-While the input is monotonic, v = sgn(dx) w rises along one and the same curve, whatever rho and wherever it begins:
+While the input is monotonic, v = sgn(dx) w increases along one curve, which depends neither on rho nor on the starting
+point:
 
     dv / d(rho |x|) = 1 - v^n  for v >= 0,      1 + (2 sigma - 1) |v|^n  for v < 0
 
 So the curve is integrated once (``smajax.laws.response``), and each row moves along it
 (``smajax.laws.bouc_wen_curve``).
+
+Source: ikhouane2007 (normalised form); copaci2020, equations 4 and 5.
 """
 
 from typing import Any
@@ -29,12 +32,18 @@ from smajax.numerics.nonsmooth import maximum
 
 
 class BoucWen(AbstractInputOutputModel):
-    """Normalised Bouc-Wen model.
+    """Normalised Bouc-Wen model: y = rest + k_x x + k_w w.
 
-    Parameters: ``kx``, ``kw``, ``rho`` > 0 (one over the input), ``sigma`` > 0 and ``n`` >= 1.
-    ``rest`` is the output's offset, the sensor's reading at x = w = 0. For ``sigma`` below 1/2, which fits exclude, w
-    bends away from its limit on unloading, as no material does. ``smajax.laws.response.compute_response`` evaluates the
-    model.
+    For ``sigma`` below 1/2, which fits exclude, w curves away from its limit on unloading, as no material does.
+    ``smajax.laws.response.compute_response`` evaluates the model.
+
+    Attributes:
+        kx: Output per input, k_x.
+        kw: Output per hysteretic state, k_w.
+        rho: Rate of the hysteretic state per input, positive, one over the unit of the input.
+        sigma: Shape parameter, positive.
+        n: Exponent, at least 1.
+        rest: Output at x = w = 0, the offset of the sensor.
     """
 
     kx: jax.Array
@@ -49,17 +58,18 @@ class BoucWen(AbstractInputOutputModel):
         return jnp.zeros(())
 
     def output(self, state: Any, value: Float[Array, ""]) -> Float[Array, ""]:
-        """Return the output; ``state`` is w."""
+        """Compute the output k_x x + k_w w plus its offset; ``state`` is w."""
         return self.rest + self.kx * value + self.kw * state
 
     def response_along_curve(
         self, lengths: Float[Array, " grid"], values: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the outputs at all rows.
+        """Compute the outputs at all rows by moving along the integrated curve.
 
         Args:
-            lengths: Path lengths rho |x| from the start of the curve to the points of ``CURVE_GRID``, the integral of
-            ``curve_slope``. values: Inputs at the rows.
+            lengths: Path lengths rho |x| from the start of the curve to the points of ``CURVE_GRID``: the integral of
+                ``curve_slope``.
+            values: Inputs at the rows.
         """
         slopes = jax.vmap(self.curve_slope)(jnp.asarray(CURVE_GRID))
         curve = hermite_pieces(CURVE_GRID, lengths, slopes), hermite_pieces(lengths, CURVE_GRID, 1.0 / slopes)
@@ -68,7 +78,11 @@ class BoucWen(AbstractInputOutputModel):
         return jax.vmap(self.output)(jnp.append(first, w), values)
 
     def curve_slope(self, coordinate: Float[Array, ""]) -> Float[Array, ""]:
-        """Return d(rho |x|) / d(coordinate) at a coordinate of the curve: its differential equation."""
+        """Compute the slope d(rho |x|) / d(coordinate) of the curve, from the differential equation of v.
+
+        Args:
+            coordinate: Coordinate of the curve (``smajax.laws.bouc_wen_curve``).
+        """
         size = jnp.abs(level_at(coordinate))
         nonzero = jnp.where(size > 0.0, size, 1.0)
         power = jnp.where(size > 0.0, nonzero**self.n, 0.0)
@@ -83,17 +97,29 @@ class BoucWen(AbstractInputOutputModel):
 
             z' = (A x' - beta |x'| |z|^(n-1) z - gamma x' |z|^n) / D,     y = alpha k x + (1 - alpha) D k z
 
-        z_0 = (A / (beta + gamma))^(1/n) is the limit of |z|.
+        The limit of |z| is z_0 = (A / (beta + gamma))^(1/n). Then w = z / z_0 and
+
+            k_x = alpha k,   k_w = (1 - alpha) D k z_0,   rho = A / (D z_0),   sigma = beta / (beta + gamma)
+
+        Args:
+            alpha: Ratio of the elastic stiffness to k.
+            k: Stiffness.
+            d: D, scale of z.
+            a: A, initial rate of z.
+            beta: Shape parameter.
+            gamma: Shape parameter.
+            n: Exponent.
 
         Raises:
-            InputError: If there is no such limit, if z diverges from it, if n is below 1, or if one of the seven is not
-            finite.
+            InputError: If there is no limit, if z diverges from it, if n is below 1, or if a parameter is not finite.
+
+        Source: ikhouane2007.
         """
-        seven = [jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n)]
-        alpha, k, d, a, beta, gamma, n = seven
-        if not all(isinstance(v, Tracer) or bool(jnp.all(jnp.isfinite(v))) for v in seven):
+        parameters = [jnp.asarray(v, jnp.float64) for v in (alpha, k, d, a, beta, gamma, n)]
+        alpha, k, d, a, beta, gamma, n = parameters
+        if not all(isinstance(v, Tracer) or bool(jnp.all(jnp.isfinite(v))) for v in parameters):
             raise InputError(
-                "one of the seven parameters is no finite number: give alpha, k, D, A, beta, gamma and n as numbers"
+                "one of the seven parameters is not a finite number: give alpha, k, D, A, beta, gamma and n as numbers"
             )
         traced = any(isinstance(v, Tracer) for v in (d, a, beta, gamma, n))
         if not traced and not bool(jnp.all((a * (beta + gamma) > 0.0) & (a * beta > 0.0) & (a * d > 0.0) & (n >= 1.0))):
@@ -105,7 +131,14 @@ class BoucWen(AbstractInputOutputModel):
         return cls(alpha * k, (1.0 - alpha) * d * k * limit, a / (d * limit), beta / (beta + gamma), n)
 
     def to_seven_parameters(self, d: float = 1.0, a: float = 1.0) -> dict[str, jax.Array]:
-        """Return alpha, k, beta, gamma, n of the older form for chosen ``d`` and ``a``, and these two.
+        """Return the seven parameters of the older form for a choice of two of them.
+
+        Args:
+            d: Chosen value of D.
+            a: Chosen value of A.
+
+        Returns:
+            The seven parameters by name, as in ``from_seven_parameters``.
 
         Raises:
             InputError: If k is 0, so that no alpha gives k_x.

@@ -1,10 +1,10 @@
-"""Motion along the curve of a Bouc-Wen model: the part of its evaluation that is arranged for speed.
+"""Motion along the curve of a Bouc-Wen model: the part of its evaluation that is optimised for speed.
 
-While the input is monotonic, v = sgn(dx) w moves along one curve (see ``smajax.laws.bouc_wen``). Its coordinate is v
-itself below 0 and -log(1 - v) above, where v approaches 1 for ever: there the path length rho |x| is linear in the
-coordinate, so that a jump of the input is as exact as a small step, and |w| <= 1 holds by construction. Cubic Hermite
-pieces give the path length at a coordinate and the coordinate at a path length. What this buys over integrating the
-differential equation row by row: no steps within a row, and a tangent at the cost of one look-up a row (``_move_jvp``).
+While the input is monotonic, v = sgn(dx) w moves along one curve (see ``smajax.laws.bouc_wen``). The coordinate of the
+curve is v for v < 0 and -log(1 - v) for v >= 0, where v approaches 1 asymptotically. There the path length rho |x| is
+linear in the coordinate: a jump of the input is as exact as a small step, and |w| <= 1 holds by construction. Cubic
+Hermite pieces give the path length at a coordinate and the coordinate at a path length. What this buys over integrating
+the differential equation row by row: no steps within a row, and a tangent that costs one look-up a row (``_move_jvp``).
 """
 
 from typing import Any
@@ -12,23 +12,28 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip, maximum
 
 # The coordinate at which 1 - v is a rounding error: exp(-36) is 2e-16.
 _END = 36.0
-# Numbers of pieces below and above coordinate 0; chosen by trial, tests/unit/laws/test_hysteresis.py holds them (w
-# within 1e-6).
+# Number of pieces below coordinate 0; chosen by trial, tests/unit/laws/test_hysteresis.py holds it (w within 1e-6).
 _PIECES_BELOW = 112
+# Number of pieces above coordinate 0; chosen by trial, the same test holds it.
 _PIECES_ABOVE = 108
-# Denser around 0, where |v|^n with n below 2 is least smooth, and at -1, where a large n bends most.
+# Denser around 0, where |v|^n with n below 2 is least smooth, and at -1, where the curvature for a large n is largest.
 _GRID_BELOW = -0.5 * (1.0 + np.cos(np.pi * np.arange(_PIECES_BELOW) / _PIECES_BELOW))
 # Coordinates of the ends of the pieces.
 CURVE_GRID = np.concatenate([_GRID_BELOW, _END * np.linspace(0.0, 1.0, _PIECES_ABOVE + 1) ** 3])
 
 
-def level_at(coordinate: jax.Array) -> jax.Array:
-    """Return v at a coordinate of the curve."""
+def level_at(coordinate: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Compute v at a coordinate of the curve: the coordinate itself below 0, 1 - exp(-coordinate) above.
+
+    Args:
+        coordinate: Coordinate of the curve.
+    """
     return jnp.where(coordinate < 0.0, coordinate, -jnp.expm1(-maximum(coordinate, 0.0)))
 
 
@@ -37,8 +42,17 @@ def _coordinate_of(level: jax.Array) -> jax.Array:
     return jnp.where(level < 0.0, maximum(level, -1.0), -jnp.log(gap))
 
 
-def hermite_pieces(knots: Any, values: Any, slopes: jax.Array) -> jax.Array:
-    """Return the coefficients of cubic Hermite pieces between ``m`` knots, shape ``(m - 1, 6)``."""
+def hermite_pieces(knots: Any, values: Any, slopes: Float[Array, " knots"]) -> Float[Array, "pieces 6"]:
+    """Compute the coefficients of cubic Hermite pieces between knots.
+
+    Args:
+        knots: Arguments at the knots, rising, shape ``(m,)``.
+        values: Values at the knots, shape ``(m,)``.
+        slopes: Derivatives at the knots, shape ``(m,)``.
+
+    Returns:
+        For each piece its first knot, width, first value, rise, and the slopes at both ends, shape ``(m - 1, 6)``.
+    """
     knots, values = jnp.asarray(knots), jnp.asarray(values)
     return jnp.stack([knots[:-1], jnp.diff(knots), values[:-1], jnp.diff(values), slopes[:-1], slopes[1:]], axis=1)
 
@@ -83,25 +97,35 @@ def _scan(
 
 
 @jax.custom_jvp
-def move_along_curve(first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, changes: jax.Array) -> jax.Array:
-    """Return w after each change of the input, shape ``(k,)``.
+def move_along_curve(
+    first: Float[Array, ""],
+    curve: tuple,
+    rho: Float[Array, ""],
+    end: Float[Array, ""],
+    changes: Float[Array, " changes"],
+) -> Float[Array, " changes"]:
+    """Compute the hysteretic state w after each change of the input.
 
     Args:
         first: w before the first change.
-        curve: Pieces of the path length over the coordinate, and of the coordinate over the path length.
+        curve: Pieces (``hermite_pieces``) of the path length over the coordinate, and of the coordinate over the path
+            length.
         rho: Path length per input.
         end: Path length of the whole curve.
         changes: Changes of the input, shape ``(k,)``.
+
+    Returns:
+        w after each change, shape ``(k,)``.
     """
     return _scan(first, curve, rho, end, changes)[0]
 
 
 @move_along_curve.defjvp
 def _move_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    """Tangent along the pieces that were used, picked for all steps at once.
+    """Tangent along the pieces that were used, which are selected for all steps at once.
 
-    Picked within the loop, each step's tangent would cost a sum over all pieces, or a scattered sum in reverse mode;
-    the latter is wrong where XLA compiles the loop around it as one function.
+    Selected within the loop, the tangent of each step would cost a sum over all pieces, or a scattered sum in reverse
+    mode; the latter is wrong if XLA compiles the loop around it as one function.
     """
     rows = _scan(*primals)[1]
 

@@ -2,10 +2,11 @@
 
     w = f(u),     x(k) = -f_1 x(k-1) - f_2 x(k-2) + b_1 w(k-1-nk) + b_2 w(k-2-nk),     y = h(x)
 
-Source: copaci2020. f and h are piecewise linear between knots. The linear block has unit static gain, since f and h
-scale it, and is stable by construction: its poles are given by reflection coefficients between -1 and 1. Rows are
-equally spaced. The delay nk is given in s and need not be a whole number of rows: between rows, w is interpolated
-linearly.
+f and h are piecewise linear between knots. The linear block has unit static gain, since f and h scale it. It is stable
+by construction: its poles are given by reflection coefficients between -1 and 1. Rows are equally spaced. The delay nk
+is given in s and may be a fractional number of rows: w is interpolated linearly between rows.
+
+Source: copaci2020.
 """
 
 import equinox as eqx
@@ -19,9 +20,14 @@ from smajax.laws.base import AbstractInputOutputModel
 class HammersteinWiener(AbstractInputOutputModel):
     """Hammerstein-Wiener model with piecewise linear curves and two poles.
 
-    ``inlet`` holds the values of f at ``knots``, ``outlet`` those of h at equally spaced points of 0..1, shape ``(k,)``
-    each. ``reflections``, shape ``(2,)``, determine the poles; ``split`` is the share b_1 / (b_1 + b_2); ``delay`` is
-    in s; ``settled`` is the share of the first input to which the block had settled before the recording.
+    Attributes:
+        knots: Inputs at the knots of f, shape ``(k,)``.
+        inlet: Values of f at the knots, shape ``(k,)``.
+        reflections: Reflection coefficients that determine the poles, -1..1, shape ``(2,)``.
+        split: Share b_1 / (b_1 + b_2).
+        outlet: Values of h at equally spaced points of 0..1, shape ``(k,)``.
+        delay: Delay, s.
+        settled: Share of the first input to which the linear block had settled before the recording.
     """
 
     knots: jax.Array
@@ -33,7 +39,7 @@ class HammersteinWiener(AbstractInputOutputModel):
     settled: jax.Array = eqx.field(default=1.0, converter=jnp.asarray)
 
     def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
-        """Return the outputs at all rows; ``time`` is equally spaced. Beyond 0..1 h is extrapolated linearly."""
+        """Compute the outputs at all rows; ``time`` is equally spaced. Outside 0..1 h is extrapolated linearly."""
         initial = self._inlet(self.settled * values[0])
         rows = self.delay * (len(time) - 1) / (time[-1] - time[0])
         delayed = self._delayed(self._inlet(values), initial, rows)
@@ -57,7 +63,7 @@ class HammersteinWiener(AbstractInputOutputModel):
 
     @staticmethod
     def _delayed(curve: jax.Array, before: jax.Array, rows: jax.Array) -> jax.Array:
-        """A series delayed by a number of rows, with the value ``before`` ahead of its first row."""
+        """A series delayed by a number of rows, with the value ``before`` in front of its first row."""
         whole = jnp.floor(rows)
         newer, older = (
             jnp.where(places >= 0, curve[jnp.maximum(places, 0)], before)

@@ -2,12 +2,14 @@
 
     y(k) = b + v . y_past + c . tanh(W [y_past, u_past] + d),     y_past = y(k-1)..y(k-n),  u_past = u(k-1)..u(k-n)
 
-Source: copaci2020, equation 10. The linear term v lets a small network begin as a linear model. Inside, outputs and
-inputs are scaled to a size of about 1. In *open loop* it predicts one row ahead from measured outputs; in *closed
-loop*, which ``response`` is, from its own. In between, ``predict_ahead`` restarts it from measured outputs every so
-many rows: a fit that goes from 1 row to all of them finds a network that does not diverge on the recording it was
-fitted to. That it does not diverge on other inputs either requires small weights: a ridge penalty holds them, chosen by
-cross-validation on the training recordings (``smajax.fitting.io_models.networks``).
+With the linear term v a small network can start as a linear model. Within the network, outputs and inputs are scaled to
+a size of about 1. In *open loop* it predicts one row ahead from measured outputs; in *closed loop* (``response``) from
+its own outputs. ``predict_ahead`` lies between the two: it restarts from measured outputs every few rows. A fit that
+increases this interval from 1 row to all rows finds a network that does not diverge on the training recording. To avoid
+divergence on other inputs, the weights have to be small: a ridge penalty keeps them so, chosen by cross-validation on
+the training recordings (``smajax.fitting.io_models.networks``).
+
+Source: copaci2020, equation 10.
 """
 
 import jax
@@ -25,9 +27,14 @@ _OUTPUT_BOUND = 3.0
 class Narx(AbstractInputOutputModel):
     """NARX network with ``m`` neurons and ``n`` past rows.
 
-    ``hidden`` is W, shape ``(m, 2 n)``; ``shift`` d and ``outer`` c, shape ``(m,)``; ``straight`` v, shape ``(n,)``;
-    ``constant`` b. ``scale``, shape ``(4,)``, holds middle and size of the input and of the output; ``rest`` is the
-    output before the first row.
+    Attributes:
+        hidden: Weights W of the hidden layer, shape ``(m, 2 n)``.
+        shift: Biases d of the hidden layer, shape ``(m,)``.
+        outer: Weights c of the output layer, shape ``(m,)``.
+        straight: Weights v of the linear term, shape ``(n,)``.
+        constant: Bias b of the output.
+        rest: Output before the first row.
+        scale: Middle and size of the input, and middle and size of the output, shape ``(4,)``.
     """
 
     hidden: jax.Array
@@ -67,7 +74,7 @@ class Narx(AbstractInputOutputModel):
 
     def _next_output(self, outputs: jax.Array, inputs: jax.Array) -> jax.Array:
         past = jnp.concatenate([outputs, inputs])
-        # Sums instead of matrix products: the matrices are too small to pay for a call in every row.
+        # Sums instead of matrix products: the matrices are too small for the overhead of a call in every row.
         inner = jnp.tanh(jnp.sum(self.hidden * past[None, :], axis=1) + self.shift)
         return self.constant + jnp.sum(self.straight * outputs) + jnp.sum(self.outer * inner)
 

@@ -1,9 +1,16 @@
-"""Inverse of the Prandtl-Ishlinskii operator: the input that gives a wanted output.
+"""Inverse of the Prandtl-Ishlinskii operator: the input for a required output.
 
-With one envelope g and positive densities the operator is a classical one of the input g(v), whose inverse is again a
-Prandtl-Ishlinskii operator; its thresholds and densities follow from sums. Source: krejci2001. With two envelopes no
-closed form is known. But all parts of y rise with v, or all fall, so exactly one input gives a wanted output from the
-present plays; bisection finds it between the ends of the envelopes.
+With one envelope g and positive densities the operator is a classical Prandtl-Ishlinskii operator of g(v), with direct
+weight p_0, thresholds r_j and densities p_j. Its inverse is again such an operator, with the direct weight 1 / p_0 and
+
+    s_j = p_0 + p_1 + ... + p_j                        slope of the initial loading curve beyond r_j
+    thresholds   r'_j = sum_i<=j s_(i-1) (r_i - r_(i-1))      with r_0 = 0
+    densities    p'_j = 1 / s_j - 1 / s_(j-1) = -p_j / (s_j s_(j-1))
+
+Two envelopes have no known closed form. But all parts of y rise with v, or all fall, so exactly one input gives the
+required output from the present plays; bisection finds it between the ends of the envelopes.
+
+Source: krejci2001.
 """
 
 import jax
@@ -21,7 +28,14 @@ _BISECTIONS = 60
 
 
 class InversePrandtlIshlinskii(AbstractInputOutputModel):
-    """Inverse of an operator with one envelope: plays on the wanted output itself, then the inverse of the envelope."""
+    """Inverse of an operator with one envelope: plays on the required output, then the inverse of the envelope.
+
+    Attributes:
+        direct: Weight 1 / p_0 of the direct part.
+        thresholds: Thresholds r'_j, shape ``(m,)``, in the unit of the output.
+        densities: Weights p'_j, shape ``(m,)``, at most 0.
+        envelope: Envelope of the operator, whose inverse is applied last.
+    """
 
     direct: jax.Array
     thresholds: jax.Array
@@ -30,7 +44,10 @@ class InversePrandtlIshlinskii(AbstractInputOutputModel):
 
     @classmethod
     def from_operator(cls, operator: PrandtlIshlinskii) -> "InversePrandtlIshlinskii":
-        """Return the inverse of an operator with one envelope.
+        """Compute the inverse of an operator in closed form.
+
+        Args:
+            operator: The operator, with one envelope.
 
         Source: krejci2001.
         """
@@ -46,7 +63,7 @@ class InversePrandtlIshlinskii(AbstractInputOutputModel):
         )
 
     def init(self, first: Float[Array, ""]) -> Float[Array, " plays"]:
-        """Return the plays at the first wanted output, from 0."""
+        """Return the plays at the first required output, from plays of 0."""
         return self._update_plays(jnp.zeros_like(self.thresholds), first)
 
     def step(
@@ -56,11 +73,11 @@ class InversePrandtlIshlinskii(AbstractInputOutputModel):
         after: Float[Array, ""],
         duration: Float[Array, ""],
     ) -> Float[Array, " plays"]:
-        """Return the plays after a monotonic change of the wanted output."""
+        """Return the plays after a monotonic change of the required output."""
         return self._update_plays(state, after)
 
     def output(self, state: Float[Array, " plays"], value: Float[Array, ""]) -> Float[Array, ""]:
-        """Return the input that gives the output ``value``."""
+        """Compute the input that gives the output ``value``."""
         return self.envelope.inverse(self.direct * value + self.densities @ state)
 
     def _update_plays(self, plays: jax.Array, value: jax.Array) -> jax.Array:
@@ -70,19 +87,19 @@ class InversePrandtlIshlinskii(AbstractInputOutputModel):
 class NumericalInverse(AbstractInputOutputModel):
     """Inverse of an operator with two envelopes, by bisection.
 
-    The state holds the operator's plays and the input that gives the wanted output.
+    The state holds the operator's plays and the input that gives the required output.
     """
 
     operator: PrandtlIshlinskii
 
     def init(self, first: Float[Array, ""]) -> tuple[jax.Array, jax.Array]:
-        """Return the operator's plays and input at the first wanted output."""
+        """Return the operator's plays and input at the first required output."""
         return self._solve(jnp.zeros_like(self.operator.thresholds), first)
 
     def step(
         self, state: tuple, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the operator's plays and input at the next wanted output."""
+        """Return the operator's plays and input at the next required output."""
         return self._solve(state[0], after)
 
     def output(self, state: tuple, value: Float[Array, ""]) -> Float[Array, ""]:
@@ -111,26 +128,30 @@ class NumericalInverse(AbstractInputOutputModel):
         bracket = (jnp.min(limits), jnp.max(limits))
         root = jax.lax.stop_gradient(sum(jax.lax.fori_loop(0, _BISECTIONS, halve, bracket)) * 0.5)
         # A last Newton step carries the derivative of the implicit function.
-        remainder, slope = jax.jvp(residual, (root,), (jnp.ones_like(root),))
+        error, slope = jax.jvp(residual, (root,), (jnp.ones_like(root),))
         is_steep = jnp.abs(slope) > EDGE
-        value = root - jnp.where(is_steep, remainder / jnp.where(is_steep, slope, 1.0), 0.0)
+        value = root - jnp.where(is_steep, error / jnp.where(is_steep, slope, 1.0), 0.0)
         return operator.update_plays(plays, value), value
 
 
 def inverse_operator(operator: PrandtlIshlinskii) -> InversePrandtlIshlinskii | NumericalInverse:
-    """Return the operator that maps a wanted output to the input, as far as that is reachable.
+    """Return the model that maps a required output to the input; outputs out of reach give the nearest input.
 
-    It is in closed form for one envelope, and solved numerically for two.
+    Args:
+        operator: The operator to invert.
+
+    Returns:
+        The inverse in closed form for one envelope, the numerical inverse for two.
 
     Raises:
         InputError: If ``direct`` is not positive, since many inputs within the plays' dead bands then give one output;
-        if a threshold or
-            a density is negative, or one envelope rises and the other falls, since the operator is then not monotonic.
+            if a threshold or a density is negative, or one envelope rises and the other falls, since the operator is
+            then not monotonic.
     """
-    for what, values in (("thresholds", operator.thresholds), ("densities", operator.densities)):
+    for name, values in (("thresholds", operator.thresholds), ("densities", operator.densities)):
         if not isinstance(values, Tracer) and not bool(jnp.all(values >= 0.0)):
             raise InputError(
-                f"the operator has no known inverse, since some of its {what} are negative: give none below 0"
+                f"the operator has no known inverse, since some of its {name} are negative: give none below 0"
             )
     if not isinstance(operator.direct, Tracer) and not bool(jnp.all(operator.direct > 0.0)):
         raise InputError(

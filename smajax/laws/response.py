@@ -14,10 +14,10 @@ from smajax.laws.bouc_wen_curve import CURVE_GRID
 def compute_response(
     model: AbstractInputOutputModel, time: Float[Array, " rows"], values: Float[Array, " rows"]
 ) -> Float[Array, " rows"]:
-    """Return the outputs of an input-output model at all rows.
+    """Compute the outputs of an input-output model at all rows.
 
-    The curve of a Bouc-Wen model is integrated here with diffrax's fifth-order rule: its slope depends on the
-    coordinate alone, so all steps are taken at once.
+    The curve of a Bouc-Wen model is integrated here with the fifth-order rule of tsitouras2011: its slope depends on
+    the coordinate only, so all steps are taken at once.
 
     Args:
         model: The model.

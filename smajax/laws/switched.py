@@ -1,9 +1,14 @@
 """Switched model: a NARX network while the wire is heated, an exponential recovery while it cools.
 
-While the input is above ``off``, a NARX network gives the output. Otherwise the output returns towards ``rest`` as the
-sum of two exponentials from where it was, whatever the input was before; the paper fits these to a single recovery. The
-recovery has no input of its own, so it holds only for the airflow and the load under which it was recorded. Source:
-copaci2020.
+While the input is above ``off``, a NARX network gives the output. Otherwise the output y decays from its last value y_0
+towards ``rest``, as the sum of two exponentials, independent of the input before:
+
+    y = rest + (y_0 - rest) (share exp(-t / fast) + (1 - share) exp(-t / slow))
+
+The paper fits them to a single recovery. The recovery has no input, so it holds only for the airflow and the load under
+which it was recorded.
+
+Source: copaci2020.
 """
 
 import jax
@@ -17,9 +22,15 @@ from smajax.laws.narx import Narx
 class Switched(AbstractInputOutputModel):
     """NARX network while the input is on, exponential recovery while it is off.
 
-    ``share`` of the recovery has the time constant ``fast`` s, the rest ``slow`` s; ``rest`` is the output that it
-    approaches. The state holds the network's state, the two parts of the recovery, and whether the input is above
-    ``off``.
+    The state holds the network's state, the two parts of the recovery, and whether the input is above ``off``.
+
+    Attributes:
+        heating: The network.
+        share: Share of the recovery that has the time constant ``fast``.
+        fast: Shorter time constant of the recovery, s.
+        slow: Longer time constant of the recovery, s.
+        rest: Output that the recovery approaches.
+        off: Input up to which the wire cools.
     """
 
     heating: Narx
@@ -42,8 +53,8 @@ class Switched(AbstractInputOutputModel):
         network, fast, slow, was_heated = state
         is_heated = before > self.off
         outputs, inputs = network
-        # When heating begins again, the network continues from the recovery; its past is taken to have been constant
-        # there.
+        # When heating begins again, the network continues from the recovery: its past outputs are set to the recovered
+        # output.
         recovered = (self.rest + fast + slow - self.heating.scale[2]) / self.heating.scale[3]
         outputs = jnp.where(is_heated & ~was_heated, recovered, outputs)
         network = self.heating.step((outputs, inputs), before, after, duration)

@@ -5,11 +5,13 @@
     underdamped          K / (tau^2 s^2 + 2 zeta tau s + 1)
     underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
 
-each times exp(-delay s). Source: ali2026. Before its first row a recording was at rest, in the steady state of its
-first input, or between the two (``settled``). The input is held between rows, which are equally spaced; the step from
-row to row is then exact, and so is that from a row to an instant before the next one, where a delay of some rows and a
-fraction reads the response. So the delay is a continuous parameter, however few rows the lag has. At whole rows the
-response of one pole has a kink in the delay; the derivative there is that towards longer delays.
+each times exp(-delay s). Before its first row a recording was at rest, in the steady state of its first input, or
+between the two (``settled``). Rows are equally spaced, and the input is held between them, so the step from row to row
+is exact. The step from a row to an instant before the next row is exact, too: a delay of a fractional number of rows
+takes the response at such an instant. So the delay is a continuous parameter, even for a lag of a few rows. At whole
+rows the response of one pole has a kink in the delay; the derivative there is that towards longer delays.
+
+Source: ali2026.
 """
 
 from typing import Literal
@@ -29,9 +31,15 @@ STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "un
 class TransferFunction(AbstractInputOutputModel):
     """Transfer function of one of the ``STRUCTURES``; parameters that a structure does not use are ignored.
 
-    ``gain`` is in output per input, ``rest`` the output at zero input, ``first`` and ``second`` are time constants in s
-    (``first`` is tau of an underdamped pair), ``damping`` is its zeta, ``delay`` is in s; ``settled`` is the share of
-    the first input to which the states had settled before the recording, 0 from rest.
+    Attributes:
+        gain: Static gain K, output per input.
+        rest: Output at zero input.
+        first: Time constant tau_1, or tau of an underdamped pair, s.
+        second: Time constant tau_2, or tau_1 of the pole next to an underdamped pair, s.
+        damping: Damping ratio zeta of an underdamped pair.
+        delay: Delay, s.
+        settled: Share of the first input to which the states had settled before the recording; 0 from rest.
+        structure: One of ``STRUCTURES``.
     """
 
     gain: jax.Array
@@ -44,7 +52,7 @@ class TransferFunction(AbstractInputOutputModel):
     structure: Structure = eqx.field(static=True, kw_only=True)
 
     def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
-        """Return the outputs at all rows; ``time`` is equally spaced."""
+        """Compute the outputs at all rows; ``time`` is equally spaced."""
         step = (time[-1] - time[0]) / (len(time) - 1)
         transition, input_gain = self.zero_order_hold(step)
         before = self.settled * values[0]
@@ -57,7 +65,7 @@ class TransferFunction(AbstractInputOutputModel):
 
         _, states = jax.lax.scan(advance, initial, values)
         whole = jnp.floor(self.delay / step)
-        last = jnp.arange(len(values)) - whole.astype(int) - 1  # the row before the instant that is read
+        last = jnp.arange(len(values)) - whole.astype(int) - 1  # the last row before the delayed instant
         transition, input_gain = self.zero_order_hold((whole + 1) * step - self.delay)
         undelayed = states @ transition[0] + values * input_gain[0]
         return self.rest + self.gain * jnp.where(last >= 0, undelayed[jnp.maximum(last, 0)], before)
@@ -70,7 +78,14 @@ class TransferFunction(AbstractInputOutputModel):
     def zero_order_hold(
         self, duration: Float[Array, ""]
     ) -> tuple[Float[Array, "states states"], Float[Array, " states"]]:
-        """Return transition matrix and input gain of a step of ``duration`` s with a constant input; exact."""
+        """Compute the exact step with a constant input: x(t + duration) = transition x(t) + input_gain u.
+
+        Args:
+            duration: Duration of the step, s.
+
+        Returns:
+            Transition matrix and input gain.
+        """
         rates, drive = self._equations()
         size = self.order
         augmented = jnp.zeros((size + 1, size + 1)).at[:size, :size].set(rates).at[:size, size].set(drive)

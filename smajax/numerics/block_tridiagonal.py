@@ -1,12 +1,14 @@
 """Symmetric linear systems on a grid of cells coupled to their four neighbours: factored once, solved repeatedly.
 
-With the cells of a row in one block, the matrix is block tridiagonal and its off-diagonal blocks are diagonal.
-Eliminated row by row, the remaining blocks D_i - U_(i-1) S_(i-1) U_(i-1) are inverted once (S_i). A solution is then a
-sweep down the rows and one up, with two products by S_i a row. It is differentiated by the implicit function theorem:
-its tangent and its cotangent are solutions of the same system, which the same factors give.
+With the cells of a row in one block, the matrix is block tridiagonal, and its off-diagonal blocks -U_i are diagonal.
+Block elimination, row by row, inverts the Schur complement of each diagonal block D_i once:
 
-For speed, ``_product`` has a batching rule of its own, and ``invert_positive_definite`` stands in for LAPACK (see
-there).
+    S_i = (D_i - U_(i-1) S_(i-1) U_(i-1))^-1
+
+A solution is then a sweep down the rows and a sweep up, with two products by S_i per row. It is differentiated by the
+implicit function theorem: its tangent and its cotangent are solutions of the same system, with the same factors.
+
+For speed, ``_product`` has its own batching rule, and ``invert_positive_definite`` replaces LAPACK (see there).
 """
 
 from typing import NamedTuple
@@ -15,8 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Up to as many vectors a product with one matrix is computed vector by vector: a CPU does so faster than as one product
-# of matrices. As many as a Jacobian by that many parameters has tangents. Chosen by trial;
+# Largest number of vectors whose products with one matrix are computed one by one, which a CPU does faster than one
+# product of matrices. A Jacobian with respect to that many parameters has that many vectors. Chosen by trial;
 # tests/unit/actuators/test_cross_section.py holds the values.
 _MAX_SEPARATE_PRODUCTS = 16
 
@@ -29,7 +31,7 @@ def _product(symmetric: jax.Array, vector: jax.Array) -> jax.Array:
 
 @_product.def_vmap
 def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.Array) -> tuple[jax.Array, bool]:
-    """Products of a batch; of one matrix with few vectors, vector by vector."""
+    """Products of a batch; those of one matrix with few vectors are computed one by one."""
     if batched[0]:
         vector = vector if batched[1] else jnp.broadcast_to(vector, (size, *vector.shape))
         return jnp.einsum("bij,bj->bi", symmetric, vector), True
@@ -41,11 +43,14 @@ def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.A
 def invert_positive_definite(matrix: Float[Array, "c c"]) -> Float[Array, "c c"]:
     """Invert a symmetric positive definite matrix by the sweep operator, one pivot after the other.
 
-    LAPACK would distribute so small a matrix over threads that wait for each other; on a busy machine they wait a
+    LAPACK would distribute such a small matrix over threads that wait for each other; on a busy machine they wait a
     hundred times as long as they compute.
 
     Args:
-        matrix: The matrix.
+        matrix: The matrix, shape ``(c, c)``.
+
+    Returns:
+        The inverse, shape ``(c, c)``.
     """
 
     def sweep(k: jax.Array, matrix: jax.Array) -> jax.Array:
@@ -60,12 +65,12 @@ def invert_positive_definite(matrix: Float[Array, "c c"]) -> Float[Array, "c c"]
 
 
 class FivePointMatrix(NamedTuple):
-    """A symmetric matrix over a grid of ``r`` rows of ``c`` cells, of which each is coupled to its neighbours.
+    """Symmetric matrix over a grid of ``r`` rows of ``c`` cells, where each cell is coupled to its four neighbours.
 
     Attributes:
         diagonal: The diagonal, shape ``(r, c)``.
-        along_rows: Couplings of neighbours in a row, shape ``(r, c - 1)``; the matrix has them with a minus sign.
-        across_rows: Couplings of neighbours in a column, shape ``(r - 1, c)``; the matrix has them with a minus sign.
+        along_rows: Couplings of neighbours in a row, shape ``(r, c - 1)``; the entries are their negatives.
+        across_rows: Couplings of neighbours in a column, shape ``(r - 1, c)``; the entries are their negatives.
     """
 
     diagonal: jax.Array
@@ -73,13 +78,17 @@ class FivePointMatrix(NamedTuple):
     across_rows: jax.Array
 
     def apply(self, x: Float[Array, "r c"]) -> Float[Array, "r c"]:
-        """Multiply the matrix with ``x``."""
+        """Multiply the matrix with a vector.
+
+        Args:
+            x: The vector on the grid, shape ``(r, c)``.
+        """
         product = self.diagonal * x
         product = product.at[:, 1:].add(-self.along_rows * x[:, :-1]).at[:, :-1].add(-self.along_rows * x[:, 1:])
         return product.at[1:].add(-self.across_rows * x[:-1]).at[:-1].add(-self.across_rows * x[1:])
 
     def factor(self) -> Float[Array, "r c c"]:
-        """Compute the inverses S_i of the eliminated rows, without derivatives, which no solution needs of them."""
+        """Compute the inverses S_i of the block elimination, without derivatives: ``solve`` does not need them."""
         cells = self.diagonal.shape[1]
         constant = jax.lax.stop_gradient(self)
         above = jnp.concatenate([jnp.zeros((1, cells)), constant.across_rows])
@@ -94,11 +103,14 @@ class FivePointMatrix(NamedTuple):
         return jax.lax.scan(eliminate, jnp.zeros((cells, cells)), rows)[1]
 
     def solve(self, factors: Float[Array, "r c c"], right: Float[Array, "r c"]) -> Float[Array, "r c"]:
-        """Solve for a right-hand side; differentiable in the matrix and the right-hand side.
+        """Solve the linear system; differentiable in the matrix and the right-hand side.
 
         Args:
-            factors: What ``factor`` gives.
-            right: The right-hand side.
+            factors: The result of ``factor``, shape ``(r, c, c)``.
+            right: The right-hand side, shape ``(r, c)``.
+
+        Returns:
+            The solution, shape ``(r, c)``.
         """
         across_rows = jax.lax.stop_gradient(self.across_rows)
         zero = jnp.zeros((1, right.shape[1]))

@@ -7,12 +7,15 @@ from jaxtyping import Array, Float
 def solve_dense(matrix: Float[Array, "n n"], right: Float[Array, " n"]) -> Float[Array, " n"]:
     """Solve a system of up to five equations by Gaussian elimination without pivoting.
 
-    The systems of this package have a positive diagonal that allows it. Written out per entry, the elimination compiles
-    into the loop over time steps, where a call of LAPACK would not.
+    The systems of this package have positive diagonals, for which that is stable enough. The elimination is unrolled:
+    it is compiled into the loop over time steps, which a call of LAPACK is not.
 
     Args:
         matrix: The matrix.
         right: The right-hand side.
+
+    Returns:
+        The solution.
     """
     size = right.shape[0]
     rows = [[matrix[i, j] for j in range(size)] + [right[i]] for i in range(size)]

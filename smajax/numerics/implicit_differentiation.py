@@ -15,12 +15,12 @@ def jvp(function: Callable, primals: tuple, tangents: tuple) -> Any:
     """Compute the tangent of ``function(*primals)``.
 
     Args:
-        function: The function, of pytrees.
+        function: Function of pytrees.
         primals: Its arguments.
         tangents: Tangents of the arguments, of the same structure; a leaf ``None`` is a tangent of zero.
 
     Returns:
-        The tangent, with zeros in place of symbolic ones.
+        The tangent of the result, with arrays of zeros in place of symbolic zeros.
     """
     value, tangent = eqx.filter_jvp(function, primals, tangents)
     return jax.tree.map(lambda v, t: jnp.zeros_like(v) if t is None else t, value, tangent, is_leaf=lambda x: x is None)
@@ -31,14 +31,19 @@ def implicit_jvp(
 ) -> Float[Array, " entries"]:
     """Compute the tangent of the state at the end of a step, where the step's residual r is zero.
 
-    With s the state at the end z, ds = (ds/dp) dp - (ds/dz) (dr/dz)^-1 (dr/dp) dp for the other arguments p.
+    The end z solves r(z, p) = 0, with p the other arguments; the state at the end is s(z, p). Then
+
+        ds = (ds/dp) dp - (ds/dz) (dr/dz)^-1 (dr/dp) dp
 
     Args:
         step_residual: ``step_residual(end, *primals)`` gives the residual, shape ``(unknowns,)``, and the flat state,
             shape ``(entries,)``.
-        end: The solution of the step's residual.
-        primals: The other arguments.
+        end: The solution z, shape ``(unknowns,)``.
+        primals: The other arguments p.
         tangents: Tangents of ``primals``, with ``None`` for zero.
+
+    Returns:
+        The tangent of the flat state.
     """
     jacobian, state_per_unknown = jax.jacfwd(lambda z: step_residual(z, *primals))(end)
     residual, state = jvp(lambda *primals: step_residual(end, *primals), primals, tangents)

@@ -1,4 +1,4 @@
-"""Newton's method for the equations of one step, of at most five unknowns. The searches are not differentiable.
+"""Newton's method for the equations of one time step, with at most five unknowns. The searches are not differentiable.
 
 The first ``wires`` unknowns are temperatures in K, the others stresses in Pa; the residual has the same units. Each
 search returns the solution and whether it failed. Residuals have nonsmooth points: where a transformation starts or
@@ -14,30 +14,30 @@ from jaxtyping import Array, Bool, Float
 
 from smajax.numerics.dense import solve_dense
 
-# Chosen by trial, many times what a usual step needs; tests/unit/simulation/test_simulation.py holds it.
+# Chosen by trial, many times the number that a usual step needs; tests/unit/simulation/test_simulation.py holds it.
 _MAX_ITERATIONS = 72
-# K and Pa. A last Newton step follows the loop, so that the loop may end where that step's error, quadratic in these
-# tolerances, is below the rounding of any recording.
+# K. A last Newton step follows the loop, so the loop may end when the error of that step, quadratic in the tolerance,
+# is below the rounding of any recording.
 _TEMPERATURE_TOLERANCE = 1e-3
+# Pa, for the same reason.
 _STRESS_TOLERANCE = 1e3
-# As a share of Newton's step: so short a step reaches the other side of a nonsmooth point, and is taken in any case.
-# Chosen by trial.
+# Shortest fraction of Newton's step: it reaches the other side of a nonsmooth point and is always accepted. Chosen by
+# trial.
 _SHORTEST_FRACTION = 0.05
-# As a share of the residual, per full step: a smaller decrease does not count (Armijo's condition, armijo1966, with the
-# usual constant).
+# Smallest relative decrease of the residual, per full step, that counts as a decrease: Armijo's condition (armijo1966)
+# with the usual constant.
 _SUFFICIENT_DECREASE = 1e-4
-# Iterations after which natural monotonicity is switched on or off. Chosen by trial, so that no search goes round in a
-# circle.
+# Iterations after which natural monotonicity is switched on or off. Chosen by trial, so that no search cycles.
 _TURN = 12
 # Share by which the next step has to be shorter, per fraction of a step taken: the restricted test of deuflhard2004,
 # section 3.3.
 _SHORTENING = 0.25
-# Times the tolerances, with dry friction, where the last step must not lead over a nonsmooth point. Chosen by trial.
+# Factor on the tolerances with dry friction, where the last step must not cross a nonsmooth point. Chosen by trial.
 _FRICTION_TOLERANCE = 0.01
-# Times ``_MAX_ITERATIONS``, with dry friction, where steps are halved more often. Chosen by trial.
+# Factor on ``_MAX_ITERATIONS`` with dry friction, where steps are halved more often. Chosen by trial.
 _FRICTION_ITERATIONS = 3
-# As a share of the other equations' residual, per full step, with dry friction: large enough that the search does not
-# oscillate over a nonsmooth point. Chosen by trial.
+# Smallest relative decrease of the residual of the other equations, per full step, with dry friction: large enough that
+# the search does not oscillate across a nonsmooth point. Chosen by trial.
 _FRICTION_DECREASE = 0.1
 
 Residual = Callable[[jax.Array], jax.Array]
@@ -48,9 +48,9 @@ def single_step(residual: Residual, guess: Float[Array, " unknowns"], wires: int
     """Take one Newton step, for equations that are nearly linear.
 
     Args:
-        residual: The residual of the unknowns.
-        guess: The unknowns to start from.
-        wires: Number of the temperatures among them.
+        residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.
+        guess: Unknowns at the start.
+        wires: Number of temperatures among the unknowns.
 
     Returns:
         The unknowns after the step, and whether they are not finite.
@@ -62,17 +62,23 @@ def single_step(residual: Residual, guess: Float[Array, " unknowns"], wires: int
 def solve(residual: Residual, guess: Float[Array, " unknowns"], wires: int) -> Solution:
     """Solve by Newton's method with step halving.
 
-    A step is accepted if it lessens the residual or if the Jacobian at its start asks for a shorter step from its end
-    (natural monotonicity: deuflhard2004, section 3.3), since near a nonsmooth point no step along Newton's direction
-    may lessen the residual. From a nonsmooth point itself, such as the state at rest, where the Jacobian may be that of
-    the wrong side, even a short step does neither; it is accepted, to reach the other side. Steps of natural
-    monotonicity may still go round in a circle, over the two nonsmooth points of a narrow transformation: therefore in
-    every other turn of ``_TURN`` iterations only the residual counts.
+    A step is accepted in three cases:
+
+    - It decreases the residual (Armijo's condition).
+    - Natural monotonicity holds: with the Jacobian at its start, the next step would be shorter. Near a nonsmooth point
+      there may be no step along Newton's direction that decreases the residual.
+    - It is a short fraction of Newton's step. At a nonsmooth point, such as the state at rest, the Jacobian may be that
+      of the wrong side; a short step reaches the other side.
+
+    Natural monotonicity alone may cycle over the two nonsmooth points of a narrow transformation: it is switched off
+    for every second ``_TURN`` iterations.
+
+    Source: armijo1966; deuflhard2004, section 3.3.
 
     Args:
-        residual: The residual of the unknowns.
-        guess: The unknowns to start from.
-        wires: Number of the temperatures among them.
+        residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.
+        guess: Unknowns at the start.
+        wires: Number of temperatures among the unknowns.
 
     Returns:
         The solution, and whether the search failed.
@@ -106,10 +112,10 @@ class _FrictionSearch(NamedTuple):
     """One iterate of ``solve_with_friction``."""
 
     z: jax.Array
-    error: jax.Array  # of the equations but the last one, where these are not solved, else infinite
+    error: jax.Array  # of all equations but the last one while these are not solved, else infinite
     change: jax.Array
     jacobian: jax.Array
-    waiting: jax.Array  # whether the search goes on although the change is short
+    waiting: jax.Array  # whether the search continues although the change is short
     count: Any
     fraction: jax.Array
     low: jax.Array  # bracket of the last unknown
@@ -117,17 +123,17 @@ class _FrictionSearch(NamedTuple):
 
 
 def solve_with_friction(residual: Residual, guess: Float[Array, " unknowns"], wires: int) -> Solution:
-    """Solve where there is dry friction: Newton's method in a bracket of the last unknown.
+    """Solve equations with dry friction: Newton's method with a bracket of the last unknown.
 
-    The last unknown is a drag, or a stress that a drag opposes. Its equation increases with it, but turns from flat
-    (sliding) to steep (sticking) and back, so that Newton's steps oscillate. It is therefore held in a bracket, from
-    the largest value that is known to be too small to the smallest that is known to be too large, and bisected where a
-    Newton step would leave it.
+    The last unknown is a drag, or a stress that a drag opposes. Its equation increases with it, but changes from flat
+    (sliding) to steep (sticking) and back, so that Newton's steps oscillate. Therefore it is bracketed between the
+    largest value that was too small and the smallest value that was too large. A Newton step that would leave the
+    bracket is replaced by bisection.
 
     Args:
-        residual: The residual of the unknowns.
-        guess: The unknowns to start from.
-        wires: Number of the temperatures among them.
+        residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.
+        guess: Unknowns at the start.
+        wires: Number of temperatures among the unknowns.
 
     Returns:
         The solution, and whether the search failed.
@@ -159,14 +165,13 @@ def _iterate_with_friction(residual: Residual, search: _FrictionSearch, scale: j
     last = jnp.arange(scale.shape[0]) == scale.shape[0] - 1
     trial = search.z + search.fraction * search.change
     value, jacobian, change = _newton_step(residual, trial)
-    # The sign of the last equation says on which side the solution lies only where the others hold; else those are
+    # The sign of the last equation shows the side of the solution only if the other equations hold; otherwise those are
     # solved first.
     others = _norm(value[:-1], scale[:-1])
     settled = others <= 1.0 / _FRICTION_TOLERANCE
     low = jnp.where(settled & (value[-1] <= 0.0), trial[-1], search.low)
     high = jnp.where(settled & (value[-1] >= 0.0), trial[-1], search.high)
-    # Bisection where Newton's step would leave the bracket; no change of the last unknown while the others are not
-    # settled.
+    # Bisection if Newton's step would leave the bracket; while the others are not settled, the last unknown is fixed.
     bisection = 0.5 * (low + high) - trial[-1]
     outside = (trial[-1] + change[-1] <= low) | (trial[-1] + change[-1] >= high)
     outside &= jnp.isfinite(bisection)
@@ -176,10 +181,10 @@ def _iterate_with_friction(residual: Residual, search: _FrictionSearch, scale: j
     change = jnp.where(outside | ~settled, fixed_change, change)
     # A bisected step may be short without a solution nearby.
     waiting = (outside & (high - low > scale[-1])) | ~settled
-    # Only while the last unknown is fixed do the others have to lessen their residual from step to step, or to ask for
-    # shorter steps.
-    asked = _norm(solve_dense(search.jacobian, jnp.where(last, 0.0, value)), scale)
-    shorter = asked <= (1.0 - _SHORTENING * search.fraction) * _norm(search.change, scale)
+    # While the last unknown is fixed, the residual of the others has to decrease from step to step, or the steps have
+    # to become shorter.
+    next_length = _norm(solve_dense(search.jacobian, jnp.where(last, 0.0, value)), scale)
+    shorter = next_length <= (1.0 - _SHORTENING * search.fraction) * _norm(search.change, scale)
     falls = others <= (1.0 - _FRICTION_DECREASE * search.fraction) * search.error
     accepted = settled | (shorter & _natural_turn(search.count)) | falls | (search.fraction < _SHORTEST_FRACTION)
     return _FrictionSearch(
@@ -196,7 +201,7 @@ def _iterate_with_friction(residual: Residual, search: _FrictionSearch, scale: j
 
 
 def _natural_turn(count: jax.Array) -> jax.Array:
-    """Whether natural monotonicity counts in an iteration: in every other turn."""
+    """Whether natural monotonicity counts in an iteration: in every second turn of ``_TURN`` iterations."""
     return jax.lax.rem(count, 2 * _TURN) < _TURN
 
 

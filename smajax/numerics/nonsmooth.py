@@ -1,9 +1,9 @@
-"""Maximum, minimum, clip and their like, with derivatives that compiled programs keep.
+"""Maximum, minimum, clip and similar functions, with derivatives that are reliable in compiled programs.
 
-``jnp.maximum`` and its like find the side whose derivative counts by comparing each side with the result. A compiled
-program may compute a side twice, once with a product in it rounded and once (as a fused multiply-add) not rounded, so
-that neither side equals the result and the derivative is silently lost. Here the comparison of the two sides itself
-selects the derivative. At a tie both sides count half; NaN stays NaN.
+``jnp.maximum`` and similar functions select the side whose derivative counts by comparing each side with the result. A
+compiled program may compute a side twice, once with a rounded product and once with a fused multiply-add, so that
+neither side equals the result and the derivative is silently 0. Here the comparison of the two sides selects the
+derivative. At a tie the derivative is the mean of both sides; NaN stays NaN.
 """
 
 import jax
@@ -15,13 +15,23 @@ from smajax.numerics import jax_setup as jax_setup
 
 @jax.custom_jvp
 def maximum(a: ArrayLike, b: ArrayLike) -> jax.Array:
-    """Return the larger of two floating-point numbers, elementwise."""
+    """Compute the larger of two values, elementwise.
+
+    Args:
+        a: Floating-point values.
+        b: Floating-point values that broadcast with ``a``.
+    """
     return jnp.maximum(a, b)
 
 
 @jax.custom_jvp
 def minimum(a: ArrayLike, b: ArrayLike) -> jax.Array:
-    """Return the smaller of two floating-point numbers, elementwise."""
+    """Compute the smaller of two values, elementwise.
+
+    Args:
+        a: Floating-point values.
+        b: Floating-point values that broadcast with ``a``.
+    """
     return jnp.minimum(a, b)
 
 
@@ -43,16 +53,22 @@ def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]
 
 
 def clip(value: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> jax.Array:
-    """Limit a value to ``lower`` .. ``upper``, elementwise; where the bounds cross, the result is ``upper``."""
+    """Limit values to an interval, elementwise.
+
+    Args:
+        value: The values.
+        lower: Lower bound.
+        upper: Upper bound; it is the result if it is below the lower bound.
+    """
     return minimum(maximum(value, lower), upper)
 
 
 def largest(values: jax.Array, axis: int | None = None) -> jax.Array:
-    """Return the largest value along an axis, or of all; among equal ones the first has the derivative.
+    """Compute the largest value along an axis; among equal values the first one has the derivative.
 
     Args:
         values: The values, of any shape.
-        axis: The axis, or ``None`` for all values.
+        axis: The axis; ``None`` for the largest of all values.
     """
     values, axis = (jnp.ravel(values), 0) if axis is None else (values, axis)
     index = jax.lax.stop_gradient(jnp.argmax(values, axis=axis, keepdims=True))
@@ -60,5 +76,5 @@ def largest(values: jax.Array, axis: int | None = None) -> jax.Array:
 
 
 def peak_to_peak(values: jax.Array) -> jax.Array:
-    """Return the largest of all values less the smallest one."""
+    """Compute the range of values: the largest of all less the smallest."""
     return largest(values) + largest(-values)

@@ -6,26 +6,24 @@ import sys
 import tempfile
 from pathlib import Path
 
-# Objects made before the garbage collector runs (Python's default is 700 to 2000). Writing a compiled program down
-# makes many small objects, none of which is garbage. Chosen by trial.
+# Objects allocated before the garbage collector runs (Python's default is 700 to 2000). Serialising a compiled program
+# allocates many small objects, none of which is garbage. Chosen by trial.
 _GARBAGE_THRESHOLD = 200_000
 
 
 def prepare_jax(accelerator: bool = False) -> None:
-    """Set JAX up for a process: CPU unless an accelerator is asked for, and compiled programs cached between runs.
+    """Set up JAX for a process: CPU unless an accelerator is allowed, and compiled programs cached between runs.
 
-    The cache is in the user's cache folder or where ``JAX_COMPILATION_CACHE_DIR`` says. Where no folder can be written,
-    nothing is cached, and everything else works. A few simulations at a time, step after step, are many times as slow
-    on a GPU, which pays off where thousands of designs run in parallel. Equinox's run-time checks are switched off
-    first: they call Python from the compiled program, which then cannot be cached; smajax's simulations carry status
-    codes instead.
+    The cache is in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder can be written, nothing is
+    cached, and everything else works. A GPU is many times as slow for a few simulations at a time, and faster for
+    thousands of designs in parallel. Equinox's run-time checks are switched off first: they call Python from the
+    compiled program, which then cannot be cached. smajax's simulations have status codes instead.
 
     Args:
-        accelerator: Whether JAX may take an accelerator; otherwise the CPU, unless ``JAX_PLATFORMS`` says something
-            else.
+        accelerator: Whether JAX may use an accelerator; otherwise it uses the CPU, unless ``JAX_PLATFORMS`` is set.
 
     Raises:
-        RuntimeError: Equinox has been imported before, so that its checks cannot be switched off any more.
+        RuntimeError: If equinox has been imported before, so that its checks cannot be switched off.
     """
     if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
         raise RuntimeError("prepare_jax has to be called before anything imports equinox")
@@ -52,10 +50,13 @@ def count_cores() -> int:
 
 
 def cache_folder(name: str) -> Path | None:
-    """Make a folder in the user's cache, and return it; ``None`` if none can be written.
+    """Create a folder in the user's cache.
 
     Args:
         name: Name of the folder.
+
+    Returns:
+        The folder; ``None`` if it cannot be written.
     """
     import pooch
 

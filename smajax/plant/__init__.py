@@ -1,9 +1,10 @@
 """The plant: a rig's differentiable model, drive -> heat -> material -> mechanism -> sensor.
 
-``plant`` has the plant's initial state, its step in time and its readings; ``step_equations`` the equations of an
-implicit step, ``stages`` those of each stage with its effects, ``state`` the state, ``implicit_step`` the step's
-derivatives. The stages themselves are ``drive``, ``heat`` with ``convection``, ``materials``, ``mechanisms`` and
-``sensor``; ``wire`` and ``coil`` are the wire's geometries, ``effects`` what may be added to a stage.
+``plant`` has the initial state, the time step and the observed channels. ``step_equations`` has the equations of an
+implicit step, ``stages`` those of each stage with its effects, ``state`` the state, and ``implicit_step`` the
+derivatives of a step. The stages are ``drive`` (Joule heat with the resistance of the phases), ``heat`` (heat balance)
+with ``convection`` (h(T)), ``materials``, ``mechanisms`` and ``sensor``. ``wire`` and ``coil`` are geometries of the
+wire, and ``effects`` has optional terms of each stage, such as latent heat.
 """
 
 from smajax.numerics import jax_setup as jax_setup

@@ -1,4 +1,4 @@
-"""A helical spring of shape-memory wire, as a geometry of the wire."""
+"""Helical spring of shape-memory wire, as a geometry of the wire."""
 
 import math
 
@@ -9,23 +9,23 @@ from jaxtyping import Array, Bool, Float
 from smajax.parameters import parameter
 from smajax.plant.wire import AbstractWire
 
-# Tension that is equivalent to a shear stress by von Mises, over that shear stress.
+# Equivalent tension over shear stress, by von Mises.
 _MISES = math.sqrt(3.0)
 
 
 class Coil(AbstractWire):
-    """A helical spring, its wire in torsion, or a bundle of alike springs that pull in parallel.
+    """Helical spring with its wire in torsion, or a bundle of equal springs that pull in parallel.
 
-    With R the coil's mean radius, r the wire's, N turns, a force F and a stretch y, the shear stress and strain at the
-    wire's surface are
+    With R the mean radius of the coil, r the radius of the wire, N turns, a force F and a stretch y, the shear stress
+    and strain at the surface of the wire are
 
         tau = 2 F R / (pi r^3)        gamma = r y / (2 pi R^2 N)
 
-    The material law takes the equivalent tension by von Mises, sigma = sqrt(3) tau and eps = gamma / sqrt(3): the work
-    is the same, so that a coil follows any law with C and eps_L as measured in tension. Elastically tau = G gamma with
-    G = E / (2 (1 + nu)), thus sigma = 3 G eps, and the stiffness is F / y = G r^4 / (4 R^3 N). The stress is taken as
-    elastic across the wire, and the coil's curvature as small (no Wahl factor). Forces, powers and resistances of a
-    bundle are those of all its springs together.
+    The material law takes the equivalent tension by von Mises, sigma = sqrt(3) tau and eps = gamma / sqrt(3). The work
+    is the same, so a coil follows any law with the Clausius-Clapeyron slopes and eps_L measured in tension. In the
+    elastic range tau = G gamma with G = E / (2 (1 + nu)), thus sigma = 3 G eps, and the stiffness is F / y = G r^4 / (4
+    R^3 N). The stress across the wire is assumed elastic, and the curvature of the coil small (no Wahl factor). Forces,
+    powers and resistances of a bundle are those of all its springs together.
 
     Source: hybrid_knee_ankle_orthosis, equations 7 to 10.
     """

@@ -1,4 +1,8 @@
-"""Convection laws: the coefficient h(T) of a wire in air, T in degC, with the phases' heat capacities."""
+"""Convection laws h(T): the convection coefficient of a wire in air, T in degC, with the heat capacities of the phases.
+
+polynomial    h(T) = h0 + h1 T + h2 T^2        (fast_rotary_actuator, equation 8)
+power law     h(T) = h0 + h2 T^n               (ali2026, equation 2)
+"""
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +13,11 @@ from smajax.plant.heat import AbstractHeat
 from smajax.plant.materials.base import mix
 
 
-class PolynomialHeat(AbstractHeat):
-    """h(T) = h0 + h1 T + h2 T^2 with T in degC. Source: fast_rotary_actuator, equation 8."""
+class PolynomialConvection(AbstractHeat):
+    """Convection h(T) = h0 + h1 T + h2 T^2 with T in degC.
+
+    Source: fast_rotary_actuator, equation 8.
+    """
 
     h0: jax.Array = parameter("W/m^2/K", "convection coefficient at 0 degC", 0.0, 1e5)
     h1: jax.Array = parameter("W/m^2/K^2", "linear coefficient of h(T)", -100.0, 1e3, 0.0)
@@ -27,8 +34,11 @@ class PolynomialHeat(AbstractHeat):
         return mix(martensite, self.capacity_austenite, self.capacity_martensite)
 
 
-class PowerHeat(AbstractHeat):
-    """h(T) = h0 + h2 T^n with T in degC, T^n taken as 0 below 0 degC. Source: ali2026, equation 2."""
+class PowerLawConvection(AbstractHeat):
+    """Convection h(T) = h0 + h2 T^n with T in degC; T^n is 0 below 0 degC.
+
+    Source: ali2026, equation 2.
+    """
 
     h0: jax.Array = parameter("W/m^2/K", "convection coefficient at 0 degC", 0.0, 1e5)
     exponent: jax.Array = parameter("1", "exponent n of h0 + h2 T^n", 0.05, 6.0)

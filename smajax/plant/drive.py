@@ -1,11 +1,13 @@
-"""Drives: from the electrical input to the Joule heat in the wire.
+"""Drives: from the electrical input to the Joule heat in the wire, with the resistance R(xi) of the phases.
 
-    joule heat per volume = rho_e(xi) (I / A)^2
+    Joule heat per volume = rho_e(xi) (I / A)^2        R(xi) = rho_e(xi) L / A
 
-with the resistivity rho_e of the material, which depends on the martensite fraction, the current I and the
-cross-section A. ``control`` names the recorded input: current, voltage, power, or the duty of a pulsed supply. The
-resistance follows the resistivity; length and diameter are those of the rig file (4 % of strain change the resistance
-by less than the uncertainty of a resistivity).
+with the resistivity rho_e of the material, which depends on the martensite fraction xi, the current I, the length L and
+the cross-section A. ``control`` names the recorded input: current, voltage, power, or the duty of a pulsed supply.
+Length and diameter are those of the rig file: 4 % of strain change the resistance by less than the uncertainty of a
+resistivity.
+
+Source of the Joule heat: fast_rotary_actuator, equation 7.
 """
 
 import equinox as eqx
@@ -29,7 +31,7 @@ class AbstractDrive(eqx.Module):
 
         Args:
             signal: The input that ``control`` names, in SI.
-            resistivity: Resistivity of the wire in ohm m.
+            resistivity: Resistivity rho_e of the wire, ohm m.
             wire: The wire.
         """
         raise NotImplementedError
@@ -41,14 +43,14 @@ class AbstractDrive(eqx.Module):
 
         Args:
             signal: The input that ``control`` names, in SI.
-            resistivity: Resistivity of the wire in ohm m.
+            resistivity: Resistivity rho_e of the wire, ohm m.
             wire: The wire.
         """
         raise NotImplementedError
 
 
 class CurrentDrive(AbstractDrive):
-    """A current source: rho_e (gain I / A)^2."""
+    """Current source: Joule heat rho_e (gain I / A)^2."""
 
     gain: jax.Array = parameter("1", "current in the wire over current in the file", 0.0, 100.0, 1.0)
     control = "current"
@@ -56,7 +58,7 @@ class CurrentDrive(AbstractDrive):
     def joule(
         self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
     ) -> Float[Array, "..."]:
-        """Compute the Joule heat of a current in W/m^3."""
+        """Compute the Joule heat of the current, rho_e (gain I / A)^2, in W/m^3."""
         return resistivity * (self.gain * signal / wire.area) ** 2
 
     def current(
@@ -67,7 +69,7 @@ class CurrentDrive(AbstractDrive):
 
 
 class VoltageDrive(AbstractDrive):
-    """A voltage source behind leads of a fixed resistance: the wire takes V R / (R + R_lead)."""
+    """Voltage source with leads of constant resistance in series: the wire takes V R / (R + R_lead)."""
 
     gain: jax.Array = parameter("1", "voltage at the terminals over voltage in the file", 0.0, 100.0, 1.0)
     lead_resistance: jax.Array = parameter(
@@ -89,7 +91,7 @@ class VoltageDrive(AbstractDrive):
 
 
 class PowerDrive(AbstractDrive):
-    """A measured electrical power, all of it turned into heat in the wire."""
+    """Measured electrical power, which heats the wire completely."""
 
     gain: jax.Array = parameter("1", "heat in the wire over power in the file", 0.0, 1e6, 1.0)
     control = "power"
@@ -110,7 +112,7 @@ class PowerDrive(AbstractDrive):
 
 
 class DutyDrive(AbstractDrive):
-    """A supply of fixed voltage, pulsed fast compared with the warming: the mean heat is linear in the duty."""
+    """Pulsed supply of constant voltage, fast compared with the heating: the mean heat is linear in the duty."""
 
     supply: jax.Array = parameter("V", "supply voltage while the switch is on", 0.0, 1e3)
     lead_resistance: jax.Array = parameter("ohm", "resistance of leads, switch and contacts", 0.0, 1e3, 0.0)
@@ -131,7 +133,7 @@ class DutyDrive(AbstractDrive):
 
 
 class NoDrive(AbstractDrive):
-    """No electrical input: the temperature is prescribed."""
+    """No electrical input: the temperature is prescribed instead."""
 
     control = ""
 
@@ -149,7 +151,15 @@ class NoDrive(AbstractDrive):
 
 
 def resistance(resistivity: Float[Array, "..."], wire: AbstractWire) -> Float[Array, "..."]:
-    """Compute the resistance of the wire in ohm: rho_e L / A."""
+    """Compute the resistance of the wire, R = rho_e L / A.
+
+    Args:
+        resistivity: Resistivity rho_e, ohm m.
+        wire: The wire.
+
+    Returns:
+        Resistance in ohm.
+    """
     return resistivity * wire.length / wire.area
 
 

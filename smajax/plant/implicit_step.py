@@ -1,10 +1,10 @@
-"""One step of a plant as a differentiable function, by the implicit function theorem at its known end.
+"""One step of a plant as a differentiable function, by the implicit function theorem at its solved end.
 
-The search for the end of a step is not differentiated. At the end z the residual r(z, state, inputs, plant) is zero, so
-that z changes with everything that it depends on by dz = -(dr/dz)^-1 dr, and the state at the end with both.
-``differentiable_step`` has this as its derivative, once. ``twice_differentiable_step`` is written as Newton steps from
-the known end with a constant Jacobian: each of them makes one more order of the derivative exact, so that a Jacobian of
-the step (that of a Kalman filter) is itself differentiable.
+The search for the end of a step is not differentiated. At the end z the residual r(z, p) is zero, where p are the state
+at the start, the inputs and the plant. Therefore dz = -(dr/dz)^-1 (dr/dp) dp, and the state at the end follows from dz
+and dp. ``differentiable_step`` has this derivative, of first order. ``twice_differentiable_step`` takes Newton steps
+from the solved end with a constant Jacobian: each step makes one more order of the derivative exact, so that a Jacobian
+of the step (that of a Kalman filter) is itself differentiable.
 """
 
 import equinox as eqx
@@ -26,15 +26,18 @@ def differentiable_step(
     duration: Float[Array, ""],
     end: Float[Array, " unknowns"],
 ) -> State:
-    """Compute the state after a step under a constant signal; differentiable once, in both modes, in all but the end.
+    """Compute the state after a step under a constant signal; differentiable once, in both modes.
 
     Args:
         plant: The plant.
         state: The state at the start of the step.
-        signal: The signals, constant over the step.
-        duration: Duration of the step in s.
+        signal: Signals, constant over the step.
+        duration: Duration of the step, s; not differentiated.
         end: Solution of the step's residual (temperatures, then unknowns); its derivative follows from the other
             arguments.
+
+    Returns:
+        The state at the end of the step.
     """
     return plant.step_residual(state, signal, signal, duration, end)[1]
 
@@ -59,7 +62,19 @@ def twice_differentiable_step(
     duration: Float[Array, ""],
     end: Float[Array, " unknowns"],
 ) -> State:
-    """Compute ``differentiable_step`` so that it is differentiable twice; it takes three times as many residuals."""
+    """Compute the state after a step under a constant signal; differentiable twice, with three times the residuals.
+
+    Args:
+        plant: The plant.
+        state: The state at the start of the step.
+        signal: Signals, constant over the step.
+        duration: Duration of the step, s.
+        end: Solution of the step's residual (temperatures, then unknowns); its derivative follows from the other
+            arguments.
+
+    Returns:
+        The state at the end of the step.
+    """
     end, constants = jax.lax.stop_gradient((end, (plant, state, signal)))
     fixed_plant, fixed_state, fixed_signal = constants
     jacobian = jax.jacfwd(lambda z: fixed_plant.step_residual(fixed_state, fixed_signal, fixed_signal, duration, z)[0])(

@@ -1,8 +1,8 @@
-"""The plant: its initial state, one step of it in time, and what sensors read.
+"""The plant: its initial state, its time step, and the readings of its sensors.
 
 A step is implicit. Its unknowns and equations are those of ``smajax.plant.step_equations``; ``Plant.step`` solves them
-by Newton's method (``smajax.numerics.newton``). Derivatives do not go through the search: ``step_residual`` gives the
-equations at a known end, to which the implicit function theorem applies (``smajax.plant.implicit_step``,
+by Newton's method (``smajax.numerics.newton``). The search is not differentiated: ``step_residual`` evaluates the
+equations at the solved end, and the implicit function theorem gives the derivatives (``smajax.plant.implicit_step``,
 ``smajax.simulation.sensitivities``).
 """
 
@@ -29,10 +29,10 @@ _WIRE_CHANNELS = ("temperature", "stress", "force", "resistance", "current", "vo
 
 
 class Plant(StepEquations):
-    """A rig's differentiable model: drive, heat, material, mechanism and sensors, and the effects that act on them.
+    """Differentiable model of a rig: drive, heat, material, mechanism and sensors, and the effects that act on them.
 
-    Parameters are the float leaves, named as in ``smajax.parameters``. A ``signal`` is the vector of the recorded
-    channels that drive the plant at one instant, in the order of ``signals``.
+    The parameters are the float leaves; ``smajax.parameters`` reads and sets them by name. A ``signal`` is the vector
+    of the recorded channels that drive the plant at one instant, in the order of ``signals``.
     """
 
     @property
@@ -42,7 +42,7 @@ class Plant(StepEquations):
 
     @property
     def observable(self) -> tuple[str, ...]:
-        """The channels that ``observe`` gives."""
+        """Names of the channels that ``observe`` computes."""
         wires = self.mechanism.wires
         names = tuple(n for c in _WIRE_CHANNELS for n in numbered(c, wires))
         strain = numbered("strain", wires)
@@ -53,6 +53,9 @@ class Plant(StepEquations):
 
         Args:
             signal: Signals at the first sample.
+
+        Returns:
+            The state; differentiable in the plant and in the signals.
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(signal)
         resting = self.environment.ambient if self.initial.temperature is None else self.initial.temperature
@@ -92,7 +95,7 @@ class Plant(StepEquations):
         stress: Float[Array, " wires"],
         strain: Float[Array, " wires"],
     ) -> tuple[Float[Array, " wires"], dict[str, Any]]:
-        """The wires' strain with the effects' terms, and what effects remember at the start."""
+        """Strains of the wires with the terms of the effects, and the memory of the effects at the start."""
         context = self._stage_context()
         wire_state = WireState(
             jnp.zeros(()),
@@ -126,13 +129,13 @@ class Plant(StepEquations):
         after: Float[Array, " signals"],
         step: Float[Array, ""],
     ) -> tuple[State, Bool[Array, ""]]:
-        """Advance the state by ``step`` seconds. Not differentiable: ``step_residual`` is, at a known end.
+        """Advance the state by one step. Not differentiable; ``step_residual`` is, at the solved end.
 
         Args:
             state: The state at the start of the step.
             before: Signals at the start.
-            after: Signals at the end, towards which they go in a straight line.
-            step: Duration in s.
+            after: Signals at the end; they are linear over the step.
+            step: Duration, s.
 
         Returns:
             The state at the end, and whether the step could not be solved.
@@ -167,19 +170,18 @@ class Plant(StepEquations):
         wires = self.mechanism.wires
 
         def solve_with_friction() -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-            # The last Newton step must not lead over a nonsmooth point of the friction, so that the search takes the
-            # exact balances.
+            # The last Newton step must not cross a nonsmooth point of the friction, so the search uses the exact
+            # balances.
             return newton.solve_with_friction(lambda z: residual(z, False), guess, wires)
 
         if self.mechanism.has_dry_friction:
             return solve_with_friction()
         if not self._has_drag:
-            # Temperatures alone, without latent heat, are so nearly linear over a step that one Newton step and the
-            # last one suffice.
+            # The balance of temperatures alone, without latent heat, is so nearly linear over a step that one Newton
+            # step and the last one are sufficient.
             search = newton.solve if self.mechanism.unknowns or self.all_effects else newton.single_step
             return search(lambda z: residual(z, True), guess, wires)
-        # A drag is an unknown of its own. Without friction it is 0, and the other unknowns are found in fewer
-        # iterations without it.
+        # A drag is an additional unknown. Without friction it is 0, and without it the search takes fewer iterations.
         no_drag = jnp.zeros(1)
 
         def solve_without_drag() -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
@@ -190,15 +192,15 @@ class Plant(StepEquations):
         return jax.lax.cond(jnp.any(strengths != 0.0), solve_with_friction, solve_without_drag)
 
     def observe(self, state: State, signal: Float[Array, " signals"]) -> dict[str, Float[Array, ""]]:
-        """Compute the observable channels at one instant as the sensors give them.
+        """Compute the channels at one instant, as their sensors read them.
 
         Args:
             state: The state.
             signal: Signals at the same instant.
 
         Returns:
-            Scalars by channel, in SI and degC: of each wire those of ``_WIRE_CHANNELS`` and its strain, then the
-            mechanism's own.
+            Scalars by channel, in SI and degC: temperature, stress, strain, force, resistance, current, voltage and
+            power of each wire, and the channels of the mechanism.
         """
         wires = self.mechanism.wires
         wire_state = self._wire_state(state)
@@ -226,11 +228,14 @@ class Plant(StepEquations):
     def read_sensors(
         self, series: dict[str, Float[Array, " samples"]], time: Float[Array, " samples"]
     ) -> dict[str, Float[Array, " samples"]]:
-        """Apply the effects on how channels reach their sensors and are read there.
+        """Apply the effects on the transmission of the motion to its sensor, and on the readings of the sensors.
 
         Args:
-            series: Channels by name, as ``observe`` gives them at each sample.
-            time: Times of the samples in s.
+            series: Channels by name, as ``observe`` computes them at each sample.
+            time: Times of the samples, s.
+
+        Returns:
+            The channels by name, with the effects.
         """
         read, coordinate = dict(series), self.mechanism.coordinate
         metres_per_unit = self.mechanism.wire_motion_per_coordinate
@@ -246,13 +251,13 @@ class Plant(StepEquations):
         return read
 
     def capabilities(self, observed: tuple[str, ...]) -> frozenset[str]:
-        """List what effects may need of a rig (``AbstractEffect.needs``), as words such as ``two wires`` or ``clock``.
+        """List the capabilities that effects may need of a rig (``AbstractEffect.needs``), such as ``two wires``.
 
         Args:
-            observed: Channels that the recordings observe.
+            observed: Names of the channels that the recordings contain.
 
         Returns:
-            The words; where recordings have no time column, the caller takes ``clock`` away.
+            The capabilities; the caller removes ``clock`` if the recordings have no time column.
         """
         words = {"clock", self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
@@ -269,7 +274,7 @@ class Plant(StepEquations):
 def _newton_corrected(state: State, residual: Float[Array, " unknowns"], jacobian_product: Callable) -> State:
     """The state after one more Newton step; ``jacobian_product`` is the linearised residual and state there.
 
-    The Jacobian is a constant here, so that the derivative of the result is that of the implicit function.
+    The Jacobian is not differentiated, so the derivative of the result is that of the implicit function.
     """
     size = residual.shape[0]
     jacobian, state_per_unknown = jax.vmap(jacobian_product, out_axes=-1)(jnp.eye(size))

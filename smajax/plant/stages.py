@@ -1,8 +1,8 @@
 """The equations of the plant's five stages, each with the effects that act on it.
 
 A stage is a part of the plant: drive, heat, material, mechanism, sensor. An effect adds a term to an equation of its
-stage (``smajax.plant.effects``). Here each equation is written once, as the stage's own value plus the sum of its
-effects' terms.
+stage (``smajax.plant.effects``). Each equation is written once here, as the value of the stage plus the terms of its
+effects.
 """
 
 from typing import Any
@@ -29,12 +29,25 @@ from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
 
-# Key of the accumulated transformation in a state's memory. Flat states keep the alphabetical order of the keys.
+# Key of the accumulated transformation in a state's memory. Its alphabetical position determines the layout of flat
+# states.
 _ACCUMULATED = "transformation"
 
 
 class PlantStages(eqx.Module):
-    """The parts of a plant, and the equations of its stages with their effects."""
+    """Parts of a plant, and the equations of its stages with their effects.
+
+    Attributes:
+        wire: Geometry of the wire.
+        environment: Air around the wire, and gravity.
+        initial: State at the start, if it is not that as installed.
+        drive: From the electrical input to the Joule heat.
+        heat: Heat balance of the wire.
+        material: Constitutive law.
+        mechanism: Load of the wires.
+        sensor: Gains and offsets of the sensors.
+        effects: Effects that are added to the stages.
+    """
 
     wire: AbstractWire
     environment: Environment
@@ -48,7 +61,7 @@ class PlantStages(eqx.Module):
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """The recorded channels that drive the plant, in the order of the entries of a ``signal``."""
+        """Names of the recorded channels that drive the plant, in the order of the entries of a ``signal``."""
         wires = self.mechanism.wires
         control = [self.drive.control] if self.drive.control else []
         control = [n for c in control for n in numbered(c, wires)]
@@ -70,10 +83,10 @@ class PlantStages(eqx.Module):
 
     @property
     def _has_drag(self) -> bool:
-        """Whether an effect works against the contraction with a drag, which is then an unknown of its own."""
+        """Whether an effect opposes the contraction with a drag, which is then an additional unknown."""
         return any(e.has_drag for e in self._effects_of(MechanismEffect))
 
-    # What stages and effects see of the plant.
+    # Parts and states of the plant that stages and effects use.
 
     def _stage_context(self) -> StageContext:
         return StageContext(self.wire, self.environment, self.effective_material, self.heat)
@@ -103,7 +116,7 @@ class PlantStages(eqx.Module):
         }
 
     def _begin_step(self, state: State, step: Float[Array, ""]) -> State:
-        """The state with what heat effects hold constant throughout a step of ``step`` seconds."""
+        """The state with the memory that heat effects hold constant during a step of ``step`` seconds."""
         memory = state.memory
         begun = {e.key: e.begin_step(memory[e.key], memory["time"], step) for e in self._effects_of(HeatEffect)}
         return state._replace(memory=memory | begun)
@@ -111,7 +124,7 @@ class PlantStages(eqx.Module):
     def _updated_memory(
         self, kinds: type | tuple, memory: dict, first: WireState, last: WireState, step: Float[Array, ""]
     ) -> dict[str, Any]:
-        """What the effects of some kinds remember after a step from ``first`` to ``last``, by their keys."""
+        """Memory of the effects of some kinds after a step from ``first`` to ``last``, by their keys."""
         context = self._stage_context()
         return {e.key: e.update_memory(memory[e.key], first, last, step, context) for e in self._effects_of(kinds)}
 
@@ -168,13 +181,13 @@ class PlantStages(eqx.Module):
     def _net_heat(
         self, wire_state: WireState, memory: dict, signal: Float[Array, " signals"]
     ) -> Float[Array, " wires"]:
-        """Net heat into each wire per volume in W/m^3: Joule heat less convection, and the effects' heat."""
+        """Net heat into each wire per volume in W/m^3: Joule heat less convection, plus the heat of the effects."""
         resistivity, context = self._resistivity(wire_state), self._stage_context()
         joule = self.drive.joule(self._electrical_input(signal, resistivity), resistivity, self.wire)
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, self.environment)
         return rate + sum(e.power(wire_state, memory[e.key], context) for e in self._effects_of(HeatEffect))
 
     def _stored_heat(self, first: WireState, last: WireState) -> Float[Array, " wires"] | float:
-        """Heat per volume in J/m^3 stored between two instants otherwise than by warming, such as latent heat."""
+        """Heat per volume in J/m^3 stored between two instants in addition to warming, such as latent heat."""
         context = self._stage_context()
         return sum((e.enthalpy(last, context) - e.enthalpy(first, context) for e in self._effects_of(HeatEffect)), 0.0)

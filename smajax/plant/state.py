@@ -8,15 +8,15 @@ from smajax.plant.materials.base import Fractions
 
 
 class State(NamedTuple):
-    """The plant's state at one instant.
+    """State of the plant at one instant.
 
     Attributes:
-        temperature: temperature of each wire in degC.
-        fractions: martensite fractions of each wire, both of shape ``(wires,)``.
-        stress: stress of each wire in Pa.
-        unknown: unknowns of the mechanism's balance in Pa and, where an effect has a drag, that drag.
-        motion: what the mechanism remembers from step to step (``AbstractMechanism.initial_motion``), a pytree.
-        memory: what effects remember: time, contraction and accumulated transformation (see ``WireState``), and an
+        temperature: Temperatures of the wires, shape ``(wires,)``, degC.
+        fractions: Martensite fractions of the wires, shape ``(wires,)`` each.
+        stress: Stresses of the wires, shape ``(wires,)``, Pa.
+        unknown: Unknowns of the mechanism's balance, Pa; if an effect has a drag, followed by that drag, Pa.
+        motion: State of the mechanism (``AbstractMechanism.initial_motion``), a pytree.
+        memory: States of the effects: time, contraction and accumulated transformation (see ``WireState``), and an
             entry of each effect under its key. Empty without effects.
     """
 

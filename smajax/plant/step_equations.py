@@ -1,9 +1,9 @@
 """The equations of one implicit step: the heat balance of each wire and the mechanism's force balance.
 
-The unknowns ``end`` of a step are the wires' temperatures in K (degC), then the mechanism's unknowns in Pa and, where
-an effect has a drag, that drag in Pa; shape ``(unknowns,)``. The residual has an equation for each of them, in the same
-units. Both balances are evaluated with the fractions that the material law gives at the end of the step, so that heat,
-phase fractions, stress and motion agree with each other at that instant.
+The unknowns ``end`` of a step, shape ``(unknowns,)``, are the temperatures of the wires in degC, the unknowns of the
+mechanism in Pa and, if an effect has a drag, that drag in Pa. The residual has one equation for each of them, in K and
+Pa. Both balances are evaluated with the martensite fractions of the material law at the end of the step, so heat, phase
+fractions, stress and motion are consistent at that instant.
 """
 
 from typing import Any
@@ -18,7 +18,7 @@ from smajax.plant.state import State
 
 
 class StepEquations(PlantStages):
-    """A plant's equations over one step, and the state that follows from their unknowns."""
+    """Equations of a plant over one step, and the state that follows from their unknowns."""
 
     def step_residual(
         self,
@@ -28,17 +28,17 @@ class StepEquations(PlantStages):
         step: Float[Array, ""],
         end: Float[Array, " unknowns"],
     ) -> tuple[Float[Array, " unknowns"], State]:
-        """Evaluate the residual of the heat and force balance for a step that ends at given unknowns; differentiable.
+        """Evaluate the residual of the heat and force balance of a step, for trial unknowns at its end; differentiable.
 
         Args:
             state: The state at the start of the step.
             before: Signals at the start, in the order of ``signals``.
             after: Signals at the end.
-            step: Duration in s.
-            end: Unknowns at the end (see the module's text).
+            step: Duration, s.
+            end: Unknowns at the end: temperatures in degC, unknowns of the mechanism and drag in Pa.
 
         Returns:
-            The residual in K and Pa, zero where ``end`` solves the step, and the state at ``end``.
+            The residual in K and Pa, which is zero if ``end`` solves the step, and the state at ``end``.
         """
         state = self._begin_step(state, step)
         rate = self._net_heat(self._wire_state(state), state.memory, before)
@@ -54,9 +54,9 @@ class StepEquations(PlantStages):
         end: Float[Array, " unknowns"],
         coarse: bool = False,
     ) -> tuple[Float[Array, " unknowns"], State]:
-        """``step_residual`` with the net heat ``rate`` at the start; ``coarse`` holds the heat by the trapezoidal rule.
+        """``step_residual`` with the net heat ``rate`` at the start; by the trapezoidal rule if ``coarse``.
 
-        The trapezoidal rule is accurate enough for a search, since the last Newton step closes the difference.
+        The trapezoidal rule is accurate enough for a search, since the last Newton step uses the Hermite-Simpson rule.
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(after)
         first, wires = self._wire_state(state), self.mechanism.wires
@@ -108,7 +108,7 @@ class StepEquations(PlantStages):
         return last, memory
 
     def _drag(self, first: WireState, last: WireState, memory: dict, step: Float[Array, ""]) -> Float[Array, ""]:
-        """Stress in Pa that all effects with a drag put against the contraction at the end of a step."""
+        """Stress in Pa with which all effects with a drag oppose the contraction at the end of a step."""
         context = self._stage_context()
         effects = [e for e in self._effects_of(MechanismEffect) if e.has_drag]
         total: Any = sum(e.drag(first, last, memory[e.key], step, context) for e in effects)
@@ -129,11 +129,11 @@ class StepEquations(PlantStages):
         Args:
             first: The wires at the start of the step.
             last: The wires at the end.
-            memory: What effects remember at the start.
-            memory_at_end: What they remember at the end.
+            memory: Memory of the effects at the start.
+            memory_at_end: Memory of the effects at the end.
             inputs: Net heat at the start in W/m^3, and the signals at start and end.
-            step: Duration in s.
-            coarse: Whether to take the trapezoidal rule.
+            step: Duration, s.
+            coarse: Whether to use the trapezoidal rule.
         """
         rate, before, after = inputs
         ends = (first.temperature, last.temperature)
@@ -152,7 +152,7 @@ class StepEquations(PlantStages):
     def _middle_of_step(
         self, first: WireState, last: WireState, temperature: Float[Array, " wires"], step: Float[Array, ""]
     ) -> WireState:
-        """The wires in the middle of a step, where they have a given temperature and the mean stress."""
+        """The wires in the middle of a step, at a temperature and the mean stress of both ends."""
         stress = 0.5 * (first.stress + last.stress)
         return WireState(
             first.time + 0.5 * step,

@@ -1,9 +1,9 @@
-"""The wire's geometry, its surroundings, and its initial state.
+"""Geometry of the wire, its surroundings, and its initial state.
 
-A material law relates one stress to one strain, those of a wire in tension. A geometry converts them:
-``force_per_stress`` (m^2) gives the force at the end, ``motion_per_strain`` (m) the motion of the end, and
-``modulus_factor`` the elastic modulus relative to Young's modulus. Heat and electricity take the wire itself, with its
-``length`` and ``area``. So every law, mechanism and effect works with every geometry.
+A material law relates the stress and the strain of a wire in tension. A geometry converts them: ``force_per_stress``
+(m^2) gives the force at the end, ``motion_per_strain`` (m) the motion of the end, and ``modulus_factor`` the elastic
+modulus relative to Young's modulus. Heat balance and drive use the ``length`` and ``area`` of the wire itself. So every
+law, mechanism and effect works with every geometry.
 """
 
 import equinox as eqx
@@ -15,7 +15,7 @@ from smajax.parameters import parameter
 
 
 class AbstractWire(eqx.Module):
-    """Base class of the geometries of a round wire. Where a rig has several wires, they are alike."""
+    """Base class of the geometries of a round wire. If a rig has several wires, all have the same geometry."""
 
     diameter: eqx.AbstractVar[jax.Array]
     length: eqx.AbstractVar[jax.Array]
@@ -23,7 +23,7 @@ class AbstractWire(eqx.Module):
 
     @property
     def area(self) -> Float[Array, "..."]:
-        """Cross-section that a current flows through, in m^2."""
+        """Cross-section through which the current flows, in m^2."""
         return jnp.pi / 4 * self.diameter**2
 
     @property
@@ -43,7 +43,7 @@ class AbstractWire(eqx.Module):
 
 
 class Wire(AbstractWire):
-    """A straight wire in tension: stress and strain are those of the material law."""
+    """Straight wire in tension: stress and strain are those of the material law."""
 
     diameter: jax.Array = parameter("m", "wire diameter", 1e-6, 0.02)
     length: jax.Array = parameter("m", "wire length", 1e-4, 100.0)
@@ -68,14 +68,14 @@ class Wire(AbstractWire):
 
 
 class Environment(eqx.Module):
-    """The air around the wire, and gravity."""
+    """Air around the wire, and gravity."""
 
     ambient: jax.Array = parameter("degC", "temperature of the surroundings", -100.0, 300.0, 20.0)
     gravity: jax.Array = parameter("m/s^2", "gravitational acceleration", 0.0, 30.0, 9.81)
 
 
 class Initial(eqx.Module):
-    """State at the start of a recording; ``None`` follows from the rig: at rest, at ambient, as installed."""
+    """State at the start of a recording; values of ``None`` are those of the rig as installed, at rest, at ambient."""
 
     temperature: jax.Array | None = parameter(
         "degC", "temperature of the wires at the first row", -150.0, 800.0, jnp.nan

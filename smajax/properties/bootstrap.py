@@ -3,48 +3,51 @@
 import math
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.signal import lfilter
 
-from smajax.fitting.intervals import fit_autoregression
+from smajax.fitting.autoregression import fit_autoregression
 from smajax.properties.minor_loops import noise_of_averages
 
-# Bootstrap samples of a branch.
+# Number of bootstrap samples of a branch; chosen by trial, tests/unit/properties/test_properties.py holds the coverage
+# of the intervals.
 SAMPLES = 60
-# Residuals that scatter by more than this multiple of their row-to-row noise hold more than noise: they are a misfit of
-# the lines. Chosen by trial, like the constants below; tests/unit/properties/test_properties.py holds the coverage of
-# the intervals.
+# Residuals with a standard deviation above this multiple of their row-to-row noise are a misfit of the lines, not
+# noise. Chosen by trial, like the constants below; held by the same tests.
 MISFIT_RATIO = 5.0
-# Independent rows that are left at least after the coefficients are subtracted: degrees of freedom of the chi-squared
-# variable.
+# Least number of independent rows minus coefficients, the degrees of freedom of the chi-squared variable.
 _MIN_DEGREES_OF_FREEDOM = 4.0
-# Largest autocorrelation at lag 1 after debiasing: rows that correlate more are no noise in so few rows.
+# Largest autocorrelation at lag 1 after debiasing: a stronger one cannot be distinguished from a trend in so few rows.
 _MAX_AUTOCORRELATION = 0.96
-# Coefficients a row above which Kendall's formula, a first-order expansion, does not hold.
+# Number of coefficients per row above which Kendall's formula, a first-order expansion, does not hold.
 _MAX_COEFFICIENTS_PER_ROW = 0.05
 # Rows on a line from which its own noise can be estimated.
 _MIN_ROWS_OF_A_LINE = 4
-# Rows that an autoregression runs before its first used value, per coefficient.
+# Rows per coefficient that an autoregression runs before its first used value, so that it has forgotten its start.
 _WARM_UP_ROWS = 20
 # Keeps divisions finite where residuals vanish.
 _TINY = 1e-300
 
 
 def bootstrap_residuals(
-    line_index: np.ndarray, residual: np.ndarray, coefficients: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Draw residuals (SAMPLES, n) like those of a fitted curve, from an autoregression.
+    line_index: Int[np.ndarray, " n"], residual: Float[np.ndarray, " n"], coefficients: int, rng: np.random.Generator
+) -> Float[np.ndarray, "samples n"]:
+    """Draw residuals like those of a fitted curve, from an autoregression.
 
-    Each of the three lines with enough rows has its own autoregression and its own standard deviation: noise in the
-    temperatures shows where the strain is steep and nowhere else. The standard deviation is uncertain as well: it is
-    drawn with a chi-squared variable whose degrees of freedom are the independent rows less the coefficients.
+    Each of the three lines with enough rows has its own autoregression and its own standard deviation, since noise in
+    the temperatures affects the strain only where it is steep. The standard deviation is uncertain as well: it is drawn
+    with a chi-squared variable whose degrees of freedom are the independent rows minus the coefficients.
 
     Args:
         line_index: Index (n,) of the line on which each row lies.
         residual: Residuals (n,) of the strain.
         coefficients: Number of coefficients of the curve.
         rng: Random stream.
+
+    Returns:
+        The residuals (SAMPLES, n) of the bootstrap samples.
     """
-    drawn = np.zeros((SAMPLES, len(line_index)))
+    residuals = np.zeros((SAMPLES, len(line_index)))
     lines = [line_index == index for index in np.unique(line_index)]
     everywhere = (np.full(len(line_index), True), coefficients)
     for rows, share in (
@@ -54,36 +57,41 @@ def bootstrap_residuals(
         series = residual[rows]
         deviation, inefficiency = math.sqrt(float(np.mean(series**2))), 2.0 * _correlation_rows(series) - 1.0
         independent = max(len(series) / inefficiency, share + _MIN_DEGREES_OF_FREEDOM)
-        drawn[:, rows] = (
+        residuals[:, rows] = (
             _draw_like(series / max(deviation, _TINY), share, rng)
             * deviation
             * np.sqrt(independent / rng.chisquare(independent - share, (SAMPLES, 1)))
         )
-    return drawn
+    return residuals
 
 
-def _draw_like(series: np.ndarray, coefficients: float, rng: np.random.Generator) -> np.ndarray:
+def _draw_like(series: np.ndarray, coefficients: int | float, rng: np.random.Generator) -> np.ndarray:
     """Draw series (SAMPLES, n) from the autoregression of a series (n,) of residuals of a curve."""
-    own, variance = fit_autoregression(series)
-    if np.sum(own) <= 0.0:  # a fit makes the residuals of white noise oscillate like this
-        own, variance = np.zeros(0), 1.0
+    autoregression, variance = fit_autoregression(series)
+    if np.sum(autoregression) <= 0.0:  # the residuals of white noise oscillate in this way after a fit
+        autoregression, variance = np.zeros(0), 1.0
     if float(np.std(series)) < MISFIT_RATIO * noise_of_averages(series, 1):
-        own = debias_autocorrelation(own, coefficients / len(series), 2.0 / len(series))
-    rows = len(series) + _WARM_UP_ROWS * (len(own) + 1)
+        autoregression = debias_autocorrelation(autoregression, coefficients / len(series), 2.0 / len(series))
+    rows = len(series) + _WARM_UP_ROWS * (len(autoregression) + 1)
     innovations = math.sqrt(variance) * rng.standard_normal((SAMPLES, rows))
-    return np.asarray(lfilter([1.0], np.append(1.0, -own), innovations, axis=1))[:, rows - len(series) :]
+    return np.asarray(lfilter([1.0], np.append(1.0, -autoregression), innovations, axis=1))[:, rows - len(series) :]
 
 
-def debias_autocorrelation(own: np.ndarray, coefficients_per_row: float, two_per_row: float) -> np.ndarray:
+def debias_autocorrelation(
+    autoregression: Float[np.ndarray, " order"], coefficients_per_row: float, two_per_row: float
+) -> Float[np.ndarray, " order"]:
     """Correct an autoregression of residuals for the curve that was subtracted from them.
 
-    The curve takes slow noise with it, so that neighbours seem to correlate less than they do. Of a first-order
-    autoregression r in n rows, r - (1 + 3 r) / n is estimated on average after a mean was subtracted, r - (2 + 4 r)
-    / n after a straight line, and so on. This is inverted for the slowest root, unless that root oscillates or the
-    rows are too few for the formula.
+    The fitted curve absorbs slow noise, so that neighbouring residuals correlate less than the noise does. For a
+    first-order autoregression r in n rows, the mean of the estimate is r - (1 + 3 r) / n after a mean was subtracted,
+    r - (2 + 4 r) / n after a straight line, and so on:
+
+        E[r_estimated] = r - (k + (k + 2) r) / n    with k coefficients
+
+    This is inverted for the slowest root, unless that root oscillates or there are too few rows for the formula.
 
     Args:
-        own: Coefficients (order,) of the autoregression.
+        autoregression: Coefficients (order,) of the autoregression.
         coefficients_per_row: Coefficients of the curve over rows.
         two_per_row: 2 over rows.
 
@@ -92,12 +100,12 @@ def debias_autocorrelation(own: np.ndarray, coefficients_per_row: float, two_per
 
     Source: kendall1954.
     """
-    if not len(own) or coefficients_per_row > _MAX_COEFFICIENTS_PER_ROW:
-        return own
-    roots = np.roots(np.append(1.0, -own))
+    if not len(autoregression) or coefficients_per_row > _MAX_COEFFICIENTS_PER_ROW:
+        return autoregression
+    roots = np.roots(np.append(1.0, -autoregression))
     slowest = int(np.argmax(np.abs(roots)))
     if abs(roots[slowest].imag) > 0.0 or roots[slowest].real <= 0.0:
-        return own
+        return autoregression
     estimated = roots[slowest].real
     unbiased = (estimated + coefficients_per_row) / (1.0 - coefficients_per_row - two_per_row)
     roots[slowest] = max(estimated, min(unbiased, _MAX_AUTOCORRELATION))
@@ -105,7 +113,7 @@ def debias_autocorrelation(own: np.ndarray, coefficients_per_row: float, two_per
 
 
 def _correlation_rows(residual: np.ndarray) -> float:
-    """Rows over which residuals (n,) correlate, at least 1: the sum of their autocorrelation up to its first zero."""
+    """Correlation length of residuals (n,) in rows, at least 1: sum of their autocorrelation up to its first zero."""
     centred = residual - residual.mean()
     covariances = np.correlate(centred, centred, "full")[len(centred) - 1 :]
     shares = covariances / max(float(covariances[0]), _TINY)

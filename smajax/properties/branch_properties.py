@@ -10,6 +10,7 @@ the measured branch.
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 from scipy.ndimage import median_filter
 
 from smajax.errors import InputError
@@ -26,38 +27,47 @@ from smajax.properties.transformation_checks import MIN_PLATEAU_ROWS, check_tran
 
 Tangent = Literal["lines", "steepest"]
 
-# Beyond so many rows on a branch, means of neighbours are fitted: they carry the same information, in seconds instead
-# of minutes.
+# Most rows of a branch that are fitted; of more, means of neighbours are fitted: the same information, in seconds
+# instead of minutes.
 _MAX_ROWS = 2000
-# Coefficients of three connected lines: four, and two breakpoints.
+# Coefficients of three connected lines: level, three slopes and two breakpoints.
 _LINE_COEFFICIENTS = 6
-# Share of the branch's temperature range by which start and finish may be uncertain to either side: beyond it the
+# Largest uncertainty of start and finish to either side, as a share of the branch's temperature range: beyond it the
 # transformation is hidden in the noise. Chosen by trial; tests/unit/properties/test_properties.py holds it.
 _MAX_UNCERTAINTY = 0.25
+# Share of the bootstrap samples within this uncertainty: that of a 95 % interval.
+_PROBABILITY = 0.95
 # Keeps the slope of a plateau finite where its rows have one temperature.
 _TINY = 1e-300
 
 
 def branch_properties(
-    temperature: np.ndarray, strain: np.ndarray, branch: str, smooth: int, tangent: Tangent, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the properties of a branch, and how far those of bootstrap samples deviate.
+    temperature: Float[np.ndarray, " n"],
+    strain: Float[np.ndarray, " n"],
+    branch: str,
+    smooth: int,
+    tangent: Tangent,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "1 4"], Float[np.ndarray, "samples 4"]]:
+    """Estimate the properties of a branch, and the deviations of bootstrap samples from them.
 
     Args:
         temperature: Temperatures (n,) of the branch, degC.
         strain: Strains (n,).
-        branch: "cooling" or "heating", for messages.
+        branch: ``cooling`` or ``heating``, for messages.
         smooth: Rows of the running median of the temperatures, an odd number.
         tangent: The line along the transformation: that of three lines ("lines") or the steepest tangent ("steepest").
         rng: Random stream of the bootstrap.
 
     Returns:
         The lower and the upper transformation temperature (degC), the strain between them and the strain between the
-        coldest and the hottest row, (1, 4); and the deviations (samples, 4) of the bootstrap samples from the curve
-        about which they are drawn.
+        coldest and the hottest row, (1, 4); and the deviations (samples, 4) of the same properties of the bootstrap
+        samples from those of the curve about which the samples are drawn.
 
     Raises:
-        InputError: If the branch shows no whole transformation, or if noise hides it.
+        InputError: The branch has no complete transformation, too few rows, or noise that hides the transformation.
+
+    Source: astm_e3097.
     """
     size = -(-len(strain) // _MAX_ROWS)
     temperature, strain = _block_means(temperature, size), _block_means(strain, size)
@@ -90,8 +100,8 @@ def _bootstrap_branch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw temperatures and strains (samples, rows) about the smoothed temperatures and the curve."""
     rows = len(strain)
-    # Temperature residuals are drawn row by row: those of a running median lack slow noise, and blocks of them would
-    # lack it, too.
+    # Temperature residuals are drawn row by row: those of a running median have no slow noise, so that drawing them in
+    # blocks would not add it.
     drawn_t = smoothed + (temperature - smoothed[0])[rng.integers(0, rows, (SAMPLES, rows))]
     line_index = np.searchsorted(lines.breakpoints[0], smoothed[0])
     drawn_e = curve + bootstrap_residuals(line_index, strain - curve[0], coefficients, rng)
@@ -102,22 +112,23 @@ def _check_uncertainty(
     deviations: np.ndarray, temperature: np.ndarray, strain: np.ndarray, lines: PiecewiseLinearFit, branch: str
 ) -> None:
     """Raise ``InputError`` where start or finish is too uncertain, or NaN in a bootstrap sample."""
-    uncertainty = float(np.max(np.quantile(np.abs(deviations[:, :2]), 0.95, axis=0)))
+    uncertainty = float(np.max(np.quantile(np.abs(deviations[:, :2]), _PROBABILITY, axis=0)))
     if uncertainty <= _MAX_UNCERTAINTY * float(np.ptp(temperature)):
         return
-    said = f"on {branch} start and finish are uncertain by {uncertainty:.2g} K:"
+    finding = f"on {branch} start and finish are uncertain by {uncertainty:.2g} K:"
     residual = strain - lines.strain(temperature[None])[0]
     if float(np.std(residual)) > MISFIT_RATIO * noise_of_averages(strain, 1):
         raise InputError(
-            f"{said} the strain bends where three straight lines do not, as by a transformation in two steps (an "
-            "R-phase); "
-            "give the part of the branch in which one step happens"
+            f"{finding} the strain bends where three straight lines do not, as in a transformation in two steps (an "
+            "R-phase); give only the part of the branch with one of the steps"
         )
-    raise InputError(f"{said} the transformation is hidden in the noise; load more, or measure with less noise")
+    raise InputError(
+        f"{finding} the transformation is hidden in the noise; apply more load, or measure with less noise"
+    )
 
 
 def _block_means(values: np.ndarray, size: int) -> np.ndarray:
-    """Means of ``size`` neighbours among values (n,), of fewer at the end."""
+    """Means of blocks of ``size`` neighbouring values (n,); the last block may be shorter."""
     starts = np.arange(0, len(values), size)
     return np.asarray(np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values))))
 
@@ -136,15 +147,15 @@ def _measure(temperature: np.ndarray, strain: np.ndarray, lines: PiecewiseLinear
 def _plateau(temperature: np.ndarray, strain: np.ndarray, lines: PiecewiseLinearFit, side: int) -> Line:
     """Fit a line to the outer half of the rows below the lower breakpoint (side 0) or above the upper one (side 1).
 
-    The inner half may belong to a transformation that ends slowly. Where the outer half has too few rows, the
-    plateau line of the three lines is returned.
+    The inner half may belong to a transformation that ends slowly. Where the outer half has too few rows, the plateau
+    of the three lines is returned.
     """
-    corner = lines.breakpoints[:, side, None]
+    breakpoints = lines.breakpoints[:, side, None]
     end = temperature.min(axis=1, keepdims=True) if side == 0 else temperature.max(axis=1, keepdims=True)
-    outer = np.abs(temperature - end) <= 0.5 * np.abs(corner - end)
+    outer = np.abs(temperature - end) <= 0.5 * np.abs(breakpoints - end)
     count = np.maximum(outer.sum(axis=1, keepdims=True), 1)
     middle, level = (np.sum(np.where(outer, v, 0.0), axis=1, keepdims=True) / count for v in (temperature, strain))
     offset = np.where(outer, temperature - middle, 0.0)
     slope = np.sum(offset * strain, axis=1, keepdims=True) / np.maximum(np.sum(offset**2, axis=1, keepdims=True), _TINY)
-    fitted, fallback = (middle, level, slope), (corner, lines.strain(corner), lines.slopes[:, 2 * side, None])
+    fitted, fallback = (middle, level, slope), (breakpoints, lines.strain(breakpoints), lines.slopes[:, 2 * side, None])
     return Line(*(np.where(count >= MIN_PLATEAU_ROWS, a, b)[:, 0] for a, b in zip(fitted, fallback, strict=True)))

@@ -1,36 +1,42 @@
 """Least-squares fits of three connected straight lines to a branch of a thermal cycle.
 
-The lines run along the cold plateau, the transformation and the hot plateau (ASTM E3097 draws them by hand). Both
-breakpoints are free, so that no row has to be assigned to a plateau or to the transformation beforehand. Many
+The lines are those of the cold plateau, the transformation and the hot plateau (ASTM E3097 draws them by hand):
+
+    strain(T) = c_0 + c_1 T + c_2 max(T - b_1, 0) + c_3 max(T - b_2, 0)
+
+Both breakpoints b are free, so that no row has to be assigned to a plateau or to the transformation beforehand. All
 bootstrap samples of a branch are fitted at once: arrays have the shape (samples, rows).
+
+Source: astm_e3097.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-# The 4 % of the rows at either end are no candidates for a breakpoint: a plateau needs some rows. Chosen by trial.
+# Breakpoints are searched between these quantiles of the temperature, since a plateau needs rows. Chosen by trial.
 _CANDIDATE_RANGE = (0.04, 0.96)
-# Breakpoint candidates along a branch. With a start from another fit a coarser grid is enough. Both chosen by trial;
-# tests/unit/properties/test_properties.py holds the accuracy that results.
+# Number of breakpoint candidates along a branch; chosen by trial, tests/unit/properties/test_properties.py holds the
+# accuracy that results.
 _CANDIDATES = 64
+# The same with a start from another fit, for which a coarser grid is enough; chosen by trial, held by the same tests.
 _CANDIDATES_WITH_START = 24
-# Gauss-Newton steps after the search over the candidates; the sum of squares no longer changes after fewer. Chosen by
-# trial.
+# Number of Gauss-Newton steps after the search over the candidates; the sum of squares is constant after fewer. Chosen
+# by trial.
 _GAUSS_NEWTON_STEPS = 8
 # Largest Gauss-Newton step of a breakpoint, as a share of the temperature range: keeps a step from leaving the branch.
 _LARGEST_STEP = 0.1
 # Ridge of the normal equations, relative to columns of norm 1: above rounding (1e-16), far below any real curvature.
 _RIDGE = 1e-13
-# Two candidates whose columns are parallel to this relative accuracy explain nothing together: their determinant is
-# rounding.
+# Two candidates whose columns are parallel to this relative accuracy are left out: their determinant is rounding.
 _PARALLEL = 1e-9
 # Keeps divisions by norms finite where a column vanishes.
 _TINY = 1e-300
 
 
 class PiecewiseLinearFit(NamedTuple):
-    """Three connected lines, one set a sample.
+    """Three connected lines for each sample.
 
     Attributes:
         breakpoints: Temperatures (samples, 2) at which the lines meet, degC.
@@ -42,17 +48,28 @@ class PiecewiseLinearFit(NamedTuple):
     coefficients: np.ndarray
     sum_of_squares: np.ndarray
 
-    def strain(self, temperature: np.ndarray) -> np.ndarray:
-        """Return the strain (samples, rows) on the lines at temperatures (samples, rows) in degC."""
+    def strain(self, temperature: Float[np.ndarray, "samples rows"]) -> Float[np.ndarray, "samples rows"]:
+        """Return the strain on the lines.
+
+        Args:
+            temperature: Temperatures (samples, rows), degC.
+
+        Returns:
+            The strain (samples, rows).
+        """
         return np.einsum("drk,dk->dr", design_matrix(temperature, self.breakpoints), self.coefficients)
 
     @property
-    def slopes(self) -> np.ndarray:
+    def slopes(self) -> Float[np.ndarray, "samples 3"]:
         """Slopes (samples, 3) of the cold plateau, the transformation and the hot plateau, 1/K."""
         return np.cumsum(self.coefficients[:, 1:], axis=1)
 
 
-def fit_three_lines(temperature: np.ndarray, strain: np.ndarray, start: np.ndarray | None = None) -> PiecewiseLinearFit:
+def fit_three_lines(
+    temperature: Float[np.ndarray, "samples rows"],
+    strain: Float[np.ndarray, "samples rows"],
+    start: Float[np.ndarray, "2"] | None = None,
+) -> PiecewiseLinearFit:
     """Fit three connected lines to each sample by least squares in the strain.
 
     Args:
@@ -61,7 +78,7 @@ def fit_three_lines(temperature: np.ndarray, strain: np.ndarray, start: np.ndarr
         start: Breakpoints (2,) in degC from which a second search begins; the better of the two results is returned.
 
     Returns:
-        The fits of all samples.
+        The lines of each sample.
     """
     coldest, span = np.min(temperature, axis=1)[:, None], np.ptp(temperature, axis=1)[:, None]
     scaled = (temperature - coldest) / span
@@ -74,14 +91,24 @@ def fit_three_lines(temperature: np.ndarray, strain: np.ndarray, start: np.ndarr
     return PiecewiseLinearFit(coldest + span * fit.breakpoints, np.hstack([level, slopes]), fit.sum_of_squares)
 
 
-def design_matrix(temperature: np.ndarray, breakpoints: np.ndarray) -> np.ndarray:
-    """Return the columns 1, T, max(T - b1, 0) and max(T - b2, 0) as an array (samples, rows, 4)."""
+def design_matrix(
+    temperature: Float[np.ndarray, "samples rows"], breakpoints: Float[np.ndarray, "samples 2"]
+) -> Float[np.ndarray, "samples rows 4"]:
+    """Return the columns 1, T, max(T - b_1, 0) and max(T - b_2, 0).
+
+    Args:
+        temperature: Temperatures T (samples, rows).
+        breakpoints: Breakpoints b (samples, 2), in the same unit.
+
+    Returns:
+        The columns (samples, rows, 4).
+    """
     hinges = np.maximum(temperature[:, :, None] - breakpoints[:, None, :], 0.0)
     return np.concatenate([np.ones_like(hinges[:, :, :1]), temperature[:, :, None], hinges], axis=2)
 
 
 def _better(first: PiecewiseLinearFit, second: PiecewiseLinearFit) -> PiecewiseLinearFit:
-    """Take, sample by sample, the fit with the smaller sum of squares; the first one where they are equal."""
+    """For each sample the fit with the smaller sum of squares; the first one where they are equal."""
     better = second.sum_of_squares < first.sum_of_squares
     return PiecewiseLinearFit(
         *(np.where(better[:, None] if a.ndim > 1 else better, b, a) for a, b in zip(first, second, strict=True))
@@ -89,7 +116,7 @@ def _better(first: PiecewiseLinearFit, second: PiecewiseLinearFit) -> PiecewiseL
 
 
 def _refine(temperature: np.ndarray, strain: np.ndarray, breakpoints: np.ndarray) -> PiecewiseLinearFit:
-    """Improve breakpoints by Gauss-Newton steps and return the best fit on the way."""
+    """Improve breakpoints by Gauss-Newton steps and return the best fit of all steps."""
     best = PiecewiseLinearFit(breakpoints, *_solve_coefficients(temperature, strain, breakpoints))
     # At least two rows stay on each plateau.
     limits = np.partition(temperature, (1, -2), axis=1)[:, [1, -2]]
@@ -118,8 +145,8 @@ def _solve_coefficients(
 def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve a stack of least-squares problems by normal equations of scaled columns.
 
-    The ridge keeps columns that vanish from spoiling the others; the second solve removes what it and rounding took
-    away.
+    The ridge keeps the equations regular where a column vanishes; the second solve removes the error by the ridge and
+    by rounding.
     """
     norms = np.sqrt(np.sum(matrix**2, axis=1)) + _TINY
     scaled = matrix / norms[:, None, :]
@@ -131,10 +158,10 @@ def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _best_candidates(temperature: np.ndarray, strain: np.ndarray, count: int) -> np.ndarray:
-    """Return the pair of breakpoints (samples, 2) that explains most among ``count`` quantiles of the temperature.
+    """Return the best pair of breakpoints (samples, 2) among ``count`` quantiles of the temperature.
 
-    Every pair is evaluated in closed form: strain and hinge columns are projected off a straight line, and what two
-    hinges then explain of the strain follows from a system of two equations.
+    The sum of squares that a pair explains has a closed form: strain and hinge columns are projected onto the
+    complement of straight lines, and the coefficients of two hinges follow from a system of two equations.
     """
     candidates = np.quantile(temperature, np.linspace(*_CANDIDATE_RANGE, count), axis=1).T
     hinges = np.maximum(temperature[:, :, None] - candidates[:, None, :], 0.0)

@@ -1,4 +1,4 @@
-"""Start values of a material law from the properties of thermal cycles: a parameter set to begin a fit with."""
+"""Start values of a material law's parameters from the properties of thermal cycles."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,27 +17,30 @@ from smajax.properties.strain_start_values import (
 from smajax.properties.thermal_cycles import TEMPERATURE_NAMES, Value
 from smajax.units import as_text
 
-# Stresses (Pa) at least this far apart determine the slope of the transformation lines, and how the strain grows.
+# Least range of the stresses (Pa) that determines the slope of the transformation lines and the growth of the strain.
+# Chosen by trial; tests/unit/properties/test_properties.py holds it.
 _MIN_STRESS_RANGE = 10e6
 # Slope of the transformation lines (Pa/K) where one stress does not determine it: usual for NiTi.
 _USUAL_SLOPE = 7e6
-# Plausible slopes (Pa/K): a slope beyond them follows from temperatures that hardly move with the stress.
+# Plausible slopes (Pa/K): a larger slope follows from temperatures that hardly depend on the stress.
 _SLOPE_BOUNDS = (1e6, 3e7)
-# Bounds of a slope in the set, as multiples of its value.
+# Bounds of a slope in the set, as multiples of its value; chosen by trial.
 _SLOPE_FACTORS = (0.3, 3.0)
-# Bounds of a transformation temperature in the set (K to either side), in addition to its own uncertainty.
+# Bounds of a transformation temperature in the set (K to either side), in addition to its own uncertainty; chosen by
+# trial.
 _TEMPERATURE_MARGIN = 40.0
-# Young's moduli (Pa), with plausible bounds: thermal cycles under constant stress hardly determine them, and a law
-# needs them. The values are those of brinson1993.
+# Young's moduli (Pa) with plausible bounds, since thermal cycles under constant stress hardly determine them. The
+# values are those of brinson1993.
 _MODULI = {"modulus_austenite": (67e9, 20e9, 110e9), "modulus_martensite": (26.3e9, 8e9, 60e9)}
 _MODULI_SOURCE = "usual: the material of Brinson (1993), which the cycles do not determine"
-# Exponents of the hardening of Lagoudas' law, which begin in the middle of their usual range.
+# Exponents of the hardening of Lagoudas' law.
 _EXPONENTS = ("n1", "n2", "n3", "n4")
+# Start value of the exponents: the middle of their usual range.
 _USUAL_EXPONENT = 0.5
 _EXPONENT_BOUNDS = (0.01, 1.0)
-# Stresses from which the growth of the strain is determined: its law has three unknowns.
+# Least number of stresses that determines the growth of the strain: its law has three unknowns.
 _MIN_STRESSES_OF_GROWTH = 3
-# Share of the largest strain by which strains have to differ to count as growing.
+# Least range of the strains that counts as growth, as a share of the largest strain; chosen by trial.
 _MIN_GROWTH = 0.02
 # Words in the sources of values that do not come from the cycles.
 _ASSUMED_WORDS = ("usual", "plausible")
@@ -50,7 +53,7 @@ class StressLevel(NamedTuple):
     Attributes:
         recording: Name of the recording.
         stress: Stress (Pa), negative in compression; ``None`` where it was not recorded.
-        properties: Mean properties by name, see ``thermal_cycles``.
+        properties: Mean properties by the names in ``thermal_cycles.PROPERTY_NAMES``.
     """
 
     recording: str
@@ -61,24 +64,25 @@ class StressLevel(NamedTuple):
 def make_start_values(levels: Sequence[StressLevel], model: str) -> dict[str, Entry]:
     """Make start values of a law: temperatures at zero stress, slopes of its transformation lines, strains.
 
-    Compression counts like tension: both raise the temperatures. The slopes follow from the recorded stresses where
-    these differ by more than 10 MPa; else they are 7 MPa/K, and their source says so.
+    Stresses count by their absolute values, since tension and compression both raise the temperatures. The slopes
+    follow from the recorded stresses where these differ by more than 10 MPa; otherwise they are 7 MPa/K, and their
+    source says so.
 
     Args:
         levels: Mean properties at each stress.
-        model: The material law, as in ``MATERIALS``.
+        model: The material law, one of ``rig_kinds.MATERIALS``.
 
     Returns:
-        Entries of a parameter set by parameter name; what is not finite is left out.
+        Entries of a parameter set by parameter name, in internal units; values that are not finite are left out.
 
     Raises:
-        InputError: Where the stress is unknown, or the largest transformation strain is below that of any law.
+        InputError: A stress was not recorded, or the largest transformation strain is below the bounds of all laws.
     """
     unknown = [level.recording for level in levels if level.stress is None]
     if unknown:
         raise InputError(
-            f"{unknown[0]} has no column stress, so its temperatures cannot be brought to zero stress: add one, as in "
-            "'stress [MPa]'"
+            f"{unknown[0]} has no column stress, so its temperatures cannot be extrapolated to zero stress: add one, "
+            "as in 'stress [MPa]'"
         )
     stress = np.abs(np.array([level.stress for level in levels], float))
     means = [level.properties for level in levels]
@@ -88,7 +92,7 @@ def make_start_values(levels: Sequence[StressLevel], model: str) -> dict[str, En
     if not largest >= STRAIN_BOUNDS[0]:
         raise InputError(
             f"{levels[int(np.argmax(strain))].recording}: the largest transformation strain is {100 * largest:.2g} %, "
-            "less than any law has: write a set of cycles under more stress"
+            "below the lower bound of every law: give cycles under more stress"
         )
     entries = _transformation_lines(stress, values, means)
     entries |= {
@@ -107,7 +111,11 @@ def make_start_values(levels: Sequence[StressLevel], model: str) -> dict[str, En
 
 
 def assumed_values(entries: Mapping[str, Entry]) -> str:
-    """Say in one sentence which start values do not come from the cycles, and where each comes from instead."""
+    """List in one sentence the start values that do not come from the cycles, with their sources.
+
+    Args:
+        entries: Entries by parameter name, see ``make_start_values``.
+    """
     by_source: dict[str, list[str]] = {}
     for name, entry in entries.items():
         if any(word in entry.source for word in _ASSUMED_WORDS):
@@ -119,7 +127,7 @@ def assumed_values(entries: Mapping[str, Entry]) -> str:
         parts.append(
             "no shape-memory alloy's temperatures fall as the stress rises: check which stress belongs to which cycle"
         )
-    return f"not read off the cycles: {'; '.join(parts)}"
+    return f"not determined by the cycles: {'; '.join(parts)}"
 
 
 def _transformation_lines(
@@ -137,7 +145,7 @@ def _transformation_lines(
             at_zero = float(np.mean(values[name] - stress / slope))
             margin = _TEMPERATURE_MARGIN + max(0.5 * (m[name].upper95 - m[name].lower95) for m in means)
             entries[f"material.{name}"] = Entry(
-                at_zero, "degC", at_zero - margin, at_zero + margin, source="tangents, brought to zero stress"
+                at_zero, "degC", at_zero - margin, at_zero + margin, source="tangents, extrapolated to zero stress"
             )
     return entries
 
@@ -157,7 +165,7 @@ def _line_slope(stress: np.ndarray, middle: np.ndarray, letter: str) -> tuple[fl
 
 
 def _strain_grows(stress: np.ndarray, strain: np.ndarray, means: Sequence[Mapping[str, Value]]) -> bool:
-    """Tell whether there are enough stresses, and strains that differ by more than their uncertainty."""
+    """Whether there are enough stresses, and strains that differ by more than their uncertainty."""
     intervals = [m["transformation_strain"] for m in means]
     uncertainty = max(0.5 * (value.upper95 - value.lower95) for value in intervals)
     grows = np.ptp(strain) > max(_MIN_GROWTH * float(np.max(strain)), uncertainty)

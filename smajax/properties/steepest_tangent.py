@@ -1,32 +1,37 @@
 """The tangent at the steepest point of a transformation, and where it meets the plateau lines (ASTM E3097).
 
-Noise makes single points steeper than all others, so the slope between neighbouring rows is no estimate. A cubic is
-fitted to the middle part of the transformation, and its steepest point is used. The cubic counts only as far as it
-explains more than noise would: the result is a weighted mean of a straight line and the cubic, so that a straight
-transformation stays straight. Arrays have the shape (samples, rows), as in ``segmented_lines``.
+Noise makes some slopes between neighbouring rows much steeper than the transformation, so the largest of them is not an
+estimate. A cubic is fitted to the middle part of the transformation, and its steepest point is used. The result is a
+weighted mean of a straight line and the cubic; the weight of the cubic is the share of the sum of squares that it
+explains beyond noise, so that a straight transformation stays straight. Arrays have the shape (samples, rows), as in
+``segmented_lines``.
+
+Source: astm_e3097.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.errors import InputError
 from smajax.properties.segmented_lines import PiecewiseLinearFit, design_matrix
 
-# Share of the range between the breakpoints to which the cubic is fitted: the rounded ends are left out. This and the
+# Share of the range between the breakpoints to which the cubic is fitted, without the rounded ends. This and the
 # constants below were chosen by trial; tests/unit/properties/test_properties.py holds them on exact kinetics and the
 # coverage of the intervals.
 _MIDDLE_PART = 0.8
-# Share of the middle part in which the steepest point is looked for: the slope of a cubic is uncertain at its ends.
+# Share of the middle part in which the steepest point is searched: the slope of a cubic is uncertain at its ends.
 _SEARCH_PART = 0.6
-# Rows on the middle part below which a cubic (four coefficients) leaves too few degrees of freedom.
+# Least number of rows on the middle part: two degrees of freedom in addition to the cubic's four coefficients.
 _MIN_ROWS = 6
 # Coefficients of the cubic; a fit needs more rows than that.
 _CUBIC_COEFFICIENTS = 4
-# Spline of the smooth curve: its knots at most, the rows that each needs, and how far it reaches beyond the
-# breakpoints, as a share of the range between them.
+# Largest number of knots of the spline of the smooth curve.
 _MAX_KNOTS = 11
+# Least number of rows per knot.
 _ROWS_PER_KNOT = 8
+# Distance of the outer knots from the breakpoints, as a share of the range between these.
 _REACH = 0.75
 # Relative singular values below which columns of the spline count as dependent.
 _RANK_TOLERANCE = 1e-9
@@ -37,50 +42,64 @@ _MIN_HALF_LENGTH = 1e-9
 
 
 class Line(NamedTuple):
-    """A straight line a sample: its slope (1/K) and its strain at one temperature (degC), each (samples,)."""
+    """A straight line for each sample, by a point and the slope.
+
+    Attributes:
+        temperature: Temperatures (samples,) of the points, degC.
+        strain: Strains (samples,) of the points.
+        slope: Slopes (samples,), 1/K.
+    """
 
     temperature: np.ndarray
     strain: np.ndarray
     slope: np.ndarray
 
-    def evaluate(self, temperature: np.ndarray) -> np.ndarray:
+    def evaluate(self, temperature: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Return the strain on the line at temperatures (samples,) in degC."""
         return self.strain + self.slope * (temperature - self.temperature)
 
-    def intersection(self, other: "Line") -> np.ndarray:
-        """Return the temperature (samples,) in degC at which the line meets another one."""
+    def intersection(self, other: "Line") -> Float[np.ndarray, " samples"]:
+        """Return the temperature (samples,) in degC at which the line intersects another one."""
         return other.temperature + (self.evaluate(other.temperature) - other.strain) / (other.slope - self.slope)
 
 
-def require_rows_on_transformation(temperature: np.ndarray, lines: PiecewiseLinearFit, branch: str) -> None:
+def require_rows_on_transformation(
+    temperature: Float[np.ndarray, "1 rows"], lines: PiecewiseLinearFit, branch: str
+) -> None:
     """Check that the transformation has enough rows for its steepest point.
 
     Args:
         temperature: Temperatures (1, rows) of a branch, degC.
         lines: Its three lines.
-        branch: "cooling" or "heating", for the message.
+        branch: ``cooling`` or ``heating``, for the message.
 
     Raises:
-        InputError: If too few rows lie on the middle part of the transformation.
+        InputError: Too few rows are on the middle part of the transformation.
     """
     count = int(np.sum(np.abs(_relative_position(temperature, lines)) <= 1.0))
     if count < _MIN_ROWS:
         raise InputError(
-            f"on {branch} {count} rows lie on the transformation's middle part, fewer than the {_MIN_ROWS} from which "
-            "its steepest "
-            "tangent can be estimated: record more rows per kelvin, or take three lines (--tangent lines)"
+            f"on {branch} {count} rows lie on the transformation's middle part, fewer than the {_MIN_ROWS} that its "
+            "steepest tangent needs: record more rows per kelvin, or use three lines (--tangent lines)"
         )
 
 
-def fit_steepest_tangent(temperature: np.ndarray, strain: np.ndarray, lines: PiecewiseLinearFit) -> Line:
-    """Return the tangents at the steepest points of the transformations.
+def fit_steepest_tangent(
+    temperature: Float[np.ndarray, "samples rows"], strain: Float[np.ndarray, "samples rows"], lines: PiecewiseLinearFit
+) -> Line:
+    """Fit the tangents at the steepest points of the transformations.
 
-    Where no cubic can be fitted, the transformation's line of the three lines is returned.
+    Where no cubic can be fitted, the middle one of the three lines is returned.
 
     Args:
         temperature: Temperatures (samples, rows), degC.
         strain: Strains (samples, rows).
-        lines: The three lines of each sample, which say where the transformation lies.
+        lines: The three lines of each sample, whose breakpoints are the ends of the transformation.
+
+    Returns:
+        The tangent of each sample.
+
+    Source: astm_e3097.
     """
     middle, half = _middle_part(lines)
     position = _relative_position(temperature, lines)
@@ -90,7 +109,7 @@ def fit_steepest_tangent(temperature: np.ndarray, strain: np.ndarray, lines: Pie
     values = np.where(used, strain, 0.0)
     line, line_squares = _fit_polynomial(powers[:, :, :2], values)
     cubic, cubic_squares = _fit_polynomial(powers, values)
-    # What two more coefficients explain of noise alone.
+    # Sum of squares that two more coefficients explain of noise alone.
     by_noise = 2.0 * cubic_squares / np.maximum(count - _CUBIC_COEFFICIENTS, 1)
     weight = np.clip(1.0 - by_noise / np.maximum(line_squares - cubic_squares, _TINY), 0.0, 1.0)[:, None]
     coefficients = line + weight * (cubic - line)
@@ -101,8 +120,10 @@ def fit_steepest_tangent(temperature: np.ndarray, strain: np.ndarray, lines: Pie
     return Line(*(np.where(count > _CUBIC_COEFFICIENTS, b, a) for a, b in zip(fallback, tangent, strict=True)))
 
 
-def fit_smooth_curve(temperature: np.ndarray, strain: np.ndarray, lines: PiecewiseLinearFit) -> tuple[np.ndarray, int]:
-    """Fit a curve that may be smooth or have corners: three lines plus a natural cubic spline about the transformation.
+def fit_smooth_curve(
+    temperature: Float[np.ndarray, "1 rows"], strain: Float[np.ndarray, "1 rows"], lines: PiecewiseLinearFit
+) -> tuple[Float[np.ndarray, "1 rows"], int]:
+    """Fit a curve that may be smooth or have corners: three lines plus a natural cubic spline near the transformation.
 
     Args:
         temperature: Temperatures (1, rows), degC.
@@ -124,7 +145,7 @@ def fit_smooth_curve(temperature: np.ndarray, strain: np.ndarray, lines: Piecewi
 
 
 def _relative_position(temperature: np.ndarray, lines: PiecewiseLinearFit) -> np.ndarray:
-    """Position of rows on their transformation: from -1 to 1 on its middle part."""
+    """Position (samples, rows) on the transformation: from -1 to 1 on its middle part."""
     middle, half = _middle_part(lines)
     return (temperature - middle[:, None]) / half[:, None]
 

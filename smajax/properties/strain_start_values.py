@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from smajax.files.parameter_sets import Entry
@@ -11,56 +12,69 @@ from smajax.files.rig_kinds import MATERIALS
 from smajax.parameters import declarations
 
 _DECLARED_STRAIN = declarations(MATERIALS["brinson"])["max_transformation_strain"]
-# Bounds of the largest transformation strain, which all laws declare alike.
+# Bounds of the largest transformation strain, which are the same in all laws.
 STRAIN_BOUNDS = (_DECLARED_STRAIN.lower, _DECLARED_STRAIN.upper)
 
-# Bounds of the largest strain in a set, as multiples of its value.
+# Bounds of the largest strain in a set, as multiples of its value; chosen by trial.
 _STRAIN_FACTORS = (0.3, 2.5)
-# Scales of the misfit for Brinson's law: of the start (K), of the finish (K, which the tangents locate less well), and
-# of the strain (as a share of the largest). Chosen by trial, like the constants below;
-# tests/unit/properties/test_properties.py holds the result.
+# Scale (K) of the misfit of the start in the search for Brinson's parameters. Chosen by trial, like the constants
+# below; tests/unit/properties/test_properties.py holds the result.
 _START_SCALE = 1.0
+# Scale (K) of the misfit of the finish, which is larger since the tangents locate it less well.
 _FINISH_SCALE = 10.0
+# Scale of the misfit of the strain, as a share of the largest strain.
 _STRAIN_SCALE = 0.03
-# Weak prior that decides where the cycles do not: a low sigma_s, and sigma_f this far above it, both on this scale
-# (Pa).
+# Scale (Pa) of a weak prior on sigma_s, with mean 0, and on sigma_f - sigma_s, for cycles that do not determine them.
 _PRIOR_SCALE = 3e8
+# Mean (Pa) of the prior on sigma_f - sigma_s.
 _USUAL_DETWINNING_RANGE = 7e7
-# Start points of the search: sigma_s as shares of the lowest stress, and sigma_f - sigma_s (Pa).
+# Start points of sigma_s, as shares of the lowest stress.
 _START_SHARES = (0.0, 0.3, 0.8)
+# Start points of sigma_f - sigma_s (Pa).
 _START_RANGES = (2e7, 7e7, 1.5e8, 3e8)
-# Bounds of sigma_s and of sigma_f - sigma_s (Pa).
+# Bounds of sigma_s (Pa).
 _DETWINNING_START_BOUNDS = (0.0, 3e8)
+# Bounds of sigma_f - sigma_s (Pa).
 _DETWINNING_RANGE_BOUNDS = (5e6, 5e8)
-# Bounds of M_s, K below and above the mean that a line through the starts gives.
+# Bounds of M_s: K below and above the mean of the starts extrapolated to zero stress.
 _START_TEMPERATURE_MARGINS = (5.0, 80.0)
 # Scale of the stresses in the search (Pa).
 _STRESS_SCALE = 1e7
-# Bounds of M_s in the set, K to either side; of sigma_f, as multiples.
+# Bounds of M_s in the set, K to either side.
 _TEMPERATURE_MARGIN = 40.0
+# Bounds of sigma_f in the set, as multiples of its value.
 _DETWINNING_FINISH_FACTORS = (0.2, 5.0)
-# Start points and bounds of the growth of Lagoudas' law: its rate times the largest stress; the smallest strain as a
-# share.
+# Start points of the rate k in H_cur of Lagoudas' law, times the largest stress.
 _START_RATES = (0.5, 2.0, 8.0)
 _RATE_BOUNDS = (0.1, 50.0)
+# Start point of the least strain in H_cur, as a share of the largest.
 _START_SHARE = 0.3
 
 
 def strain_entry(largest: float, source: str) -> Entry:
-    """Make the entry of a largest transformation strain, with bounds about it within those of the laws."""
+    """Make the entry of a largest transformation strain, with bounds about it within those of the laws.
+
+    Args:
+        largest: The largest transformation strain, a fraction.
+        source: Its origin in words.
+    """
     low, high = (factor * largest for factor in _STRAIN_FACTORS)
     return Entry(largest, "1", max(low, STRAIN_BOUNDS[0]), min(high, STRAIN_BOUNDS[1]), source=source)
 
 
 def brinson_start_values(
-    stress: np.ndarray, start: np.ndarray, finish: np.ndarray, strain: np.ndarray, slope: float
+    stress: Float[np.ndarray, " levels"],
+    start: Float[np.ndarray, " levels"],
+    finish: Float[np.ndarray, " levels"],
+    strain: Float[np.ndarray, " levels"],
+    slope: float,
 ) -> dict[str, Entry]:
-    """Find M_s, detwinning stresses and largest strain that give Brinson's law the measured tangents and strains.
+    """Find M_s, detwinning stresses and largest strain with which Brinson's law has the measured tangents and strains.
 
-    On cooling under a stress sigma above sigma_s it begins at M_s + (sigma - sigma_s) / C_M and ends at M_s + (sigma
-    - sigma_f) / C_M, or, where sigma is below sigma_f, at M_s with the share of its strain that the stress detwins
-    there. Where several values do it equally well, as at a single stress, sigma_s is low and sigma_f - sigma_s is
-    near a usual value.
+    On cooling under a stress sigma above sigma_s, the transformation begins at M_s + (sigma - sigma_s) / C_M. Where
+    sigma is above sigma_f it ends at M_s + (sigma - sigma_f) / C_M, otherwise at M_s with the share of the strain that
+    the stress detwins. Where several values fit equally well, as at a single stress, sigma_s is low and
+    sigma_f - sigma_s is near a usual value.
 
     Args:
         stress: Absolute stresses (levels,), Pa.
@@ -70,7 +84,7 @@ def brinson_start_values(
         slope: Slope C_M of the transformation lines, Pa/K.
 
     Returns:
-        Entries by parameter name.
+        Entries of a parameter set by parameter name, in internal units.
 
     Source: brinson1993, equations 15 and 16.
     """
@@ -99,24 +113,28 @@ def brinson_start_values(
     ]
     best = _minimise(residual, starts, (lower, upper), [_FINISH_SCALE, _STRESS_SCALE, _STRESS_SCALE, 0.1 * top])
     start_temperature, first, width, largest = map(float, best)
-    first = round(first, -3)  # to a kilopascal: a search ends next to 0
+    first = round(first, -3)  # to a kilopascal: a search ends near 0, not at it
     count = len(stress)
     source = f"tangents and strains of {count} stress{'es' if count > 1 else ''}, as Brinson's law would give them"
     return _brinson_entries(start_temperature, first, first + width, largest, source)
 
 
-def lagoudas_strain_start_values(stress: np.ndarray, strain: np.ndarray) -> dict[str, Entry]:
-    """Fit H_cur(sigma) = H_sat (1 - (1 - share) exp(-k sigma)) to the transformation strains at several stresses.
+def lagoudas_strain_start_values(
+    stress: Float[np.ndarray, " levels"], strain: Float[np.ndarray, " levels"]
+) -> dict[str, Entry]:
+    """Fit the growth of the transformation strain with the stress in Lagoudas' law to strains at several stresses.
 
-    The critical stress, which a few stresses do not distinguish from k, starts at 0; the slopes of the
-    transformation lines hold at the mean stress.
+        H_cur(sigma) = H_sat (1 - (1 - share) exp(-k sigma))
+
+    The critical stress starts at 0, since a few stresses do not distinguish it from k; the slopes of the transformation
+    lines are those at the mean stress.
 
     Args:
         stress: Absolute stresses (levels,), Pa.
         strain: Absolute transformation strains (levels,).
 
     Returns:
-        Entries by parameter name.
+        Entries of a parameter set by parameter name, in internal units.
 
     Source: lagoudas2012.
     """
@@ -129,7 +147,7 @@ def lagoudas_strain_start_values(stress: np.ndarray, strain: np.ndarray) -> dict
     lower, upper = ([STRAIN_BOUNDS[side], share, _RATE_BOUNDS[side]] for side, share in enumerate((0.0, 1.0)))
     starts = [[1.2 * float(np.max(strain)), _START_SHARE, rate] for rate in _START_RATES]
     best = _minimise(residual, starts, (lower, upper), starts[0])
-    # To a millionth: a search ends next to 0.
+    # To a millionth: a search ends near 0, not at it.
     largest, share, saturation = float(best[0]), round(float(best[1]), 6), float(best[2]) / top
     source = f"transformation strains at {len(stress)} stresses"
     return {

@@ -11,16 +11,19 @@ from smajax.properties.cycle_rows import temperature_noise, unpaired_branches
 from smajax.properties.thermal_cycles import Cycle, analyse_cycles
 from smajax.recordings.recording import Recording
 
-# Temperatures are smoothed where their noise from row to row is above this (K), over so many rows: unsmoothed, such
-# noise moves the fitted lines by kelvins. Chosen by trial; tests/unit/properties/test_properties.py holds both.
+# Temperatures are smoothed where their noise from row to row is above this (K): without smoothing, such noise moves the
+# fitted lines by kelvins. Chosen by trial; tests/unit/properties/test_properties.py holds it.
 _NOISY = 0.5
+# Rows of the running median with which they are smoothed; chosen by trial, held by the same tests.
 _SMOOTHED_ROWS = 9
-# A cycle runs under one stress where most of its rows lie within this share of it plus so many Pa: what a dead weight
-# or a slow controller of the force keeps. Chosen by trial.
+# The stress of a row is that of its cycle within this share of the cycle's median plus the offset (Pa) below: what a
+# dead weight or a slow force controller achieves. Chosen by trial.
 _CONSTANT_SHARE = 0.1
 _CONSTANT_OFFSET = 5e6
+# A cycle has one stress where it holds for at least this share of its rows. Chosen by trial.
 _CONSTANT_ROWS = 0.9
-# Cycles run under the same stress where their medians differ by less than this share plus so many Pa. Chosen by trial.
+# Two cycles have the same stress where their medians differ by less than this share plus the offset (Pa) below. Chosen
+# by trial.
 _SAME_SHARE = 0.02
 _SAME_OFFSET = 2e6
 
@@ -34,8 +37,9 @@ class StressGroup:
         smooth: Rows of the running median of the temperatures.
         cycles: The cycles under this stress; none where no cycle of the recording can be analysed.
         refused: A sentence for each cycle that cannot be analysed; all of them in the recording's first group.
-        stress: The stress (Pa), ``None`` where it was not recorded.
-        unpaired: Branches that are in no cycle, see ``unpaired_branches``; all of them in the recording's first group.
+        stress: The stress (Pa); ``None`` where it was not recorded.
+        unpaired: Branches that are in no cycle, as ``cycle_rows.unpaired_branches`` returns them; all of them in the
+            recording's first group.
     """
 
     recording: Recording
@@ -56,15 +60,16 @@ def analyse_recording(
     """Analyse the thermal cycles of a recording and group them by stress.
 
     Args:
-        recording: A recording with temperature and strain, and with stress where there is one.
+        recording: A recording with the channels temperature and strain, and with stress if it was measured.
         smooth: Rows of the running median of the temperatures, an odd number; by default 9 where their noise is
             above 0.5 K, else 1.
-        tangent: The line along the transformation, see ``analyse_cycles``.
+        tangent: The line along the transformation: that of three lines fitted by least squares ("lines"), or the
+            tangent where the transformation is steepest ("steepest").
         progress: Called with the name of each cycle before it is analysed.
 
     Returns:
-        The groups in the order of the cycles, at least one. What cannot be analysed is a sentence in a group, not an
-        error.
+        The groups in the order of the cycles, at least one. What cannot be analysed does not raise: a group has a
+        sentence that says why.
     """
     name, temperature = recording.name, recording.channels["temperature"]
     if smooth is None:
@@ -99,8 +104,8 @@ def _group_by_stress(
         if np.mean(_near(stress, median, _CONSTANT_SHARE, _CONSTANT_OFFSET)) < _CONSTANT_ROWS:
             changing.append(
                 f"{recording.name}, cycle {cycle.number} (rows {cycle.rows[0] + 1} to {cycle.rows[1] + 1}): its stress "
-                "goes from "
-                f"{np.min(stress) / 1e6:.4g} to {np.max(stress) / 1e6:.4g} MPa: hold one stress throughout a cycle"
+                f"varies from {np.min(stress) / 1e6:.4g} to {np.max(stress) / 1e6:.4g} MPa: keep the stress constant "
+                "throughout a cycle"
             )
             continue
         same = next((level for level in levels if _near(level[0], median, _SAME_SHARE, _SAME_OFFSET)), None)
@@ -111,5 +116,5 @@ def _group_by_stress(
     return levels, changing
 
 
-def _near(stress: np.ndarray | float, level: float, share: float, offset: float) -> np.ndarray:
+def _near(stress: np.ndarray | float, level: float, share: float, offset: float) -> np.ndarray | np.bool_:
     return np.abs(stress - level) <= share * abs(level) + offset

@@ -3,10 +3,10 @@
 A cycle is a cooling and a heating branch. The properties of each branch come from ``branch_properties``, with
 bootstrap samples of the branch for the intervals.
 
-Where a transformation begins or ends slowly, the position of its end is a matter of definition, beyond what the
-interval covers: a tangent at the steepest point ends it early, the tangent of a symmetrical sigmoid through all rows
-(as other programs fit it) late, and three lines in between. The measured NiTiHf of NASA (the data
-sets) begins sharply on cooling and ends slowly: its M_f lies some kelvins above that of the sigmoid.
+Where a transformation begins or ends slowly, its start or finish depends on the definition by more than the interval
+covers: for a slow end, the tangent at the steepest point gives an early finish, the tangent of a symmetrical sigmoid
+through all rows (as fitted by other programs) a late one, and three lines one in between. The NiTiHf of NASA in the
+data sets begins sharply on cooling and ends slowly: its M_f is some kelvins above that of the sigmoid.
 
 Source: astm_e3097.
 """
@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import t as student
 
 from smajax.errors import InputError
@@ -28,16 +29,25 @@ from smajax.properties.row_order import check_outliers, check_row_order
 TEMPERATURE_NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
 PROPERTY_NAMES = (*TEMPERATURE_NAMES, "transformation_strain", "actuation_strain", "width", "span")
 
-# The quantile of the samples' deviations below which one more sample would lie in 95 % of all cases.
+# Quantile of the samples' deviations below which a further sample lies with a probability of 95 %.
 _QUANTILE = 0.95 * (SAMPLES + 1) / SAMPLES
-# Share of the temperature range by which cooling may transform above heating before the order of the rows is doubted:
-# less is an error of the estimates. Chosen by trial; tests/unit/properties/test_properties.py holds it.
+# Probability below the upper end of a two-sided 95 % interval.
+_UPPER_PROBABILITY = 0.975
+# Largest amount by which cooling may transform above heating, as a share of the temperature range: less is an error of
+# the estimates, more means that the rows are in the wrong order. Chosen by trial;
+# tests/unit/properties/test_properties.py holds it.
 _MAX_NEGATIVE_WIDTH = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
 class Value:
-    """A property with its 95 % interval; temperatures in degC, widths in K, strains as fractions."""
+    """A property with its 95 % interval.
+
+    Attributes:
+        value: Estimate; temperatures in degC, ``width`` and ``span`` in K, strains as fractions.
+        lower95: Lower end of the interval, in the same unit.
+        upper95: Upper end of the interval.
+    """
 
     value: float
     lower95: float
@@ -51,9 +61,9 @@ class Cycle:
     Attributes:
         number: Number of the cycle in its recording, from 1.
         rows: Its first and last row.
-        values: The properties by the names in ``PROPERTY_NAMES``. On heating, ``transformation_strain`` is between
-            the plateaus at austenite start and finish, ``actuation_strain`` between them at the coldest and the
-            hottest row. ``width`` (K) is between the middles of the branches, ``span`` (K) from martensite finish to
+        values: The properties by the names in ``PROPERTY_NAMES``. ``transformation_strain`` is the distance of the
+            plateaus on heating at austenite start and finish, ``actuation_strain`` at the coldest and the hottest row.
+            ``width`` (K) is the distance of the middles of the branches, ``span`` (K) from martensite finish to
             austenite finish.
         loops: First and last rows of its minor loops, which are left out.
     """
@@ -66,8 +76,8 @@ class Cycle:
 
 def analyse_cycles(
     name: str,
-    temperature: np.ndarray,
-    strain: np.ndarray,
+    temperature: Float[np.ndarray, " n"],
+    strain: Float[np.ndarray, " n"],
     *,
     smooth: int = 1,
     seed: int = 0,
@@ -90,7 +100,8 @@ def analyse_cycles(
         The cycles, and a sentence for each one that cannot be analysed.
 
     Raises:
-        InputError: If the rows are not in the order in which they were recorded, or if there is no cycle.
+        InputError: The rows are not in the order in which they were recorded, a value is an outlier, there is no
+            complete cycle, or ``smooth`` is even.
     """
     if np.ptp(temperature) > 0.0:
         check_row_order(name, temperature, strain)
@@ -117,8 +128,14 @@ def analyse_cycles(
 def mean_properties(cycles: Sequence[Cycle]) -> dict[str, Value]:
     """Average the properties of cycles.
 
-    The half width of the 95 % interval is that of the scatter between the cycles, with Student's t, or that of the
-    cycles' own intervals if it is wider.
+    The half-width of the 95 % interval follows from the scatter between the cycles, with Student's t, or from the
+    cycles' own intervals if these give a wider one.
+
+    Args:
+        cycles: At least one cycle.
+
+    Returns:
+        The means by the names in ``PROPERTY_NAMES``.
     """
     count, means = len(cycles), {}
     for name in cycles[0].values:
@@ -126,7 +143,9 @@ def mean_properties(cycles: Sequence[Cycle]) -> dict[str, Value]:
         own = np.array([0.5 * (cycle.values[name].upper95 - cycle.values[name].lower95) for cycle in cycles])
         half = math.sqrt(float(np.mean(own**2)) / count)
         if count > 1:
-            half = max(half, float(student.ppf(0.975, count - 1) * np.std(values, ddof=1)) / math.sqrt(count))
+            half = max(
+                half, float(student.ppf(_UPPER_PROBABILITY, count - 1) * np.std(values, ddof=1)) / math.sqrt(count)
+            )
         mean = float(values.mean())
         means[name] = Value(mean, mean - half, mean + half)
     return means
@@ -151,9 +170,8 @@ def _cycle_values(
     width = float(best[index])
     if width < -max(float(half[index]), _MAX_NEGATIVE_WIDTH * float(np.ptp(temperature))):
         raise InputError(
-            f"it cools through the transformation {-width:.3g} K above where it heats through it, which no "
-            "shape-memory alloy does: "
-            "the rows run backwards, or the temperature lags far behind the wire's: give them in the order of time"
+            f"it transforms on cooling {-width:.3g} K above heating, which no shape-memory alloy does: the rows run "
+            "backwards, or the measured temperature lags far behind the wire's: give them in the order of time"
         )
     return {n: Value(float(v), float(v - h), float(v + h)) for n, v, h in zip(PROPERTY_NAMES, best, half, strict=True)}
 

@@ -1,11 +1,11 @@
 """Recordings: measured time series with named channels in SI units.
 
 - ``recording``: the class ``Recording`` (slice, resample, write) and the interpolation of its channels.
-- ``read``: reads a file (CSV, MATLAB, Parquet, Excel) and checks it; ``readers`` has one file per format.
-- ``column_mapping``: which column of a file is which channel; ``value_checks`` and ``unit_checks``: what cannot be a
-    recording.
-- ``shared_rows``: holdout recordings that repeat rows of training ones.
-- ``datasets``: recordings by name, shipped ones and public ones.
+- ``read``: reads and checks a file (CSV, MATLAB, Parquet, Excel); ``readers`` has one module per format.
+- ``column_mapping``: the channel of each column; ``value_checks`` and ``unit_checks``: checks of the numbers.
+- ``shared_rows``: holdout recordings that repeat rows of training recordings.
+- ``datasets``: shipped and public recordings by name.
+- ``write``: tables as CSV or Parquet; ``paths``: hints for misspelt paths, and files written completely or not at all.
 
 Nothing here imports JAX, so that a bad file is refused at once.
 """

@@ -1,4 +1,4 @@
-"""Columns of a file as channels: by their headers ``name [unit]``, or as the rig's ``[channels]`` maps them."""
+"""Mapping of columns to channels, by headers ``name [unit]`` or by ``[channels]`` in the rig file."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,12 @@ _HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Source of a channel, as ``[channels]`` in a rig file gives it.
+    """Column and unit of a channel, as in ``[channels]`` of a rig file.
 
     Attributes:
         column: Header of the column, with or without its unit.
-        unit: Unit of the column; ``None`` if the header has one.
-        any_scale: Whether values beyond those of usual benches are accepted.
+        unit: Unit of the column; ``None`` if it is in the header.
+        any_scale: Whether values outside the plausible range of the channel are accepted.
     """
 
     column: str
@@ -29,16 +29,16 @@ class ChannelMap:
 
 @dataclass(frozen=True)
 class FileColumn:
-    """A column of a file that is read.
+    """A column of a file that is a channel.
 
     Attributes:
         index: Number of the column in the file, from 0.
-        header: Its header.
-        name: The channel.
+        header: Header of the column.
+        name: Name of the channel.
         unit: Unit of the numbers in the file.
-        any_scale: Whether values beyond those of usual benches are accepted.
-        mapped: Whether the rig maps the column to the channel.
-        note: What has to be noted about it, if anything.
+        any_scale: Whether values outside the plausible range of the channel are accepted.
+        mapped: Whether the rig file maps the column to the channel.
+        note: Sentence on the column for the notes of the recording; empty if there is none.
     """
 
     index: int
@@ -57,17 +57,18 @@ def assign_columns(
 
     Args:
         path: The file, for messages.
-        headers: Headers of all its columns.
-        mapping: Sources by channel, as the rig gives them.
-        ignore: Headers (or names without unit) of columns that are no channels.
+        headers: Headers of all columns.
+        mapping: Column and unit by channel, as in the rig file.
+        ignore: Headers (or names without unit) of columns that are not channels.
 
     Raises:
-        InputError: for a header that is neither a channel nor mapped nor ignored, and for a channel with two columns.
+        InputError: If a header is neither a channel nor mapped nor ignored, a unit is not valid, or a channel has two
+            columns.
     """
     for name in mapping:
         if channel_of(name) is None:
-            unknown = f"[channels] {name} in the rig is not a known channel{channel_suggestion(name)}"
-            raise InputError(f"{path}: {unknown}: choose of {', '.join(CHANNELS)}")
+            problem = f"[channels] {name} in the rig is not a known channel{channel_suggestion(name)}"
+            raise InputError(f"{path}: {problem}: choose one of {', '.join(CHANNELS)}")
     columns: list[FileColumn] = []
     for index, header in enumerate(headers):
         match = _HEADER.fullmatch(header)
@@ -75,11 +76,11 @@ def assign_columns(
         sources = {channel: source for channel, source in mapping.items() if source.column in (header, name)}
         if header in ignore or name in ignore:
             if sources:
-                both = f"column '{header}' is both ignored and mapped to {next(iter(sources))}"
-                raise InputError(f"{path}: {both}: decide for one of them")
+                problem = f"column '{header}' is both ignored and mapped to {next(iter(sources))}"
+                raise InputError(f"{path}: {problem}: remove one of the two")
             continue
         if not header:
-            cure = "write one like 'current [A]', or take the column out"
+            cure = "write one like 'current [A]', or remove the column"
             raise InputError(f"{path}: column {index + 1} has no header: {cure}")
         for channel, source in sources.items():
             columns.append(_mapped_column(path, index, header, unit, channel, source))
@@ -89,32 +90,43 @@ def assign_columns(
             columns.append(FileColumn(index, header, name, _column_unit(path, header, name, unit)))
     _refuse_double_channels(path, columns)
     if not columns:
-        raise InputError(f"{path}: every column is ignored: leave at least one in, of {', '.join(headers)}")
+        raise InputError(f"{path}: every column is ignored: keep at least one of {', '.join(headers)}")
     return columns
 
 
 def require_channels(
     path: Path, columns: Sequence[FileColumn], names: Sequence[str], mapping: Mapping[str, ChannelMap]
 ) -> None:
-    """Refuse a file without one of the channels ``names``."""
+    """Check that a file has all required channels.
+
+    Args:
+        path: The file, for messages.
+        columns: Columns of the file that are channels.
+        names: Required channels.
+        mapping: Column and unit by channel, as in the rig file.
+
+    Raises:
+        InputError: If a channel is missing or unknown.
+    """
     present = [column.name for column in columns]
     for name in names:
         if channel_of(name) is None:
-            unknown = f"'{name}' is not a known channel{channel_suggestion(name)}"
-            raise InputError(f"{path}: {unknown}: choose of {', '.join(CHANNELS)}")
+            problem = f"'{name}' is not a known channel{channel_suggestion(name)}"
+            raise InputError(f"{path}: {problem}: choose one of {', '.join(CHANNELS)}")
         if name not in present:
             source = f", which the rig maps to column '{mapping[name].column}'," if name in mapping else ""
-            missing = f"the channel {name}{source} is missing{suggestion(name, present)}"
+            problem = f"the channel {name}{source} is missing{suggestion(name, present)}"
             cure = f"add a column '{_example_header(name)}' or map one to {name} under [channels] in the rig"
-            raise InputError(f"{path}: {missing}: the file has {', '.join(present)}, so {cure}")
+            raise InputError(f"{path}: {problem}: the file has {', '.join(present)}, so {cure}")
 
 
 def _mapped_column(
     path: Path, index: int, header: str, unit: str | None, channel: str, source: ChannelMap
 ) -> FileColumn:
-    used = _column_unit(path, header, channel, source.unit or unit)
-    note = f"column '{header}' was read in {used}, as the rig says" if unit and unit.strip() != used else ""
-    return FileColumn(index, header, channel, used, source.any_scale, True, note)
+    mapped_unit = _column_unit(path, header, channel, source.unit or unit)
+    differs = unit and unit.strip() != mapped_unit
+    note = f"column '{header}' was read in {mapped_unit}, as the rig says" if differs else ""
+    return FileColumn(index, header, channel, mapped_unit, source.any_scale, True, note)
 
 
 def _unknown_header(
@@ -125,11 +137,11 @@ def _unknown_header(
     mapping: Mapping[str, ChannelMap],
     ignore: Sequence[str],
 ) -> str:
-    recognised = [other for other in headers if channel_of(other.partition("[")[0].strip()) or other in ignore]
-    lower = "" if recognised or mapping else ", or set skip_rows if the header comes further down"
-    unknown = f"column '{header}' is not a known channel{channel_suggestion(name)}"
+    has_known_columns = any(channel_of(other.partition("[")[0].strip()) or other in ignore for other in headers)
+    skip_hint = "" if has_known_columns or mapping else ", or set skip_rows if the header comes further down"
+    problem = f"column '{header}' is not a known channel{channel_suggestion(name)}"
     cure = "rename it, map it under [channels] in the rig, or leave it out"
-    return f'{path}: {unknown}: {cure} with [channels] ignore = ["{header}"]{lower}'
+    return f'{path}: {problem}: {cure} with [channels] ignore = ["{header}"]{skip_hint}'
 
 
 def _refuse_double_channels(path: Path, columns: Sequence[FileColumn]) -> None:
@@ -137,13 +149,13 @@ def _refuse_double_channels(path: Path, columns: Sequence[FileColumn]) -> None:
     for column in columns:
         first = first_of.setdefault(column.name, column)
         if first is not column:
-            both = f"columns {first.index + 1} ('{first.header}') and {column.index + 1} ('{column.header}')"
+            pair = f"columns {first.index + 1} ('{first.header}') and {column.index + 1} ('{column.header}')"
             cure = f"number them {column.name}_1 and {column.name}_2, or ignore one"
-            raise InputError(f"{path}: {both} are both {column.name}: {cure}")
+            raise InputError(f"{path}: {pair} are both {column.name}: {cure}")
 
 
 def _column_unit(path: Path, header: str, name: str, unit: str | None) -> str:
-    """Return the unit of a column, checked; a fraction may do without."""
+    """Return the checked unit of a column; that of a fraction may be missing."""
     canonical = channel_unit(name)
     if not unit or not unit.strip():
         if canonical == "1":

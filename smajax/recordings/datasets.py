@@ -1,8 +1,8 @@
-"""Recordings by name: those that ship with smajax, and public ones of others that are fetched on request.
+"""Data sets: recordings that ship with smajax, and public ones that are fetched on request.
 
-The public ones are listed in ``data/public-recordings.toml`` with repository, commit, licence and the SHA-256 of each
-file. They are looked for in the folder that the environment variable ``SMAJAX_DATA`` names (``SMAJAX_DATA/NAME/FILE``),
-else fetched once into the user's cache.
+``data/public-recordings.toml`` lists the public ones with repository, commit, licence and the SHA-256 of each file.
+They are read from the folder in the environment variable ``SMAJAX_DATA`` (``SMAJAX_DATA/NAME/FILE``) if it is set, else
+fetched once into the cache of the user.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from smajax.errors import InputError, suggestion
 ADDRESS = "https://raw.githubusercontent.com"
 # Environment variable with the folder of local copies.
 LOCAL = "SMAJAX_DATA"
-# Bytes that are hashed at a time; without effect on the result.
+# Bytes that are hashed at a time; the size has no effect on the result.
 _BLOCK_BYTES = 1 << 20
 
 
@@ -28,8 +28,8 @@ class PublicFile:
 
     Attributes:
         name: Name of the local file.
-        sha256: That of its bytes.
-        path: Path in the repository; ``None`` where the file has no public address in this form.
+        sha256: SHA-256 of the file in hexadecimal.
+        path: Path in the repository; ``None`` if the file has no public address in this form.
     """
 
     name: str
@@ -43,8 +43,8 @@ class Dataset:
 
     Attributes:
         name: Name of the data set.
-        description: What was recorded, in a few words.
-        licence: Its licence.
+        description: Content of the recordings in a few words.
+        licence: Licence of the recordings.
         repository: Owner and name of the public repository; empty for a shipped data set.
         commit: Commit in the repository.
         files: Files of a public data set.
@@ -63,16 +63,20 @@ class Dataset:
 
     @property
     def source(self) -> str:
-        """Where the data set comes from, in a few words."""
+        """Origin of the data set in a few words."""
         return f"{self.repository} at {self.commit[:10]}" if self.repository else "ships with smajax"
 
     def address(self, file: PublicFile) -> str:
-        """Return the public address of one of its files."""
+        """Return the public address of a file of the data set."""
         return f"{ADDRESS}/{self.repository}/{self.commit}/{quote(file.path or '')}"
 
 
 def data_path(*parts: str) -> Path:
-    """Return the path of a shipped file or folder: in the installed package's ``data``, else in the checkout's."""
+    """Return the path of a shipped file or folder.
+
+    Args:
+        *parts: Names of folders and file below ``data``, in the installed package or else in the checkout.
+    """
     package = Path(__file__).resolve().parents[1]
     installed = package / "data"
     return (installed if installed.is_dir() else package.parent / "data").joinpath(*parts)
@@ -84,10 +88,10 @@ def datasets() -> dict[str, Dataset]:
 
 
 def find(name: str) -> Dataset:
-    """Return the data set of a name.
+    """Return the data set with a name.
 
     Raises:
-        InputError: if there is none, with the most similar name.
+        InputError: If there is none; the message has the most similar name.
     """
     available = datasets()
     if name not in available:
@@ -97,13 +101,13 @@ def find(name: str) -> Dataset:
 
 
 def get(name: str) -> tuple[Path, tuple[str, ...]]:
-    """Return the folder with a data set's files, fetched if necessary.
+    """Return the folder with the files of a data set, which are fetched if necessary.
 
     Returns:
         The folder, and the names of files that are not available in this form.
 
     Raises:
-        InputError: if a file cannot be fetched or is not the listed one.
+        InputError: If there is no such data set, or a file cannot be fetched or has another SHA-256.
     """
     dataset = find(name)
     if dataset.folder is not None:
@@ -119,7 +123,8 @@ def get(name: str) -> tuple[Path, tuple[str, ...]]:
 
 
 def _fetch(dataset: Dataset) -> Path:
-    import pooch  # here, since `import smajax.recordings.datasets` has to be quick
+    """Fetch the files of a public data set into the cache, and return their folder."""
+    import pooch  # here, since `import smajax.recordings.datasets` has to be fast
     import requests
 
     if all(file.path is None for file in dataset.files):
@@ -133,8 +138,8 @@ def _fetch(dataset: Dataset) -> Path:
         try:
             pooch.retrieve(address, f"sha256:{file.sha256}", fname=file.name, path=folder, progressbar=False)
         except ValueError:
-            changed = "the fetched file is not the listed one (its SHA-256 differs)"
-            raise InputError(f"{address}: {changed}: try again, or report it") from None
+            problem = "the fetched file is not the listed one (its SHA-256 differs)"
+            raise InputError(f"{address}: {problem}: try again, or report it") from None
         except (OSError, requests.RequestException) as error:
             reason = str(error) if isinstance(error, PermissionError) else type(error).__name__
             cure = f"check the network, or point {LOCAL} to a folder that has a copy"
@@ -143,7 +148,7 @@ def _fetch(dataset: Dataset) -> Path:
 
 
 def _is_present(path: Path, file: PublicFile) -> bool:
-    """Whether there is a local copy; one that differs is refused."""
+    """Return whether there is a local copy; refuse a different file."""
     if not path.is_file():
         return False
     digest = hashlib.sha256()
@@ -151,13 +156,13 @@ def _is_present(path: Path, file: PublicFile) -> bool:
         while block := stream.read(_BLOCK_BYTES):
             digest.update(block)
     if digest.hexdigest() != file.sha256:
-        changed = "this is not the listed file (its SHA-256 differs)"
-        raise InputError(f"{path}: {changed}: replace it, or unset {LOCAL} to fetch it")
+        problem = "this is not the listed file (its SHA-256 differs)"
+        raise InputError(f"{path}: {problem}: replace it, or unset {LOCAL} to fetch it")
     return True
 
 
 def _shipped_datasets() -> dict[str, Dataset]:
-    """Return the shipped data sets; the first line of the rig file describes each."""
+    """Return the shipped data sets; the first line of the rig file is the description."""
     shipped = {}
     for rig in sorted(data_path("recordings").glob("*/rig.toml")):
         description = rig.read_text("utf-8").split("\n", 1)[0].lstrip("# ").rstrip()

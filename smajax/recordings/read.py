@@ -1,9 +1,9 @@
 """Reading of recordings.
 
-A recording file has one header row, ``name [unit]`` per column, and numbers below (``readers`` has the formats).
-Reading checks all that can be known without the rig, so that later code can rely on it: every channel is known and
-convertible, every number is finite, time increases. A bad file is refused in one sentence with file, row and column.
-Nothing is dropped unless asked for, and then it is counted.
+A recording file has one header row, ``name [unit]`` per column, and rows of numbers (``readers`` has the formats).
+Reading makes all checks that do not need the rig, so that later code can rely on them: every channel is known and its
+unit can be converted, every number is finite, time increases. A bad file is refused in one sentence with file, row and
+column. Rows are dropped only on request, and then counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,8 +20,10 @@ from smajax.recordings.recording import Floats, Recording
 from smajax.recordings.value_checks import check_values
 from smajax.units import conversion, to_si
 
-# Dropped rows that a note lists by number; of more it gives the count. Chosen so that the note stays one line.
+# Dropped rows that a note lists by number, followed by the number of the others; chosen to keep the note on one line.
 _ROWS_LISTED = 5
+# Share of bad rows above which a file is refused instead of repaired: most of the recording would be lost.
+_MAX_BAD_SHARE = 0.5
 
 
 def read_recording(
@@ -44,20 +46,20 @@ def read_recording(
     Args:
         path: The file.
         mapping: Columns of channels whose headers are not ``name [unit]``, by channel.
-        ignore: Headers of columns that are left out; every other column has to be a known channel.
-        required: Channels that have to be in the file.
-        observed: Channels that have to be in the file and to change.
-        clock: Whether there has to be a time; without it the recording may be a path.
+        ignore: Headers of columns that are not read; every other column must be a known channel.
+        required: Channels that must be in the file.
+        observed: Channels that must be in the file and must change.
+        clock: Whether the file must have a time; otherwise it may be a path without a clock.
         skip_rows: Rows of a text file or sheet before the header.
         delimiter: Character between the cells of a text file.
         decimal: Decimal sign of a text file, ``.`` or ``,``.
         sheet: Sheet of a workbook; the first by default.
         headers: Headers of a text file without a header row.
-        drop_bad_rows: Whether to leave out rows that are ragged, blank or unreadable in a column that is read, or whose
-            time does not increase; their number and places are noted.
+        drop_bad_rows: Whether to omit rows with a wrong number of cells, rows with a blank or unreadable cell in a
+            column that is read, and rows in which time does not increase. ``Recording.notes`` has their numbers.
 
     Raises:
-        InputError: one sentence with the place and the cure.
+        InputError: If the file cannot be used; the message names file, row and column.
     """
     path = Path(path)
     table = open_table(path, skip_rows=skip_rows, delimiter=delimiter, decimal=decimal, sheet=sheet, headers=headers)
@@ -84,12 +86,12 @@ def read_recording(
 
 
 def _load(path: Path, table: Table, columns: Sequence[FileColumn], drop_bad_rows: bool) -> dict[str, Floats]:
-    """Return the columns by channel, in the units of the file."""
+    """Return the values by channel, in the units of the file."""
     try:
         arrays = table.load([column.index for column in columns], drop_bad_rows)
     except OSError as error:
         reason = error.strerror or error
-        raise InputError(f"{path}: the file cannot be read to its end ({reason}): copy it anew") from None
+        raise InputError(f"{path}: the file cannot be read to its end ({reason}): copy it again") from None
     return dict(zip((column.name for column in columns), arrays, strict=True))
 
 
@@ -100,8 +102,8 @@ def _convert_to_si(path: Path, columns: Sequence[FileColumn], values: dict[str, 
         if conversion(column.unit, canonical) != (1, 0):
             values[column.name] = to_si(values[column.name], column.unit, canonical)
         if not np.isfinite(values[column.name]).all():
-            large = f"numbers too large for {canonical}"
-            raise InputError(f"{path}: column '{column.header}': {large}: correct the unit")
+            problem = f"numbers too large for {canonical}"
+            raise InputError(f"{path}: column '{column.header}': {problem}: correct the unit")
 
 
 def _good_rows(
@@ -115,18 +117,18 @@ def _good_rows(
         good[1:] &= time[1:] > np.maximum.accumulate(time)[:-1]
     if good.all():
         return None, ()
-    if 2 * np.count_nonzero(good) < len(good):
+    if np.count_nonzero(~good) > _MAX_BAD_SHARE * len(good):
         bad_rows = f"{np.count_nonzero(~good)} of {len(good)} rows are bad"
         first = f"the first of them row {first_row + int(np.argmin(good))}"
         raise InputError(f"{path}: {bad_rows}, {first}, too many to drop: correct the file")
     notes = []
-    for what, bad in (
+    for problem, bad in (
         ("with a blank or unreadable cell", ~readable),
         ("in which time does not increase", readable & ~good),
     ):
         if bad.any():
             indices = np.flatnonzero(bad)
-            listed = ", ".join(str(first_row + i) for i in indices[:_ROWS_LISTED])
-            more = f" and {len(indices) - _ROWS_LISTED} more" if len(indices) > _ROWS_LISTED else ""
-            notes.append(f"{len(indices)} of {len(good)} rows {what} dropped on request: row {listed}{more}")
+            row_numbers = ", ".join(str(first_row + i) for i in indices[:_ROWS_LISTED])
+            rest = f" and {len(indices) - _ROWS_LISTED} more" if len(indices) > _ROWS_LISTED else ""
+            notes.append(f"{len(indices)} of {len(good)} rows {problem} dropped on request: row {row_numbers}{rest}")
     return np.flatnonzero(good), tuple(notes)

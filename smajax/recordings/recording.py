@@ -1,4 +1,4 @@
-"""A recording: one measured time series, or one path without a clock, with named channels in SI units."""
+"""Recordings: measured time series, or paths without a clock, with named channels in SI units."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,16 +16,14 @@ from smajax.units import from_si, to_si
 
 Floats = NDArray[np.float64]
 
-# Rows that a resampled recording may have: 100 million of one channel take 0.8 GB, so that more is a mistake in the
-# step.
+# Largest number of rows of a resampled recording: 100 million of one channel take 0.8 GB; more is an error in the step.
 _MAX_RESAMPLED_ROWS = 100_000_000
-# Relative slack by which the last multiple of the step may exceed the duration, so that rounding does not drop the last
-# row.
+# Relative amount by which the last multiple of the step may exceed the duration, so that rounding keeps the last row.
 _STEP_ROUNDING = 1e-12
-# Part of the shortest step by which a time may miss a sample and still count as at it: times that are computed as
-# multiples of a step differ by rounding; tests/unit/recordings/test_recording.py holds it.
+# Difference between a time and a sample that counts as rounding, as a fraction of the shortest step: times that are
+# computed as multiples of a step differ by rounding. Chosen by trial; see tests/unit/recordings/test_recording.py.
 _HOLD_SLACK = 1e-6
-# Spacings of floats that always count as rounding.
+# Number of float spacings that always counts as rounding.
 _HOLD_SPACINGS = 4
 
 
@@ -35,14 +33,14 @@ class Recording:
 
     Attributes:
         name: Name in messages and results.
-        time: Times (n,) in s, strictly increasing, or the row numbers 0, 1, 2, ... of a path without a clock.
-        channels: Read-only arrays (n,) in SI units (temperatures in degC) by name (``current``, ``current_2``). A
-            channel made of arrays may be NaN at rows at which it was not measured; a file that is read has a number in
-            every row.
+        time: Times, shape ``(n,)``, in s, strictly increasing; row numbers 0, 1, 2, ... for a path without a clock.
+        channels: Read-only arrays, shape ``(n,)``, in SI units (temperatures in degC) by name (``current``,
+            ``current_2``). A channel made from arrays may be NaN in rows in which it was not measured; one that was
+            read from a file has a number in every row.
         units: Units of the columns in the file, in which results are reported; with ``time`` if there is a clock.
-        sha256: That of the file's bytes, empty if there was no file.
+        sha256: SHA-256 of the file in hexadecimal; empty if there is no file.
         has_clock: Whether ``time`` is a time.
-        notes: What was changed on request.
+        notes: Sentences on changes that were made on request.
     """
 
     name: str
@@ -67,15 +65,19 @@ class Recording:
     def from_arrays(
         cls, name: str, time: Floats | None, channels: Mapping[str, Floats], units: Mapping[str, str]
     ) -> "Recording":
-        """Make a recording of arrays in SI units (degC).
+        """Return a recording of arrays in SI units (temperatures in degC).
 
-        Values are rounded to what a column of float64 in ``units`` can hold, so that they survive writing and reading.
+        Values are rounded to those that a column of float64 in ``units`` can represent, so that writing and reading
+        returns the same values.
 
         Args:
             name: Name in messages and results.
-            time: Times (n,) in s, or ``None`` for a path.
-            channels: Arrays (n,) by channel.
+            time: Times, shape ``(n,)``, in s, or ``None`` for a path without a clock.
+            channels: Arrays, shape ``(n,)``, by channel.
             units: Units in which the channels are written and reported; internal units by default.
+
+        Raises:
+            InputError: If the shapes differ.
         """
         columns = [*([] if time is None else ["time"]), *channels]
         units = {channel: units.get(channel, channel_unit(channel)) for channel in columns}
@@ -88,28 +90,34 @@ class Recording:
         return len(self.time)
 
     def slice(self, start: float, stop: float) -> "Recording":
-        """Return the rows with start <= time < stop, with their times unchanged.
+        """Return the rows with start <= time < stop, with unchanged times.
 
         Args:
             start: First time in s (row number if there is no clock).
-            stop: Time in s (row number) before which the part ends.
+            stop: End of the part in s (row number if there is no clock), which does not belong to it.
+
+        Raises:
+            InputError: If there is no such row.
         """
         first, last = np.searchsorted(self.time, (start, stop))
         unit = "s" if self.has_clock else "rows"
         if last <= first:
             ends = f"from {self.time[0]:g} to {self.time[-1]:g} {unit}"
-            missing = f"no row lies in [{start:g}, {stop:g}) {unit}"
-            raise InputError(f"{self.name}: {missing}: the recording runs {ends}, choose a part of that")
+            problem = f"no row lies in [{start:g}, {stop:g}) {unit}"
+            raise InputError(f"{self.name}: {problem}: the recording runs {ends}, choose a part of that")
         channels = {name: values[first:last] for name, values in self.channels.items()}
         note = f"cut to {last - first} of {len(self)} rows, {start:g} <= time < {stop:g} {unit}"
         return replace(self, time=self.time[first:last], channels=channels, notes=(*self.notes, note))
 
     def resample(self, step: float, hold: Collection[str] = ()) -> "Recording":
-        """Return the recording at a fixed step.
+        """Return the recording with equally spaced times, beginning with its first row.
 
         Args:
-            step: Time between rows in s; the first row is the recording's.
+            step: Time between rows in s.
             hold: Channels that keep their last sample; the others are interpolated linearly.
+
+        Raises:
+            InputError: If the recording has no clock or no channel to hold, or the step is not possible.
         """
         if not self.has_clock:
             raise InputError(f"{self.name}: a path without a clock cannot be resampled in time: give it a time column")
@@ -122,7 +130,7 @@ class Recording:
         unknown = [name for name in hold if name not in self.channels]
         if unknown:
             hint = suggestion(unknown[0], self.channels)
-            raise InputError(f"{self.name}: there is no channel '{unknown[0]}' to hold{hint}: name one of it")
+            raise InputError(f"{self.name}: there is no channel '{unknown[0]}' to hold{hint}: name one of its channels")
         channels = {
             name: sample_channels(self, [name], times, "hold" if name in hold else "linear")[:, 0]
             for name in self.channels
@@ -132,9 +140,12 @@ class Recording:
         return replace(resampled, sha256=self.sha256, notes=(*self.notes, note))
 
     def write(self, path: str | Path) -> None:
-        """Write a .csv or .parquet file in the recording's units, completely or not at all.
+        """Write a .csv or .parquet file in the units of the recording, completely or not at all.
 
-        Reading it returns the same floats.
+        Reading the file returns the same floats.
+
+        Raises:
+            InputError: For another ending, or if the file cannot be written.
         """
         columns = {"time": self.time} if self.has_clock else {}
         columns |= self.channels
@@ -148,22 +159,25 @@ class Recording:
 def sample_channels(
     recording: Recording, names: Sequence[str], times: Floats, interpolation: Literal["hold", "linear"]
 ) -> Floats:
-    """Return channels at given times.
+    """Return channels at other times.
 
     Args:
-        recording: The recording; outside its times the first and the last sample hold.
+        recording: The recording; before its first and after its last sample, that sample is used.
         names: Channels.
-        times: Times (m,) in s.
-        interpolation: ``hold`` for the last sample at or before each time (a time that misses a sample by rounding
-            counts as at it), ``linear`` for linear interpolation.
+        times: Times, shape ``(m,)``, in s.
+        interpolation: ``hold`` for the last sample at or before each time, up to rounding; ``linear`` for linear
+            interpolation.
 
     Returns:
-        An array (m, len(names)) in SI units.
+        Values, shape ``(m, len(names))``, in SI units (temperatures in degC).
+
+    Raises:
+        InputError: If a channel is missing, or the interpolation is unknown.
     """
     missing = [name for name in names if name not in recording.channels]
     if missing:
         hint = suggestion(missing[0], recording.channels)
-        raise InputError(f"{recording.name}: there is no channel '{missing[0]}'{hint}: name one of it")
+        raise InputError(f"{recording.name}: there is no channel '{missing[0]}'{hint}: name one of its channels")
     times = np.asarray(times, float)
     result = np.empty((len(times), len(names)))
     if interpolation == "hold":
@@ -181,7 +195,7 @@ def sample_channels(
 
 
 def _as_in_file(values: Floats, name: str, unit: str) -> Floats:
-    """Round values to those that a column in ``unit`` can hold."""
+    """Round values to those that a column in ``unit`` can represent."""
     return to_si(from_si(values, unit, channel_unit(name)), unit, channel_unit(name))
 
 

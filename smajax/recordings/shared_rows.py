@@ -1,4 +1,4 @@
-"""Recordings that share rows: training and holdout data must differ."""
+"""Check that training and holdout recordings do not share rows."""
 
 from collections.abc import Sequence
 
@@ -7,33 +7,32 @@ import numpy as np
 from smajax.errors import InputError
 from smajax.recordings.recording import Recording
 
-# Rows that are compared together; chosen by trial, tests/unit/diagnosis/test_diagnosis.py
-# holds it.
+# Rows of a block that is compared as a whole; chosen by trial, tested in tests/unit/diagnosis/test_diagnosis.py.
 _BLOCK_ROWS = 20
-# Share of such blocks above which a recording counts as a copy; chosen by trial.
+# Share of common blocks above which a recording counts as a copy; chosen by trial.
 _MAX_SHARED = 0.5
 
 
 def refuse_copies(recordings: Sequence[Recording]) -> None:
-    """Refuse a recording that repeats an earlier one, since it tests nothing.
+    """Refuse a recording that repeats an earlier one, since it is not an independent test.
 
     Raises:
-        InputError: if a recording has the content, or most of the rows, of one before it.
+        InputError: If a recording has the content, or most of the rows, of an earlier one.
     """
     for k, recording in enumerate(recordings):
         for earlier in recordings[:k]:
-            what = ""
+            overlap = ""
             if recording.sha256 == earlier.sha256:
-                what = "has the same content as"
+                overlap = "has the same content as"
             elif _shared_blocks(recording, earlier) > _MAX_SHARED:
-                what = "has rows of"
-            if what:
-                cure = "give another recording, of another input"
-                raise InputError(f"{recording.name} {what} {earlier.name}: it tests nothing; {cure}")
+                overlap = "has rows of"
+            if overlap:
+                cure = "name a recording of another input, since a copy is not an independent test"
+                raise InputError(f"{recording.name} {overlap} {earlier.name}: {cure}")
 
 
 def _shared_blocks(recording: Recording, other: Recording) -> float:
-    """Return the share of the recording's blocks (those in which something changes) that the other one has, too."""
+    """Return the fraction of the blocks of a recording that another one also has, without blocks of constant rows."""
     names = [c for c in recording.channels if c in other.channels]
     rows, other_rows = (np.column_stack([r.channels[c] for c in names]) for r in (recording, other))
     other_blocks = {other_rows[k : k + _BLOCK_ROWS].tobytes() for k in range(len(other_rows) - _BLOCK_ROWS + 1)}

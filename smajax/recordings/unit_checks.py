@@ -1,8 +1,9 @@
-"""Columns whose numbers cannot be in the unit of the header: mA as A, K as degC, a unit that changes half-way down.
+"""Checks of units: columns whose numbers cannot be in the unit of the header.
 
-A wrong unit ruins a fit without any other sign, and its factor is nearly always a power of 1000. The bounds are those
-of benches with shape-memory alloys (``channels.CHANNELS``): currents of 1 mA to 50 A, strokes up to 1 m. A rig beyond
-them says so with ``any_scale``.
+Examples are mA labelled as A, K labelled as degC, and a unit that changes in the middle of a column. A wrong unit ruins
+a fit without any other symptom, and its factor is nearly always a power of 1000. The plausible ranges are those of test
+rigs with shape-memory alloys (``channels.CHANNELS``): currents of 1 mA to 50 A, strokes up to 1 m. ``any_scale`` turns
+the check off for a channel.
 """
 
 from collections.abc import Callable
@@ -14,52 +15,57 @@ from smajax.channels import CHANNELS, channel_of
 from smajax.errors import InputError
 from smajax.units import conversion, from_si, to_si
 
-# The constants below were chosen by trial; tests/unit/recordings/test_bad_recordings.py holds them.
+# The constants below were chosen by trial; they are tested in tests/unit/recordings/test_bad_recordings.py.
 
-# Factors between units that are confused: prefixes a step or two apart.
+# Factors between units that are often confused: one or two steps of the SI prefixes.
 _UNIT_FACTORS = (1e3, 1e6)
-# Relative deviation from such a factor: a constant signal shows the factor itself, a moving one changes over the row in
-# which its unit changes.
+# Relative deviation from such a factor: a constant signal has the exact factor, any other also changes between the two
+# rows.
 _FACTOR_TOLERANCE = 0.15
-# Rows on either side of a jump that are compared with each other, so that noise about zero makes no jump.
+# Rows on either side of a jump that are compared, so that noise about zero does not count as a jump.
 _ROWS_ASIDE = 5
-# Rows that there have to be on either side.
+# Smallest number of rows on either side.
 _MIN_ROWS_ASIDE = 3
-# Ratio up to which the magnitudes on one side count as one level.
+# Ratio of the largest to the smallest magnitude up to which the rows on one side count as one level.
 _LEVEL_RATIO = 3.0
-# Jumps that are examined in one column, which bounds the work on noise.
+# Jumps that are examined in one column, which limits the time spent on noise.
 _MAX_JUMPS = 1000
 # Difference between the same temperature in K and in degC.
 _KELVIN_AT_ZERO = 273.15
 # Deviation in K from this difference, of one row to the next and of the medians on either side.
 _KELVIN_JUMP_TOLERANCE = 3.0
 _KELVIN_MEDIAN_TOLERANCE = 15.0
-# Room temperature in K: a recording in degC does not begin there.
+# Range of room temperature in K: a recording in degC does not begin there.
 _ROOM_KELVIN_FROM = 283.0
 _ROOM_KELVIN_TO = 308.0
-# Lowest and highest values of a recording that is taken for one in K: never below freezing, in the range of a wire.
+# Lowest and highest values of a recording that counts as one in K: not below freezing, in the range of a wire.
 _LOWEST_KELVIN = 270.0
 _HIGHEST_KELVIN = 700.0
-# Relative slack of the bounds of plausible values, for rounding in the conversion.
+# Relative tolerance of the bounds of the plausible range, for rounding in the conversion.
 _BOUND_ROUNDING = 1e-9
 
 
 def check_scale(
-    values: NDArray[np.float64], name: str, unit: str, siblings_peak: float, place: Callable[[int], str], cure: str
+    values: NDArray[np.float64],
+    name: str,
+    unit: str,
+    siblings_peak: float,
+    place: Callable[[int], str],
+    cure: str,
 ) -> None:
-    """Refuse a column whose scale jumps or is not that of any bench.
+    """Check that the scale of a column does not jump, and that its values are plausible.
 
     Args:
-        values: Numbers (rows,) in the unit of the file.
-        name: The channel.
+        values: Numbers, shape ``(rows,)``, in the unit of the file.
+        name: Name of the channel.
         unit: Unit in the file.
-        siblings_peak: Largest magnitude, in the internal unit, among all columns of the same kind: where wire 1 carries
-            a current, none is needed in wire 2.
-        place: Makes "file: row 5, column 'x'" of an index.
-        cure: Where the unit is written, with ``{unit}`` in the place of the right one.
+        siblings_peak: Largest magnitude, in the internal unit, in all columns of the same kind of channel: if wire 1
+            carries a current, that in wire 2 may be zero.
+        place: Returns a text such as "file: row 5, column 'x'" for an index.
+        cure: Where to correct the unit, with ``{unit}`` for the likely one.
 
     Raises:
-        InputError: one sentence with the place, the likely unit and the cure.
+        InputError: If they are not; the message names place, likely unit and cure.
     """
     kind = channel_of(name) or name
     _refuse_factor_jump(values, kind, unit, place)
@@ -71,34 +77,34 @@ def check_scale(
     if outside.size:
         bound = low if si[outside[0]] < low else high
         limit = f"{'below' if bound == low else 'above'} {_bound_text(bound, unit, kind)}"
-        what = f"the {kind} of {_text(float(values[outside[0]]), unit)} is {limit}"
-        _refuse(place(int(outside[0])), what, _likely_unit(values, kind, unit), name, cure)
+        problem = f"the {kind} of {_text(float(values[outside[0]]), unit)} is {limit}"
+        _refuse(place(int(outside[0])), problem, _likely_unit(values, kind, unit), name, cure)
     if 0 < siblings_peak < channel.faint:
         row = int(np.argmax(abs(values)))
         if values[row]:
             peak = f"the largest {kind}, {_text(values[row], unit)}"
-            what = f"{peak}, is below {_bound_text(channel.faint, unit, kind)}"
-            _refuse(place(row), what, _likely_unit(values, kind, unit), name, cure)
+            problem = f"{peak}, is below {_bound_text(channel.faint, unit, kind)}"
+            _refuse(place(row), problem, _likely_unit(values, kind, unit), name, cure)
     if kind in ("temperature", "ambient") and conversion(unit, "degC") == (1, 0) and _looks_like_kelvin(values):
         start = f"a {kind} that starts at {_text(values[0], unit)} and is never below {_text(values.min(), unit)}"
         _refuse(place(0), f"{start} is not one in degC", "K", name, cure)
 
 
 def _looks_like_kelvin(values: NDArray[np.float64]) -> bool:
-    """Whether temperatures begin at room temperature in K and never cool below freezing: no bench in degC does."""
+    """Return whether temperatures begin at room temperature in K and stay above freezing, unlike any in degC."""
     at_room = _ROOM_KELVIN_FROM <= values[0] <= _ROOM_KELVIN_TO
     return bool(at_room and values.min() >= _LOWEST_KELVIN and values.max() < _HIGHEST_KELVIN)
 
 
-def _refuse(place: str, what: str, likely: str | None, name: str, cure: str) -> None:
-    looks = f", and the numbers look like {likely}" if likely else ", beyond what a bench with SMA wires gives"
+def _refuse(place: str, problem: str, likely: str | None, name: str, cure: str) -> None:
+    looks = f", and the numbers look like {likely}" if likely else ", outside the range of rigs with SMA wires"
     advice = f"correct {cure.format(unit=likely)}" if likely else "correct the unit or the value"
     exception = f"or, if it is right, give {name} any_scale = true under [channels] in the rig"
-    raise InputError(f"{place}: {what}{looks}: {advice}, {exception}")
+    raise InputError(f"{place}: {problem}{looks}: {advice}, {exception}")
 
 
 def _likely_unit(values: NDArray[np.float64], kind: str, unit: str) -> str | None:
-    """Return the first usual unit of the channel in which all these numbers would be plausible."""
+    """Return the first of the channel's usual units in which all numbers are plausible, or ``None``."""
     channel = CHANNELS[kind]
     low, high = channel.plausible_range
     for other in channel.units:
@@ -118,7 +124,7 @@ def _text(value: float, unit: str) -> str:
 
 
 def _refuse_factor_jump(values: NDArray[np.float64], kind: str, unit: str, place: Callable[[int], str]) -> None:
-    """Refuse a step by a factor of 1000 or 1e6 between two stretches of one level each."""
+    """Refuse a step by a factor of 1000 or 1e6 between two parts of constant level."""
     before, after = values[:-1], values[1:]
     for factor in (*_UNIT_FACTORS, *(1 / factor for factor in _UNIT_FACTORS)):
         scaled = before * factor
@@ -147,13 +153,13 @@ def _refuse_kelvin_jump(values: NDArray[np.float64], kind: str, unit: str, place
 
 
 def _unit_changes(values: NDArray[np.float64], row: int, factor: float, kind: str, unit: str) -> bool:
-    """Whether the jump by ``factor`` at ``row`` divides two stretches of the same signal."""
+    """Return whether the jump by ``factor`` at ``row`` separates two parts of the same signal."""
     channel = CHANNELS[kind]
     earlier, later = abs(values[max(row - _ROWS_ASIDE, 0) : row]), abs(values[row : row + _ROWS_ASIDE])
-    short = min(len(earlier), len(later)) < _MIN_ROWS_ASIDE
-    if short or any(side.max() > _LEVEL_RATIO * side.min() for side in (earlier, later)):
+    is_short = min(len(earlier), len(later)) < _MIN_ROWS_ASIDE
+    if is_short or any(side.max() > _LEVEL_RATIO * side.min() for side in (earlier, later)):
         return False
-    if kind == "time":  # steps are another factor apart too, unless the clock just paused
+    if kind == "time":  # the steps also differ by the factor, unless the clock only paused
         return bool(1 / _LEVEL_RATIO < np.ptp(later) / (np.ptp(earlier) * factor) < _LEVEL_RATIO)
     largest = to_si(max(earlier.max(), later.max()), unit, channel.unit)
     return not channel.commanded or bool(largest > channel.usual)

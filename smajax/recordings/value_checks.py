@@ -1,4 +1,4 @@
-"""Columns of numbers that are no recording: a single row, time that does not increase, a dead sensor, a wrong scale."""
+"""Checks of the values of a recording: number of rows, increasing time, changing sensors, plausible scales."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,8 +13,8 @@ from smajax.recordings.readers.base import REPAIR_HINT
 from smajax.recordings.unit_checks import check_scale
 from smajax.units import to_si
 
-# Rows whose time runs back, up to which they are single slips; more are rows out of order. Chosen by trial;
-# tests/unit/recordings/test_bad_recordings.py holds it.
+# Number of rows with decreasing time up to which they count as single errors, and not as unsorted rows. Chosen by
+# trial; tested in tests/unit/recordings/test_bad_recordings.py.
 _MAX_TIME_SLIPS = 2
 
 Place = Callable[[FileColumn, int], str]
@@ -27,17 +27,18 @@ def check_values(
     observed: Sequence[str],
     place: Place,
 ) -> None:
-    """Refuse what cannot be a recording.
+    """Check the values of a recording.
 
     Args:
         path: The file, for messages.
         columns: Columns that are read.
-        values: Arrays (rows,) by channel, in the units of the file.
-        observed: Channels that have to change.
-        place: Makes "file: row 5, column 'x'" of a column and an index.
+        values: Arrays, shape ``(rows,)``, by channel, in the units of the file.
+        observed: Channels that must change.
+        place: Returns a text such as "file: row 5, column 'x'" for a column and an index.
 
     Raises:
-        InputError: one sentence with the place and the cure.
+        InputError: If there is a single row, time does not increase, a value is not plausible, or an observed channel
+            is constant.
     """
     rows = len(values[columns[0].name])
     if rows < 2:
@@ -54,7 +55,7 @@ def check_values(
             check_scale(numbers, column.name, column.unit, peak, lambda i, column=column: place(column, i), cure)
         if column.name in observed and numbers.min() == numbers.max():
             constant = f"the observed channel {column.name} is {numbers[0]:.15g} {column.unit} in all {rows} rows"
-            cure = "check the sensor, or take it out of [fit] observe"
+            cure = "check the sensor, or remove it from [fit] observe"
             raise InputError(f"{path}: column '{column.header}': {constant}: {cure}")
 
 
@@ -69,12 +70,12 @@ def _peaks(columns: Sequence[FileColumn], values: Mapping[str, NDArray[np.float6
 
 
 def _check_time(column: FileColumn, time: NDArray[np.float64], place: Place) -> None:
-    """Refuse time that stands still or runs back."""
+    """Refuse time that does not increase."""
     slips = np.flatnonzero(time[1:] <= time[:-1])
     if slips.size:
         i = int(slips[0]) + 1
-        still = f"stands still at {time[i]:.15g}"
-        what = still if time[i] == time[i - 1] else f"runs back from {time[i - 1]:.15g} to {time[i]:.15g}"
+        constant = f"does not increase at {time[i]:.15g}"
+        problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
         sort = "sort the rows by time, or leave such rows out with --drop-bad-rows"
         cure = sort if slips.size > _MAX_TIME_SLIPS else REPAIR_HINT
-        raise InputError(f"{place(column, i)}: time {what} {column.unit}: {cure}")
+        raise InputError(f"{place(column, i)}: time {problem} {column.unit}: {cure}")

@@ -1,6 +1,5 @@
-"""Writing of tables of numbers as .csv or .parquet files."""
+"""Writing of tables of numbers as .csv and .parquet files."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,30 +7,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smajax.errors import InputError
+from smajax.recordings.paths import replacing
 
-# Rows that are turned into text at a time, which bounds the memory; the size has no effect on the file.
+# Rows that are formatted at a time, which limits the memory; the number has no effect on the file.
 _ROWS_WRITTEN_AT_ONCE = 65536
 
 
 def write_table(path: Path, columns: Mapping[str, NDArray[np.float64]]) -> None:
-    """Write a table of columns (rows,) by header, completely or not at all.
+    """Write a table, completely or not at all.
+
+    Args:
+        path: The file, which ends in .csv, .txt or .parquet.
+        columns: Arrays, shape ``(rows,)``, by header.
 
     Raises:
-        InputError: for another ending than .csv, .txt or .parquet, or if the file cannot be written.
+        InputError: For another ending, or if the file cannot be written.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with replacing(path) as part:
         if path.suffix.lower() == ".parquet":
             _write_parquet(part, columns)
         elif path.suffix.lower() in (".csv", ".txt"):
             _write_csv(part, columns)
         else:
             raise InputError(f"{path}: recordings are written as .csv or .parquet: choose one of these endings")
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(f"{path}: the file cannot be written ({error.strerror or error}): check the folder") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write_csv(path: Path, columns: Mapping[str, NDArray[np.float64]]) -> None:

@@ -1,4 +1,4 @@
-"""The text and the page of ``smajax compare``: models by their error on a recording none of them was fitted to."""
+"""Summary and page of ``smajax compare``: models ranked by their error on the holdout."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,35 +13,40 @@ from smajax.report.time_figures import comparison_picture
 
 _PARAMETER_HEAD = ("parameter", "value", "95 % from", "to", "unit")
 _MODEL_HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
-# Numbers of an array that a table lists: more do not fit on a line.
+# Largest number of array elements that a table lists: more do not fit on a line.
 _MAX_LISTED = 20
 
 
 def summary(doc: Mapping[str, Any]) -> str:
-    """Say which model predicts best, or that none does better than a constant."""
+    """Say which model predicts the holdout best, or that none is better than a constant; ``doc`` is compare.json."""
     fitted = [m for m in doc["models"] if not m["why"]]
     best = fitted[0]
     error, useless = f"{best['rmse_holdout']:.3g} {doc['unit']}", best["fit_percent_holdout"] <= 0.0
-    said = f"{best['name']} predicts the holdout best: {error} with {best['parameters']} parameters."
+    words = f"{best['name']} predicts the holdout best: {error} with {best['parameters']} parameters."
     if useless:
-        said = (
-            "No model predicts the holdout better than the mean of the holdout does; the smallest error has "
+        words = (
+            "No model predicts the holdout better than the mean of the holdout does; the smallest error is that of "
             f"{best['name']}: {error}."
         )
     lowest = min(fitted, key=lambda m: m["bic"])
     if lowest is not best and not useless:
-        said += f" By BIC, which uses the training recording only, it would be {lowest['name']}."
+        words += f" By BIC, which uses the training recording only, {lowest['name']} is the best model."
     if doc["not_compared"]:
         others = " and ".join(doc["not_compared"])
-        said += (
-            f" Compared is {doc['channel']} alone: the material laws are fitted to {others} as well, "
+        words += (
+            f" Only {doc['channel']} is compared: the material laws are fitted to {others} as well, "
             "the input-output models are not."
         )
-    return said
+    return words
 
 
 def text(doc: Mapping[str, Any], folder: str) -> str:
-    """Format what the command prints; ``folder`` is the result folder."""
+    """Format the summary of a comparison for a terminal.
+
+    Args:
+        doc: The document compare.json.
+        folder: The result folder.
+    """
     lines = [
         f"{doc['channel']} in {doc['unit']}:",
         *table([_MODEL_HEAD, *model_rows(doc)], right=range(1, len(_MODEL_HEAD))),
@@ -49,11 +54,11 @@ def text(doc: Mapping[str, Any], folder: str) -> str:
         doc["summary"],
     ]
     lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
-    return "\n".join([*lines, *notes(doc), f"All of it in {folder}"])
+    return "\n".join([*lines, *notes(doc), f"Results: {folder}"])
 
 
 def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return the rows of the table of models, best first."""
+    """Return table rows of the models, best first."""
     rows = []
     for m in doc["models"]:
         if m["why"]:
@@ -66,15 +71,14 @@ def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def notes(doc: Mapping[str, Any]) -> list[str]:
-    """List remarks on single models: what was done to the recordings, parameters at a bound or undetermined."""
+    """List remarks on single models: repairs of recordings, parameters at a bound, undetermined parameters."""
     remarks = [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
     offset, fitted = f"sensor.{doc['channel']}_offset", [m for m in doc["models"] if not m["why"]]
     without_offset = [m["name"] for m in fitted if m["kind"] == "law" and offset not in m["fitted"]]
     if without_offset and any(m["kind"] != "law" for m in fitted):
         remarks.append(
-            f"Input-output models have a constant, and {', '.join(without_offset)} none: free {offset} if the sensor "
-            "may not "
-            "begin at 0"
+            f"Input-output models have a constant offset, and {', '.join(without_offset)} none: free {offset} if the "
+            "sensor may not begin at 0"
         )
     remarks += [f"{m['name']}: at its bound: {', '.join(m['at_bound'])}" for m in doc["models"] if m.get("at_bound")]
     undetermined = [(m["name"], ", ".join(m["undetermined"])) for m in doc["models"] if m.get("undetermined")]
@@ -82,7 +86,11 @@ def notes(doc: Mapping[str, Any]) -> list[str]:
 
 
 def parameter_rows(fitted: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return name, value, interval and unit of the parameters of a model; of long arrays their length only."""
+    """Return table rows of a model's parameters: name, value, ends of the interval, unit; for long arrays the length.
+
+    Args:
+        fitted: Entry by parameter, as ``fitted`` of a model in compare.json.
+    """
     rows = []
     for name, entry in fitted.items():
         ends = ["" if isinstance(entry["value"], list) else _format_value(entry[key]) for key in ("lower95", "upper95")]
@@ -97,26 +105,24 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
         doc: The document compare.json.
         series: The predictions, named "RECORDING (MODEL)".
         run: The document run.json.
-        rig: The text of the rig file.
+        rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     pictures: list[Picture] = []
-    sections = [f'<div class="verdict"><p>{pages.escape(doc["summary"])}</p></div>', "<h2>Models, best first</h2>"]
+    sections = [pages.verdict_section([doc["summary"]]), "<h2>Models, best first</h2>"]
     sections.append(pages.table(_MODEL_HEAD, model_rows(doc), numbers=tuple(range(1, len(_MODEL_HEAD)))))
     left_out = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
     sections.append(pages.bullets(left_out + notes(doc)))
     unit = pages.escape(pages.pretty_unit(doc["unit"]))
-    sections.append(f"<p>RMSE in {unit}. The fit is that of MATLAB: 100 (1 - |y - model| / |y - mean|).</p>")
+    sections.append(f"<p>RMSE in {unit}. The fit is defined as in MATLAB: 100 (1 - |y - model| / |y - mean|).</p>")
     for role in ("holdout", "train"):
         by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
         ordered = {m["name"]: by_model[m["name"]] for m in doc["models"] if m["name"] in by_model}
         sections.append(pages.add_picture(comparison_picture(ordered, doc["channel"], role), pictures))
     sections += _parameter_sections(doc)
-    sections += [
-        "<h2>Where this comes from</h2>",
-        pages.recordings_table(doc["recordings"]),
-        pages.provenance_section(run),
-        pages.rig_section(rig),
-    ]
+    sections += pages.provenance_sections(run, rig, pages.recordings_table(doc["recordings"]))
     lead = f"Predictions of {doc['channel']} by several models."
     return pages.render_page(f"Comparison on {doc['rig']}", lead, sections, pictures)
 
@@ -124,8 +130,8 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
 def _parameter_sections(doc: Mapping[str, Any]) -> list[str]:
     sections = [
         "<h2>Fitted parameters</h2>",
-        "<p>With 95 % intervals where there are any; inputs and outputs of input-output models in SI units and degC, "
-        "times in s.</p>",
+        "<p>With 95 % intervals where available; inputs and outputs of input-output models in SI units and degC, times "
+        "in s.</p>",
     ]
     for m in doc["models"]:
         if m.get("fitted"):

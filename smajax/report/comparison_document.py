@@ -1,4 +1,4 @@
-"""``compare.json``: the result of ``smajax compare`` as a plain document, schema ``smajax.compare/2``."""
+"""``compare.json``: the result of ``smajax compare`` as a JSON document, schema ``smajax.compare/2``."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +26,7 @@ def comparison_document(
         rig: The rig.
         results: The results of all models.
         recordings: The training recording and the holdout.
-        seed: Seed of the starts.
+        seed: Seed of the random start values.
     """
     channel = rig.fit.observe[0]
     unit, scale = difference_unit(recordings[0], channel)
@@ -48,7 +48,7 @@ def comparison_document(
 
 
 def _model_entry(result: ModelResult, recordings: Sequence[Recording], channel: str, scale: float) -> dict[str, Any]:
-    """The entry of one model; ``scale`` takes SI to the unit of the document."""
+    """Entry of one model; ``scale`` converts from SI to the unit of the document."""
     rmse, percent, bic = [None, None], [None, None], None
     if not result.reason:
         scores = score_model(result, recordings, channel)

@@ -1,6 +1,6 @@
-"""``diagnosis.json`` (schema ``smajax.diagnosis/2``).
+"""``diagnosis.json``: the result of ``smajax diagnose`` as a JSON document, schema ``smajax.diagnosis/2``.
 
-RMSEs and noise are in the unit of the recording's column, strengths in the unit of the effect; what does not exist is
+RMSEs and noise are in the unit of the recording's column, strengths in the unit of the effect; missing values are
 ``null``. Schema 2 has the keys of schema 1, under which the parameter ``material.max_transformation_strain`` was called
 ``material.max_strain``.
 """
@@ -34,17 +34,17 @@ def diagnosis_document(
     wall_time: float,
     seed: int,
 ) -> dict[str, Any]:
-    """Return the document of a diagnosis.
+    """Build the document of a diagnosis.
 
     Args:
         diagnosis: The result.
-        recordings: The recordings for training, selection and holdout; units are those of the first one.
-        evidence: Auxiliary channels, which are not observed.
-        left_out: Channels that were left out, and why.
-        misplaced: Effects of the rig file that the rig cannot have, and why.
+        recordings: The recordings for training, selection and holdout; the first one gives the units.
+        evidence: Auxiliary channels: recorded, but not observed.
+        left_out: Reason by channel that was not used.
+        misplaced: Reason by effect of the rig file that the rig cannot have.
         simulations: Number of simulations.
         wall_time: Duration, s.
-        seed: Seed of all random samples.
+        seed: Seed of all random numbers.
     """
     rmse, noise_floor = _errors(diagnosis, recordings[0])
     before, after, limit = diagnosis.reduced_chi2
@@ -91,7 +91,7 @@ def _left_out_entries(channels: Mapping[str, str], effects: Mapping[str, str]) -
 
 
 def _errors(diagnosis: Diagnosis, recording: Recording) -> tuple[dict[str, Any], dict[str, Any]]:
-    """RMSE and noise of each channel."""
+    """RMSE and noise by channel."""
     rmse, noise_floor = {}, {}
     for channel, values in diagnosis.rmse.items():
         unit, factor = difference_unit(recording, channel)
@@ -103,7 +103,7 @@ def _errors(diagnosis: Diagnosis, recording: Recording) -> tuple[dict[str, Any],
 
 
 def _ranking(diagnosis: Diagnosis, recording: Recording) -> list[dict[str, Any]]:
-    """What is known of each effect: accepted ones first, then by the gain of the first round."""
+    """Entries of all effects: accepted effects first, then by the gain of the first round."""
     scale = difference_unit(recording, next(iter(diagnosis.rmse)))[1]
     ranking = []
     for summary in diagnosis.ranking:
@@ -147,8 +147,8 @@ def _detectability_entry(detectability: Detectability) -> dict[str, Any]:
 
 
 def _excluded_entry(detectability: Detectability) -> dict[str, Any]:
-    above = finite_or_none(detectability.minimum_detectable_strength)
-    return {"key": detectability.key, "above": above, "unit": detectability.unit}
+    limit = finite_or_none(detectability.minimum_detectable_strength)
+    return {"key": detectability.key, "above": limit, "unit": detectability.unit}
 
 
 def _statistics_entry(statistics: ResidualStatistics, factor: float) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 from smajax.report.figures import MEASURED, MODEL, Picture, axis_style, base_layout, noise_band
 
 _HEIGHT = 320
-# Units of the states against which a nonparametric term can stand; times in s.
+# Units of the states of which a nonparametric term can be a function; times are in s.
 _UNITS = {"temperature": "degC", "martensite": "fraction", "travel": "full transformations"}
 
 
@@ -16,7 +16,7 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
 
     Args:
         channel: The channel.
-        statistics: Statistics of the residual by name ("before", "after"), with ``autocorrelation`` and ``band_99``.
+        statistics: Statistics of the residual by fit ("before", "after"), with ``autocorrelation`` and ``band_99``.
     """
     layout = base_layout()
     layout["xaxis"] = axis_style("lag [samples]")
@@ -40,7 +40,7 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
 
 
 def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
-    """Show a nonparametric term against its state; ``term`` is ``free_form`` of diagnosis.json."""
+    """Show a nonparametric term as a function of its state; ``term`` is ``free_form`` of diagnosis.json."""
     layout = base_layout()
     layout["xaxis"] = axis_style(escape(f"{term['against']} [{_UNITS.get(term['against'], 's')}]"))
     layout["yaxis"] = axis_style(escape(f"{term['adds']} [{term['unit']}]" if term["unit"] != "1" else term["adds"]))
@@ -52,9 +52,6 @@ def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
         "line": {"color": MODEL},
         "showlegend": False,
     }
-    caption = (
-        "What would have to be added to the stage, as a function of the state. It describes what is missing, not its "
-        "cause."
-    )
+    caption = "The term that the stage lacks, as a function of the state. It describes what is missing, not its cause."
     figure = {"data": [line], "layout": layout}
     return Picture(f"Nonparametric term in the {term['stage']} stage", caption, figure, _HEIGHT, wide=False)

@@ -1,7 +1,6 @@
-"""The page of a diagnosis, made from ``diagnosis.json`` (schema 1 or 2) and ``prediction.csv``."""
+"""Report page of a diagnosis, built from ``diagnosis.json`` (schema 1 or 2) and ``prediction.csv``."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 from smajax.diagnosis.data_split import SPLIT_NAMES
@@ -27,19 +26,21 @@ _EFFECT_HEAD = (
 def diagnosis_page(
     doc: Document, series: Sequence[Series], inputs: Sequence[str], run: Mapping[str, Any], rig: str
 ) -> str:
-    """Return the page.
+    """Build the page of a diagnosis.
 
     Args:
-        doc: The document.
-        series: The predictions before and after.
-        inputs: The driving channels.
-        run: The record of the run.
+        doc: The document diagnosis.json.
+        series: The predictions before and after, named "RECORDING (before)" and "RECORDING (after)".
+        inputs: Input channels.
+        run: The document run.json.
         rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     pictures: list[Picture] = []
     unexplained = doc["verdict"] in ("partial", "unresolved")
-    summary = "".join(f"<p>{escape(s)}</p>" for s in sentences(doc))
-    sections = [f'<div class="verdict{" bad" if unexplained else ""}">{summary}</div>']
+    sections = [pages.verdict_section(sentences(doc), bad=unexplained)]
     sections += _error_section(doc)
     sections += _residual_section(doc, pictures)
     sections += _effects_section(doc)
@@ -47,9 +48,9 @@ def diagnosis_page(
     sections.append("<h2>Measured against model</h2>")
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), inputs, floor), pictures) for s in series]
-    sections += ["<h2>Where this comes from</h2>", pages.provenance_section(run), pages.rig_section(rig)]
+    sections += pages.provenance_sections(run, rig)
     names = dict.fromkeys(s.name.removesuffix(" (before)").removesuffix(" (after)") for s in series)
-    lead = f"What {', '.join(names)} say of the rig."
+    lead = f"Diagnosis of the rig from {', '.join(names)}."
     return pages.render_page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
 
 
@@ -65,7 +66,7 @@ def _error_section(doc: Document) -> list[str]:
 
 
 def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
-    """The training recording's residual: its correlations, and the stages in which it can live."""
+    """The training recording's residual: its correlations, and the stages that can explain it."""
     rows = [
         (channel, when, name, significant(statistics["rms"], 4), f"{100 * share:.0f} %")
         for channel, by_fit in doc["residual"].items()
@@ -76,7 +77,7 @@ def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
     sections = ["<h2>Residual of the training recording</h2>", pages.table(head, rows, numbers=(3, 4))]
     for channel, by_fit in doc["residual"].items():
         sections.append(pages.add_picture(autocorrelation_picture(channel, by_fit), pictures))
-    sections.append("<h2>Share of the residual that can live in each stage</h2>")
+    sections.append("<h2>Share of the residual that each stage can explain</h2>")
     shares = [(stage, f"{100 * share:.0f} %") for stage, share in doc["stages"].items()]
     sections.append(pages.table(("stage", "share"), shares, numbers=(1,)))
     if doc["free_form"]:
@@ -85,7 +86,7 @@ def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
 
 
 def _effects_section(doc: Document) -> list[str]:
-    """All effects, those that were rejected, and those that are excluded."""
+    """All effects, the rejected and the excluded ones."""
     sections = ["<h2>Effects</h2>"]
     sections.append(pages.table(_EFFECT_HEAD, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
     if doc["rejected"]:
@@ -93,8 +94,8 @@ def _effects_section(doc: Document) -> list[str]:
         sections.append(pages.table(("rejected", "because it"), rows))
     if doc["excluded"]:
         limits = [(e["key"], f"{e['above']:.3g}", pages.pretty_unit(e["unit"])) for e in doc["excluded"]]
-        sections.append("<h2>Excluded down to this size</h2>")
-        sections.append(pages.table(("effect", "above", "unit"), limits, numbers=(1,)))
+        sections.append("<h2>Excluded effects</h2>")
+        sections.append(pages.table(("effect", "excluded above", "unit"), limits, numbers=(1,)))
     return sections
 
 
@@ -120,4 +121,4 @@ def _detectability_section(doc: Document) -> list[str]:
         for entry in doc["preflight"]
     ]
     head = ("effect", "status", "detectable from", "unit", "absorbed by, or why not")
-    return ["<h2>What this input can show, before any fit</h2>", pages.table(head, rows, numbers=(2,))]
+    return ["<h2>Effects that this input can show, before any fit</h2>", pages.table(head, rows, numbers=(2,))]

@@ -1,4 +1,4 @@
-"""The summary of ``diagnosis.json`` in sentences that one can act on; documents of schema 1 and 2 are read alike."""
+"""Summary of ``diagnosis.json``, schema 1 or 2, in sentences that say what to do next."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,27 +11,25 @@ Document = Mapping[str, Any]
 
 
 def sentences(doc: Document) -> list[str]:
-    """Say what was found: effects, what remains, errors, what was left out, and what to do next.
+    """List sentences about the effects, the remaining residual, the errors, unused channels, and the next experiment.
 
     Args:
-        doc: The document.
+        doc: The document diagnosis.json.
     """
     lines = [sentence for key in doc["effects"] for sentence in _effect_sentences(doc, key)]
     if unexplained := _verdict_sentence(doc):
         lines.append(unexplained)
     if not doc.get("base_fit_at_rest", True):
-        lines.append(
-            "Without effects the fit did not converge, so that the errors before are only those where it stopped."
-        )
+        lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
     lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
     for entry in doc.get("left_out", ()):
         what = entry.get("channel") or f"{entry['effect']} of the rig file, which this rig cannot have"
-        lines.append(f"Done without {what}: {entry['why']}.")
+        lines.append(f"Not used: {what}: {entry['why']}.")
     lines += [f"{entry['name']}: {note}." for entry in doc.get("recordings", ()) for note in entry["notes"]]
     if term := doc["free_form"]:
         lines.append(
             f"A nonparametric term in the {term['stage']} stage, {term['adds']} as a function of {term['against']}, "
-            f"would explain {100 * term['explains']:.0f} % of the residual; it describes what is missing and names no "
+            f"would explain {100 * term['explains']:.0f} % of the residual; it describes what is missing, not its "
             "cause."
         )
     experiment = doc["next_experiment"]
@@ -42,11 +40,11 @@ def sentences(doc: Document) -> list[str]:
 
 
 def text(doc: Document, folder: str) -> str:
-    """Return the summary for a terminal.
+    """Format the summary of a diagnosis for a terminal.
 
     Args:
-        doc: The document.
-        folder: Where the results are.
+        doc: The document diagnosis.json.
+        folder: The result folder.
     """
     lines = [f"Verdict: {doc['verdict']}", "", *sentences(doc), ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
@@ -55,12 +53,17 @@ def text(doc: Document, folder: str) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Return a value with so many significant digits; a dash where there is none."""
+    """Format a value; a dash for ``None``.
+
+    Args:
+        value: The value.
+        digits: Number of significant digits.
+    """
     return "-" if value is None else f"{value:.{digits}g}"
 
 
 def _effect_sentences(doc: Document, key: str) -> list[str]:
-    """What an accepted effect is, how large, and from which it cannot be distinguished."""
+    """Sentences about an accepted effect: its size, and the effects from which it cannot be distinguished."""
     entry = next(r for r in doc["ranking"] if r["key"] == key)
     interval = f" (95 %: {entry['lower95']:.3g} to {entry['upper95']:.3g})" if entry["lower95"] is not None else ""
     unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
@@ -73,7 +76,7 @@ def _effect_sentences(doc: Document, key: str) -> list[str]:
 
 
 def _verdict_sentence(doc: Document) -> str:
-    """What a verdict says of what remains; empty where effects are named."""
+    """A sentence about the remaining residual; empty if effects explain it."""
     stage, fit = doc["unresolved_stage"], doc["goodness_of_fit"]
     if doc["verdict"] == "nothing-missing":
         small = "; ".join(f"{entry['key']} {entry['why']}" for entry in doc["rejected"])
@@ -82,14 +85,14 @@ def _verdict_sentence(doc: Document) -> str:
     if doc["verdict"] == "partial" and fit["after"] < max(fit["critical"], AT_NOISE):
         return (
             "It does not predict another input down to the noise: "
-            f"it may stand in for another cause in the {stage} stage."
+            f"the cause may be another effect in the {stage} stage."
         )
     if doc["verdict"] == "partial":
         return f"More than noise remains; the residual looks most like another effect in the {stage} stage."
     if doc["verdict"] == "unresolved" and stage is None:
         return (
             "Something is missing that only the other recordings show: "
-            "their inputs excite what the training recording's does not."
+            "their inputs excite it, and the training recording's does not."
         )
     if doc["verdict"] == "unresolved":
         return (
@@ -100,12 +103,12 @@ def _verdict_sentence(doc: Document) -> str:
 
 
 def _error_sentence(doc: Document, channel: str) -> str:
-    """The holdout's error of a channel before and after."""
+    """A sentence about the error of a channel on the holdout."""
     rmse, floor = doc["rmse"][channel], doc["noise_floor"][channel]["value"]
     auxiliary = ", recorded and not observed," if channel in doc.get("evidence", ()) else ""
     unit = rmse["unit"]
     before, after = (significant(rmse[f"holdout_{when}"]) for when in ("before", "after"))
     return (
         f"On the holdout the error of {channel}{auxiliary} is {before} {unit} before and {after} {unit} after, "
-        f"with noise of {floor:.3g} {unit}."
+        f"with a noise of {floor:.3g} {unit}."
     )

@@ -8,7 +8,12 @@ from smajax.units import conversion
 
 
 def recording_entry(recording: Recording, role: str) -> dict[str, Any]:
-    """Return what a result document says of a recording that was used in this role."""
+    """Return the entry of a recording in a result document.
+
+    Args:
+        recording: The recording.
+        role: Its role, such as ``train`` or ``holdout``.
+    """
     return {
         "name": recording.name,
         "sha256": recording.sha256,
@@ -19,7 +24,12 @@ def recording_entry(recording: Recording, role: str) -> dict[str, Any]:
 
 
 def difference_unit(recording: Recording, channel: str) -> tuple[str, float]:
-    """Return the unit of differences of a channel, as in its column (K for temperatures), and the factor from SI."""
+    """Return the unit of differences of a channel (that of its column, K for temperatures), and the factor from SI.
+
+    Args:
+        recording: The recording.
+        channel: One of its channels.
+    """
     canonical = channel_unit(channel)
     if canonical == "degC":
         return "K", 1.0

@@ -1,8 +1,8 @@
-"""What all figures of a report share: plotly figures as plain dictionaries, without a plotting library.
+"""Common parts of the figures of a report: plotly figures as plain dictionaries, without a plotting library.
 
-A figure of more than ``MAX_POINTS`` rows shows the lowest and the highest point of each of many short spans, so that
-no peak is lost, and its caption says so; prediction.csv has all rows. A figure of many models has fewer points of
-each, ``MAX_POINTS_OF_MANY``. The figures themselves are in ``time_figures``, ``phase_figures``,
+A line of more than ``MAX_POINTS`` rows shows the lowest and the highest point of each of many short spans, so no peak
+is lost, and the caption says so; prediction.csv has all rows. In a figure of many models a line has up to
+``MAX_POINTS_OF_MANY`` points. The figures themselves are in ``time_figures``, ``phase_figures``,
 ``parameter_figures`` and ``diagnosis_figures``.
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 from smajax.recordings.recording import Floats
 from smajax.report.prediction import Series, usual_unit
 
-# Points of a line: a browser zooms so many without delay.
+# Largest number of points of a line: a browser zooms so many without delay.
 MAX_POINTS = 20_000
-# Points of each line where many models are compared: a page of twelve models stays at a few megabytes.
+# The same in a comparison of many models: a page of twelve models stays at a few megabytes.
 MAX_POINTS_OF_MANY = 2_000
 MEASURED, MODEL, RESIDUAL, INPUT = "#8b95a1", "#c8501e", "#23648c", "#4a7a3f"
 # Colours of several models, in the order of their rank.
@@ -42,9 +42,9 @@ _DIGITS = 7
 # Height of a panel of weight 1, and the gap between two panels, in pixels.
 _PANEL_PIXELS = 58
 _GAP_PIXELS = 24
-# Height of the title, the legend and the axis of time, in pixels.
+# Height of the title, the legend and the time axis, in pixels.
 _FRAME_PIXELS = 144
-# A panel of less weight than this has its axis title in two small lines.
+# Weight of a panel below which its axis title has two small lines.
 _LOW_PANEL = 3.0
 
 
@@ -53,8 +53,8 @@ class Picture:
     """A figure with its title and caption.
 
     Attributes:
-        title: What the figure shows.
-        caption: How to read it.
+        title: Its title.
+        caption: Explanation of the figure.
         figure: The plotly figure: data and layout.
         height: Height in pixels.
         wide: Whether the figure takes the whole width of the page.
@@ -95,10 +95,10 @@ def axis_style(title: str) -> dict[str, Any]:
 
 
 def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> dict[str, Any]:
-    """Lay out panels above one another over one axis of time.
+    """Lay out panels above one another over one time axis.
 
     Args:
-        panels: Name and weight of each panel; its height is proportional to the weight.
+        panels: Name and weight of each panel, from the top; its height is proportional to the weight.
         series: The series that is shown, for the title of the axis.
     """
     layout = base_layout()
@@ -117,7 +117,7 @@ def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> dict[st
 
 
 def panel_height(panels: Sequence[tuple[str, float]]) -> int:
-    """Return the height in pixels of a figure of panels."""
+    """Return the height in pixels of a figure of panels, each with name and weight."""
     return _FRAME_PIXELS + round(_PANEL_PIXELS * sum(weight for _, weight in panels))
 
 
@@ -127,7 +127,14 @@ def panel_axis(panel: int) -> str:
 
 
 def set_panel_title(layout: dict[str, Any], panel: int, title: str, panels: Sequence[tuple[str, float]]) -> None:
-    """Set the title of a panel's y axis, in two small lines where the panel is low."""
+    """Set the title of a panel's y axis, in two small lines if the panel is low.
+
+    Args:
+        layout: The layout, which is changed.
+        panel: Index of the panel.
+        title: Title of its axis.
+        panels: Name and weight of each panel.
+    """
     low = panels[panel][1] < _LOW_PANEL
     entry = layout[f"yaxis{panel + 1 if panel else ''}"]["title"]
     entry["text"] = title.replace(" [", "<br>[") if low else title
@@ -146,7 +153,21 @@ def line_trace(
     in_legend: bool = True,
     max_points: int = MAX_POINTS,
 ) -> tuple[dict[str, Any], bool]:
-    """Make a line of values (n,), and tell whether points were left out."""
+    """Make the trace of a line.
+
+    Args:
+        x: Abscissae, shape ``(n,)``.
+        y: Values, shape ``(n,)``; values that are not finite leave gaps.
+        name: Name in the legend.
+        colour: Colour of the line.
+        y_axis: Plotly's name of the y axis.
+        x_axis: Plotly's name of the x axis.
+        in_legend: Whether the legend lists it.
+        max_points: Largest number of points.
+
+    Returns:
+        The trace, and whether points were left out.
+    """
     rows = thin_rows(y, max_points)
     trace = {
         "type": "scatter",
@@ -164,7 +185,15 @@ def line_trace(
 
 
 def thin_rows(values: Floats, max_points: int = MAX_POINTS) -> np.ndarray:
-    """Choose the rows to draw of values (n,): all, or the extremes of ``max_points // 2`` equal spans."""
+    """Choose the rows that are drawn: all, or the extremes of ``max_points // 2`` equal spans.
+
+    Args:
+        values: Values, shape ``(n,)``.
+        max_points: Largest number of points without thinning.
+
+    Returns:
+        Rows in ascending order.
+    """
     n = len(values)
     if n <= max_points:
         return np.arange(n)
@@ -179,40 +208,67 @@ def thin_rows(values: Floats, max_points: int = MAX_POINTS) -> np.ndarray:
 
 
 def thin_note(rows: int, thinned: bool, max_points: int = MAX_POINTS) -> str:
-    """Return the sentence of a caption that says which rows are drawn; empty if all are."""
+    """Return the sentence of a caption that says which rows are drawn; empty if all are.
+
+    Args:
+        rows: Number of rows.
+        thinned: Whether rows were left out.
+        max_points: Largest number of points of a line.
+    """
     if not thinned:
         return ""
     return f" Of {rows:,} rows the picture draws the lowest and highest of every {math.ceil(2 * rows / max_points)}."
 
 
 def round_for_json(values: Floats) -> list[float | None]:
-    """Round values to seven digits for JSON; ``None``, which leaves a gap in a line, where they are not finite."""
+    """Round values to seven digits for JSON; values that are not finite become ``None``, a gap in a line."""
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, float).tolist()]
 
 
 def noise_band(noise: float | None, axis: str) -> list[dict[str, Any]]:
-    """Return the dotted lines at two standard deviations of the noise to either side; none where it is unknown."""
+    """Return dotted lines at plus and minus two standard deviations of the noise; none if it is unknown.
+
+    Args:
+        noise: Standard deviation in the unit of the axis.
+        axis: Plotly's name of the y axis.
+    """
     if not noise:
         return []
     return [level_line(end, axis, {"dash": "dot", "color": MODEL, "width": 1}) for end in (-2 * noise, 2 * noise)]
 
 
 def level_line(value: float, axis: str, line: dict[str, Any]) -> dict[str, Any]:
-    """Return a horizontal line across the figure."""
+    """Return a horizontal line across the figure.
+
+    Args:
+        value: Its ordinate.
+        axis: Plotly's name of the y axis.
+        line: Plotly's style of the line.
+    """
     return {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": value, "y1": value, "yref": axis, "line": line}
 
 
 def axis_title(channel: str, units: Mapping[str, str]) -> str:
-    """Return the title of an axis: the channel with its unit."""
+    """Return the title of an axis: the channel with its unit.
+
+    Args:
+        channel: The channel.
+        units: Units by channel; a channel without one has its usual unit.
+    """
     unit = units.get(channel) or usual_unit(channel)
     return channel if unit == "1" else f"{channel} [{unit}]"
 
 
 def time_title(series: Series) -> str:
-    """Return the title of the axis of time, or of rows where there is no clock."""
+    """Return the title of the time axis, or of rows if there is no clock."""
     return f"time [{series.units['time']}]" if series.has_clock else "row"
 
 
 def has_residual(series: Series, channel: str) -> bool:
-    """Tell whether a channel was measured and is modelled."""
+    """Return whether a channel has a residual: it was measured and is modelled.
+
+    Args:
+        series: One recording with its model.
+        channel: The channel.
+    """
     return channel in series.measured and channel in series.model

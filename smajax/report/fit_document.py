@@ -1,8 +1,7 @@
-"""``fit.json``: a fit as a plain document, schema ``smajax.fit/2`` (``fit.schema.json`` in this folder).
+"""``fit.json``: the result of a fit as a JSON document, schema ``smajax.fit/2`` (``fit.schema.json`` in this folder).
 
 Parameters are in their declared units (SI, temperatures degC), RMSE and noise in the unit of the recording's column.
-A number that does not exist is ``null``; nothing is NaN. What belongs to one recording only is named
-``section.key@recording``.
+Missing values and NaN are ``null``. A parameter of a single recording is called ``section.key@recording``.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -41,7 +40,7 @@ def fit_document(
         rig: The rig that was fitted.
         settings: The settings of the fit.
         profiles: Profile likelihoods by parameter, as ``smajax.fitting.profile.profile_likelihood`` returns them.
-        warnings: Sentences for the reader.
+        warnings: Warnings as sentences.
     """
     failed = [
         f"{r.recording.name}: {r.status.name}: {r.status.hint}"
@@ -91,14 +90,14 @@ def failed_document(
     *,
     warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Build the document of a fit that could not begin: the start values, and why the simulation failed there.
+    """Build the document of a fit whose simulation failed at the start values.
 
     Args:
         rig: The rig.
         settings: The settings of the fit.
         recordings: The recordings with their roles.
-        reason: Why it failed.
-        warnings: Sentences for the reader.
+        reason: Reason of the failure.
+        warnings: Warnings as sentences.
     """
     free = _start_entries(rig, settings)
     units = {c: difference_unit(recordings[0][0], c)[0] for c in settings.observe}
@@ -129,7 +128,7 @@ def failed_document(
 
 
 def estimate_entry(estimate: Estimate) -> dict[str, Any]:
-    """Return what a document says of a free parameter."""
+    """Return the entry of a free parameter."""
     return {
         "estimate": finite_or_none(estimate.estimate),
         "lower95": finite_or_none(estimate.lower95),
@@ -196,7 +195,7 @@ def _start_entries(rig: Rig, settings: FitSettings) -> dict[str, Any]:
 
 
 def _fixed_entries(rig: Rig, plant: Any, free: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """The parameters that were not fitted and that the rig or its parameter set gives, without defaults."""
+    """Parameters that were not fitted and whose values the rig file or its parameter set gives; no defaults."""
     fitted = set(parameters.expand(free))
     entries = {}
     for name, declaration in parameters.all_declarations(plant).items():

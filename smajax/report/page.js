@@ -1,4 +1,4 @@
-// Draws every picture of the page; a finger pans the page and not the picture, a mouse zooms into it.
+// Draws the figures of the page. Touch scrolls the page instead of zooming a figure; a mouse zooms.
 (function () {
   "use strict";
   var figures = JSON.parse(document.getElementById("figures").textContent);
@@ -6,7 +6,7 @@
   var config = {
     responsive: true,
     displaylogo: false,
-    plotlyServerURL: "", // nothing of a report leaves the machine
+    plotlyServerURL: "", // no data of a report is sent anywhere
     modeBarButtonsToRemove: ["sendChartToCloud", "lasso2d", "select2d"],
     toImageButtonOptions: { format: "svg" }
   };

@@ -1,7 +1,7 @@
-"""The parts of a report page: one HTML file that opens offline, with zoomable figures and everything that made it.
+"""Parts of a report page: one HTML file that opens offline, with zoomable figures and the provenance of the result.
 
-plotly.js stands in the file once. Text from files goes through ``html.escape``; the figures stand as JSON in which
-no ``<`` is left, so that nothing in a file's name, header or comment can end the script or become one.
+The file contains plotly.js once. Text from files is escaped by ``html.escape``. The figures are embedded as JSON
+without any ``<``, so that no file name, header or comment can end the script or start another one.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Any
 from smajax.report.figures import Picture
 
 _HERE = Path(__file__).parent
-# The page may run what stands in it, and fetch nothing.
+# The page may run its own scripts, and must not load anything else.
 _CONTENT_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 
 
@@ -22,11 +22,14 @@ def render_page(title: str, lead: str, sections: Iterable[str], pictures: Sequen
 
     Args:
         title: Its title.
-        lead: A sentence below the title.
+        lead: Sentence below the title.
         sections: Sections as HTML.
-        pictures: The figures whose places ``add_picture`` put into the sections.
+        pictures: The figures; ``add_picture`` adds them and their places in the sections.
+
+    Returns:
+        The page as HTML.
     """
-    from plotly.offline import get_plotlyjs  # here, since it takes time to load
+    from plotly.offline import get_plotlyjs  # slow to import
 
     style, script = ((_HERE / name).read_text("utf-8") for name in ("style.css", "page.js"))
     figures = safe_json([picture.figure for picture in pictures])
@@ -47,13 +50,21 @@ def render_page(title: str, lead: str, sections: Iterable[str], pictures: Sequen
 
 
 def safe_json(value: Any) -> str:
-    """Format JSON that can stand inside a script element: no tag and no comment can begin in it."""
+    """Format a value as JSON for a script element: no tag and no comment can begin in it."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     return text.translate({ord(c): f"\\u{ord(c):04x}" for c in "<>&"})
 
 
 def add_picture(picture: Picture, pictures: list[Picture]) -> str:
-    """Return the HTML of the place where a figure goes, and append the figure to those of the page."""
+    """Append a figure to those of a page.
+
+    Args:
+        picture: The figure.
+        pictures: The figures of the page, to which it is appended.
+
+    Returns:
+        The HTML of its title, its caption and the place where the page draws it.
+    """
     pictures.append(picture)
     kind = "picture" if picture.wide else "picture square"
     return (
@@ -63,32 +74,59 @@ def add_picture(picture: Picture, pictures: list[Picture]) -> str:
     )
 
 
+def verdict_section(sentences: Sequence[str], *, bad: bool = False) -> str:
+    """Return the summary of a result as a box of paragraphs.
+
+    Args:
+        sentences: A paragraph each.
+        bad: Whether the box has the colour of a warning.
+    """
+    paragraphs = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+    return f'<div class="verdict{" bad" if bad else ""}">{paragraphs}</div>'
+
+
 def recordings_table(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Return a table of recordings with their roles; ``entries`` as in a result document."""
+    """Return a table of recordings with their roles; ``entries`` are those of a result document."""
     rows = [(r["name"], r["role"], f"{r['rows']:,}", r["sha256"] or "-") for r in entries]
     return "<h3>Recordings</h3>" + table(("file", "role", "rows", "SHA-256"), rows, numbers=(2,), hash_column=3)
 
 
-def provenance_section(run: Mapping[str, Any]) -> str:
-    """Return command, versions and timings of a run, folded; ``run`` is run.json."""
+def provenance_sections(run: Mapping[str, Any], rig: str, *details: str) -> list[str]:
+    """Return the sections at the end of a page that say how the result was obtained.
+
+    Args:
+        run: The document run.json.
+        rig: Text of the rig file.
+        details: Sections of HTML that come first.
+    """
+    return [
+        "<h2>Provenance</h2>",
+        *details,
+        _run_section(run),
+        folded("The rig file", f"<pre>{escape(rig)}</pre>"),
+    ]
+
+
+def _run_section(run: Mapping[str, Any]) -> str:
+    """Command, versions and timings of a run, folded."""
     rows = [("command", " ".join(run["argv"])), ("started", run["started"]), ("machine", run["machine"])]
     rows += [("versions", ", ".join(f"{name} {version}" for name, version in run["versions"].items()))]
     rows += [("seconds", ", ".join(f"{name} {value:.2f}" for name, value in run["timings"].items()))]
     return folded("Command, versions and timings", table(("", ""), rows))
 
 
-def rig_section(text: str) -> str:
-    """Return the text of the rig file, folded."""
-    return folded("The rig file", f"<pre>{escape(text)}</pre>")
-
-
 def folded(title: str, content: str) -> str:
-    """Return HTML content under a title that opens it."""
+    """Return content that a click on its title unfolds.
+
+    Args:
+        title: The title; it is escaped.
+        content: The content as HTML.
+    """
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
 def bullets(sentences: Sequence[str]) -> str:
-    """Return sentences as a list; an empty string if there are none."""
+    """Return sentences as an HTML list; an empty string if there are none."""
     return "<ul>" + "".join(f"<li>{escape(s)}</li>" for s in sentences) + "</ul>" if sentences else ""
 
 
@@ -100,16 +138,15 @@ def table(
     remark: int = -1,
     hash_column: int = -1,
 ) -> str:
-    """Return a table; all text is escaped.
+    """Return an HTML table; all text is escaped.
 
     Args:
         head: Titles of the columns; all empty for none.
         rows: Cells, row by row.
-        numbers: Columns that are set flush right.
-        remark: The column of remarks, in a colour that stands out.
-        hash_column: The column of check sums, which may break anywhere.
+        numbers: Indices of the columns of numbers, which are aligned to the right.
+        remark: Index of the column of remarks, which are coloured; -1 for none.
+        hash_column: Index of the column of check sums, which may break anywhere; -1 for none.
     """
-
     styles = {remark: "remark", hash_column: "hash"} | dict.fromkeys(numbers, "number")
 
     def style(column: int) -> str:
@@ -124,7 +161,7 @@ def table(
 
 
 def pretty_unit(unit: str) -> str:
-    """Return a unit with raised exponents and a degree sign."""
+    """Return a unit with superscript exponents and a degree sign."""
     return (
         unit.replace("^2", "\N{SUPERSCRIPT TWO}")
         .replace("^3", "\N{SUPERSCRIPT THREE}")

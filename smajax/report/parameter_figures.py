@@ -9,7 +9,7 @@ from smajax.report.figures import MODEL, RESIDUAL, Picture, axis_style, base_lay
 # freedom.
 _CHI2_95 = 3.841
 _PROFILE_HEIGHT = 340
-# Height of a matrix: at least this, else so many pixels a parameter and a frame.
+# Height of a matrix in pixels: the smallest one, and that of a row and of the frame.
 _MIN_MATRIX_HEIGHT = 260
 _CELL_PIXELS = 46
 _MATRIX_FRAME_PIXELS = 130
@@ -21,8 +21,8 @@ def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: 
     Args:
         name: The parameter.
         unit: Its unit.
-        values: Values at which it was held.
-        rise: Rise of the cost at each value.
+        values: Values at which it was fixed; ``None`` for none.
+        rise: Rise of the cost at each value; ``None`` for none.
     """
     layout = base_layout()
     layout["xaxis"] = axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
@@ -31,7 +31,7 @@ def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: 
     points = {"x": list(values), "y": list(rise)}
     trace = {"type": "scatter", "mode": "lines+markers", "line": {"color": RESIDUAL}, "showlegend": False} | points
     caption = (
-        "The smallest cost with the parameter held at each value and all others refitted; "
+        "The smallest cost with the parameter fixed at each value and all others refitted; "
         "the dotted line bounds the 95 % interval."
     )
     figure = {"data": [trace], "layout": layout}
@@ -43,7 +43,7 @@ def correlation_picture(names: Sequence[str], matrix: Sequence[Sequence[float | 
 
     Args:
         names: The parameters.
-        matrix: Their correlations, row by row; ``None`` where there is none.
+        matrix: Their correlations, row by row; ``None`` for none.
     """
     layout, labels = base_layout(), [escape(name) for name in names]
     size = max(_MIN_MATRIX_HEIGHT, _CELL_PIXELS * len(names) + _MATRIX_FRAME_PIXELS)

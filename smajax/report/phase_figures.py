@@ -15,23 +15,23 @@ from smajax.report.figures import (
 )
 from smajax.report.prediction import Series
 
-# Gap between two loops, as a share of the width.
+# Gap between two loops, as a share of the width. Chosen by trial.
 _GAP = 0.12
 _HEIGHT = 460
 
 
 def phase_picture(series: Series, channel: str) -> Picture | None:
-    """Show a channel against the temperatures (stress and force against strain where it was measured).
+    """Show a channel against the temperatures; stress and force against strain if that was measured.
 
-    Where the other channel was measured, the measurement is drawn over it; else both lines are drawn over the
-    model's, which the axis says.
+    If the other channel was measured, the measurement is drawn over it. If not, both lines are drawn over the model's
+    channel, and the title of the axis says so.
 
     Args:
         series: One recording with its model.
         channel: The channel to show.
 
     Returns:
-        The figure, or ``None`` where the series has no channel to draw over.
+        The figure, or ``None`` if the series has no other channel for the abscissa.
     """
     partners = _partner_channels(series, channel)
     if not partners:
@@ -42,29 +42,29 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
     width = (1.0 - _GAP * (len(partners) - 1)) / len(partners)
     for k, partner in enumerate(partners):
         suffix = f"{k + 1}" if k else ""
-        traces, less = _loop_traces(series, channel, partner, suffix)
+        traces, partner_thinned = _loop_traces(series, channel, partner, suffix)
         data += traces
-        thinned |= less
+        thinned |= partner_thinned
         start = k * (width + _GAP)
         title = axis_title(partner, series.units) + ("" if partner in series.measured else ", of the model")
         domain = {"domain": [start, start + width], "anchor": f"y{suffix}"}
         layout[f"xaxis{suffix}"] = axis_style(title) | domain
         layout[f"yaxis{suffix}"] = axis_style(axis_title(channel, series.units)) | {"anchor": f"x{suffix}"}
-    caption = f"The loops of {channel} over {' and '.join(partners)}: grey is measured, orange the model."
+    caption = f"Loops of {channel} over {' and '.join(partners)}: grey is measured, orange the model."
     caption += thin_note(len(series.time), thinned)
-    title = f"Phase picture of {series.name} ({series.role})"
+    title = f"Phase plot of {series.name} ({series.role})"
     return Picture(title, caption, {"data": data, "layout": layout}, _HEIGHT, len(partners) > 1)
 
 
 def _loop_traces(series: Series, channel: str, partner: str, suffix: str) -> tuple[list[dict[str, Any]], bool]:
-    """Lines of the measurement and of the model over one partner, and whether points were left out."""
+    """Lines of measurement and model over one other channel, and whether points were left out."""
     traces, thinned = [], False
     partner_measured = partner in series.measured
     for name, values, colour in (("measured", series.measured, MEASURED), ("model", series.model, MODEL)):
         over_measured = partner_measured and (name == "measured" or partner not in series.model)
         across = series.measured if over_measured else series.model
         if channel in values and partner in across:
-            trace, less = line_trace(
+            trace, trace_thinned = line_trace(
                 across[partner],
                 values[channel],
                 name,
@@ -74,12 +74,12 @@ def _loop_traces(series: Series, channel: str, partner: str, suffix: str) -> tup
                 in_legend=not suffix,
             )
             traces.append(trace)
-            thinned |= less
+            thinned |= trace_thinned
     return traces, thinned
 
 
 def _partner_channels(series: Series, channel: str) -> list[str]:
-    """The channels against which a channel is shown."""
+    """Channels against which a channel is shown."""
     available = [c for c in series.units if c in series.measured or c in series.model]
     if channel_of(channel) in ("stress", "force"):
         strains = [c for c in available if channel_of(c) == "strain" and c in series.measured]

@@ -1,9 +1,8 @@
 """``prediction.csv``: measured and modelled channels, row by row and recording by recording.
 
-Columns: ``recording, role, time [s]`` (``row`` if the recordings have no clock), then each recorded channel as
-    ``name [unit]`` in the unit
-of its column, followed by the model's as ``name_model [unit]`` where the model gives that channel. A cell is empty
-where a recording lacks the channel, and where a simulation failed.
+Columns: ``recording``, ``role`` and ``time [s]`` (``row`` if the recordings have no clock), then each recorded channel
+as ``name [unit]`` in the unit of its column, followed by the model's as ``name_model [unit]`` if the model has that
+channel. A cell is empty if a recording lacks the channel, or if the simulation failed there.
 """
 
 import csv
@@ -23,22 +22,22 @@ from smajax.units import from_si, to_si
 
 _MODEL_SUFFIX = "_model"
 _HEADER = re.compile(r"(?P<name>[^\[\]]+?) \[(?P<unit>[^\[\]]*)\]")
-# Of the channels that only the model gives, these say most about it.
+# Channels of the model that are in the table even if they were not recorded.
 _INTERNAL_CHANNELS = ("temperature", "stress", "strain")
 _USUAL_UNITS = {"strain": "%", "displacement": "mm", "angle": "deg", "temperature": "degC"}
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One recording with its model.
+    """Measured and modelled channels of one recording.
 
     Attributes:
-        name: The recording.
-        role: Its role, as "train" or "holdout".
-        time: Times (n,), or row numbers where there is no clock.
-        units: Units by channel, of ``time`` as well where there is a clock.
-        measured: Measured channels (n,), in their units.
-        model: Modelled channels (n,), in their units.
+        name: Name of the recording.
+        role: Its role, such as ``train`` or ``holdout``.
+        time: Times in the unit of ``time``, or row numbers without a clock, shape ``(n,)``.
+        units: Units by channel; with that of ``time`` if there is a clock.
+        measured: Measured channels by name, in their units, shape ``(n,)`` each.
+        model: Modelled channels by name, in their units, shape ``(n,)`` each.
     """
 
     name: str
@@ -54,7 +53,7 @@ class Series:
         return "time" in self.units
 
     def residual(self, channel: str) -> Floats:
-        """Return measured minus model (n,)."""
+        """Return the residual, measured minus model, in the channel's unit, shape ``(n,)``."""
         return self.measured[channel] - self.model[channel]
 
 
@@ -62,7 +61,7 @@ def modelled_channels(observable: Iterable[str], signals: Iterable[str], recorde
     """List the model's channels of the table: all that were recorded, and temperature, stress and strain.
 
     Args:
-        observable: Channels that the plant gives.
+        observable: Channels that can be observed on the plant.
         signals: Its inputs, which are left out.
         recorded: Channels of the recording.
     """
@@ -73,15 +72,15 @@ def modelled_channels(observable: Iterable[str], signals: Iterable[str], recorde
 def make_series(
     name: str, role: str, time: Floats, measured: Mapping, model: Mapping, units: Mapping[str, str], *, has_clock: bool
 ) -> Series:
-    """Make a series of arrays in SI units and degC.
+    """Make a series from arrays in SI units and degC.
 
     Args:
-        name: The recording.
+        name: Name of the recording.
         role: Its role.
-        time: Times (n,) in s, or row numbers.
-        measured: Measured channels (n,).
-        model: Modelled channels (n,).
-        units: Units of the file's columns; other channels get a usual one.
+        time: Times in s, or row numbers, shape ``(n,)``.
+        measured: Measured channels by name, shape ``(n,)`` each.
+        model: Modelled channels by name, shape ``(n,)`` each.
+        units: Units of the file's columns; other channels get their usual unit.
         has_clock: Whether ``time`` is a time.
     """
     shown = {channel: units.get(channel) or usual_unit(channel) for channel in [*measured, *model]}
@@ -95,7 +94,13 @@ def make_series(
 
 
 def recording_series(recording: Recording, role: str, model: Mapping) -> Series:
-    """Make the series of a recording, with all its channels, and modelled channels (n,) in SI units and degC."""
+    """Make the series of a recording with all its channels.
+
+    Args:
+        recording: The recording.
+        role: Its role.
+        model: Modelled channels by name, in SI units and degC, shape ``(n,)`` each.
+    """
     return make_series(
         recording.name,
         role,
@@ -108,17 +113,17 @@ def recording_series(recording: Recording, role: str, model: Mapping) -> Series:
 
 
 def usual_unit(channel: str) -> str:
-    """Return the unit in which a channel is shown that no recording has."""
+    """Return the unit in which a channel is shown if no recording gives its unit."""
     kind = channel_of(channel) or channel
     return _USUAL_UNITS.get(kind, CHANNELS[kind].units[0])
 
 
 def write_predictions(path: Path, series: Sequence[Series]) -> None:
-    """Write the table.
+    """Write the table of predictions.
 
     Args:
         path: The file.
-        series: The recordings, all with a clock or none; the first unit of a channel holds for its whole column.
+        series: The recordings, all with or all without a clock; a column has the first unit of its channel.
     """
     has_clock = series[0].has_clock
     units: dict[str, str] = {}
@@ -141,7 +146,7 @@ def read_predictions(path: Path) -> list[Series]:
         The series in the order of the table.
 
     Raises:
-        InputError: If the file is not such a table.
+        InputError: If the file cannot be read, or is not such a table.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -167,7 +172,7 @@ def read_predictions(path: Path) -> list[Series]:
 
 
 def _columns(channels: Sequence[str], series: Sequence[Series]) -> list[tuple[str, bool]]:
-    """Channel and whether it is the model's, of each column: measured first, then the model."""
+    """Channel of each column, and whether it is the model's; the measured channel is first."""
     columns = []
     for channel in channels:
         if any(channel in s.measured for s in series):
@@ -195,7 +200,7 @@ def _rows(series: Series, columns: Sequence[tuple[str, bool]], units: Mapping[st
 def _series_of(
     name_and_role: tuple[str, str], numbers: Floats, columns: Sequence[tuple[str, str]], units: Mapping[str, str]
 ) -> Series:
-    """One series of the rows (n, 1 + columns) that belong to it; columns without a number are left out."""
+    """Series of its rows, shape ``(n, 1 + columns)``; columns without any number are left out."""
     series_units = dict(units)
     measured, model = {}, {}
     for k, (name, unit) in enumerate(columns):
@@ -209,14 +214,14 @@ def _series_of(
 
 
 def _format_cells(values: Floats, unit: str, column_unit: str, channel: str, of_model: bool) -> list[str]:
-    """Cells of a column: measurements as the shortest text of the same float, the model's to ten digits."""
+    """Cells of a column: a measurement as the shortest text of the same float, a model value to ten digits."""
     if unit != column_unit:
         values = _in_unit(to_si(values, unit, channel_unit(channel)), column_unit, channel)
     return ["" if v != v else f"{v:.10g}" if of_model else repr(v) for v in values.tolist()]
 
 
 def _in_unit(values: Floats, unit: str, channel: str) -> Floats:
-    """Values in SI or degC in another unit; what is not finite becomes NaN."""
+    """Values in SI or degC converted to another unit; values that are not finite become NaN."""
     result = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
     result[finite] = from_si(values[finite], unit, channel_unit(channel))

@@ -1,4 +1,4 @@
-"""The document and the text of ``smajax properties``: mean properties of thermal cycles with 95 % intervals."""
+"""Document and summary of ``smajax properties``: mean properties of thermal cycles with 95 % intervals."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -25,16 +25,16 @@ _LABELS = {
 _STRAINS = ("transformation_strain", "actuation_strain")
 _TEMPERATURE_DIFFERENCES = ("width", "span")
 _DEFINITIONS: dict[str, str] = {
-    "lines": "Start and finish are where three straight lines, fitted by least squares, meet. Where a transformation "
-    "begins or ends "
-    "gradually, the tangent at its steepest point gives others (--tangent steepest).",
-    "steepest": "Start and finish are where the tangent at the steepest point of the transformation meets the plateau "
-    "lines.",
+    "lines": "Start and finish are the intersections of three straight lines, fitted by least squares. If a "
+    "transformation begins or ends gradually, the tangent at its steepest point gives other values "
+    "(--tangent steepest).",
+    "steepest": "Start and finish are the intersections of the tangent at the steepest point of the transformation "
+    "with the plateau lines.",
 }
 _SENTENCE_OF_A_CYCLE = re.compile(r"(?P<name>.*), cycle (?P<number>\d+) \((?P<rows>rows \d+ to \d+)\): (?P<reason>.*)")
 _BRANCH_NAMES = {True: "cooling", False: "heating"}
 _MISSING_PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
-# Stretches of cycle numbers that are listed: as many as fit on a line with the sentence.
+# Number of ranges of cycle numbers that are listed: as many as fit on a line with the sentence.
 _MAX_LISTED = 6
 
 
@@ -43,7 +43,7 @@ def properties_document(groups: Sequence[StressGroup], tangent: Tangent) -> dict
 
     Args:
         groups: The cycles of all recordings, by recording and stress.
-        tangent: The line along the transformation that was used.
+        tangent: The line along the transformation: ``lines`` or ``steepest``.
     """
     return {
         "schema": SCHEMA,
@@ -56,7 +56,7 @@ def properties_document(groups: Sequence[StressGroup], tangent: Tangent) -> dict
 
 
 def text(document: Mapping[str, Any]) -> str:
-    """Format what the command prints: mean properties of each recording and stress, with their intervals."""
+    """Format the mean properties of each recording and stress, with their intervals, for a terminal."""
     lines = []
     for entry in document["recordings"]:
         if entry["mean"] is not None:
@@ -67,7 +67,7 @@ def text(document: Mapping[str, Any]) -> str:
 
 
 def merge_sentences(refused: Sequence[str]) -> list[str]:
-    """Merge sentences about cycles of one recording that differ in their numbers only into one sentence each."""
+    """Merge sentences about cycles of one recording that differ only in their numbers."""
     matches: dict[tuple[str, str], list[re.Match[str]]] = {}
     merged: dict[tuple[str, str], str] = {}
     for sentence in refused:
@@ -85,7 +85,7 @@ def merge_sentences(refused: Sequence[str]) -> list[str]:
 
 
 def _list_numbers(numbers: Sequence[int]) -> str:
-    """List rising numbers, successive ones as "3 to 7"."""
+    """List ascending numbers, successive ones as "3 to 7"."""
     ends = [k for k in range(len(numbers)) if k + 1 == len(numbers) or numbers[k + 1] > numbers[k] + 1]
     begins = [0, *(k + 1 for k in ends[:-1])]
     parts = [f"{numbers[a]}" if a == b else f"{numbers[a]} to {numbers[b]}" for a, b in zip(begins, ends, strict=True)]
@@ -94,7 +94,7 @@ def _list_numbers(numbers: Sequence[int]) -> str:
 
 
 def _group_entry(group: StressGroup) -> dict[str, Any]:
-    """The entry of the cycles of a recording under one stress; rows are counted from 1."""
+    """Entry of the cycles of a recording at one stress; rows are counted from 1."""
     return {
         "name": group.recording.name,
         "sha256": group.recording.sha256,
@@ -128,7 +128,7 @@ def _unit(name: str) -> str:
 
 
 def _group_text(entry: Mapping[str, Any]) -> list[str]:
-    """Lines about the cycles of a recording under one stress."""
+    """Lines about the cycles of a recording at one stress."""
     count, stress = len(entry["cycles"]), entry["stress_Pa"]
     head = f"{entry['name']}: {count} cycle{'s' if count > 1 else ''}"
     head += f" at {stress / 1e6:.4g} MPa" if stress is not None else ""

@@ -1,4 +1,4 @@
-"""The report of a finished run, made again from the files in its folder; nothing is simulated."""
+"""Report of a finished run, built again from the files in its folder without a simulation."""
 
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ from smajax.sweeps.table import read_table
 
 
 def rebuild_report(folder: Path) -> Path:
-    """Make report.html of a result folder again.
+    """Build report.html of a result folder again.
 
-    Folders of earlier versions of smajax are read as well: their documents have the same keys.
+    Folders of earlier versions of smajax are readable as well: their documents have the same keys.
 
     Args:
         folder: The result folder.
@@ -39,7 +39,7 @@ def rebuild_report(folder: Path) -> Path:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{folder}: its files are not as this version of smajax writes them ({error}): run the command again"
+            f"{folder}: its files are not in the format of this version of smajax ({error}): run the command again"
         ) from None
     replace_file(folder / "report.html", page)
     return folder / "report.html"

@@ -1,7 +1,6 @@
-"""The pages of a fit and of a simulation."""
+"""Report pages of a fit and of a simulation."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 from smajax.report import summary
@@ -11,11 +10,11 @@ from smajax.report.pages import (
     bullets,
     folded,
     pretty_unit,
-    provenance_section,
+    provenance_sections,
     recordings_table,
     render_page,
-    rig_section,
     table,
+    verdict_section,
 )
 from smajax.report.parameter_figures import correlation_picture, profile_picture
 from smajax.report.phase_figures import phase_picture
@@ -30,7 +29,10 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
         doc: The document fit.json.
         series: The recordings with their predictions.
         run: The document run.json.
-        rig: The text of the rig file.
+        rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
@@ -40,14 +42,8 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     for recording in series:
         sections += _recording_pictures(recording, doc["observed"], doc["inputs"], floor, pictures)
     sections += _uncertainty_pictures(doc, pictures)
-    sections += [
-        "<h2>Where this comes from</h2>",
-        recordings_table(doc["recordings"]),
-        _fixed_section(doc),
-        _solver_section(doc),
-        provenance_section(run),
-        rig_section(rig),
-    ]
+    details = (recordings_table(doc["recordings"]), _fixed_section(doc), _solver_section(doc))
+    sections += provenance_sections(run, rig, *details)
     return render_page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)
 
 
@@ -57,23 +53,21 @@ def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
     Args:
         series: The recording with the simulated channels.
         run: The document run.json, which names the observed channels and the inputs.
-        rig: The text of the rig file.
+        rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     pictures: list[Picture] = []
     observed = [c for c in run["observed"] if c in series.model] or list(series.model)
     others = [c for c in series.model if c not in observed and c not in run["inputs"]]
-    sections = [f'<div class="verdict bad"><p>{escape(run["text"])}</p></div>'] if run["code"] != "done" else []
-    sections.append(bullets(run.get("warnings", ())))  # which earlier versions did not write
+    sections = [verdict_section([run["text"]], bad=True)] if run["code"] != "done" else []
+    sections.append(bullets(run.get("warnings", ())))  # absent in documents of earlier versions
     sections += _recording_pictures(series, observed, run["inputs"], {}, pictures)
     if others:
         sections.append("<h2>The other channels</h2>")
         sections.append(add_picture(time_picture(series, others, [], {}), pictures))
-    sections += [
-        "<h2>Where this comes from</h2>",
-        recordings_table(run["recordings"]),
-        provenance_section(run),
-        rig_section(rig),
-    ]
+    sections += provenance_sections(run, rig, recordings_table(run["recordings"]))
     lead = f"{run['rig']} driven by {series.name}: {len(series.time):,} rows."
     return render_page(f"Simulation of {run['rig']}", lead, sections, pictures)
 
@@ -83,12 +77,11 @@ def _verdict_section(doc: Mapping[str, Any]) -> str:
     failed = doc["solver"]["code"] == "failed"
     if failed:
         sentences = [
-            "The simulation fails at the start values, so there is nothing to compare: the numbers below are those of "
-            "the rig."
+            "The simulation fails at the start values, so there is no fit: the numbers below are the values of the rig "
+            "file."
         ]
     bad = failed or any(summary.is_bad_verdict(sentence) for sentence in sentences)
-    paragraphs = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
-    return f'<div class="verdict{" bad" if bad else ""}">{paragraphs}</div>'
+    return verdict_section(sentences, bad=bad)
 
 
 def _rmse_table(doc: Mapping[str, Any]) -> str:
@@ -111,7 +104,7 @@ def _recording_pictures(
     floor: Mapping[str, float | None],
     pictures: list[Picture],
 ) -> list[str]:
-    """A recording over time, and each observed channel as a loop where there is one."""
+    """Figures of a recording over time, and of each observed channel over another one if possible."""
     loops = (phase_picture(series, channel) for channel in observed)
     return [
         add_picture(picture, pictures)
@@ -122,15 +115,15 @@ def _recording_pictures(
 
 def _uncertainty_pictures(doc: Mapping[str, Any], pictures: list[Picture]) -> list[str]:
     """Profiles and correlations of the parameters."""
-    places = []
+    figures = []
     for name, profile in doc.get("profiles", {}).items():
         unit = doc["parameters"][name]["unit"]
-        places.append(add_picture(profile_picture(name, unit, profile["values"], profile["rise"]), pictures))
+        figures.append(add_picture(profile_picture(name, unit, profile["values"], profile["rise"]), pictures))
     correlations = doc["correlations"]
     if len(correlations["parameters"]) > 1:
         picture = correlation_picture(correlations["parameters"], correlations["matrix"])
-        places.append(add_picture(picture, pictures))
-    return ["<h2>How certain the parameters are</h2>", *places] if places else []
+        figures.append(add_picture(picture, pictures))
+    return ["<h2>Uncertainty of the parameters</h2>", *figures] if figures else []
 
 
 def _fixed_section(doc: Mapping[str, Any]) -> str:
@@ -140,7 +133,7 @@ def _fixed_section(doc: Mapping[str, Any]) -> str:
         rows.append((name, value, pretty_unit(unit), entry["source"]))
     if not rows:
         return ""
-    return folded("Parameters that were held", table(("parameter", "value", "unit", "from"), rows, numbers=(1,)))
+    return folded("Fixed parameters", table(("parameter", "value", "unit", "from"), rows, numbers=(1,)))
 
 
 def _solver_section(doc: Mapping[str, Any]) -> str:
@@ -148,9 +141,9 @@ def _solver_section(doc: Mapping[str, Any]) -> str:
     rows = [("result", f"{solver['code']}: {solver['text']}"), ("steps", str(solver["steps"]))]
     rows.append(("simulations", f"{solver['simulations']:,}"))
     if solver["wall_s"] is not None:
-        rows.append(("time", f"{solver['wall_s']:.2f} s, of it {solver['compile_s'] or 0:.2f} s to compile"))
+        rows.append(("time", f"{solver['wall_s']:.2f} s, with {solver['compile_s'] or 0:.2f} s of compilation"))
     rows += [
         ("starts at the best minimum", f"{solver['starts_at_best']} of {solver['starts']}"),
         ("seed", str(doc["seed"])),
     ]
-    return folded("How it was solved", table(("", ""), rows))
+    return folded("Solver", table(("", ""), rows))

@@ -1,7 +1,7 @@
-"""A fit in words: what a person reads in ten seconds, in a terminal and at the head of the report.
+"""Summary of a fit in sentences and tables, for a terminal and the head of the report.
 
-Everything here is made from the document ``fit.json`` alone, so that an old result folder can be summed up without
-its model.
+It needs the document ``fit.json`` only, so an old result folder can be summarised without its model. The module also
+has the summary of a simulation, and the text table that all summaries use.
 """
 
 import math
@@ -14,19 +14,19 @@ from smajax.units import example_of, from_si
 
 Document = Mapping[str, Any]
 
-# Columns of a terminal that are filled.
+# Width of the text in columns of a terminal.
 _WIDTH = 110
-# Ratios of the residual to the noise floor up to which nothing, or little, is unexplained: the noise floor itself is an
-# estimate with an error of some per cent.
+# Ratios of residual to noise floor up to which the residual counts as noise, or as little more: the noise floor itself
+# is an estimate with an error of some per cent. Chosen by trial.
 _AT_NOISE = 1.15
 _NEAR_NOISE = 2.0
-# Ratio of the errors on holdout and training recordings from which the summary mentions it.
+# Ratio of holdout error to training error above which the summary mentions it.
 _WORSE_HOLDOUT = 1.2
-# Share of the noise floor by which halving the time steps may move the model without a remark.
+# Change of the model by halved time steps, as a share of the noise floor, above which the summary mentions it.
 _COARSE_STEPS = 0.1
-# Share of the effect below which collinear parameters leave "almost nothing" of it.
+# Remaining effect of a joint change of collinear parameters that is shown as "almost nothing".
 _ALMOST_NOTHING = 5e-5
-# Powers of ten from which numbers are shown with an exponent.
+# Powers of ten beyond which numbers are shown with an exponent.
 _LARGE_EXPONENT = 7
 _SMALL_EXPONENT = -4
 _NOT_CONVERGED = ("interrupted", "steps")
@@ -39,7 +39,7 @@ def text(doc: Document, folder: str = "") -> str:
 
     Args:
         doc: The document fit.json.
-        folder: The result folder, named at the end.
+        folder: The result folder, which the last line names; empty for none.
     """
     lines = [*wrap(headline(doc), _WIDTH), ""]
     if doc["solver"]["code"] != "failed":
@@ -54,16 +54,19 @@ def text(doc: Document, folder: str = "") -> str:
         entry = doc["parameters"][name]
         _, low, high, unit = readable(entry["estimate"], profile["lower95"], profile["upper95"], unit=entry["unit"])
         lines.append(f"Profile likelihood of {name}: {low} .. {high} {unit} (95 %).")
-    further = remarks(doc)
-    if further:
-        lines += ["", *(line for s in further for line in wrap(s, _WIDTH, initial_indent="- ", subsequent_indent="  "))]
+    sentences = remarks(doc)
+    if sentences:
+        lines += [
+            "",
+            *(line for s in sentences for line in wrap(s, _WIDTH, initial_indent="- ", subsequent_indent="  ")),
+        ]
     if folder:
         lines += ["", f"Results: {folder}"]
     return "\n".join(line.rstrip() for line in lines)
 
 
 def headline(doc: Document) -> str:
-    """Say in one sentence what was fitted to what, and how it ended."""
+    """Say in one sentence which parameters were fitted to which recordings, and whether the fit converged."""
     solver = doc["solver"]
     trained = [r for r in doc["recordings"] if r["role"] == "train"]
     free = sum(p["free"] for p in doc["parameters"].values())
@@ -85,13 +88,15 @@ def verdicts(doc: Document) -> list[str]:
             continue
         ratio, residual = train / floor, f"The residual of {channel}"
         if ratio <= _AT_NOISE:
-            sentence = f"{residual} is at its noise floor: the model leaves nothing of it unexplained"
+            sentence = f"{residual} is at its noise floor: the model explains all but the noise"
         elif ratio <= _NEAR_NOISE:
-            sentence = f"{residual} is {ratio:.2f} times its noise floor: a little is left unexplained"
+            sentence = f"{residual} is {ratio:.2f} times its noise floor: the model leaves a small part unexplained"
         elif doc["solver"]["code"] in _NOT_CONVERGED:
             sentence = f"{residual} is {ratio:.3g} times its noise floor, and the fit had not converged yet"
         else:
-            sentence = f"{residual} is {ratio:.3g} times its noise floor: {_MODEL_LACKS}, or the minimum is a wrong one"
+            sentence = (
+                f"{residual} is {ratio:.3g} times its noise floor: {_MODEL_LACKS}, or the minimum is not the global one"
+            )
         if holdout is not None and holdout > _WORSE_HOLDOUT * train:
             sentence += f"; the holdout is predicted {holdout / train:.2g} {_HOLDOUT_WORSE}"
         sentences.append(sentence + ".")
@@ -99,12 +104,12 @@ def verdicts(doc: Document) -> list[str]:
 
 
 def is_bad_verdict(sentence: str) -> bool:
-    """Tell whether a sentence of ``verdicts`` says that the model lacks something or predicts badly."""
+    """Return whether a sentence of ``verdicts`` says that the model lacks something or predicts the holdout badly."""
     return _MODEL_LACKS in sentence or _HOLDOUT_WORSE in sentence
 
 
 def rmse_rows(doc: Document) -> list[tuple[str, ...]]:
-    """Return rows of channel, train, holdout, noise floor, train over floor; a dash where there is none."""
+    """Return table rows: channel, RMSE of train and holdout, noise floor, train over floor; a dash for no value."""
     rows = []
     for channel, rmse in doc["rmse"].items():
         floor = doc["noise_floor"][channel]["value"]
@@ -116,7 +121,7 @@ def rmse_rows(doc: Document) -> list[tuple[str, ...]]:
 
 
 def parameter_rows(doc: Document) -> list[tuple[str, ...]]:
-    """Return rows of name, estimate, interval, unit and remark of the free parameters, in units that people use."""
+    """Return table rows of the free parameters: name, estimate, ends of the interval, usual unit, and remark."""
     rows = []
     for name, entry in doc["parameters"].items():
         if not entry["free"]:
@@ -136,13 +141,13 @@ def readable(
     """Format an estimate and its interval to two digits of the half width of the interval.
 
     Args:
-        estimate: The estimate, in SI units or degC.
-        lower: The lower end of its interval.
-        upper: The upper end.
-        unit: The unit of all three.
+        estimate: The estimate, in its internal unit.
+        lower: Lower end of its 95 % interval; ``None`` for none.
+        upper: Upper end; ``None`` for none.
+        unit: Internal unit of all three.
 
     Returns:
-        The three numbers as text, and the unit that they are shown in.
+        The three numbers as text, a dash for ``None``, and the unit in which they are shown.
     """
     shown = "" if unit == "1" else example_of(unit).split(maxsplit=1)[1]
     value, low, high = (
@@ -153,7 +158,7 @@ def readable(
 
 
 def remarks(doc: Document) -> list[str]:
-    """List remarks on the fit: collinear parameters, bounds, starts, time steps, repairs, warnings."""
+    """List sentences about collinear parameters, bounds, starts, time steps, repairs of recordings, and warnings."""
     return [
         *_undetermined_sentences(doc),
         *collinear_sentences(doc),
@@ -166,12 +171,12 @@ def remarks(doc: Document) -> list[str]:
 
 
 def collinear_sentences(doc: Document) -> list[str]:
-    """Say which parameters the recordings hardly distinguish."""
+    """List sentences about parameters that the recordings hardly distinguish."""
     sentences = []
     for group in doc["indistinct"]:
         names, directions, shrink = group["parameters"], group["direction"], group["shrink"] or 0.0
         if len(names) == 1:
-            sentences.append(f"{names[0]} has no effect on what was observed.")
+            sentences.append(f"{names[0]} has no effect on the observed channels.")
             continue
         changes = _join_names(
             [f"{name} {'up' if d > 0 else 'down'}" for name, d in zip(names, directions, strict=True)]
@@ -184,7 +189,12 @@ def collinear_sentences(doc: Document) -> list[str]:
 
 
 def simulation_text(run: Document, folder: str = "") -> str:
-    """Format the summary of a simulation for a terminal; ``run`` is its run.json."""
+    """Format the summary of a simulation for a terminal.
+
+    Args:
+        run: The document run.json.
+        folder: The result folder.
+    """
     recording = run["recordings"][0]
     lines = [f"Simulated {recording['rows']:,} rows of {recording['name']} with {run['rig']}.", ""]
     rows = [
@@ -202,7 +212,12 @@ def simulation_text(run: Document, folder: str = "") -> str:
 
 
 def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> list[str]:
-    """Format rows of cells as lines with aligned columns; the columns ``right`` are flush right."""
+    """Format a table as lines with aligned columns.
+
+    Args:
+        rows: Cells, row by row, with the head first.
+        right: Indices of the columns that are aligned to the right.
+    """
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
 
     def cell(text: str, k: int) -> str:
@@ -217,7 +232,7 @@ def _three_digits(value: float) -> str:
 
 
 def _round_to(value: float | None, half: float) -> str:
-    """A number to two digits of the half width of its interval; to four digits where it has none."""
+    """A number to two digits of the half width of its interval; to four digits without an interval."""
     if value is None:
         return "-"
     if half <= 0:
@@ -243,8 +258,8 @@ def _bound_sentences(doc: Document) -> list[str]:
             estimate, _, _, unit = readable(entry["estimate"], None, None, unit=entry["unit"])
             sentences.append(
                 f"{name} is at its bound, {estimate} {unit}".rstrip()
-                + ", and has no interval: widen the bound under [fit] bounds if it may go further, "
-                "else doubt the model."
+                + ", and has no interval: widen the bound under [fit] bounds if the parameter can go beyond it; "
+                "if not, the model may be wrong."
             )
     return sentences
 
@@ -255,25 +270,25 @@ def _start_sentences(doc: Document) -> list[str]:
     if solver["code"] == "failed" or solver["code"] in _NOT_CONVERGED:
         return []
     if starts == 1:
-        return ["A single start was tried: --starts 4 would show whether there are other minima."]
+        return ["Only one start was used: --starts 4 would show whether there are other minima."]
     if best == 1:
         return [
-            f"Only 1 of {starts} starts reached the best minimum: more of them (--starts {4 * starts}) may find a "
+            f"Only 1 of {starts} starts reached the best minimum: more starts (--starts {4 * starts}) may find a "
             "better one."
         ]
     return [f"{best} of {starts} starts reached the best minimum."]
 
 
 def _step_sentences(doc: Document) -> list[str]:
-    """Sentences about channels for which the time steps are coarse."""
+    """Sentences about channels whose time steps are too coarse."""
     sentences = []
     for channel, error in doc["discretisation"].items():
         floor = doc["noise_floor"][channel]["value"]
         if error["value"] is not None and floor and error["value"] > _COARSE_STEPS * floor:
             sentences.append(
-                f"The time steps are coarse for {channel}: halving them moves the model by {error['value']:.2g} "
-                f"{error['unit']}, "
-                f"{100 * error['value'] / floor:.0f} % of the noise floor; sample the recording more densely."
+                f"The time steps are coarse for {channel}: halving them changes the model by {error['value']:.2g} "
+                f"{error['unit']}, {100 * error['value'] / floor:.0f} % of the noise floor; "
+                "sample the recording more densely."
             )
     return sentences
 

@@ -1,4 +1,4 @@
-"""What ``smajax sweep`` prints and shows: best designs, trade-offs, sensitivities and refined designs."""
+"""Summary and page of ``smajax sweep``: best designs, trade-offs, sensitivities and refined designs."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -10,29 +10,37 @@ from smajax.files.documents import finite_or_none
 from smajax.report import pages, sweep_plots
 from smajax.report.figures import Picture
 from smajax.report.summary import table
-from smajax.sweeps.pareto import feasible, objective_costs, pareto_front
+from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
 from smajax.units import display_unit, from_si
 
-# Version 2 names parameters as version 0.2 of smajax does; everything else is as in version 1, which is read as well.
+# Schema 2 has the parameter names of smajax 0.2; all else is as in schema 1, which is still readable.
 SCHEMA = "smajax.sweep/2"
-# Designs of the front in the table of the best ones: as many columns as a page holds.
+# Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
-# Units that are shown as they are: they have no larger or smaller one that users would prefer.
+# Units that are shown unchanged, since no multiple of them is more usual.
 _UNSCALED_UNITS = ("1", "J", "Hz", "s", "degC", "K")
 
 
 def shown_unit(unit: str) -> str:
-    """Return the unit in which an axis or a metric is shown."""
+    """Return the unit in which a value with an internal ``unit`` is shown."""
     return unit if unit in _UNSCALED_UNITS else "deg" if unit == "rad" else display_unit(unit)
 
 
 def metric_entry(value: float) -> float | str | None:
-    """Return a metric for the JSON document: ``"inf"`` and ``"-inf"`` for infinities, ``None`` for NaN."""
+    """Return a metric as JSON can store it: ``"inf"`` and ``"-inf"`` for infinities, ``None`` for NaN."""
     return str(float(value)) if np.isinf(value) else finite_or_none(value)
 
 
 def format_value(value: float | str | None, unit: str) -> str:
-    """Return a value of the document with its shown unit; ``-`` where there is none."""
+    """Format a value of the document in its shown unit.
+
+    Args:
+        value: The value in its internal unit, as ``metric_entry`` returns it.
+        unit: Its internal unit.
+
+    Returns:
+        The number with its unit; ``-`` for ``None``.
+    """
     if value is None:
         return "-"
     if np.isinf(float(value)):
@@ -42,18 +50,24 @@ def format_value(value: float | str | None, unit: str) -> str:
 
 
 def format_in_unit(value: float, unit: str, written: str) -> str:
-    """Return a value in an internal ``unit`` as text in the unit in which a file has it."""
+    """Format a value in the unit of a file.
+
+    Args:
+        value: The value in its internal unit; may be infinite.
+        unit: Its internal unit.
+        written: The unit of the file.
+    """
     size = float(from_si(float(value), written, unit)) if np.isfinite(value) else float(value)
     return f"{size:.4g}" + ("" if written == "1" else f" {written}")
 
 
 def sweep_summary(doc: Mapping[str, Any]) -> str:
-    """Return the result of a sweep in words; ``doc`` is sweep.json."""
+    """Summarise the result of a sweep in sentences; ``doc`` is sweep.json."""
     words = f"{doc['designs']:,} designs of {doc['rig']}"
     failed = {code: n for code, n in doc["codes"].items() if code != "done"}
     words += f", of which {sum(failed.values()):,} could not be simulated ({', '.join(failed)})" if failed else ""
     if doc["constraints"]:
-        words += f"; {doc['feasible']:,} keep{'s' if doc['feasible'] == 1 else ''} all constraints"
+        words += f"; {doc['feasible']:,} satisf{'ies' if doc['feasible'] == 1 else 'y'} all constraints"
     if doc["objectives"] and doc["front"]:
         name, goal = next(iter(doc["objectives"].items()))
         best = _best_in(doc["front"], name, goal)
@@ -70,51 +84,55 @@ def sweep_summary(doc: Mapping[str, Any]) -> str:
 
 
 def _refinement_words(doc: Mapping[str, Any], name: str, goal: str, best: Mapping[str, Any]) -> str:
-    """The refined designs against the best of the drawn ones in the first objective."""
+    """The best refined design compared with the best sampled one, in the first objective."""
     if not doc["refined"]:
         return ""
     spent = f"in {sum(entry['simulations'] for entry in doc['refined']):,} simulations"
     better = [entry for entry in doc["refined"] if entry["better"]]
     if not better:
-        return f". Refining along its gradients found none better than those it began from, {spent}"
+        return f". Gradient-based refinement found no better design, {spent}"
     top = _best_in(better, name, goal)
     value = format_value(top["metrics"][name], doc["metrics"][name]["unit"])
-    words = f". Refined along its gradients it is {value}, {spent}"
+    words = f". With gradient-based refinement it is {value}, {spent}"
     return words + ("" if _best_in([best, top], name, goal) is top else ", which is not better")
 
 
 def _restoration_words(doc: Mapping[str, Any]) -> str:
-    """The refined designs where none of the drawn designs keeps the constraints, and refined ones do."""
+    """The refined designs, if only these satisfy the constraints."""
     name, goal = next(iter(doc["objectives"].items()))
     better = [entry for entry in doc["refined"] if entry["better"]]
     value = format_value(_best_in(better, name, goal)["metrics"][name], doc["metrics"][name]["unit"])
-    words = f", so the nearest ones were refined: {len(better)} of {len(doc['refined'])} now keep them"
+    words = f", so the nearest ones were refined: {len(better)} of {len(doc['refined'])} now satisfy them"
     spent = f"in {sum(entry['simulations'] for entry in doc['refined']):,} simulations"
     return f"{words}, with a {name} of {value} at best, {spent}"
 
 
 def _constant_objectives_words(doc: Mapping[str, Any]) -> str:
-    """Objectives that no design changes, in which no design is the best."""
+    """A sentence about objectives that are the same in all designs."""
     spans = {n: (doc["metrics"][n].get("lowest"), doc["metrics"][n].get("highest")) for n in doc["objectives"]}
     same = [n for n, (low, high) in spans.items() if low is not None and low == high and doc["designs"] > 1]
-    return f" The parameters do not change {' and '.join(same)}, so that no design is the best in it." if same else ""
+    return (
+        f" The parameters do not change {' and '.join(same)}, so no design is better than another in it."
+        if same
+        else ""
+    )
 
 
 def _unsettled_words(settling: Mapping[str, Any]) -> str:
-    """Designs whose last cycle does not end where it began."""
-    drawn, refined = settling.get("unsettled", 0), settling.get("unsettled_refined", 0)
-    if not drawn and not refined:
+    """A sentence about designs that have not settled."""
+    sampled, refined = settling.get("unsettled", 0), settling.get("unsettled_refined", 0)
+    if not sampled and not refined:
         return ""
     among = f" ({settling['unsettled_on_front']:,} of the best among them)" if settling["unsettled_on_front"] else ""
-    counts = [f"{drawn:,} {'designs have' if drawn > 1 else 'design has'} not settled{among}"] if drawn else []
+    counts = [f"{sampled:,} {'designs have' if sampled > 1 else 'design has'} not settled{among}"] if sampled else []
     counts += [f"{refined:,} refined {'ones have' if refined > 1 else 'one has'} not settled"] if refined else []
     limit = f"{100 * settling['limit']:g} %"
-    reason = f"the last cycle ends more than {limit} of its range from where it began (column settling)"
+    reason = f"start and end of the last cycle differ by more than {limit} of its range (column settling)"
     return f" {', and '.join(counts)}: {reason}, so give the input more cycles."
 
 
 def _best_in(rows: Sequence[Mapping[str, Any]], name: str, goal: str) -> Mapping[str, Any]:
-    """The best of rows of the document in a metric."""
+    """The row of the document that is best in a metric."""
     return (max if goal == "max" else min)(rows, key=lambda row: float(row["metrics"][name]))
 
 
@@ -134,24 +152,29 @@ def _rows(doc: Mapping[str, Any], entries: Sequence[tuple[str, Mapping[str, Any]
 
 
 def best_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return rows of some best designs, evenly over the front, the best in each objective, and the refined ones."""
+    """Return table rows of the best designs: some of the front, the best in each objective, and the refined ones."""
     front = sorted(doc["front"], key=lambda row: float(row["metrics"][next(iter(doc["objectives"]))]))
-    tops = [front.index(_best_in(front, name, goal)) for name, goal in doc["objectives"].items()] if front else []
+    best = [front.index(_best_in(front, name, goal)) for name, goal in doc["objectives"].items()] if front else []
     even = np.linspace(0, len(front) - 1, _MAX_ROWS).astype(int) if front else []
-    picked = [front[k] for k in sorted({*tops, *even})]
+    picked = [front[k] for k in sorted({*best, *even})]
     entries = [(f"design {row['design']}", row) for row in picked]
     entries += [(f"refined {k}", entry) for k, entry in enumerate(doc["refined"], 1) if entry["better"]]
     return _rows(doc, entries)
 
 
 def _best_columns(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """The best designs, a column for each, since a line has no room for all parameters and metrics."""
+    """Table of the best designs with a column for each, since all parameters and metrics do not fit on a line."""
     rows = best_rows(doc)
     return list(zip(_head(doc), *rows, strict=True)) if rows else []
 
 
 def text(doc: Mapping[str, Any], folder: str) -> str:
-    """Return what the command prints; ``doc`` is sweep.json."""
+    """Format the summary of a sweep for a terminal.
+
+    Args:
+        doc: The document sweep.json.
+        folder: The result folder.
+    """
     lines = []
     if columns := _best_columns(doc):
         lines += [*table(columns, right=tuple(range(1, len(columns[0])))), ""]
@@ -159,44 +182,46 @@ def text(doc: Mapping[str, Any], folder: str) -> str:
 
 
 def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: Mapping[str, Any], rig: str) -> str:
-    """Return the report page.
+    """Build the page of a sweep.
 
     Args:
-        doc: sweep.json.
-        columns: Columns of the table by name.
-        run: run.json.
-        rig: Text of the rig's file.
+        doc: The document sweep.json.
+        columns: Columns of the sweep's table by name, shape ``(m,)`` each.
+        run: The document run.json.
+        rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     pictures: list[Picture] = []
-    bad = ' bad"' if doc["problems"] else '"'
-    sections = [f'<div class="verdict{bad}><p>{escape(doc["summary"])}</p></div>']
+    sections = [pages.verdict_section([doc["summary"]], bad=bool(doc["problems"]))]
     if best := _best_columns(doc):
         numbers = tuple(range(1, len(best[0])))
         sections += ["<h2>The best designs</h2>", pages.table(best[0], best[1:], numbers=numbers)]
     sections += _design_pictures(doc, columns, pictures)
     sections += _sensitivity_section(doc, pictures)
     sections += ["<h2>Ranges</h2>", pages.table(("", "lowest", "highest"), _range_rows(doc), numbers=(1, 2))]
-    sections += ["<h2>Where this comes from</h2>", pages.provenance_section(run), pages.rig_section(rig)]
+    sections += pages.provenance_sections(run, rig)
     lead = f"{doc['designs']:,} designs, sampled by {doc['sampling']}."
     return pages.render_page(f"Sweep of {doc['rig']}", lead, sections, pictures)
 
 
 def _design_pictures(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], pictures: list[Picture]) -> list[str]:
-    """Pictures of all designs: over two metrics, and across all axes."""
+    """Figures of all designs: over two metrics, and across all axes."""
     limits = {n: (_bound(e["at_least"], -np.inf), _bound(e["at_most"], np.inf)) for n, e in doc["constraints"].items()}
-    keeps = feasible(columns, limits)
+    feasible = feasible_mask(columns, limits)
     front = np.zeros(0, int)
-    if doc["objectives"] and keeps.any():
-        front = np.flatnonzero(keeps)[pareto_front(objective_costs(columns, doc["objectives"])[keeps])]
+    if doc["objectives"] and feasible.any():
+        front = np.flatnonzero(feasible)[pareto_front(objective_costs(columns, doc["objectives"])[feasible])]
     units = {n: e["unit"] for n, e in (doc["parameters"] | doc["metrics"]).items()}
     sections = []
     pair = list(dict.fromkeys([*doc["objectives"], *doc["constraints"], *doc["metrics"]]))[:2]
     if len(pair) == 2:
         axes = [(n, units[n], shown_unit(units[n])) for n in pair]
-        picture = sweep_plots.trade_off_picture(columns, keeps, axes, front, doc["refined"])
+        picture = sweep_plots.trade_off_picture(columns, feasible, axes, front, doc["refined"])
         sections.append(pages.add_picture(picture, pictures))
     across = [(n, units[n], shown_unit(units[n]), doc["parameters"].get(n, {}).get("scale") == "log") for n in units]
-    sections.append(pages.add_picture(sweep_plots.parallel_picture(columns, keeps, across, front), pictures))
+    sections.append(pages.add_picture(sweep_plots.parallel_picture(columns, feasible, across, front), pictures))
     return sections
 
 

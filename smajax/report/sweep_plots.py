@@ -1,4 +1,4 @@
-"""Pictures of a sweep: the trade-off between two metrics, all designs across all axes, and sensitivities."""
+"""Figures of a sweep: the trade-off between two metrics, all designs across all axes, and sensitivities."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -9,32 +9,40 @@ import numpy as np
 from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, round_for_json
 from smajax.units import from_si
 
-# Points of each kind, and lines of each kind, in a picture: more only make it slow to draw; chosen by trial.
+# Largest number of points, and of lines, of each kind in a figure: more would make it slow to draw; chosen by trial.
 _MAX_POINTS = 4000
 _MAX_LINES = 150
 _REFINED_COLOUR = "#22272e"
+# Heights of the figures in pixels; the matrix of indices has so many per metric, and a frame.
+_TRADE_OFF_HEIGHT = 480
+_PARALLEL_HEIGHT = 420
+_CELL_PIXELS = 44
+_MATRIX_FRAME_PIXELS = 190
 
 
 def trade_off_picture(
     columns: Mapping[str, np.ndarray],
-    keeps: np.ndarray,
+    feasible: np.ndarray,
     axes: Sequence[tuple[str, str, str]],
     front: np.ndarray,
     refined: Sequence[Mapping],
 ) -> Picture:
-    """Return the picture of all designs over two metrics.
+    """Show all designs over two metrics.
 
     Args:
-        columns: Columns of the sweep's table by name.
-        keeps: Which designs keep the constraints, shape ``(m,)``.
+        columns: Columns of the sweep's table by name, shape ``(m,)`` each.
+        feasible: Mask of the designs that satisfy the constraints, shape ``(m,)``.
         axes: The two metrics: name, internal unit, shown unit.
-        front: Rows of the Pareto front.
+        front: Rows of the Pareto front, shape ``(front,)``.
         refined: Entries of the refined designs in sweep.json.
     """
     layout = base_layout()
     data: list[dict[str, Any]] = []
     x, y = (_in_shown_unit(columns[name], unit, shown) for name, unit, shown in axes)
-    groups = [("violates a constraint", ~keeps, MEASURED, 0.5), ("keeps all constraints", keeps, RESIDUAL, 0.9)]
+    groups = [
+        ("violates a constraint", ~feasible, MEASURED, 0.5),
+        ("satisfies all constraints", feasible, RESIDUAL, 0.9),
+    ]
     for name, chosen, colour, opacity in groups:
         rows = _evenly_chosen(np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y)), _MAX_POINTS)
         if len(rows):
@@ -57,21 +65,24 @@ def trade_off_picture(
     caption = (
         "Each point is a design. The best ones form the Pareto front: no other design is better in all objectives."
     )
-    if not (np.isfinite(x[keeps]).all() and np.isfinite(y[keeps]).all()):
-        caption += " Designs with an infinite metric, or without one, are left out."
-    return Picture("Trade-off", caption, {"data": data, "layout": layout}, 480)
+    if not (np.isfinite(x[feasible]).all() and np.isfinite(y[feasible]).all()):
+        caption += " Designs with an infinite or missing metric are left out."
+    return Picture("Trade-off", caption, {"data": data, "layout": layout}, _TRADE_OFF_HEIGHT)
 
 
 def parallel_picture(
-    columns: Mapping[str, np.ndarray], keeps: np.ndarray, axes: Sequence[tuple[str, str, str, bool]], front: np.ndarray
+    columns: Mapping[str, np.ndarray],
+    feasible: np.ndarray,
+    axes: Sequence[tuple[str, str, str, bool]],
+    front: np.ndarray,
 ) -> Picture:
-    """Return the picture in parallel coordinates: a line for each design across parameters and metrics.
+    """Show all designs in parallel coordinates: a line for each design across parameters and metrics.
 
     Args:
-        columns: Columns of the sweep's table by name.
-        keeps: Which designs keep the constraints, shape ``(m,)``.
+        columns: Columns of the sweep's table by name, shape ``(m,)`` each.
+        feasible: Mask of the designs that satisfy the constraints, shape ``(m,)``.
         axes: The axes: name, internal unit, shown unit, whether the scale is logarithmic.
-        front: Rows of the Pareto front.
+        front: Rows of the Pareto front, shape ``(front,)``.
     """
     layout = base_layout()
     heights, marks = [], []
@@ -81,7 +92,7 @@ def parallel_picture(
         for end, place, anchor in ((low, -0.02, "top"), (high, 1.02, "bottom")):
             mark = {"x": k, "y": place, "text": f"{end:.3g}", "showarrow": False, "yanchor": anchor}
             marks.append(mark | {"font": {"size": 11}})
-    data = _design_lines(np.column_stack(heights), keeps, front)
+    data = _design_lines(np.column_stack(heights), feasible, front)
     labels = [_title(name, shown).replace(" [", "<br>[").replace(".", ".<br>", 1) for name, _, shown, _ in axes]
     layout["xaxis"] = {
         "tickvals": list(range(len(axes))),
@@ -92,7 +103,7 @@ def parallel_picture(
         "gridcolor": "#9aa4b0",
         "zeroline": False,
         "automargin": True,
-        # To the lower left, where the last label has room, too.
+        # Labels point to the lower left, so that the last one fits.
         "tickangle": -35,
     }
     layout["yaxis"] = {"visible": False, "range": [-0.12, 1.12], "fixedrange": True}
@@ -101,11 +112,11 @@ def parallel_picture(
         "Each line is a design, each vertical line an axis from its lowest to its highest value; "
         f"up to {_MAX_LINES} designs of each colour."
     )
-    return Picture("Designs across all axes", caption, {"data": data, "layout": layout}, 420)
+    return Picture("Designs across all axes", caption, {"data": data, "layout": layout}, _PARALLEL_HEIGHT)
 
 
 def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[float, float]]:
-    """Values of an axis scaled to 0..1, and the axis' ends."""
+    """Values of an axis scaled to [0, 1], and the ends of the axis."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if log and 0 < low < high:
@@ -113,16 +124,16 @@ def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[floa
     return (values - low) / ((high - low) or 1.0), (low, high)
 
 
-def _design_lines(heights: np.ndarray, keeps: np.ndarray, front: np.ndarray) -> list[dict[str, Any]]:
-    """Lines of designs by kind; those that violate a constraint are drawn only where none keeps all."""
-    whole = np.all(np.isfinite(heights), axis=1)
-    violating = _evenly_chosen(np.flatnonzero(~keeps & whole), 0 if keeps.any() else _MAX_LINES)
-    keeping = _evenly_chosen(np.flatnonzero(keeps & whole), _MAX_LINES)
-    best = _evenly_chosen(front[whole[front]], _MAX_LINES) if len(front) else front
+def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) -> list[dict[str, Any]]:
+    """Lines of designs by kind; designs that violate a constraint are drawn only if none is feasible."""
+    finite = np.all(np.isfinite(heights), axis=1)
+    infeasible_rows = _evenly_chosen(np.flatnonzero(~feasible & finite), 0 if feasible.any() else _MAX_LINES)
+    feasible_rows = _evenly_chosen(np.flatnonzero(feasible & finite), _MAX_LINES)
+    best = _evenly_chosen(front[finite[front]], _MAX_LINES) if len(front) else front
     data = []
     for name, rows, style in (
-        ("violates a constraint", violating, {"color": MEASURED, "width": 0.7}),
-        ("keeps all constraints", keeping, {"color": RESIDUAL, "width": 0.7}),
+        ("violates a constraint", infeasible_rows, {"color": MEASURED, "width": 0.7}),
+        ("satisfies all constraints", feasible_rows, {"color": RESIDUAL, "width": 0.7}),
         ("best", best, {"color": MODEL, "width": 1.6}),
     ):
         x, y = [], []
@@ -136,7 +147,11 @@ def _design_lines(heights: np.ndarray, keeps: np.ndarray, front: np.ndarray) -> 
 
 
 def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Picture:
-    """Return the picture of total Sobol indices, parameters across and metrics down."""
+    """Show the total Sobol indices, with a column for each parameter and a row for each metric.
+
+    Args:
+        sensitivity: ``sensitivity`` of sweep.json: indices by metric and parameter.
+    """
     metrics = [name for name, indices in sensitivity.items() if indices]
     names = list(sensitivity[metrics[0]])
     layout = base_layout()
@@ -157,7 +172,8 @@ def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]
         "colorbar": {"thickness": 12, "outlinewidth": 0},
     }
     caption = "Total Sobol indices: the share of a metric's variance that would vanish if the parameter were fixed."
-    return Picture("Sensitivity", caption, {"data": [trace], "layout": layout}, 130 + 44 * len(metrics) + 60)
+    height = _CELL_PIXELS * len(metrics) + _MATRIX_FRAME_PIXELS
+    return Picture("Sensitivity", caption, {"data": [trace], "layout": layout}, height)
 
 
 def _in_shown_unit(values: np.ndarray, unit: str, shown: str) -> np.ndarray:
@@ -181,6 +197,6 @@ def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], num
     }
 
 
-def _evenly_chosen(rows: np.ndarray, most: int) -> np.ndarray:
-    """At most so many rows, evenly taken."""
-    return rows[:most] if len(rows) <= most or not most else rows[np.linspace(0, len(rows) - 1, most).astype(int)]
+def _evenly_chosen(rows: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` rows, evenly spaced."""
+    return rows[:count] if len(rows) <= count or not count else rows[np.linspace(0, len(rows) - 1, count).astype(int)]

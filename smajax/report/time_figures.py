@@ -25,8 +25,8 @@ from smajax.report.figures import (
 from smajax.report.prediction import Series
 
 _INPUT_COLOURS = (INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f")
-# Weights of panels: of a channel (smaller where many are observed), of a residual, of the inputs, and of the figures of
-# several models and of responses.
+# Weights of panels: of a channel (smaller if many are observed), of a residual, of the inputs, of the two panels of a
+# comparison, and of a response. Chosen by trial.
 _CHANNEL_WEIGHT = 5.0
 _CHANNEL_WEIGHT_OF_MANY = 2.6
 _MANY_CHANNELS = 3
@@ -34,7 +34,7 @@ _RESIDUAL_WEIGHT = 2.2
 _INPUT_WEIGHT = 1.8
 _COMPARISON_WEIGHTS = (6.0, 4.0)
 _RESPONSE_WEIGHT = 5.0
-# Models that are shown at first; the others are switched on in the legend.
+# Number of models that are visible at first; the others are switched on in the legend.
 _MODELS_SHOWN = 3
 _COMPARISON_HEIGHT = 760
 
@@ -42,12 +42,12 @@ _COMPARISON_HEIGHT = 760
 def time_picture(
     series: Series, observed: Sequence[str], inputs: Sequence[str], floor: Mapping[str, float | None]
 ) -> Picture:
-    """Show measurement and model, the residual with the band of the noise, and the inputs over time.
+    """Show measurement and model, the residual with the noise band, and the inputs over time.
 
     Args:
         series: One recording with its model.
         observed: Channels to show; those that were measured have a residual.
-        inputs: Input channels to show, those of one unit in one panel.
+        inputs: Input channels to show; those of one unit share a panel.
         floor: Standard deviation of the noise by channel, in the unit of the series.
     """
     groups: dict[str, list[str]] = {}
@@ -94,7 +94,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     Args:
         series: The recording with the prediction of each model by its name, best first.
         channel: The channel that is predicted.
-        role: The role of the recording, for the title.
+        role: Role of the recording, for the title.
     """
     first = next(iter(series.values()))
     panels = list(zip((channel, "model minus measured"), _COMPARISON_WEIGHTS, strict=True))
@@ -107,7 +107,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     for k, (name, prediction) in enumerate(series.items()):
         colour = MODEL_COLOURS[k % len(MODEL_COLOURS)]
         for panel, values in enumerate((prediction.model[channel], -prediction.residual(channel))):
-            trace, less = line_trace(
+            trace, is_thinned = line_trace(
                 prediction.time,
                 values,
                 name,
@@ -117,7 +117,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
                 max_points=MAX_POINTS_OF_MANY,
             )
             data.append(trace | {"legendgroup": name, "visible": True if k < _MODELS_SHOWN else "legendonly"})
-            thinned |= less
+            thinned |= is_thinned
     set_panel_title(layout, 0, axis_title(channel, first.units), panels)
     set_panel_title(layout, 1, "model - measured", panels)
     caption = "Grey is measured. Click a name to show or hide a model; below, the error of each model."
@@ -130,7 +130,7 @@ def response_picture(series: Sequence[Series], channel: str) -> Picture:
     """Show closed-loop rollouts over time: the channel with its reference, and a panel for each other kind of channel.
 
     Args:
-        series: The rollouts; the reference is what the first one calls measured.
+        series: The rollouts; the reference is the measured channel of the first one.
         channel: The controlled channel.
     """
     first = series[0]
@@ -144,9 +144,9 @@ def response_picture(series: Sequence[Series], channel: str) -> Picture:
     thinned = False
     for k, rollout in enumerate(series):
         colour = (RESIDUAL, MODEL)[k % 2]
-        trace, less = line_trace(rollout.time, rollout.model[channel], rollout.name, colour, panel_axis(0))
+        trace, is_thinned = line_trace(rollout.time, rollout.model[channel], rollout.name, colour, panel_axis(0))
         data.append(trace | {"legendgroup": rollout.name})
-        thinned |= less
+        thinned |= is_thinned
         for panel, names in enumerate(kinds.values(), 1):
             data += _dashed_traces(rollout, names, colour, panel)
     set_panel_title(layout, 0, axis_title(channel, first.units), panels)
@@ -161,27 +161,29 @@ def response_picture(series: Sequence[Series], channel: str) -> Picture:
 
 
 def _add_channel(data: list[dict[str, Any]], series: Series, channel: str, panel: int) -> bool:
-    """Add the measurement and the model of a channel to a figure's data; tell whether points were left out."""
+    """Adds measurement and model of a channel to a figure's data; returns whether points were left out."""
     thinned = False
     for name, values, colour in (("measured", series.measured, MEASURED), ("model", series.model, MODEL)):
         if channel in values:
             in_legend = not any(trace["name"] == name for trace in data)
-            trace, less = line_trace(series.time, values[channel], name, colour, panel_axis(panel), in_legend=in_legend)
+            trace, is_thinned = line_trace(
+                series.time, values[channel], name, colour, panel_axis(panel), in_legend=in_legend
+            )
             data.append(trace)
-            thinned |= less
+            thinned |= is_thinned
     return thinned
 
 
 def _time_caption(with_residual: bool, with_noise: bool) -> str:
     caption = "Grey is measured, orange the model."
     if with_residual:
-        band = "; dotted lines: two standard deviations of the noise to either side." if with_noise else "."
+        band = "; dotted lines: plus and minus two standard deviations of the noise." if with_noise else "."
         caption += f" Below, the residual, measured minus model{band}"
     return caption
 
 
 def _dashed_traces(series: Series, names: Sequence[str], colour: str, panel: int) -> list[dict[str, Any]]:
-    """Lines of the channels of one kind; the first is solid, the others are dotted."""
+    """Lines of the channels of one kind; the first line is solid, the others are dotted."""
     traces = []
     for k, name in enumerate(names):
         label = f"{series.name}, {name}"

@@ -1,4 +1,4 @@
-"""What ``smajax tune`` prints and shows: gains, their metrics and margins, compared with those of the start gains."""
+"""Summary and page of ``smajax tune``: gains, metrics and margins, before and after tuning."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,11 @@ from smajax.report.summary import table
 from smajax.report.time_figures import response_picture
 from smajax.units import from_si
 
-# Version 2 names parameters as version 0.2 of smajax does; everything else is as in version 1, which is read as well.
+# Schema 2 has the parameter names of smajax 0.2; all else is as in schema 1, which is still readable.
 SCHEMA = "smajax.tune/2"
-# A gain within this share of the logarithmic range from a bound is at the bound.
+# A gain is at a bound if it is nearer than this share of its logarithmic range.
 _AT_BOUND = 1e-3
-# Margins (a factor; degrees) below which a warning is given; chosen by trial.
+# Gain margin (a factor) and phase margin (degrees) below which the summary warns; chosen by trial.
 _MIN_GAIN_MARGIN = 1.5
 _MIN_PHASE_MARGIN = 20.0
 _LABELS = {
@@ -39,7 +39,16 @@ _EXPORTS = ("controller.h", "controller.json", "plant.fmu", "controller.fmu")
 
 
 def format_metric(value: float | None, name: str, channel: str) -> str:
-    """Return a metric with its usual unit; ``-`` where there is none, such as an infinite settling time."""
+    """Format a metric with its usual unit.
+
+    Args:
+        value: The metric in SI units or degC; ``None`` if there is none.
+        name: Name of the metric, such as ``rmse``.
+        channel: The controlled channel.
+
+    Returns:
+        The text; ``-`` for ``None`` and for a value that is not finite, such as an infinite settling time.
+    """
     if value is None or not math.isfinite(value):
         return "-"
     if name in ("rmse", "max_error", "itae", channel):
@@ -55,7 +64,7 @@ def format_metric(value: float | None, name: str, channel: str) -> str:
 
 
 def tuning_summary(doc: Mapping[str, Any]) -> str:
-    """Return the result of a tuning in words; ``doc`` is tune.json."""
+    """Summarise the result of a tuning in sentences; ``doc`` is tune.json."""
     channel, before, after = doc["channel"], doc["metrics"]["start"], doc["metrics"]["tuned"]
     key = "settling" if doc["objective"]["settle"] else "rmse"
     start, tuned = (format_metric(metrics[key], key, channel) for metrics in (before, after))
@@ -64,7 +73,7 @@ def tuning_summary(doc: Mapping[str, Any]) -> str:
     words += _feedforward_words(doc) + _pulse_words(doc)
     if "asked" in doc["objective"]:
         weight = doc["objective"]["weights"]["effort"]
-        words += f" With the weights of the file the loop would not be stable: effort counts {weight:g} here."
+        words += f" With the weights of the file the loop is not stable, so the effort weight was raised to {weight:g}."
     if doc["problems"]:
         words += " But " + "; ".join(doc["problems"]) + "."
     return words + _margin_warning(doc) + _bound_words(doc.get("gains", {})) + _filter_words(doc) + _draw_words(doc)
@@ -90,22 +99,22 @@ def _pulse_words(doc: Mapping[str, Any]) -> str:
     pulses = doc["pulses"]
     error = format_metric(pulses["rmse_of_mean"], "rmse", doc["channel"])
     return (
-        f" The command is pulsed at {pulses['carrier']:g} Hz: with the mean of its pulses the same gains would leave "
-        f"an error of {error}. Where the two differ, each pulse of the model transforms a part of the wire, however "
-        "short it is, and nothing transforms back after it; real wires do not do that: then tune without "
+        f" The command is pulsed at {pulses['carrier']:g} Hz; driven by the mean of its pulses, the same gains leave "
+        f"an error of {error}. If the two errors differ, each pulse of the model, however short, transforms a part of "
+        "the wire, and nothing transforms back after it. A real wire does not do that: in this case tune without "
         "controller.carrier."
     )
 
 
 def _margin_warning(doc: Mapping[str, Any]) -> str:
-    """Small margins; negative ones are a problem, and are told there."""
+    """A sentence about small margins; those of an unstable loop are among the problems."""
     gain, phase = (doc["margins"]["tuned"][k] for k in ("gain", "phase"))
     is_unstable = (gain is not None and gain < 1.0) or (phase is not None and phase < 0.0)
     is_small = (gain is not None and gain < _MIN_GAIN_MARGIN) or (phase is not None and phase < _MIN_PHASE_MARGIN)
     if is_unstable or not is_small:
         return ""
     return (
-        f" Linearised along its rollout, the loop has {margin_words(gain, phase)}: a rig that is a little different "
+        f" Linearised along its rollout, the loop has {margin_words(gain, phase)}: a rig that differs slightly "
         f"may oscillate, so {stabilising_advice(doc['objective']['settle'])}."
     )
 
@@ -116,11 +125,9 @@ def _filter_words(doc: Mapping[str, Any]) -> str:
         words += f" The controller uses the estimate of a filter that measures {' and '.join(doc['believes'])}: "
         words += f"the margins are those of a loop that measures {doc['channel']} exactly."
         if not doc["robust"]:
-            words += (
-                " The filter's plant is that of the rig file, and so is this rollout's: [robust] tries it on others."
-            )
+            words += " The filter and this rollout use the same plant, that of the rig file: [robust] varies the plant."
     if doc.get("start_kept"):
-        words += " None of the gains found is better on the draws than the start gains, which are kept: "
+        words += " The search found no gains that are better on the draws than the start gains, which are kept: "
         words += "try more starts, or more draws."
     return words
 
@@ -136,7 +143,12 @@ def _draw_words(doc: Mapping[str, Any]) -> str:
 
 
 def margin_words(gain: float | None, phase: float | None) -> str:
-    """Return margins (a factor; degrees) in words; ``None`` and infinity are left out."""
+    """Format margins in words; ``None`` and infinity are left out.
+
+    Args:
+        gain: Gain margin, a factor.
+        phase: Phase margin, degrees.
+    """
     words = {"a gain margin of {:.2g}": gain, "a phase margin of {:.2g} degrees": phase}
     return " and ".join(
         text.format(value) for text, value in words.items() if value is not None and math.isfinite(value)
@@ -144,12 +156,12 @@ def margin_words(gain: float | None, phase: float | None) -> str:
 
 
 def stabilising_advice(settle: bool) -> str:
-    """Return what to do about gains that are unstable or nearly so."""
-    return "ask for tracking, with a weight of effort, instead of settling" if settle else "give effort more weight"
+    """Return the advice for an unstable or nearly unstable loop; ``settle`` is whether it was tuned for settling."""
+    return "tune for tracking, with an effort weight, instead of settling" if settle else "raise the effort weight"
 
 
 def _bound_words(gains: Mapping[str, Any]) -> str:
-    """Gains that ended at a bound."""
+    """Sentences about gains at a bound."""
     free = {name: entry for name, entry in gains.items() if entry["free"] and entry["bounds"][0] < entry["bounds"][1]}
     share = {
         n: math.log(e["tuned"] / e["bounds"][0]) / math.log(e["bounds"][1] / e["bounds"][0]) for n, e in free.items()
@@ -166,17 +178,17 @@ def _bound_words(gains: Mapping[str, Any]) -> str:
 
 
 def gain_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return rows of name, start, tuned, and the unit of both, which goes with the channel's usual one."""
+    """Return table rows of gains: name, start, tuned, and their unit, which follows the usual unit of the channel."""
     rows = []
     for name, entry in doc["gains"].items():
         unit = entry.get("usual_unit", entry["unit"])
         start, tuned = (f"{from_si(entry[when], unit, entry['unit']):.5g}" for when in ("start", "tuned"))
-        rows.append((name, start, tuned if entry["free"] else f"{tuned} (held)", unit))
+        rows.append((name, start, tuned if entry["free"] else f"{tuned} (fixed)", unit))
     return rows
 
 
 def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return rows of metric or margin, start, tuned, and with draws their 5 to 95 % or worst value."""
+    """Return table rows of metrics and margins: name, start, tuned, and the range or worst value of the draws."""
     rows, channel = [], doc["channel"]
     for name, label in _LABELS.items():
         if name not in doc["metrics"]["tuned"]:
@@ -200,8 +212,8 @@ def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
     return ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
 
 
-def left_out_words(doc: Mapping[str, Any]) -> list[str]:
-    """Return the files that could not be written, and why."""
+def left_out_lines(doc: Mapping[str, Any]) -> list[str]:
+    """Return lines about files that were not written, with the reason."""
     reasons: dict[str, list[str]] = {}
     for name, reason in doc.get("left_out", {}).items():
         reasons.setdefault(reason, []).append(name)
@@ -209,33 +221,40 @@ def left_out_words(doc: Mapping[str, Any]) -> list[str]:
 
 
 def text(doc: Mapping[str, Any], folder: str) -> str:
-    """Return what the command prints; ``doc`` is tune.json."""
+    """Format the summary of a tuning for a terminal.
+
+    Args:
+        doc: The document tune.json.
+        folder: The result folder.
+    """
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
     lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
     files = [name for name in _EXPORTS if name not in doc.get("left_out", {})]
-    lines += left_out_words(doc)
+    lines += left_out_lines(doc)
     return "\n".join([*lines, f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"])
 
 
 def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
-    """Return the report page.
+    """Build the page of a tuning.
 
     Args:
-        doc: tune.json.
+        doc: The document tune.json.
         series: Rollouts with start and tuned gains.
-        run: run.json.
-        rig: Text of the rig's file.
+        run: The document run.json.
+        rig: Text of the rig file.
+
+    Returns:
+        The page as HTML.
     """
     pictures: list[Picture] = []
-    bad = ' bad"' if doc["problems"] else '"'
-    sections = [f'<div class="verdict{bad}><p>{escape(doc["summary"])}</p></div>', "<h2>Gains</h2>"]
+    sections = [pages.verdict_section([doc["summary"]], bad=bool(doc["problems"])), "<h2>Gains</h2>"]
     sections.append(pages.table(("gain", "start", "tuned", "unit"), gain_rows(doc), numbers=(1, 2)))
     sections += ["<h2>Metrics and margins</h2>", pages.table(_head(doc), metric_rows(doc), numbers=(1, 2, 3))]
     sections.append(
-        "<p>Margins are those of the loop linearised along the rollout, of a nonlinear plant medians over it.</p>"
+        "<p>Margins are those of the loop linearised along the rollout; for a nonlinear plant, medians over it.</p>"
     )
     sections.append(pages.add_picture(response_picture(series, doc["channel"]), pictures))
-    sections += [f"<p>{escape(line)}.</p>" for line in left_out_words(doc)]
-    sections += ["<h2>Where this comes from</h2>", pages.provenance_section(run), pages.rig_section(rig)]
-    lead = f"A controller of {doc['channel']}, tuned through its closed loop."
+    sections += [f"<p>{escape(line)}.</p>" for line in left_out_lines(doc)]
+    sections += pages.provenance_sections(run, rig)
+    lead = f"Controller of {doc['channel']}, tuned on simulations of its closed loop."
     return pages.render_page(f"Tuning on {doc['rig']}", lead, sections, pictures)

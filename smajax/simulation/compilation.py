@@ -1,12 +1,11 @@
-"""What serves the compiler only: blocks of steps, states as flat rows, and steps that are traced once.
+"""Compile-time machinery of the simulation: blocks of steps, states as flat rows, and steps that are traced once.
 
-- Blocks: diffrax is handed ``BLOCK`` steps at a time, because its own work on a step costs more than the step itself.
-  The last block is filled up with steps of no duration. A simulation that may end early (``end_index``) ends with a
-  block.
-- Flat states: a trajectory stores each state as one row of numbers. A state has many small arrays, and storing each of
-  them on its own would cost a step as much as some of its equations do.
-- Steps traced once: ``traced_step`` and ``traced_step_residual`` are jitted functions of their own, so that all
-  programs share one trace; tracing a step takes longer than compiling some of these programs.
+- Blocks: diffrax takes ``BLOCK`` steps at a time, because its overhead for a step costs more than the step itself. The
+  last block is filled up with steps of duration 0. A simulation that may end early (``end_index``) ends with a block.
+- Flat states: a trajectory stores each state as one row of numbers. A state has many small arrays; storing each of them
+  separately would cost as much as some of the equations of a step.
+- Steps traced once: ``traced_step`` and ``traced_step_residual`` are separate jitted functions, so that all programs
+  share one trace; tracing a step takes longer than compiling some of these programs.
 
 None of this changes a result. The equations of a step are those of ``Plant.step`` and ``Plant.step_residual``.
 """
@@ -23,8 +22,8 @@ from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.simulation.inputs import Inputs
 
-# Steps in a block. Chosen by trial for speed: fewer cost diffrax's overhead more often, more simulate beyond
-# ``end_index``.
+# Steps in a block. Chosen by trial for speed: smaller blocks incur diffrax's overhead more often, larger ones simulate
+# further beyond ``end_index``.
 BLOCK = 64
 
 traced_step = eqx.filter_jit(lambda plant, *step: plant.step(*step))
@@ -35,11 +34,11 @@ def in_blocks(rows: jax.Array, filling: jax.Array) -> jax.Array:
     """Arrange rows of steps in blocks.
 
     Args:
-        rows: One row a step, shape ``(steps, ...)``.
-        filling: Fills up the last block, of a row's shape.
+        rows: One row per step, shape ``(steps, ...)``.
+        filling: Row that fills up the last block, shape ``(...)``.
 
     Returns:
-        Shape ``(blocks, BLOCK, ...)``.
+        The rows, shape ``(blocks, BLOCK, ...)``.
     """
     count = rows.shape[0]
     filled = jnp.concatenate([rows, jnp.broadcast_to(filling, (-count % BLOCK, *rows.shape[1:]))])
@@ -47,16 +46,31 @@ def in_blocks(rows: jax.Array, filling: jax.Array) -> jax.Array:
 
 
 def block_count(end_index: Int[Array, ""]) -> Int[Array, ""]:
-    """Count the blocks up to a grid point, at least one."""
+    """Count the blocks up to a grid point, at least one.
+
+    Args:
+        end_index: The grid point.
+    """
     return jnp.maximum(1, -(-end_index // BLOCK))
 
 
 def flatten_state(plant: Plant, state: State, signal: Float[Array, " signals"]) -> Float[Array, " size"]:
-    """Write a state as one row of numbers; the arguments are those of an output function."""
+    """Flatten a state into one row of numbers; an output function (``time_stepping.OutputFunction``).
+
+    Args:
+        plant: The plant; not used.
+        state: The state.
+        signal: Signals at the same instant; not used.
+    """
     return ravel_pytree(state)[0]
 
 
 def state_unflattener(plant: Plant, inputs: Inputs) -> Callable[[Float[Array, " size"]], State]:
-    """Return the function that makes a state of a row of ``flatten_state``."""
+    """Return the inverse of ``flatten_state``: the function from a row of numbers to a state.
+
+    Args:
+        plant: The plant, which determines the structure of its states.
+        inputs: Its inputs on a grid.
+    """
     shape = jax.eval_shape(plant.start, inputs.sample_signals[0])
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape))[1]

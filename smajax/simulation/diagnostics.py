@@ -7,7 +7,10 @@ from smajax.plant.plant import Plant
 def describe_parameters(plant: Plant) -> str:
     """List all parameters of a plant in one line, in internal units.
 
-    Parameters of sensors and start values are left out; a tie stands for its members.
+    Parameters of sensors and start values are left out; a tie replaces its members.
+
+    Args:
+        plant: The plant.
     """
     values = {
         name: float(parameters.get(plant, name))

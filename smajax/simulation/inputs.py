@@ -1,8 +1,8 @@
 """Recorded inputs on a grid of time steps.
 
-Steps end at every sample, so that each jump of a held input falls between two steps; samples that are further apart
-than the step size are subdivided evenly. Fixed steps keep a fit's objective free of the noise of step-size control,
-cost the same for every design of a batch, and let the material's relative update cross its bands without error.
+Steps end at every sample, so each jump of a held input lies between two steps. Intervals between samples that are
+longer than the step size are subdivided evenly. With fixed steps the objective of a fit has no noise from step-size
+control, and every design of a batch costs the same.
 """
 
 import itertools
@@ -16,26 +16,30 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.step_size import default_step
 
-# Steps per full range of a linear input: a sample over which it changes by a tenth of its range gets 4 steps, which
-# place the reversal from heating to cooling inside it. Chosen by trial; the tests with linear inputs in
-# tests/unit/simulation hold it.
+# Steps per full range of a linear input: an interval between samples over which it changes by a tenth of its range gets
+# 4 steps, which resolve the reversal from heating to cooling inside it. Chosen by trial; the tests with linear inputs
+# in tests/unit/simulation hold it.
 _STEPS_PER_RANGE = 40
-# Share of a held input's range from which a change between two steps is a jump that no coarser step may cover.
+# Share of an input's range from which a change between two steps is a jump that no coarser step may cover.
 # Chosen by trial; test_merged_steps_heat_as_much in tests/unit/simulation/test_simulation.py holds it.
 _JUMP_SHARE = 0.05
-# Rounding of sample times that does not cost one more step.
+# Tolerance, as a share of a step, for the rounding of sample times, so that it does not cost an additional step: far
+# above rounding (1e-16).
 _ROUNDING = 1e-9
+# Keeps a quotient finite for a constant input; near the smallest double-precision number, so it changes no other value.
+_TINY = 1e-300
 
 
 class Inputs(eqx.Module):
     """Inputs on a grid of steps.
 
     Attributes:
-        time: Grid points (grid,), s.
-        before: Signals at the start of each step (grid - 1, signals).
-        after: Signals at the end of each step; where a held input jumps, they differ from the next step's ``before``.
-        sample_indices: The grid points of the samples (samples,).
-        sample_signals: Signals at the samples (samples, signals).
+        time: Grid points, shape ``(grid,)``, s.
+        before: Signals at the start of each step, shape ``(grid - 1, signals)``.
+        after: Signals at the end of each step, of the same shape; where a held input jumps, they differ from ``before``
+            of the next step.
+        sample_indices: Indices of the samples in the grid, shape ``(samples,)``.
+        sample_signals: Signals at the samples, shape ``(samples, signals)``.
     """
 
     time: Float[Array, " grid"]
@@ -45,7 +49,12 @@ class Inputs(eqx.Module):
     sample_signals: Float[Array, "samples signals"]
 
     def pad(self, grid: int, samples: int) -> "Inputs":
-        """Extend to ``grid`` points by steps of no duration, in which nothing changes, and repeat the last sample."""
+        """Extend the grid by steps of duration 0, in which nothing changes, and repeat the last sample.
+
+        Args:
+            grid: Number of grid points afterwards.
+            samples: Number of samples afterwards.
+        """
         time, before, after, indices, signals = self._as_numpy()
         more_steps, more_samples = grid - len(time), samples - len(indices)
         last = after[-1:]
@@ -58,22 +67,22 @@ class Inputs(eqx.Module):
         )
 
     def coarsen(self, stride: int, *, held: bool, pieces: int = 1) -> "Inputs":
-        """Take every ``stride``-th sample, on steps each of which stands for up to ``pieces`` times as many.
+        """Take every ``stride``-th sample, on fewer and longer steps.
 
-        No step covers a jump of an input, where heating turns to cooling.
+        No step covers a jump of an input, where heating may change to cooling.
 
         Args:
-            stride: Samples that become one.
-            held: Whether the inputs are held between samples: then each step keeps their mean square, which heats as
-                much; other inputs go straight.
-            pieces: Steps per sample of the grid so far.
+            stride: Number of samples that become one.
+            held: Whether the inputs are held between samples. Each step then has their root mean square, which gives
+                the same heat; otherwise inputs are linear over a step.
+            pieces: Number of steps per sample in this grid.
         """
         time, before, after, indices, signals = self._as_numpy()
         strided = indices[::stride]
         change = np.abs(before[1:] - after[:-1]) > _JUMP_SHARE * np.ptp(before, axis=0)
         jumps = 1 + np.flatnonzero(np.any(change, axis=1))
         cuts = np.union1d(strided, jumps[jumps < strided[-1]])
-        # Where an input swings there are more steps than usual, which place its turn.
+        # Where an input changes strongly there are more steps than usual, which resolve its reversal.
         usual = pieces * stride
         ends = [
             np.append(np.arange(a, b, usual if b - a <= usual else stride), b)[1:] for a, b in itertools.pairwise(cuts)
@@ -89,11 +98,11 @@ class Inputs(eqx.Module):
         return _inputs(time[grid], first, last, np.searchsorted(grid, strided), signals[::stride])
 
     def halve(self) -> tuple["Inputs", int]:
-        """Halve all steps, on a grid of the same length, which then ends earlier.
+        """Halve all steps, on a grid with the same number of points, which then ends earlier.
 
         Returns:
-            The inputs, whose later samples stay at the end of the grid, and the number of samples that the grid still
-            holds.
+            The inputs, in which all later samples are at the end of the grid, and the number of samples that the grid
+            still covers.
         """
         time, before, after, indices, signals = self._as_numpy()
         steps = (len(time) - 1) // 2
@@ -118,13 +127,14 @@ def _inputs(*arrays: np.ndarray) -> Inputs:
 
 
 def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> Inputs:
-    """Lay a recording's inputs on a grid of steps.
+    """Put a recording's inputs on a grid of time steps.
 
     Prescribed strain, stress and temperature are linear between samples.
 
     Args:
-        plant: The plant, whose signals are read from the recording.
-        recording: Without a clock it gets one step a row, since only the order of its rows matters.
+        plant: The plant, which determines the signals.
+        recording: The recording, which has a channel for each of the plant's signals. Without a clock it gets one step
+            per row, since only the order of its rows matters.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; ``default_step`` if not given.
     """
@@ -156,10 +166,10 @@ def _steps_per_sample(plant: Plant, recording: Recording, interpolation: str, st
     if recording.has_clock:
         pieces = np.maximum(1, np.ceil(gaps / (step or default_step(plant)) - _ROUNDING).astype(int))
     if interpolation == "linear" and recording.has_clock:
-        # Where the input swings within one sample, heating turns to cooling somewhere inside: small steps place that
-        # reversal.
+        # Where the input changes strongly between two samples, heating may change to cooling in between: small steps
+        # resolve that reversal.
         for name in plant.signals[: plant.mechanism.wires if plant.drive.control else 0]:
             signal = recording.channels[name]
-            swing = np.abs(np.diff(signal)) / max(float(np.ptp(signal)), 1e-300)
-            pieces = np.maximum(pieces, np.ceil(_STEPS_PER_RANGE * swing).astype(int))
+            change = np.abs(np.diff(signal)) / max(float(np.ptp(signal)), _TINY)
+            pieces = np.maximum(pieces, np.ceil(_STEPS_PER_RANGE * change).astype(int))
     return pieces

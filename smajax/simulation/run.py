@@ -1,7 +1,7 @@
 """Simulate a plant: one recording, inputs on a grid, or a batch of plants.
 
-The time steps are those of ``Plant.step``, fixed and ended at every sample (``smajax.simulation.inputs``). What remains
-is the second-order error of the heat balance, which a simulation with half the step measures.
+The time steps are those of ``Plant.step``: they are fixed, and one ends at every sample (``smajax.simulation.inputs``).
+A simulation with half the step size shows their discretisation error.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.time_stepping import integrate
 
-# Wide vectors pay in a batch; single simulations are slower with them.
+# Wide vectors are faster in a batch; single simulations are slower with them.
 _BATCH_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
@@ -33,10 +33,10 @@ class Simulation(eqx.Module):
     """A plant's response.
 
     Attributes:
-        time: Times of the samples (samples,), s.
-        channels: Channels by name (samples,), SI and degC.
-        state: The states at the samples, each leaf with a leading axis.
-        status: Status code, see ``SimulationStatus``.
+        time: Times of the samples, shape ``(samples,)``, s.
+        channels: Channels by name, shape ``(samples,)`` each, SI and degC.
+        state: States at the samples, each leaf with a leading axis of ``samples``.
+        status: Status code (``SimulationStatus``).
     """
 
     time: Float[Array, " samples"]
@@ -46,12 +46,16 @@ class Simulation(eqx.Module):
 
 
 def simulate_states(plant: Plant, inputs: Inputs) -> tuple[State, Int[Array, ""]]:
-    """Simulate, and return the states at the samples; to be compiled and batched by the caller.
+    """Simulate a plant and return the states at the samples; the caller compiles and batches it.
 
     Differentiable once in the plant's parameters and in the inputs, in forward and in reverse mode.
 
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+
     Returns:
-        The states, each leaf with a leading axis of samples, and the status code.
+        The states, each leaf with a leading axis of ``samples``, and the status code.
     """
     flat, status = simulate_outputs(plant, inputs, None, flatten_state)
     return jax.vmap(state_unflattener(plant, inputs))(flat[inputs.sample_indices]), status
@@ -60,23 +64,42 @@ def simulate_states(plant: Plant, inputs: Inputs) -> tuple[State, Int[Array, ""]
 def observe(
     plant: Plant, states: State, inputs: Inputs, channels: Sequence[str]
 ) -> dict[str, Float[Array, " samples"]]:
-    """Return the named channels of states at the samples."""
+    """Compute channels from the states at the samples.
+
+    Args:
+        plant: The plant.
+        states: States at the samples, each leaf with a leading axis of ``samples``.
+        inputs: The inputs on a grid.
+        channels: Names of the channels.
+
+    Returns:
+        The channels by name, SI and degC.
+    """
     values = jax.vmap(plant.observe)(states, inputs.sample_signals)
     read = plant.read_sensors(values, inputs.time[inputs.sample_indices])
     return {c: read[c] for c in channels}
 
 
-def trajectory(plant: Plant, inputs: Inputs, end_index: jax.Array | None = None) -> Trajectory:
-    """Simulate, and return the trajectory.
+def trajectory(plant: Plant, inputs: Inputs, end_index: Int[Array, ""] | None = None) -> Trajectory:
+    """Simulate a plant and return its trajectory. Not differentiable.
 
-    With it, ``simulate_channels`` needs no simulation: simulation and derivatives are two programs. Not differentiable.
-    ``end_index`` as in ``simulate_channels``.
+    Given the trajectory, ``simulate_channels`` does not simulate: simulation and derivatives become two programs.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        end_index: Grid point at which the simulation may end, as in ``simulate_channels``.
     """
     return Trajectory(*integrate(plant, inputs, flatten_state, end_index))
 
 
 def blank_trajectory(plant: Plant, inputs: Inputs) -> Trajectory:
-    """Return a trajectory of zeros with the right shapes, to compile with."""
+    """Return a trajectory of zeros with the right shapes, as an argument for compilation.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+    """
     signal = inputs.sample_signals[0]
     size = jax.eval_shape(lambda: flatten_state(plant, plant.start(signal), signal)).shape[0]
     return Trajectory(jnp.zeros((inputs.time.shape[0], size)), jnp.asarray(SimulationStatus.unsolved.value))
@@ -86,23 +109,23 @@ def simulate_channels(
     plant: Plant,
     inputs: Inputs,
     channels: Sequence[str],
-    end_index: jax.Array | None = None,
+    end_index: Int[Array, ""] | None = None,
     trajectory: Trajectory | None = None,
 ) -> tuple[dict[str, Float[Array, " samples"]], Int[Array, ""]]:
-    """Simulate, and return channels at the samples; stores no states, for batches.
+    """Simulate a plant and return channels at the samples; stores no states, for batches.
 
-    Differentiable as ``simulate_states`` is.
+    Differentiable once in the plant's parameters and in the inputs, in forward and in reverse mode.
 
     Args:
         plant: The plant.
         inputs: Its inputs on a grid.
         channels: Names of the channels.
-        end_index: A whole number that is not batched: the grid point at which the simulation may end, because no sample
-            lies after it. There is no reverse mode then.
-        trajectory: The trajectory of this plant under these inputs where it is known.
+        end_index: Grid point at which the simulation may end, because no sample lies after it; not batched. With it
+            there is no reverse mode.
+        trajectory: The trajectory of this plant under these inputs, if it has been computed before.
 
     Returns:
-        The channels by name and the status code.
+        The channels by name, SI and degC, and the status code.
     """
     names = list(dict.fromkeys([*channels, *(c for effect in plant.effects for c in effect.other_channels)]))
 
@@ -121,7 +144,12 @@ def simulate_channels(
 
 @eqx.filter_jit
 def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
-    """Simulate a plant under inputs on a grid; compiled once per length of grid and recording."""
+    """Simulate a plant under inputs on a grid; compiled once per numbers of grid points and samples.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+    """
     states, status = simulate_states(plant, inputs)
     channels = observe(plant, states, inputs, plant.observable)
     return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
@@ -130,19 +158,20 @@ def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
 def simulate(
     plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None, throw: bool = True
 ) -> Simulation:
-    """Simulate a plant under a recording's inputs.
-
-    A batch of plants (leaves with a leading axis) is simulated by ``simulate_batch``.
+    """Simulate a plant under a recording's inputs; ``simulate_batch`` simulates many plants.
 
     Args:
         plant: The plant; its effects of strength 0 are left out.
-        recording: Gives the inputs.
+        recording: The recording that gives the inputs.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; ``default_step`` if not given.
         throw: Whether to raise if the simulation fails.
 
+    Returns:
+        The response at the recording's rows.
+
     Raises:
-        NumericsError: The simulation fails; the message says what to do.
+        NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
     """
     inputs = discretise(plant, recording, interpolation=interpolation, step=step)
     effects = tuple(effect for effect in plant.effects if float(effect.strength) != 0.0)
@@ -156,19 +185,19 @@ def simulate(
 @functools.partial(eqx.filter_jit, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]
 def simulate_batch(
     plant: Plant, values: dict[str, jax.Array], inputs: Inputs, channels: tuple[str, ...]
-) -> tuple[dict, jax.Array]:
+) -> tuple[dict[str, Float[Array, "plants samples"]], Int[Array, " plants"]]:
     """Simulate plants that differ in named parameters under the same inputs.
 
-    One plant's failure leaves the others alone.
+    The failure of one plant does not affect the others.
 
     Args:
         plant: The plant.
-        values: Values of the named parameters (plants,), internal units.
-        inputs: Inputs on a grid.
+        values: Values of the parameters by name, shape ``(plants,)`` each, internal units.
+        inputs: The inputs on a grid.
         channels: Names of the channels.
 
     Returns:
-        The channels by name, shape ``(plants, samples)``, and the status codes (plants,).
+        The channels by name, shape ``(plants, samples)`` each, and the status codes, shape ``(plants,)``.
     """
 
     def single(values: dict) -> tuple[dict, jax.Array]:

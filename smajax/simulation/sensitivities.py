@@ -1,8 +1,12 @@
 """Forward sensitivities of a plant's trajectory, by the implicit function theorem.
 
-A step's end is the root of ``Plant.step_residual``, so its tangent follows from the residual's Jacobian there, whatever
-iterations found the root. The tangents go from step to step along a trajectory that is known by then; they are linear
-in the tangents of the plant and of the inputs, so that reverse mode comes with them, with the trajectory as its tape.
+The end of a step is a root z of the residual r of ``Plant.step_residual``. Its tangent follows from the Jacobian of the
+residual there, and does not depend on the iterations that found the root:
+
+    dz = -(dr/dz)^-1 (dr/d(state) d(state) + dr/d(plant) d(plant) + dr/d(inputs) d(inputs))
+
+The tangents are computed from step to step along a trajectory that was simulated before. They are linear in the
+tangents of the plant and of the inputs, so JAX transposes them for reverse mode, with the trajectory as its tape.
 """
 
 from typing import Any
@@ -31,7 +35,7 @@ class Trajectory(eqx.Module):
     """A plant's states at all grid points.
 
     Attributes:
-        flat_states: One row of numbers a state, shape ``(grid, size)``.
+        flat_states: The states, one row of numbers (``flatten_state``) each, shape ``(grid, size)``.
         status: Status code of the simulation.
     """
 
@@ -42,17 +46,24 @@ class Trajectory(eqx.Module):
 @eqx.filter_custom_jvp
 def simulate_outputs(
     plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction
-) -> tuple[jax.Array, jax.Array]:
-    """Simulate, and return an output at every grid point, shape ``(grid, size)``, and the status code.
+) -> tuple[Float[Array, "grid size"], Int[Array, ""]]:
+    """Simulate a plant and compute an output at every grid point; differentiable once in the plant and in the inputs.
 
-    ``output_fn`` gives one row of numbers. Differentiable once in the plant and in the inputs.
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        end_index: Grid point at which the simulation may end; ``None`` for the last one.
+        output_fn: Output of the plant, a state and the signals: one row of numbers, shape ``(size,)``.
+
+    Returns:
+        The outputs, shape ``(grid, size)``, and the status code.
     """
     return integrate(plant, inputs, output_fn, end_index)
 
 
 @simulate_outputs.def_jvp
 def _simulate_outputs_jvp(primals: tuple, tangents: tuple) -> tuple:
-    """Store the trajectory first, then take the tangents along it."""
+    """Simulate the trajectory first, then compute the tangents along it."""
     plant, inputs, end_index, output_fn = primals
     trajectory = Trajectory(*integrate(plant, inputs, flatten_state, end_index))
     outputs, output_tangents = _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
@@ -62,10 +73,20 @@ def _simulate_outputs_jvp(primals: tuple, tangents: tuple) -> tuple:
 @eqx.filter_custom_jvp
 def outputs_along(
     plant: Plant, inputs: Inputs, end_index: Any, output_fn: OutputFunction, trajectory: Trajectory
-) -> jax.Array:
-    """Return an output at every grid point of a known trajectory of this plant, shape ``(grid, size)``.
+) -> Float[Array, "grid size"]:
+    """Compute an output at every grid point of a trajectory that was simulated before.
 
-    Differentiable once; the derivative counts that the trajectory moves with the plant.
+    Differentiable once in the plant and in the inputs; the derivative includes that of the trajectory.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        end_index: Grid point at which the simulation may end; ``None`` for the last one.
+        output_fn: Output of the plant, a state and the signals: one row of numbers, shape ``(size,)``.
+        trajectory: The trajectory of this plant under these inputs.
+
+    Returns:
+        The outputs, shape ``(grid, size)``.
     """
     unflatten = state_unflattener(plant, inputs)
     return jax.vmap(lambda row, signal: output_fn(plant, unflatten(row), signal))(
@@ -75,7 +96,7 @@ def outputs_along(
 
 @outputs_along.def_jvp
 def _outputs_along_jvp(primals: tuple, tangents: tuple) -> tuple:
-    """Take the tangents along the known trajectory."""
+    """Compute the tangents along the trajectory."""
     plant, inputs, end_index, output_fn, trajectory = primals
     return _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
 
@@ -83,7 +104,7 @@ def _outputs_along_jvp(primals: tuple, tangents: tuple) -> tuple:
 def _forward_sensitivities(
     trajectory: Trajectory, output_fn: OutputFunction, end_index: Any, primals: tuple, tangents: tuple
 ) -> tuple[jax.Array, jax.Array]:
-    """Outputs at the grid points of a trajectory, and their tangents, pushed from step to step."""
+    """Outputs at the grid points of a trajectory, and their tangents, computed from step to step."""
     (plant, inputs), (plant_tangent, input_tangents), flat = primals, tangents, trajectory.flat_states
     unflatten, signal = state_unflattener(plant, inputs), grid_signals(inputs)
 

@@ -19,10 +19,10 @@ class SimulationStatus(enum.IntEnum):
         """The meaning and the cure, in one sentence."""
         return {
             SimulationStatus.done: "done",
-            SimulationStatus.unsolved: "a step's balance of heat and forces was not met: make the step smaller, or "
-            "check stiffness and stress",
-            SimulationStatus.diverged: "the state is no longer a number: h(T) is negative somewhere, or an input or a "
+            SimulationStatus.unsolved: "the balance of heat and forces of a step was not solved: make the step "
+            "smaller, or check stiffness and stress",
+            SimulationStatus.diverged: "the state became NaN or infinite: h(T) is negative somewhere, or an input or a "
             "parameter is out of scale",
-            SimulationStatus.overheated: f"the wire passed {MELTING_TEMPERATURE:.0f} degC, where it melts: check the "
+            SimulationStatus.overheated: f"the wire exceeded {MELTING_TEMPERATURE:.0f} degC, where it melts: check the "
             "input's unit, the wire's diameter and h(T)",
         }[self]

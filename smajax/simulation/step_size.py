@@ -6,11 +6,11 @@ from jaxtyping import Array, Float
 from smajax.plant.effects.base import ThermalNode
 from smajax.plant.plant import Plant
 
-# degC, where a wire cools through its transformations.
+# degC. Temperature at which the time constant is taken: a usual one of a wire that cools through its transformations.
 _COOLING_TEMPERATURE = 80.0
-# W/m^2/K, the least convection that counts, so that no h(T) makes the time constant infinite.
+# W/m^2/K. Lower limit of h(T) here, so that no h(T) makes the time constant infinite.
 _MIN_CONVECTION = 1.0
-# s; slower plants are stepped as finely, so that inputs that change faster than the wire cools are followed.
+# s. Longest step, also of slower plants, so that inputs are resolved that change faster than the wire cools.
 # Chosen by trial; the tests of convergence to the exact simulators in tests/unit/simulation hold it.
 _MAX_STEP = 0.05
 # Steps per time constant of cooling; chosen by trial, held by the same tests.
@@ -19,6 +19,9 @@ _STEPS_PER_TIME_CONSTANT = 30.0
 
 def time_constant(plant: Plant) -> Float[Array, ""]:
     """Compute the time constant of the wire's cooling at 80 degC.
+
+    Args:
+        plant: The plant.
 
     Returns:
         Time constant in s: C d / (4 h), with the heat capacity C per volume, the diameter d and the convection h.
@@ -31,8 +34,11 @@ def time_constant(plant: Plant) -> Float[Array, ""]:
 def time_constant_bounds(plant: Plant) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Bound the fastest and the slowest time constant of a wire that cools.
 
-    A second thermal node of strength s and time constant tau (``ThermalNode``) makes the wire 1 + s times as fast while
-    the node itself is cold; the time constants of the two modes add up to at most that of the wire plus (1 + s) tau.
+    With a second thermal node of strength s and time constant tau (``ThermalNode``) the wire is 1 + s times as fast
+    while the node is cold. The time constants of the two modes add up to at most that of the wire plus (1 + s) tau.
+
+    Args:
+        plant: The plant.
 
     Returns:
         Lower bound of the fastest and upper bound of the slowest time constant, in s.
@@ -45,7 +51,10 @@ def time_constant_bounds(plant: Plant) -> tuple[Float[Array, ""], Float[Array, "
 
 
 def resolving_step(plant: Plant) -> Float[Array, ""]:
-    """Compute a step that resolves warming, cooling and the oscillations of the mechanism.
+    """Compute a step that resolves heating, cooling and the oscillations of the mechanism.
+
+    Args:
+        plant: The plant.
 
     Returns:
         Step in s: a thirtieth of the time constant, at most 50 ms and at most the plant's ``longest_step``.
@@ -54,5 +63,5 @@ def resolving_step(plant: Plant) -> Float[Array, ""]:
 
 
 def default_step(plant: Plant) -> float:
-    """Return ``resolving_step`` as a number, in s."""
+    """Return ``resolving_step`` as a Python float, in s."""
     return float(resolving_step(plant))

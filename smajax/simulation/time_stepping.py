@@ -1,6 +1,6 @@
-"""The steps of a plant, taken by diffrax with a solver of our own.
+"""Time stepping of a plant: ``Plant.step`` as a diffrax solver.
 
-``integrate`` takes all steps of a grid and gives an output at every grid point. It is not differentiable:
+``integrate`` takes all steps of a grid and computes an output at every grid point. It is not differentiable:
 ``smajax.simulation.sensitivities`` adds the derivatives.
 """
 
@@ -24,7 +24,7 @@ OutputFunction = Callable[[Plant, State, jax.Array], Any]
 
 
 class _EmptyTerm(dfx.AbstractTerm):
-    """A term without content: the plant comes as ``args``, and its increments are the solver's own."""
+    """A term without content: the plant is in ``args``, and the solver computes the increments itself."""
 
     def vf(self, t: Any, y: Any, args: Any) -> Any:
         return y
@@ -39,7 +39,7 @@ class _EmptyTerm(dfx.AbstractTerm):
 class _PlantSolver(dfx.AbstractSolver):
     """``Plant.step`` as a diffrax solver that takes one block of steps at a time.
 
-    Its ``y`` holds the outputs of the last block. Its own state counts the blocks, and carries the plant's state, the
+    ``y`` holds the outputs of the last block. The solver state counts the blocks, and carries the plant's state, the
     number of steps that could not be solved, and the highest temperature so far (NaN as soon as any temperature is
     NaN).
     """
@@ -82,7 +82,7 @@ def integrate(
         plant: The plant.
         inputs: Its inputs on the grid.
         output_fn: Output of the plant, a state and the signals; any pytree.
-        end_index: Grid point after which nothing is asked for; outputs after its block are infinite.
+        end_index: Grid point at which the simulation may end; outputs after its block are infinite.
 
     Returns:
         The outputs at all grid points, leaves of shape ``(grid, ...)``, and the status code.
@@ -131,5 +131,9 @@ def _status(final: State, unsolved: jax.Array, hottest: jax.Array) -> Int[Array,
 
 
 def grid_signals(inputs: Inputs) -> Float[Array, "grid signals"]:
-    """Return the signals at every grid point; where a held input jumps, those after the jump."""
+    """Return the signals at every grid point; where a held input jumps, those after the jump.
+
+    Args:
+        inputs: The inputs.
+    """
     return jnp.concatenate([inputs.sample_signals[:1], inputs.before[1:], inputs.sample_signals[-1:]])

@@ -1,23 +1,23 @@
-"""The sweep problem of an actuator whose equations are not a wire's five stages; it computes its own metrics."""
+"""Sweep problem of an actuator whose equations are not a wire's five stages; it computes its own metrics."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from smajax import parameters
 from smajax.actuators.base import AbstractActuator
-from smajax.recordings.recording import Floats
 from smajax.simulation.status import SimulationStatus
 from smajax.sweeps.problem import AbstractSweepProblem
 
 
 class ActuatorSweepProblem(AbstractSweepProblem):
-    """An actuator with declared parameters that computes its own metrics.
+    """Sweep problem of an actuator with declared parameters that computes its own metrics.
 
-    Args:
+    Attributes:
         actuator: The actuator.
-        metrics: Metrics to evaluate.
+        metrics: Names of the metrics to evaluate.
     """
 
     actuator: AbstractActuator
@@ -30,30 +30,30 @@ class ActuatorSweepProblem(AbstractSweepProblem):
 
     @property
     def batch(self) -> int:
-        """Designs in one call of the compiled program on a processor: the actuator's own number."""
+        """Number of designs in one call of the compiled program on a CPU, as the actuator declares it."""
         return self.actuator.batch_size
 
-    def steps(self, designs: Floats) -> np.ndarray:
-        """Return the layout of each design, which stands for its steps: an actuator resolves itself."""
+    def steps(self, designs: Float[np.ndarray, "designs axes"]) -> Int[np.ndarray, " designs"]:
+        """Return the program index of each design, which replaces a number of steps: an actuator chooses its own."""
         return np.array(
             [self.actuator.program_index(dict(zip(self.names, map(float, design), strict=True))) for design in designs],
             int,
         )
 
-    def grouped_steps(self, designs: Floats) -> np.ndarray:
-        """Return the layout of each design: none stands for another."""
+    def grouped_steps(self, designs: Float[np.ndarray, "designs axes"]) -> Int[np.ndarray, " designs"]:
+        """Return the program index of each design; no program can replace another."""
         return self.steps(designs)
 
-    def shared_steps(self, design: Floats) -> int:
-        """Return the layout of a design."""
+    def shared_steps(self, design: Float[np.ndarray, " axes"]) -> int:
+        """Return the program index of a design."""
         return int(self.steps(np.asarray(design)[None])[0])
 
     def evaluate(
-        self, design: jax.Array, steps: int, differentiable: bool = False
-    ) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Compute the metrics of one design; the code is ``diverged`` where one of them is NaN.
+        self, design: Float[Array, " axes"], steps: int, differentiable: bool = False
+    ) -> tuple[dict[str, jax.Array], Int[Array, ""]]:
+        """Compute the metrics of one design; the code is ``diverged`` if one of them is NaN.
 
-        An infinite metric is a value: a wire that never warms has an infinite heating time.
+        An infinite metric is valid: a wire that never warms has an infinite heating time.
         """
         values = {n: design[k] for k, n in enumerate(self.names)}
         metrics = parameters.replace(self.actuator, values).for_program(steps).metrics()

@@ -1,4 +1,4 @@
-"""The section ``[parameters]`` of a SWEEP.toml: which parameters vary, over which ranges."""
+"""The section ``[parameters]`` of a SWEEP.toml: the parameters that vary, and their ranges."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from smajax.sweeps.subject import Subject
 from smajax.units import as_text
 
 SCALES = ("even", "log")
-# Keys that make a table a range, not a section with parameters in it.
+# Keys that distinguish the table of a range from a section of parameters.
 _RANGE_KEYS = frozenset(("from", "to", "values", "scale", "points"))
 
 
@@ -34,12 +34,15 @@ def read_axes(data: Mapping[str, Any], declarations: Mapping[str, Declaration], 
     """Read the axes of a sweep.
 
     Args:
-        data: The sweep file's data.
+        data: Data of the sweep file.
         declarations: Parameters that can vary, by name; names of earlier versions are read as the current ones.
-        sampling: How designs are drawn.
+        sampling: ``grid``, ``latin-hypercube`` or ``sobol``.
+
+    Returns:
+        The axes in the order of the file, in internal units.
 
     Raises:
-        InputError: one sentence with the key and the cure.
+        InputError: If the section is missing, or a parameter or its range is not valid.
     """
     section = data.get("parameters")
     if not isinstance(section, dict) or not section:
@@ -59,12 +62,14 @@ def read_axes(data: Mapping[str, Any], declarations: Mapping[str, Declaration], 
         except InputError as error:
             raise InputError(f"parameters.{name}: {error}") from None
         if sampling != "grid" and isinstance(value, dict) and "points" in value:
-            raise InputError(f'parameters.{name}.points is of a grid only: set sweep.sampling = "grid", or take it out')
+            raise InputError(
+                f'parameters.{name}.points applies to a grid only: set sweep.sampling = "grid", or take it out'
+            )
     return tuple(axes)
 
 
 def _flatten(section: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Names with their values, whether written wire.diameter = ... or "wire.diameter" = ..."""
+    """Names with their values; wire.diameter = ... and "wire.diameter" = ... are the same."""
     entries = []
     for key, value in section.items():
         name = f"{prefix}{key}"
@@ -104,33 +109,41 @@ def _listed_axis(name: str, settings: _Range, extra_keys: Sequence[str], declara
     if declaration.whole:
         broken = [text for text, number in zip(listed, values, strict=True) if number != round(number)]
         if broken:
-            raise InputError(f"{show(broken[0])} is not a whole number, and {name} counts something: give whole ones")
+            raise InputError(f"{show(broken[0])} is not a whole number, as {name} must be: give whole numbers")
     return Axis(name, declaration.unit, min(values), max(values), values=values)
 
 
 def _ranged_axis(name: str, settings: _Range, declaration: Declaration) -> Axis:
     if settings.from_ is None or settings.to is None:
         missing = "from" if settings.from_ is None else "to"
-        raise InputError(f"'{missing}' is missing: a range has both, or give values")
+        raise InputError(f"'{missing}' is missing: a range needs both from and to, or give values")
     lower, upper = (quantity(v, declaration) for v in (settings.from_, settings.to))
     shown = f"from {show(settings.from_)} to {show(settings.to)}"
     if not lower < upper:
         raise InputError(f"the range {shown} is empty: give a lower end and a higher one")
     log = settings.scale == "log"
     if log and not lower > 0.0:
-        raise InputError(f"a log scale cannot begin at {show(settings.from_)}: begin above 0")
+        raise InputError(f"a log scale cannot begin at {show(settings.from_)}: give a lower end above 0")
     if declaration.whole:
         first, last = math.ceil(lower), math.floor(upper)
         if not first < last:
             raise InputError(
-                f"{name} counts something, and {shown} there are no two whole numbers: widen the range, or give values"
+                f"{name} is a whole number, and {shown} there are no two whole numbers: widen the range, or give values"
             )
         lower, upper = float(first), float(last)
     return Axis(name, declaration.unit, lower, upper, log, settings.points, whole=declaration.whole)
 
 
 def check_order(axes: Sequence[Axis], subject: Subject) -> None:
-    """Raise InputError for ranges that overlap where one parameter has to stay below another in every design."""
+    """Check the ranges of parameters of which one must stay below the other in every design.
+
+    Args:
+        axes: Axes of the space.
+        subject: The rig or actuator; parameters that do not vary have its values.
+
+    Raises:
+        InputError: If two such ranges overlap.
+    """
     declarations, ends = subject.declarations, {}
     for axis in axes:
         ends |= dict.fromkeys(parameters.TIES.get(axis.name, (axis.name,)), (axis.lower, axis.upper))

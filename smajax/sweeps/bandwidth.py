@@ -1,21 +1,29 @@
-"""The bandwidth of a rig: a scan over frequencies, then bisection of the interval in which the stroke falls."""
+"""Bandwidth of a rig: a scan over frequencies, then bisection of the interval in which the stroke falls."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from smajax.sweeps.metrics import BANDWIDTH_DROP, bandwidth
 
-# Frequencies of the scan. A dip with a recovery between two neighbours is not detected.
+# Number of frequencies of the scan. A fall and recovery of the stroke between two neighbours is not detected.
+# Chosen by trial.
 FREQUENCIES = 8
-# Bisections of the interval in which the stroke falls: they leave 1/256 of it on the logarithmic axis.
+# Number of bisections of the interval in which the stroke falls: they reduce it to 1/256 on the logarithmic axis.
 BISECTIONS = 8
 
 
 class FrequencyPoint(NamedTuple):
-    """Response at one frequency, scalars: stroke, settling gap (``metrics.settling``) and result code."""
+    """Response at one frequency.
+
+    Attributes:
+        stroke: Stroke, m or rad, a scalar.
+        gap: Settling gap, see ``metrics.settling``, a scalar.
+        code: Number of the ``SimulationStatus``, a scalar.
+    """
 
     stroke: jax.Array
     gap: jax.Array
@@ -25,7 +33,7 @@ class FrequencyPoint(NamedTuple):
 class _Bracket(NamedTuple):
     """State of the search: the first point, the last before the fall, the first after it, with their log frequencies.
 
-    ``fell`` says whether the stroke has fallen at any frequency so far; ``worst_code`` is the largest result code.
+    ``fell`` is whether the stroke has fallen at any frequency so far; ``worst_code`` is the largest result code.
     """
 
     first: tuple[jax.Array, FrequencyPoint]
@@ -37,24 +45,24 @@ class _Bracket(NamedTuple):
 
 def find_bandwidth(
     evaluate: Callable[[jax.Array], FrequencyPoint],
-    lowest: jax.Array,
+    lowest: Float[Array, ""],
     highest: float,
     differentiable_evaluate: Callable[[jax.Array], FrequencyPoint] | None = None,
-    min_stroke: jax.Array | float = 0.0,
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+    min_stroke: Float[Array, ""] | float = 0.0,
+) -> tuple[Float[Array, ""], Float[Array, ""], Int[Array, ""]]:
     """Find the frequency at which the stroke has fallen to 1 / sqrt(2) of the stroke at the lowest frequency.
 
     Args:
         evaluate: Maps a frequency in Hz to the response; it is never differentiated.
         lowest: Lowest frequency in Hz, a scalar.
         highest: Highest frequency of the scan in Hz.
-        differentiable_evaluate: Same values as ``evaluate``, with derivatives. The bandwidth is read off the straight
-            line between the ends of the last interval, and so are its derivatives.
-        min_stroke: A stroke of at most this (m or rad) at ``lowest`` counts as no motion.
+        differentiable_evaluate: Same values as ``evaluate``, with derivatives. The bandwidth and its derivatives follow
+            from linear interpolation between the ends of the last interval.
+        min_stroke: Largest stroke at ``lowest`` that counts as no motion, m or rad, a scalar.
 
     Returns:
-        The bandwidth in Hz (infinite if the stroke does not fall below ``highest``, NaN without motion), the largest
-        settling gap of the simulations that it is read off, and the worst result code of all simulations.
+        The bandwidth in Hz (infinite if the stroke does not fall up to ``highest``, NaN without motion), the largest
+        settling gap of the simulations that determine it, and the worst result code of all simulations; scalars.
     """
     start = jnp.log(jax.lax.stop_gradient(lowest))
     scan = start + (jnp.log(highest) - start) * jnp.linspace(0.0, 1.0, FREQUENCIES)

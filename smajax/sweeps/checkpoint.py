@@ -1,4 +1,4 @@
-"""The folder ``NAME.partial`` with the finished chunks of a sweep until it ends; one run at a time works on it."""
+"""Checkpoint of a running sweep: the folder ``NAME.partial`` with its finished chunks, locked by that run."""
 
 import contextlib
 import hashlib
@@ -14,11 +14,11 @@ from smajax.files.toml import write_text
 
 try:
     import fcntl
-except ImportError:  # on systems without such locks two runs into one folder are not detected
+except ImportError:  # without such locks two runs into one folder are not detected
     fcntl = None
 
 _SCHEMA = "smajax.sweep-partial/1"
-# The file that says which sweep a folder belongs to, and the file that a run locks.
+# File that identifies the sweep of a folder, and file that a run locks.
 _IDENTITY = "sweep.json"
 _LOCK = "lock"
 
@@ -33,38 +33,41 @@ def _folder_of(out: Path) -> Path:
 
 
 def has_checkpoint(out: Path) -> bool:
-    """Return whether a run into ``out`` has begun and not ended."""
+    """Return whether the result folder ``out`` has a checkpoint of a run that did not end."""
     return _folder_of(out).exists()
 
 
 @contextlib.contextmanager
 def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> Iterator[Path]:
-    """Open the folder of chunks next to a result folder, locked for this run; it is made if it is not there.
+    """Open the checkpoint folder next to a result folder, locked for this run; it is created if necessary.
 
     A run that fails before its first chunk leaves no folder.
 
     Args:
         out: Result folder of the sweep.
         header: ``SweepFile.header`` of the sweep.
-        resume: Whether chunks of an earlier run may be there.
+        resume: Whether to continue with the chunks of an earlier run.
+
+    Yields:
+        The checkpoint folder.
 
     Raises:
-        InputError: if the folder is not a checkpoint, belongs to another sweep, holds chunks without ``resume``, cannot
-            be made, or is in use by another run.
+        InputError: If the folder is not a checkpoint, belongs to another sweep, contains chunks without ``resume``,
+            cannot be created, or is in use by another run.
     """
     folder = _folder_of(out)
     if folder.exists() and not (
         folder.is_dir() and ((folder / _IDENTITY).is_file() or all(map(_is_leftover, folder.iterdir())))
     ):
         raise InputError(
-            f"{folder}: smajax keeps its chunks there and did not make it: remove it, or name another --out"
+            f"{folder}: chunks of a sweep belong there, but smajax did not create it: remove it, or name another --out"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
     except OSError as error:
         raise InputError(
-            f"{folder}: the folder cannot be made ({error.strerror or error}): name another --out"
+            f"{folder}: the folder cannot be created ({error.strerror or error}): name another --out"
         ) from None
     try:
         _lock(lock, folder)
@@ -87,7 +90,7 @@ def _lock(lock: int, folder: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise InputError(
-            f"{folder}: another run is at work on it: wait until that has ended, or name another --out"
+            f"{folder}: another run is using it: wait until that run has ended, or name another --out"
         ) from None
     except OSError:  # a file system without locks
         pass
@@ -101,12 +104,12 @@ def _check(folder: Path, header: Mapping[str, Any], *, resume: bool) -> None:
     count = len(list(folder.glob("chunk-*.parquet")))
     if not resume and count:
         raise InputError(
-            f"{folder}: {count} chunks of an earlier run are there: add --resume to go on, or remove the folder"
+            f"{folder}: {count} chunks of an earlier run are there: add --resume to continue, or remove the folder"
         )
     if identity != _identity(header) and count:
         raise InputError(
-            f"{folder}: its {count} chunks are of another sweep (file, rig, input or a version changed): remove it, "
-            "or undo that"
+            f"{folder}: its {count} chunks belong to another sweep (the file, rig, input or a version has changed): "
+            "remove the folder, or undo the change"
         )
 
 
@@ -115,5 +118,5 @@ def _identity(header: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _is_leftover(path: Path) -> bool:
-    """Whether a killed run may have left the file before it wrote the folder's identity, or half written."""
+    """Whether a killed run may have left the file: before it wrote the identity, or while it wrote a file."""
     return path.name == _LOCK or (path.name.startswith((f".{_IDENTITY}.", ".chunk-")) and path.name.endswith(".part"))

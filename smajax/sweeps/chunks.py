@@ -1,8 +1,7 @@
-"""A sweep in chunks, each written to the disk when it is finished: a killed run loses at most one chunk.
+"""Simulation of a sweep in chunks, each written to the disk when it is finished: a killed run loses at most one chunk.
 
-Which designs form a chunk, how many steps they take and which share a batch follows from the sweep alone, not from the
-machine, the number of workers or what was done before; so a sweep gives the same numbers however it is run on one kind
-of machine.
+The designs of a chunk, their number of steps and their batches follow from the sweep alone, not from the machine, the
+number of workers or an earlier run. So all runs of a sweep on one kind of machine give the same numbers.
 """
 
 import math
@@ -14,33 +13,33 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from smajax.errors import InputError
-from smajax.recordings.recording import Floats
 from smajax.sweeps import compilation
 from smajax.sweeps.problem import CODES, AbstractSweepProblem
 from smajax.sweeps.table import read_table, write_table
 
-# Threads that wait for the disk to confirm a file.
+# Number of threads that write files; each waits for the disk most of the time. Chosen by trial.
 _WRITERS = 8
-# Designs of a chunk where the file names no number.
+# Number of designs in a chunk if the file gives none. Chosen by trial.
 DEFAULT_CHUNK = 1024
 
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Designs that are simulated and written together.
+    """Designs of a sweep that are simulated and written together.
 
-    Args:
+    Attributes:
         number: Number of the chunk.
-        rows: Numbers of the designs, shape ``(m,)``.
-        designs: Values of the designs, shape ``(m, axes)``.
-        steps: Steps with which all of them are simulated.
+        rows: Numbers of the designs, shape ``(designs,)``.
+        designs: Values of the designs in internal units, shape ``(designs, axes)``.
+        steps: Number of steps with which all of them are simulated.
     """
 
     number: int
-    rows: np.ndarray
-    designs: Floats
+    rows: Int[np.ndarray, " designs"]
+    designs: Float[np.ndarray, "designs axes"]
     steps: int
 
     @property
@@ -49,14 +48,25 @@ class Chunk:
         return f"chunk-{self.number:06d}.parquet"
 
 
-# Chunks that were simulated together, each with its columns.
+# Chunks that were simulated together, each with its columns by name.
 FinishedChunks = Sequence[tuple[Chunk, Mapping[str, np.ndarray]]]
 # Simulates chunks and yields them in any order.
 Submit = Callable[[Sequence[Chunk]], Iterable[FinishedChunks]]
 
 
-def split_into_chunks(problem: AbstractSweepProblem, designs: Floats, size: int) -> list[Chunk]:
-    """Return the chunks of a sweep, each of at most ``size`` similar designs that are simulated with the same steps."""
+def split_into_chunks(
+    problem: AbstractSweepProblem, designs: Float[np.ndarray, "designs axes"], size: int
+) -> list[Chunk]:
+    """Divide designs into chunks of similar designs that are simulated with the same number of steps.
+
+    Args:
+        problem: Maps a design to its metrics.
+        designs: Designs in internal units, shape ``(designs, axes)``.
+        size: Largest number of designs in a chunk.
+
+    Returns:
+        The chunks, those with the most steps first.
+    """
     steps, order = problem.grouped_steps(designs), np.argsort(problem.batch_order(designs), kind="stable")
     chunks: list[Chunk] = []
     for level in np.unique(steps)[::-1]:
@@ -69,7 +79,7 @@ def split_into_chunks(problem: AbstractSweepProblem, designs: Floats, size: int)
 
 def evaluate_designs(
     problem: AbstractSweepProblem,
-    designs: Floats,
+    designs: Float[np.ndarray, "designs axes"],
     steps: int,
     *,
     gradients: bool = False,
@@ -80,24 +90,24 @@ def evaluate_designs(
 
     Args:
         problem: Maps a design to its metrics.
-        designs: Values of the designs, shape ``(m, axes)``.
-        steps: Steps with which each design is simulated.
+        designs: Values of the designs in internal units, shape ``(designs, axes)``.
+        steps: Number of steps with which each design is simulated.
         gradients: Whether the metrics' derivatives are computed.
-        workers: Threads that share the batches.
-        new_program: Whether the program is not compiled yet; then the first batch runs alone, so that it is compiled
-            once.
+        workers: Number of threads that share the batches.
+        new_program: Whether the program is not compiled yet; then the first batch runs alone, so that only one thread
+            compiles it.
 
     Returns:
-        Columns, shape ``(m,)`` each: metrics, their derivatives (``derivative_column``), and the name of the result
-        ``code``.
+        Columns by name, shape ``(designs,)`` each: metrics in internal units, their derivatives
+        (``derivative_column``), and ``code``, the name of the ``SimulationStatus``.
     """
     size = compilation.batch_size(problem, steps, gradients)
-    if compilation.on_accelerator():  # a small number of designs is not filled up to the accelerator's large batch
+    if compilation.on_accelerator():  # few designs are not padded to the accelerator's large batch
         size = min(size, 2 ** math.ceil(math.log2(max(1, len(designs)))))
     starts = range(0, len(designs), size)
 
     def run_batch(first: int) -> dict[str, np.ndarray]:
-        # The last batch is filled up with its last design, so that one program serves all.
+        # The last batch is padded with its last design, so that all batches use one program.
         rows = np.minimum(np.arange(first, first + size), len(designs) - 1)
         batch = compilation.spread_over_devices(designs[rows])
         derivatives: dict[str, jax.Array] = {}
@@ -123,12 +133,26 @@ def evaluate_designs(
 
 
 def derivative_column(metric: str, axis: str) -> str:
-    """Return the name of the column of a metric's derivative with respect to an axis."""
+    """Return the name of the column of a derivative.
+
+    Args:
+        metric: Name of the metric.
+        axis: Name of the axis with respect to which it is differentiated.
+    """
     return f"d {metric} / d {axis}"
 
 
 def chunk_columns(chunk: Chunk, names: Sequence[str], results: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return a chunk's table: the designs' numbers, their values by axis, and the results."""
+    """Return the columns of a chunk's table.
+
+    Args:
+        chunk: The chunk.
+        names: Names of the axes.
+        results: Columns that ``evaluate_designs`` returned.
+
+    Returns:
+        Columns by name, shape ``(designs,)`` each: ``design`` (the number), the axes, and the results.
+    """
     return {"design": chunk.rows, **{n: chunk.designs[:, k] for k, n in enumerate(names)}, **results}
 
 
@@ -140,21 +164,21 @@ def run_chunks(
     report: Callable[[int], None],
     stop: Callable[[], bool],
 ) -> bool:
-    """Simulate the chunks that are not in a folder yet, and write each as it is finished.
+    """Simulate the chunks that are not in a folder yet, and write each when it is finished.
 
     Args:
         chunks: All chunks of the sweep.
         names: Names of the axes.
         folder: Folder of the chunks' files.
         submit: Simulates chunks.
-        report: Called with the number of chunks that are there.
-        stop: Asked after each group of chunks whether to end early.
+        report: Called with the number of finished chunks.
+        stop: Called after each group of chunks; the run ends early if it returns true.
 
     Returns:
-        Whether all chunks are there now.
+        Whether all chunks are finished.
 
     Raises:
-        InputError: if the disk does not take a file; what is there by then stays.
+        InputError: If a file cannot be written; files of finished chunks stay.
     """
     missing = [chunk for chunk in chunks if not (folder / chunk.file).is_file()]
     count = len(chunks) - len(missing)
@@ -164,7 +188,7 @@ def run_chunks(
         chunk, results = finished
         write_table(folder / chunk.file, chunk_columns(chunk, names, results))
 
-    # A file is there once the disk has confirmed it: several threads wait for that at once.
+    # Writing a file waits for the disk to confirm it, so several threads write at once.
     with ThreadPoolExecutor(_WRITERS) as pool:
         for group in submit(missing):
             list(pool.map(write, group))
@@ -176,7 +200,13 @@ def run_chunks(
 
 
 def group_chunks(problem: AbstractSweepProblem, chunks: Sequence[Chunk], gradients: bool) -> list[list[Chunk]]:
-    """Return groups of chunks that are simulated together: on an accelerator as many as one batch holds, else one."""
+    """Group chunks that are simulated together: as many as fit into a batch on an accelerator, else one each.
+
+    Args:
+        problem: Maps a design to its metrics.
+        chunks: The chunks.
+        gradients: Whether derivatives are computed.
+    """
     groups: list[list[Chunk]] = []
     for chunk in chunks:
         last = groups[-1] if groups else []
@@ -192,7 +222,11 @@ def group_chunks(problem: AbstractSweepProblem, chunks: Sequence[Chunk], gradien
 def submit_locally(problem: AbstractSweepProblem, gradients: bool) -> Submit:
     """Return a function that simulates chunks in this process.
 
-    The cores share the batches of a chunk; an accelerator takes as many chunks as a batch holds.
+    The cores share the batches of a chunk; on an accelerator a batch contains as many chunks as fit into it.
+
+    Args:
+        problem: Maps a design to its metrics.
+        gradients: Whether derivatives are computed.
     """
 
     def submit(chunks: Sequence[Chunk]) -> Iterator[FinishedChunks]:
@@ -218,16 +252,23 @@ def submit_locally(problem: AbstractSweepProblem, gradients: bool) -> Submit:
 
 
 def read_chunks(chunks: Sequence[Chunk], folder: Path) -> dict[str, np.ndarray]:
-    """Return the whole table of a sweep whose chunks are all there, in the designs' order.
+    """Read the table of a sweep from the files of its chunks.
+
+    Args:
+        chunks: All chunks of the sweep.
+        folder: Folder of their files.
+
+    Returns:
+        Columns by name, shape ``(designs,)`` each, in the order of the designs.
 
     Raises:
-        InputError: if a file is not readable, or holds other designs than its chunk.
+        InputError: If a file is not readable, or contains other designs than its chunk.
     """
     parts: list[dict[str, Any]] = [read_table(folder / chunk.file) for chunk in chunks]
     for chunk, part in zip(chunks, parts, strict=True):
         if not np.array_equal(part["design"], chunk.rows):
             raise InputError(
-                f"{folder / chunk.file}: its designs are not those that belong there: remove the file, and add --resume"
+                f"{folder / chunk.file}: its designs are not those of this chunk: remove the file, and add --resume"
             )
     columns = {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
     order = np.argsort(columns["design"], kind="stable")

@@ -1,15 +1,15 @@
 """Compiled programs over batches of designs: batch sizes, memory, and the devices that share a batch.
 
-What each trick buys:
+What makes a sweep fast:
 
 - A batch (``batch_size``) fills the vector units of a core while its states stay in the caches; on an accelerator it is
-  as large as keeps the device busy between two steps. Batches are powers of two, and the last one is filled up with
-  copies of its last design, so that one program serves all.
+  large enough to keep the device busy between two steps. Batch sizes are powers of two, and the last batch is padded
+  with copies of its last design, so that all batches use the same program.
 - ``xla_cpu_prefer_vector_width`` of 512 lets a batch use the widest vectors; a single simulation is slower with them.
-- Batches run on one thread for each core (``parallel_batches``), or one at a time on an accelerator.
-- ``spread_over_devices`` shares a batch among several devices.
-- Designs that need different steps share programs (``step_levels``), and similar ones share batches (``batch_order`` of
-  a problem).
+- Batches run in one thread per core (``parallel_batches``), or one at a time on an accelerator.
+- ``spread_over_devices`` distributes a batch over several devices.
+- Designs that need different steps share programs (``step_levels``), and similar designs share batches (``batch_order``
+  of a problem).
 """
 
 import math
@@ -18,28 +18,29 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics.process import count_cores
-from smajax.recordings.recording import Floats
 from smajax.sweeps.problem import AbstractSweepProblem
 
-# Designs in a batch on an accelerator: with fewer it waits for the next step, with more its caches do not hold them.
-# Chosen by experiments/speed/sweep_throughput.py.
+# Number of designs in a batch on an accelerator: with fewer it is idle between steps, and more do not fit into its
+# caches. Chosen by experiments/speed/sweep_throughput.py.
 ACCELERATOR_BATCH = 16384
-# Bytes for the arrays of a batch on each core, and on an accelerator.
+# Memory in bytes for the arrays of a batch on each core, and on an accelerator.
 MEMORY = 2**28
 ACCELERATOR_MEMORY = 2**33
-# Bytes that one design may take.
+# Largest memory of one design, in bytes.
 _MAX_DESIGN_MEMORY = 2**31
-# States next to the channels that derivatives keep, as a multiple of the channels; an estimate.
-_STATES = 4
+# Memory of channels and states with derivatives, as a multiple of that of the channels; an estimate.
+_STATE_FACTOR = 4
 
 
 def _evaluate_batch(
-    problem: AbstractSweepProblem, designs: jax.Array, steps: int
-) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Metrics by name, each ``(m,)``, and codes, ``(m,)``, of designs ``(m, axes)``."""
+    problem: AbstractSweepProblem, designs: Float[Array, "designs axes"], steps: int
+) -> tuple[dict[str, Float[Array, " designs"]], Int[Array, " designs"]]:
+    """Metrics by name, and result codes, of designs."""
     return jax.vmap(lambda design: problem.evaluate(design, steps))(designs)
 
 
@@ -48,10 +49,22 @@ evaluate_batch: Any = eqx.filter_jit(_evaluate_batch, **_WIDE_VECTORS)
 
 
 @eqx.filter_jit
-def differentiate_batch(problem: AbstractSweepProblem, designs: jax.Array, steps: int) -> tuple[dict, dict, jax.Array]:
-    """Return metrics, ``(m,)`` each, derivatives with respect to the axes, ``(m, axes)`` each, and codes, ``(m,)``."""
+def differentiate_batch(
+    problem: AbstractSweepProblem, designs: Float[Array, "designs axes"], steps: int
+) -> tuple[dict[str, Float[Array, " designs"]], dict[str, Float[Array, "designs axes"]], Int[Array, " designs"]]:
+    """Evaluate the metrics of designs and their derivatives.
 
-    def evaluate_twice(design: jax.Array) -> tuple[dict, tuple[dict, jax.Array]]:
+    Args:
+        problem: Maps a design to its metrics.
+        designs: Values of the designs in internal units, shape ``(designs, axes)``.
+        steps: Number of steps with which each design is simulated.
+
+    Returns:
+        Metrics by name, shape ``(designs,)`` each, their derivatives with respect to the axes, shape
+        ``(designs, axes)`` each, and the numbers of the ``SimulationStatus``, shape ``(designs,)``.
+    """
+
+    def evaluate_twice(design: Float[Array, " axes"]) -> tuple[dict, tuple[dict, Int[Array, ""]]]:
         metrics, code = problem.evaluate(design, steps, differentiable=True)
         return metrics, (metrics, code)
 
@@ -60,17 +73,23 @@ def differentiate_batch(problem: AbstractSweepProblem, designs: jax.Array, steps
 
 
 def on_accelerator() -> bool:
-    """Return whether an accelerator does the work; its batches may hold several chunks."""
+    """Return whether designs are simulated on an accelerator, whose batches may contain several chunks."""
     return jax.default_backend() != "cpu"
 
 
 def parallel_batches() -> int:
-    """Return how many batches run at once: one on each core, or one in all on an accelerator."""
+    """Return how many batches run at once: one per core, or a single one on an accelerator."""
     return 1 if on_accelerator() else count_cores()
 
 
 def batch_size(problem: AbstractSweepProblem, steps: int, gradients: bool) -> int:
-    """Return the designs of a batch, a power of two: as many as are fast, or as the memory holds."""
+    """Return the number of designs in a batch: a power of two that is fast and fits into the memory.
+
+    Args:
+        problem: Maps a design to its metrics.
+        steps: Number of steps of each design.
+        gradients: Whether derivatives are computed.
+    """
     if on_accelerator():
         fast, memory = ACCELERATOR_BATCH * jax.device_count(), ACCELERATOR_MEMORY * jax.device_count()
     else:
@@ -79,22 +98,31 @@ def batch_size(problem: AbstractSweepProblem, steps: int, gradients: bool) -> in
 
 
 def check_memory(problem: AbstractSweepProblem, steps: int, gradients: bool) -> None:
-    """Raise InputError, with the cure, if one design of so many steps takes more memory than is allowed."""
+    """Check the memory of one design.
+
+    Args:
+        problem: Maps a design to its metrics.
+        steps: Number of steps of the design.
+        gradients: Whether derivatives are computed.
+
+    Raises:
+        InputError: If the design needs more memory than is allowed.
+    """
     memory = _design_memory(problem, steps, gradients)
     if memory > _MAX_DESIGN_MEMORY:
         raise InputError(
-            f"{problem.size_message(steps)}, {memory / 2**30:.1f} GB a design, of {_MAX_DESIGN_MEMORY / 2**30:.0f} GB "
-            f"allowed: {problem.size_hint}"
+            f"{problem.size_message(steps)}, which need {memory / 2**30:.1f} GB per design, and at most "
+            f"{_MAX_DESIGN_MEMORY / 2**30:.0f} GB are allowed: {problem.size_hint}"
         )
 
 
 def _design_memory(problem: AbstractSweepProblem, steps: int, gradients: bool) -> int:
-    """Bytes of one design; derivatives keep all states next to the channels, and a tangent for each axis."""
-    return 8 * problem.numbers(steps) * ((1 + len(problem.names)) * _STATES if gradients else 1)
+    """Memory of one design in bytes; derivatives store all states, and a tangent of each axis."""
+    return 8 * problem.numbers(steps) * ((1 + len(problem.names)) * _STATE_FACTOR if gradients else 1)
 
 
-def spread_over_devices(designs: Floats) -> jax.Array:
-    """Return the designs on the device, or shared among several devices where their number divides the designs."""
+def spread_over_devices(designs: Float[np.ndarray, "designs axes"]) -> Float[Array, "designs axes"]:
+    """Put designs on the device, or distribute them over several devices if these divide their number evenly."""
     if jax.device_count() == 1 or len(designs) % jax.device_count():
         return jnp.asarray(designs)
     mesh = jax.make_mesh((jax.device_count(),), ("designs",), axis_types=(jax.sharding.AxisType.Auto,))

@@ -1,19 +1,19 @@
-"""Constraints of a sweep as SciPy takes them: distances of metrics from their bounds, with derivatives."""
+"""Constraints of a sweep in SciPy's form: distances of metrics from their bounds, with derivatives."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from smajax.recordings.recording import Floats
 from smajax.sweeps.evaluation import DesignEvaluator
 
-# Distance from a bound, relative to it, at which a search aims, so that rounding does not put its end outside.
-# Chosen by trial; tests/unit/sweeps/test_sweeps.py holds it.
+# Distance from a bound, relative to it, that a search keeps, so that its result does not violate the bound by rounding.
+# Chosen by trial; tests/unit/sweeps/test_sweeps.py checks that refined designs satisfy their limits.
 MARGIN = 1e-6
-# Stands for an infinite distance or cost, which SLSQP cannot take.
+# Replaces an infinite distance or cost, which SLSQP cannot handle; scaled distances and costs are near 1.
 INFINITE = 1e6
-# A bound near 0 is scaled by this share of the metric's size at the start instead.
+# Smallest scale of a bound, as a share of the metric's size at the start; for bounds near 0.
 _MIN_SCALE = 1e-3
 
 
@@ -24,11 +24,13 @@ def as_constraints(
 
     Args:
         evaluator: Metrics and derivatives of designs.
-        limits: Lower and upper bound by metric.
-        sizes: Size of each metric, which scales bounds that are nearly 0.
+        limits: Lower and upper bound by metric, in internal units.
+        sizes: Size of each metric, in internal units, which scales bounds that are nearly 0.
 
     Returns:
-        One constraint whose values and rows belong to the finite bounds in order; none without finite bounds.
+        One constraint with an entry for each finite bound, in order; an empty list without finite bounds. Its functions
+        take shares of the free axes, shape ``(free,)``; they return the scaled distances, shape ``(bounds,)``, and
+        their Jacobian, shape ``(bounds, free)``.
     """
     bounds = [
         (name, bound, sign)
@@ -38,7 +40,7 @@ def as_constraints(
     ]
     scales = [max(abs(bound), _MIN_SCALE * sizes[name]) for name, bound, _ in bounds]
 
-    def distances(shares: Floats) -> Floats:
+    def distances(shares: Float[np.ndarray, " free"]) -> Float[np.ndarray, " bounds"]:
         values = evaluator.evaluate(shares)[0]
         scaled = [
             sign * (values[name] - bound) / scale - MARGIN
@@ -46,7 +48,7 @@ def as_constraints(
         ]
         return np.nan_to_num(np.array(scaled), nan=-INFINITE, posinf=INFINITE, neginf=-INFINITE)
 
-    def jacobian(shares: Floats) -> Floats:
+    def jacobian(shares: Float[np.ndarray, " free"]) -> Float[np.ndarray, "bounds free"]:
         derivatives = evaluator.evaluate(shares)[1]
         rows = np.array(
             [sign * derivatives[name] / scale for (name, _, sign), scale in zip(bounds, scales, strict=True)]

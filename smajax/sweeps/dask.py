@@ -1,4 +1,4 @@
-"""Chunks simulated on a Dask cluster: an existing one, or one of this computer's cores. Needs the extra ``cluster``."""
+"""Simulation of chunks on a Dask cluster, existing or local. Needs the extra ``cluster``."""
 
 import asyncio
 import contextlib
@@ -19,16 +19,16 @@ from smajax.numerics.process import count_cores, prepare_jax
 if TYPE_CHECKING:
     from smajax.sweeps.chunks import Chunk, FinishedChunks, Submit
 
-# The address that stands for a cluster of this computer's cores.
+# Address that means a cluster of this computer's cores.
 LOCAL = "local"
-# Seconds in which a scheduler has to answer, and to have a worker; chosen by trial.
+# Time in s within which a scheduler must answer, and must have a worker; chosen by trial.
 _TIMEOUT = 20
-# Characters of another library's message that an error message repeats.
+# Number of characters of another library's message that an error message repeats.
 _MESSAGE_LENGTH = 160
-# Deaths of workers that a sweep survives: a chunk whose worker died is given to another one. Chosen so that only a
-# chunk that kills every worker ends a run; experiments/speed/sweep_interruptions.py kills workers.
+# Largest number of dead workers in a sweep; the chunk of a dead worker is sent to another one. Chosen so that only a
+# chunk that kills every worker stops a run; experiments/speed/sweep_interruptions.py kills workers.
 _MAX_DEATHS = 100
-# Evaluates to the version of smajax, or to None where it is not installed.
+# Evaluates to the version of smajax, or to None if it is not installed.
 _VERSION = (
     "(lambda spec: spec and __import__('smajax').__version__)(__import__('importlib.util').util.find_spec('smajax'))"
 )
@@ -36,7 +36,7 @@ _VERSION = (
 
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Connect to a scheduler, or start a cluster of this computer's cores.
+    """Connect to a Dask scheduler, or start a cluster of this computer's cores.
 
     Args:
         address: Address of the scheduler, such as ``tcp://host:8786``, or ``local``.
@@ -45,7 +45,8 @@ def connected(address: str) -> Iterator[Any]:
         A ``distributed.Client``.
 
     Raises:
-        InputError: if no scheduler answers, it has no workers, or one of them has no smajax or another version of it.
+        InputError: If Dask is not installed, no scheduler answers, it has no workers, or one of these has no smajax or
+            another version of it.
     """
     if not address.strip():
         raise InputError(
@@ -62,7 +63,7 @@ def connected(address: str) -> Iterator[Any]:
     settings = {"distributed.scheduler.allowed-failures": _MAX_DEATHS, "distributed.admin.log-format": "%(message)s"}
     dask.config.set(settings)
     with contextlib.ExitStack() as stack:
-        # Dask's log of lost connections is replaced by one sentence of ours.
+        # The error messages of smajax replace Dask's log of lost connections.
         stack.enter_context(_silenced("distributed", "distributed.client", "tornado.application", "asyncio"))
         if address == LOCAL:
             yield _start_local_cluster(stack, distributed)
@@ -81,7 +82,7 @@ def connected(address: str) -> Iterator[Any]:
 
 
 def _start_local_cluster(stack: contextlib.ExitStack, distributed: Any) -> Any:
-    """A client of a cluster with one process for each core, which the stack closes."""
+    """Client of a new cluster with one process per core; the stack closes both."""
     settings: Any = {"dashboard_address": None, "silence_logs": "ERROR"}
     try:
         cluster: Any = distributed.LocalCluster(
@@ -95,7 +96,7 @@ def _start_local_cluster(stack: contextlib.ExitStack, distributed: Any) -> Any:
 
 
 def _open_connection(address: str) -> None:
-    """Opens a connection and closes it, where Dask's client would retry. OSError or ValueError if nothing answers."""
+    """Opens and closes a connection; raises OSError or ValueError if that fails, while Dask's client would retry."""
     from distributed.comm import get_address_host_port
 
     scheme, _, place = address.rpartition("://")
@@ -106,17 +107,16 @@ def _open_connection(address: str) -> None:
 
 
 def _check_identity(address: str) -> None:
-    """Raises OSError or ValueError if what answers is not a scheduler, or does not answer in time.
+    """Raises OSError or ValueError if the server at an address is not a scheduler, or does not answer in time.
 
-    Dask's own client would retry for long. The question is asked in a thread, which is abandoned if it does not come
-    back.
+    Dask's own client would retry for a long time. The request runs in a thread, which is abandoned if it does not end.
     """
     answers: list[Any] = []
 
     def ask() -> None:
         try:
             answers.append(asyncio.run(asyncio.wait_for(_identity(address), _TIMEOUT)))
-        except Exception as error:  # a foreign greeting is read as lengths and types, which can fail in any way
+        except Exception as error:  # data of another protocol is read as lengths and types, which can fail in any way
             answers.append(error)
 
     thread = threading.Thread(target=ask, daemon=True, name="smajax-handshake")
@@ -128,13 +128,13 @@ def _check_identity(address: str) -> None:
     if isinstance(answer, OSError):
         raise answer
     if isinstance(answer, Exception):
-        raise ValueError("what answers does not speak Dask's protocol")
+        raise ValueError("the server there does not use Dask's protocol")
     if answer != "Scheduler":
         raise ValueError(f"it is the address of a {str(answer).lower()}")
 
 
 async def _identity(address: str) -> str:
-    """What answers at an address, in Dask's words: ``Scheduler``, ``Worker``."""
+    """Type of the server at an address, as Dask names it: ``Scheduler`` or ``Worker``."""
     from distributed import Security
     from distributed.comm import connect
 
@@ -147,7 +147,7 @@ async def _identity(address: str) -> str:
 
 
 def _check_workers(client: Any, address: str) -> None:
-    """InputError unless there are workers, and they and the scheduler have this version of smajax."""
+    """Raises InputError unless there are workers, and they and the scheduler have this version of smajax."""
     place = f"--scheduler {address}"
     try:
         client.wait_for_workers(1, timeout=_TIMEOUT)
@@ -155,9 +155,9 @@ def _check_workers(client: Any, address: str) -> None:
         raise InputError(
             f"{place}: it has no workers: start some (dask worker {address}), then run this again"
         ) from None
-    # ``eval`` is there whatever is installed, where a function of ours would not be.
+    # ``eval`` exists on any worker, while a function of smajax does not.
     versions = {f"worker {name}": v for name, v in client.run(eval, _VERSION, on_error="return").items()}
-    with contextlib.suppress(Exception):  # a scheduler may forbid it; the workers do the work
+    with contextlib.suppress(Exception):  # a scheduler may forbid it; only the workers need smajax
         versions["the scheduler"] = client.run_on_scheduler(eval, _VERSION)
     for name, version in versions.items():
         if version is None or isinstance(version, BaseException):
@@ -184,8 +184,15 @@ def _silenced(*names: str) -> Iterator[None]:
 def submit_to_cluster(client: Any, header: Mapping[str, Any], gradients: bool) -> "Submit":
     """Return a function that simulates chunks on a cluster; each worker builds the problem from the header once.
 
-    The chunk of a worker that dies is given to another one. The function raises InputError if workers die again and
-    again, or if the scheduler is gone.
+    The chunk of a worker that dies is sent to another one.
+
+    Args:
+        client: A ``distributed.Client``.
+        header: ``SweepFile.header`` of the sweep.
+        gradients: Whether derivatives are computed.
+
+    Returns:
+        The function. It raises InputError if too many workers die, or if the connection to the scheduler is lost.
     """
     text = json.dumps(header)
 
@@ -214,7 +221,7 @@ def submit_to_cluster(client: Any, header: Mapping[str, Any], gradients: bool) -
                 continue
             except (distributed.CancelledError, OSError):
                 raise InputError(
-                    "the Dask scheduler is gone: start it again, and run the sweep again with --resume"
+                    "the connection to the Dask scheduler is lost: start it again, and repeat the run with --resume"
                 ) from None
             future.release()
             yield [(chunk, results)]
@@ -227,9 +234,15 @@ def simulate_chunk(text: str, designs: np.ndarray, steps: int, gradients: bool) 
 
     Args:
         text: Header of the sweep as JSON.
-        designs: Designs of the chunk, shape ``(m, axes)``.
-        steps: Steps of each design.
+        designs: Designs of the chunk in internal units, shape ``(m, axes)``.
+        steps: Number of steps of each design.
         gradients: Whether derivatives are computed.
+
+    Returns:
+        Columns by name, shape ``(m,)`` each, as ``chunks.evaluate_designs`` returns them.
+
+    Raises:
+        InputError: If the sweep belongs to another version of smajax.
     """
     with contextlib.suppress(RuntimeError):  # JAX is set up already on a worker that has simulated before
         prepare_jax(accelerator=True)
@@ -245,7 +258,7 @@ def _problem(text: str) -> Any:
     header = json.loads(text)
     if header["smajax"] != __version__:
         raise InputError(
-            f"a worker has smajax {__version__}, and the sweep is of {header['smajax']}: "
+            f"a worker has smajax {__version__}, and the sweep belongs to {header['smajax']}: "
             "install the same version everywhere"
         )
     return from_header(header).problem()

@@ -1,42 +1,41 @@
-"""The periodic input of a sweep, on a time grid whose step lengths are traced.
+"""Periodic input of a sweep, on a time grid whose step lengths are traced.
 
-A periodic input has ``cycles`` cycles. Its grid has the same number of steps in every cycle and its edges fall on grid
-points, so that amplitude and frequency may vary from design to design, and be differentiated through, in one compiled
-program. Two wires are heated half a cycle apart.
+The grid has the same number of steps in every cycle, and the edges of the input are grid points. So amplitude and
+frequency can differ between designs, and be differentiated through, in one compiled program. Two wires are heated half
+a cycle apart.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from smajax.simulation.inputs import Inputs
 
 SHAPES = ("square", "sine", "triangle")
-# Length of the rest after the last cycle in time constants of the slowest thermal part: exp(-20) of an excess is far
-# below the 10 % at which a wire counts as cooled.
+# Length of the rest after the last cycle in time constants of the slowest thermal mode: exp(-20) of the excess
+# temperature is far below the 10 % at which a wire counts as cooled.
 REST_LENGTH = 20.0
-# Steps of the rest. Chosen by trial; test_metrics_agree_with_the_exact_reference of tests/unit/sweeps/test_sweeps.py
-# holds it.
+# Number of steps of the rest. Chosen by trial; test_metrics_agree_with_the_exact_reference of
+# tests/unit/sweeps/test_sweeps.py checks the accuracy.
 REST_STEPS = 240
-# Scale of the first step of the rest in time constants of the fastest thermal part; chosen with REST_STEPS.
+# Scale of the first step of the rest in time constants of the fastest thermal mode; chosen with REST_STEPS.
 _FIRST_STEP = 0.3
-# Rounding of an edge's place in a cycle that must not move it by a step.
+# Rounding error of the phase of an edge, which must not shift it by a step.
 _EDGE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """A periodic input from 0 to an amplitude.
+    """Periodic input between 0 and an amplitude.
 
-    Args:
+    Attributes:
         shape: ``square``, ``sine`` or ``triangle``.
         amplitude: Largest value in the unit of the rig's control (SI).
         frequency: Frequency in Hz.
-        duty: Share of a cycle in which a square wave is on.
+        duty: Fraction of a cycle in which a square wave is on.
         cycles: Number of cycles.
     """
 
@@ -46,19 +45,35 @@ class Excitation:
     duty: float = 0.5
     cycles: int = 4
 
-    def edges(self, wires: int) -> np.ndarray:
-        """Return where in a cycle (0 to 1) its pieces begin and end; a square wave is constant on each piece."""
+    def edges(self, wires: int) -> Float[np.ndarray, " edges"]:
+        """Return the phases (0 to 1) that divide a cycle into pieces; a square wave is constant on each piece."""
         if self.shape != "square":
             return np.array([0.0, 0.5, 1.0])
         starts = [k / wires for k in range(wires)]
         return np.unique(np.round([0.0, 1.0, *((s + d) % 1.0 for s in starts for d in (0.0, self.duty))], 12))
 
-    def pieces(self, wires: int, steps: int) -> np.ndarray:
-        """Return the steps in each piece of a cycle of about ``steps`` steps, at least one each."""
+    def pieces(self, wires: int, steps: int) -> Int[np.ndarray, " pieces"]:
+        """Return the number of steps in each piece of a cycle.
+
+        Args:
+            wires: Number of wires.
+            steps: Approximate number of steps in a cycle.
+
+        Returns:
+            Numbers of steps, at least 1 each, shape ``(edges - 1,)``.
+        """
         return np.maximum(1, np.rint(steps * np.diff(self.edges(wires))).astype(int))
 
     def level(self, phase: Float[Array, " points"], wires: int) -> Float[Array, "points wires"]:
-        """Return the input of each wire over its amplitude, 0 to 1, at phases (0 to 1) of a cycle."""
+        """Return the input of each wire, relative to the amplitude.
+
+        Args:
+            phase: Phases of a cycle, 0 to 1, shape ``(points,)``.
+            wires: Number of wires.
+
+        Returns:
+            Values from 0 to 1, shape ``(points, wires)``.
+        """
         shifted = (phase[:, None] - jnp.arange(wires)[None, :] / wires) % 1.0
         if self.shape == "square":
             return (shifted < self.duty) * 1.0
@@ -69,14 +84,26 @@ class Excitation:
 
 @dataclass(frozen=True)
 class GridParts:
-    """Grid points of the last cycle, and of the rest after it (empty without one)."""
+    """Grid points of the parts of a response.
+
+    Attributes:
+        cycle: Grid points of the last cycle.
+        rest: Grid points of the rest after it; empty without a rest.
+    """
 
     cycle: slice
     rest: slice
 
 
 def grid_parts(excitation: Excitation, wires: int, steps: int, rest: bool) -> GridParts:
-    """Return where the last cycle and the rest lie on the grid of ``discretise_excitation``."""
+    """Return the grid points of the last cycle and of the rest on the grid of ``discretise_excitation``.
+
+    Args:
+        excitation: The periodic input.
+        wires: Number of wires.
+        steps: Approximate number of steps in a cycle.
+        rest: Whether the input has a rest after its last cycle.
+    """
     steps_per_cycle = int(excitation.pieces(wires, steps).sum())
     end = excitation.cycles * steps_per_cycle
     off = end + _heating_steps(excitation, wires, steps)
@@ -87,19 +114,21 @@ def discretise_excitation(
     excitation: Excitation,
     wires: int,
     steps: int,
-    values: Mapping[str, jax.Array],
-    modes: tuple[jax.Array, jax.Array] | None = None,
+    values: Mapping[str, Float[Array, ""]],
+    modes: tuple[Float[Array, ""], Float[Array, ""]] | None = None,
 ) -> Inputs:
-    """Return the input on its grid.
+    """Discretise a periodic input.
 
     Args:
         excitation: The periodic input.
         wires: Number of wires.
-        steps: Steps in a cycle, about.
-        values: May hold another ``amplitude`` and ``frequency``, scalars.
-        modes: Fastest and slowest thermal time constant in s, scalars. With them the input begins once more after its
-            last cycle, is switched off at the end of wire 1's heating, and stays off for ``REST_LENGTH`` of the slowest
-            time constant.
+        steps: Approximate number of steps in a cycle.
+        values: Other values of ``amplitude`` (SI unit) and ``frequency`` (Hz), scalars; may be empty.
+        modes: Fastest and slowest thermal time constant in s, scalars. With them a rest follows the last cycle: wire 1
+            is heated once more, then the input is off for ``REST_LENGTH`` slowest time constants.
+
+    Returns:
+        The input on its grid, with samples at all grid points.
     """
     amplitude = jnp.asarray(values.get("amplitude", excitation.amplitude), jnp.float64)
     period = 1.0 / jnp.asarray(values.get("frequency", excitation.frequency), jnp.float64)
@@ -118,8 +147,8 @@ def discretise_excitation(
     if modes is not None:
         heating = _heating_steps(excitation, wires, steps)
         off = jnp.zeros((REST_STEPS, wires))
-        # Cooling is fast at first: the steps of the rest grow by equal factors, so that each is the same share of the
-        # time passed.
+        # Cooling slows down: the steps of the rest grow geometrically, so that each is about the same share of the
+        # elapsed time.
         first_scale = _FIRST_STEP * modes[0]
         growth = jnp.log1p(REST_LENGTH * modes[1] / first_scale)
         resting = first_scale * jnp.expm1(growth * jnp.linspace(0.0, 1.0, REST_STEPS + 1))
@@ -133,7 +162,7 @@ def discretise_excitation(
 
 
 def _heating_steps(excitation: Excitation, wires: int, steps: int) -> int:
-    """Steps of a cycle until wire 1 has been heated: where a square wave is switched off, else its largest value."""
+    """Steps of a cycle until the heating of wire 1 ends: at a square wave's switch-off, else at the largest value."""
     end = excitation.duty if excitation.shape == "square" else 0.5
     last = np.searchsorted(excitation.edges(wires), end - _EDGE_TOLERANCE)
     return int(excitation.pieces(wires, steps)[:last].sum())

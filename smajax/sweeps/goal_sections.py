@@ -1,4 +1,4 @@
-"""The sections ``[objectives]`` and ``[constraints]`` of a SWEEP.toml, and the metrics that are named in it."""
+"""The sections ``[objectives]`` and ``[constraints]`` of a SWEEP.toml, and the check of its metrics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from smajax.sweeps.subject import METRIC_NAMES, Subject
 from smajax.units import unit_of
 
 GOALS = ("max", "min")
-# What some metrics cannot exceed, by their definition.
+# Upper bounds of metrics by their definition: work is at most the energy, and a gap at most the range.
 _UPPER_BOUNDS = {"efficiency": 1.0, "settling": 1.0}
 
 
@@ -24,7 +24,19 @@ class _Limit(BaseModel):
 
 
 def check_metrics(place: str, names: Sequence[str], units: Mapping[str, str]) -> Sequence[str]:
-    """Return the names if all are metrics with a unit; raise InputError, with the place in the file, if not."""
+    """Check names of metrics.
+
+    Args:
+        place: Key of the names in the file, for the message.
+        names: Names of metrics.
+        units: Internal units of the metrics that exist, by name.
+
+    Returns:
+        The names.
+
+    Raises:
+        InputError: If a name is not a metric.
+    """
     for name in names:
         if name not in units:
             raise InputError(f"{place}: {show(name)} is not a metric{_unknown_metric(name, units)}")
@@ -39,7 +51,18 @@ def _unknown_metric(name: str, units: Mapping[str, str]) -> str:
 
 
 def read_objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, str]:
-    """Return ``max`` or ``min`` by metric. InputError: one sentence with the key and the cure."""
+    """Read the objectives.
+
+    Args:
+        data: Data of the sweep file.
+        units: Internal units of the metrics that exist, by name.
+
+    Returns:
+        ``max`` or ``min`` by metric.
+
+    Raises:
+        InputError: If a metric or its goal is not known.
+    """
     section = data.get("objectives", {})
     if not isinstance(section, dict):
         raise InputError('[objectives] is a section, not a value: write lines like stroke = "max" below it')
@@ -52,10 +75,18 @@ def read_objectives(data: Mapping[str, Any], units: Mapping[str, str]) -> dict[s
 
 
 def read_constraints(data: Mapping[str, Any], subject: Subject, axes: Sequence[Axis]) -> dict[str, tuple[float, float]]:
-    """Return lower and upper bound by metric, in internal units; infinite where there is none.
+    """Read the constraints.
+
+    Args:
+        data: Data of the sweep file.
+        subject: The rig or actuator, with its metrics.
+        axes: Axes of the space.
+
+    Returns:
+        Lower and upper bound by metric, in internal units; infinite where there is none.
 
     Raises:
-        InputError: one sentence with the key and the cure, also for a constraint that no design can keep.
+        InputError: If a constraint is not valid, or no design can satisfy it.
     """
     section = data.get("constraints", {})
     if not isinstance(section, dict):
@@ -81,7 +112,7 @@ def _read_bounds(name: str, limit: _Limit, unit: str) -> tuple[float, float]:
         raise InputError(f'constraints.{name} has no bound: write at_least = "..." or at_most = "..." in it')
     if bounds[0] > bounds[1]:
         shown = f"at least {show(limit.at_least)} and at most {show(limit.at_most)}"
-        raise InputError(f"constraints.{name}: nothing is {shown}: correct one of the two")
+        raise InputError(f"constraints.{name}: no value is {shown}: correct one of the two")
     return bounds[0], bounds[1]
 
 
@@ -89,20 +120,20 @@ def _check_possible(
     name: str, limit: _Limit, bounds: tuple[float, float], subject: Subject, axes: Sequence[Axis]
 ) -> None:
     unit, (low, high) = subject.units[name], bounds
-    place = f"constraints.{name}: at_most = {show(limit.at_most)} can never be kept"
+    place = f"constraints.{name}: at_most = {show(limit.at_most)} can never be satisfied"
     if high < 0.0 and unit != "degC":
         raise InputError(f"{place}, as a {name} is not negative: correct it")
     if high < (smallest := subject.lower_bound(name, axes)):
         raise InputError(f"{place}, as it is never below {smallest:g} {unit}: correct it")
     if low > (largest := _UPPER_BOUNDS.get(name, math.inf)):
         raise InputError(
-            f"constraints.{name}: at_least = {show(limit.at_least)} can never be kept, as it is never above "
+            f"constraints.{name}: at_least = {show(limit.at_least)} can never be satisfied, as it is never above "
             f"{largest:g}: correct it"
         )
 
 
 def constraint_units(data: Mapping[str, Any]) -> dict[str, str]:
-    """Return the unit in which each constraint is written; of two bounds the lower one's."""
+    """Return the unit in which the file gives each constraint, by metric; of two bounds that of the lower one."""
     return {
         name: unit_of(limit.get("at_least", limit.get("at_most")))
         for name, limit in data.get("constraints", {}).items()

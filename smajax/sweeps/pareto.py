@@ -1,47 +1,64 @@
-"""Which designs are best: the feasible ones that no other one dominates."""
+"""Feasible designs, and the Pareto front of those that no other design dominates."""
 
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
-from smajax.recordings.recording import Floats
-
-# Violation that stands for a metric that is NaN or infinitely far from its bound.
+# Violation of a metric that is NaN or infinitely far from its bound; far above any finite one in practice.
 _INFINITE_VIOLATION = 1e6
 
 
-def feasible(columns: Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]) -> np.ndarray:
-    """Return which designs keep all constraints, shape ``(m,)``.
+def feasible_mask(
+    columns: Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]
+) -> Bool[np.ndarray, " designs"]:
+    """Return a mask of the designs that satisfy all constraints.
 
     Args:
-        columns: Columns of a sweep's table, ``code`` among them, shape ``(m,)`` each.
-        constraints: Lower and upper bound by metric. A design whose metric is NaN does not keep them.
+        columns: Columns of a sweep's table by name, with ``code``, shape ``(designs,)`` each.
+        constraints: Lower and upper bound by metric, in internal units.
+
+    Returns:
+        The mask, shape ``(designs,)``; false for a design that failed or whose metric is NaN.
     """
-    keeps = np.asarray(columns["code"]) == "done"
+    mask = np.asarray(columns["code"]) == "done"
     for name, (lower, upper) in constraints.items():
-        keeps &= (columns[name] >= lower) & (columns[name] <= upper)
-    return keeps
+        mask &= (columns[name] >= lower) & (columns[name] <= upper)
+    return mask
 
 
 def constraint_violation(
     values: Mapping[str, float] | Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]
 ) -> np.ndarray:
-    """Return the summed violation of constraints, each relative to the violated bound; 0 if all are kept.
+    """Return the sum of the violations of constraints, each relative to the larger of its bounds.
 
-    A metric that is NaN, or infinitely far from its bound, counts as 1e6.
+    A metric that is NaN, or infinitely far from its bound, adds 1e6.
+
+    Args:
+        values: Metrics by name in internal units, scalars or arrays of one shape.
+        constraints: Lower and upper bound by metric.
+
+    Returns:
+        The sum, in the shape of the metrics; 0 if all constraints are satisfied.
     """
     total = np.zeros(())
     for name, (lower, upper) in constraints.items():
         size = max(abs(bound) for bound in (lower, upper) if np.isfinite(bound)) or 1.0
         excess = np.maximum(np.maximum(lower - values[name], values[name] - upper), 0.0) / size
         total = total + np.where(np.isfinite(excess), excess, _INFINITE_VIOLATION)
-    return total
+    return np.asarray(total)
 
 
-def pareto_front(costs: Floats) -> np.ndarray:
-    """Return the rows of costs ``(m, k)``, smaller being better, that no other row dominates, in ascending order.
+def pareto_front(costs: Float[np.ndarray, "designs objectives"]) -> Int[np.ndarray, " front"]:
+    """Return the designs that no other design dominates.
 
-    Infinite costs are compared like others; rows with a NaN are never in the front.
+    Infinite costs are compared like others; a design with a NaN is never in the front.
+
+    Args:
+        costs: Costs to be minimised, shape ``(designs, objectives)``.
+
+    Returns:
+        Rows of the front, in ascending order, shape ``(front,)``.
     """
     candidates = np.flatnonzero(~np.any(np.isnan(costs), axis=1))
     candidates = candidates[np.lexsort(costs[candidates].T[::-1])]
@@ -56,12 +73,30 @@ def pareto_front(costs: Floats) -> np.ndarray:
     return np.sort(np.asarray(nondominated, int))
 
 
-def thin_front(costs: Floats, most: int) -> np.ndarray:
-    """Return about ``most`` rows of a front's costs ``(m, k)``, evenly taken, and the best in each column."""
-    even = np.arange(0, len(costs), max(1, -(-len(costs) // most)))
+def thin_front(costs: Float[np.ndarray, "front objectives"], max_rows: int) -> Int[np.ndarray, " rows"]:
+    """Choose designs of a front: evenly spaced rows, and the best design in each objective.
+
+    Args:
+        costs: Costs of the front, shape ``(front, objectives)``.
+        max_rows: Largest number of evenly spaced rows.
+
+    Returns:
+        Rows of ``costs``, in ascending order.
+    """
+    even = np.arange(0, len(costs), max(1, -(-len(costs) // max_rows)))
     return np.union1d(even, np.argmin(costs, axis=0)) if len(costs) else even
 
 
-def objective_costs(columns: Mapping[str, np.ndarray], objectives: Mapping[str, str]) -> Floats:
-    """Return the costs ``(m, k)``, smaller being better, of objectives that are ``max`` or ``min`` by metric."""
+def objective_costs(
+    columns: Mapping[str, np.ndarray], objectives: Mapping[str, str]
+) -> Float[np.ndarray, "designs objectives"]:
+    """Return the costs of objectives: the metric for ``min``, its negative for ``max``.
+
+    Args:
+        columns: Columns of a sweep's table by name, shape ``(designs,)`` each.
+        objectives: ``max`` or ``min`` by metric.
+
+    Returns:
+        Costs to be minimised, shape ``(designs, objectives)``.
+    """
     return np.column_stack([columns[n] * (-1.0 if goal == "max" else 1.0) for n, goal in objectives.items()])

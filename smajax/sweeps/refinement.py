@@ -1,49 +1,48 @@
-"""Refinement: the best designs of a sweep, improved along the metrics' gradients within the space and the constraints.
+"""Refinement of the best designs of a sweep by gradients, within the space and the constraints.
 
-The search is SciPy's sequential quadratic programming (SLSQP) over the design's shares of the axes (``evaluation``).
-From a design that violates constraints, feasibility is restored first (``feasibility``).
+The optimiser is SciPy's sequential quadratic programming (SLSQP) over the shares of the axes (``evaluation``). For a
+design that violates constraints, feasibility is restored first (``feasibility``).
 
-A search runs with steps that resolve its start. Its end may be faster; then the search continues from there with more
-steps, until they resolve its end. So whatever is called better is so with steps that resolve it.
+A search runs with a number of time steps that resolves its start. If its result needs more steps, the search continues
+from there with more steps, until they resolve the result. So a better design is better with steps that resolve it.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.optimize import minimize
 
-from smajax.recordings.recording import Floats
 from smajax.sweeps.constraints import INFINITE, as_constraints
 from smajax.sweeps.evaluation import DesignEvaluator
 from smajax.sweeps.feasibility import restore_feasibility
 from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.space import Axis
 
-# Iterations of SLSQP, and the change of the scaled cost that ends it. Chosen by trial; tests/unit/sweeps/test_sweeps.py
-# holds both.
+# Largest number of iterations of SLSQP, and the change of the scaled cost that ends it. Chosen by trial;
+# tests/unit/sweeps/test_sweeps.py refines designs with both.
 _ITERATIONS = 60
 _COST_TOLERANCE = 1e-8
-# Least distance of two starts on one axis at least, as a share of the axis, so that they do not lead to the same
-# design. Chosen by trial.
+# Smallest distance of two starts in the axis on which they differ most, as a share of that axis, so that their searches
+# do not end at the same design. Chosen by trial.
 _START_DISTANCE = 0.15
 
 
 class RefinedDesign(NamedTuple):
-    """A refined design.
+    """Result of a refinement.
 
-    Args:
-        design: The design, shape ``(axes,)``.
-        metrics: Its metrics.
+    Attributes:
+        design: The design in internal units, shape ``(axes,)``.
+        metrics: Its metrics by name, in internal units.
         before: Metrics of the start.
         simulations: Number of simulations.
-        better: Whether it is better than its start; a design that keeps the constraints is better than one that does
-            not.
+        better: Whether it is better than its start; a feasible design is better than one that is not.
         restored: Whether its start violated the constraints.
     """
 
-    design: Floats
+    design: Float[np.ndarray, " axes"]
     metrics: dict[str, float]
     before: dict[str, float]
     simulations: int
@@ -52,7 +51,7 @@ class RefinedDesign(NamedTuple):
 
 
 class _Goal(NamedTuple):
-    """What is improved: the objective and its sign (cost = sign times metric), other objectives, and limits."""
+    """Optimisation problem: the objective and its sign (cost = sign times metric), other objectives, and limits."""
 
     problem: AbstractSweepProblem
     objective: str
@@ -61,7 +60,7 @@ class _Goal(NamedTuple):
     limits: Mapping[str, tuple[float, float]]
 
     def limits_at(self, before: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """The limits, and those that hold the other objectives at their values at the start."""
+        """The limits, tightened so that the other objectives are not worse than ``before``."""
         limits = dict(self.limits)
         for name, goal in self.other_objectives.items():
             low, high = limits.get(name, (-np.inf, np.inf))
@@ -69,51 +68,51 @@ class _Goal(NamedTuple):
         return limits
 
     def improves(self, metrics: Mapping[str, float], before: Mapping[str, float], best: Mapping[str, float]) -> bool:
-        """Whether metrics are better than the best ones, keep the limits, and are nowhere worse than the start."""
+        """Whether ``metrics`` are better than ``best``, satisfy the limits, and are not worse than ``before``."""
         better = self.sign * metrics[self.objective] < self.sign * best[self.objective]
-        return better and _keeps(self.limits_at(before), metrics)
+        return better and _is_feasible(self.limits_at(before), metrics)
 
 
-def _keeps(limits: Mapping[str, tuple[float, float]], metrics: Mapping[str, float]) -> bool:
+def _is_feasible(limits: Mapping[str, tuple[float, float]], metrics: Mapping[str, float]) -> bool:
     return all(low <= metrics[n] <= high for n, (low, high) in limits.items())
 
 
 def refine(
     problem: AbstractSweepProblem,
     axes: Sequence[Axis],
-    start: Floats,
+    start: Float[np.ndarray, " axes"],
     objectives: Mapping[str, str],
     limits: Mapping[str, tuple[float, float]],
 ) -> RefinedDesign:
-    """Improve the first objective from a design that keeps all limits; no other objective gets worse than it is there.
+    """Improve the first objective of a feasible design, without a loss in the other objectives.
 
-    The result is the best of all simulated designs that keep the limits, so that it is never worse than the start. From
-    a design whose objective is infinite nothing is searched, since an infinite metric has no slope. Whole axes are
-    searched as if they were continuous, then rounded and held while the others are searched again; a second search
-    holds them at the start's values.
+    The result is the best simulated design that satisfies the limits, so it is never worse than the start. There is no
+    search if the objective is infinite at the start, since an infinite metric has no gradient. Axes of whole numbers
+    are first relaxed to continuous ones; then they are fixed at the rounded values, and the search is repeated over the
+    other axes. Another search fixes them at the values of the start, and the better result counts.
 
     Args:
         problem: Maps a design to its metrics.
-        axes: Axes of the space; axes of listed values are held.
-        start: The design, shape ``(axes,)``.
+        axes: Axes of the space; axes of listed values are fixed.
+        start: The start in internal units, shape ``(axes,)``, which satisfies all limits.
         objectives: ``max`` or ``min`` by metric.
-        limits: Lower and upper bound by metric.
+        limits: Lower and upper bound by metric, in internal units.
     """
     (name, goal), *others = objectives.items()
     target = _Goal(problem, name, -1.0 if goal == "max" else 1.0, dict(others), limits)
     whole = [k for k, axis in enumerate(axes) if axis.whole and not axis.values]
     if not whole:
-        return _resolved(target, axes, start)
-    relaxed = _resolved(target, [replace(axis, whole=False) for axis in axes], start)
+        return _search_resolved(target, axes, start)
+    relaxed = _search_resolved(target, [replace(axis, whole=False) for axis in axes], start)
 
-    def rounded(design: Floats) -> tuple[list[Axis], Floats]:
+    def rounded(design: Float[np.ndarray, " axes"]) -> tuple[list[Axis], Float[np.ndarray, " axes"]]:
         design = np.array(design, dtype=np.float64)
         design[whole] = np.rint(design[whole])
-        held = [replace(axis, values=(float(design[k]),)) if k in whole else axis for k, axis in enumerate(axes)]
-        return held, design
+        fixed = [replace(axis, values=(float(design[k]),)) if k in whole else axis for k, axis in enumerate(axes)]
+        return fixed, design
 
-    same_counts = _resolved(target, *rounded(start))
-    new_counts = _resolved(target, *rounded(relaxed.design), same_counts.before)
+    same_counts = _search_resolved(target, *rounded(start))
+    new_counts = _search_resolved(target, *rounded(relaxed.design), same_counts.before)
     improves = target.improves(new_counts.metrics, same_counts.before, same_counts.metrics)
     best = new_counts if improves else same_counts
     return best._replace(
@@ -126,14 +125,20 @@ def refine(
 def restore_and_refine(
     problem: AbstractSweepProblem,
     axes: Sequence[Axis],
-    start: Floats,
+    start: Float[np.ndarray, " axes"],
     objectives: Mapping[str, str],
     limits: Mapping[str, tuple[float, float]],
 ) -> RefinedDesign:
-    """Refine from a design that violates limits: it moves to where they hold, and is improved from there.
+    """Make a design feasible, and refine it from there.
 
-    Where no such design is found, the result is the one with the smallest violation, and is not ``better``. Arguments
-    as of ``refine``.
+    If no feasible design is found, the result is the one with the smallest violation, and is not ``better``.
+
+    Args:
+        problem: Maps a design to its metrics.
+        axes: Axes of the space; axes of listed values are fixed.
+        start: The start in internal units, shape ``(axes,)``, which violates limits.
+        objectives: ``max`` or ``min`` by metric.
+        limits: Lower and upper bound by metric, in internal units.
     """
     feasible = restore_feasibility(problem, axes, start, limits)
     if feasible.violation > 0.0:
@@ -144,12 +149,12 @@ def restore_and_refine(
     )
 
 
-def _resolved(
-    target: _Goal, axes: Sequence[Axis], start: Floats, before: Mapping[str, float] | None = None
+def _search_resolved(
+    target: _Goal, axes: Sequence[Axis], start: Float[np.ndarray, " axes"], before: Mapping[str, float] | None = None
 ) -> RefinedDesign:
-    """Searches with more and more steps, each from the end of the last one, until the steps resolve their end.
+    """Searches with increasing numbers of time steps, each from the previous result, until they resolve the result.
 
-    ``before`` are the metrics that the other objectives must not fall behind, by default those of the start.
+    The other objectives must not be worse than in ``before``, by default the metrics of the start.
     """
     steps = target.problem.shared_steps(start)
     result, spent = _search(target, axes, start, start, steps, before), 0
@@ -164,12 +169,12 @@ def _resolved(
 def _search(
     target: _Goal,
     axes: Sequence[Axis],
-    start: Floats,
-    begin: Floats,
+    start: Float[np.ndarray, " axes"],
+    begin: Float[np.ndarray, " axes"],
     steps: int,
     reference: Mapping[str, float] | None,
 ) -> RefinedDesign:
-    """One search with ``steps`` that begins at a design; ``start`` is what its result has to be better than."""
+    """One search with ``steps`` from the design ``begin``; its result must be better than ``start``."""
     name, sign = target.objective, target.sign
     evaluator = DesignEvaluator(target.problem, axes, start, steps)
     origin, first = evaluator.shares(start), evaluator.shares(begin)
@@ -179,7 +184,7 @@ def _search(
     limits = target.limits_at(before if reference is None else reference)
     scales = {n: max(abs(v), 1e-300) if np.isfinite(v) else 1.0 for n, v in before.items()}
 
-    def cost(shares: Floats) -> tuple[float, Floats]:
+    def cost(shares: Float[np.ndarray, " free"]) -> tuple[float, Float[np.ndarray, " free"]]:
         metrics, slopes = evaluator.evaluate(shares)
         if not np.isfinite(metrics[name]) or not np.all(np.isfinite(slopes[name])):
             return (-INFINITE if sign * metrics[name] == -np.inf else INFINITE), np.zeros(len(evaluator.free))
@@ -198,7 +203,7 @@ def _search(
     costs = {
         key: sign * metrics[name]
         for key, (metrics, _) in evaluator.evaluated.items()
-        if not np.isnan(metrics[name]) and _keeps(limits, metrics)
+        if not np.isnan(metrics[name]) and _is_feasible(limits, metrics)
     }
     best = min(costs, key=lambda key: costs[key]) if costs else origin.tobytes()
     better = bool(costs) and sign * evaluator.evaluated[best][0][name] < sign * before[name]
@@ -207,11 +212,21 @@ def _search(
 
 
 def separated_starts(
-    shares: Floats, order: Iterable[int], count: int, min_distance: float = _START_DISTANCE
+    shares: Float[np.ndarray, "designs axes"],
+    order: Int[np.ndarray, " rows"],
+    count: int,
+    min_distance: float = _START_DISTANCE,
 ) -> list[int]:
-    """Return up to ``count`` rows of designs' shares ``(m, axes)``, taken in ``order``.
+    """Choose starts that are not close to each other, the first in ``order`` first.
 
-    Any two of them are at least ``min_distance`` apart on some axis.
+    Args:
+        shares: Shares of designs, shape ``(designs, axes)``.
+        order: Rows of the designs, best first, shape ``(rows,)``.
+        count: Largest number of starts.
+        min_distance: Smallest distance of two starts in the axis on which they differ most, as a share of that axis.
+
+    Returns:
+        Rows of the chosen designs.
     """
     chosen: list[int] = []
     for row in order:

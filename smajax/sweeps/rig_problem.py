@@ -1,4 +1,4 @@
-"""The sweep problem of a rig: its response to a periodic input or a recording, and the metrics that are read off it."""
+"""Sweep problem of a rig: its response to a periodic input or a recording, and the metrics of that response."""
 
 from collections.abc import Mapping
 from typing import cast
@@ -7,13 +7,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from smajax import parameters
 from smajax.channels import CHANNELS, numbered
 from smajax.numerics.nonsmooth import peak_to_peak
 from smajax.plant.materials.base import Fractions
 from smajax.plant.plant import Plant
-from smajax.recordings.recording import Floats, Recording
+from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs, discretise
 from smajax.simulation.run import simulate_channels
 from smajax.simulation.status import SimulationStatus
@@ -23,26 +24,27 @@ from smajax.sweeps.excitation import Excitation, GridParts, discretise_excitatio
 from smajax.sweeps.metrics import BANDWIDTH, METRICS, Response, motionless_stroke, settling
 from smajax.sweeps.problem import INPUT, AbstractSweepProblem
 
-# Steps of a cycle at least, so that a slow wire's input and extremes are resolved, too. Chosen by trial;
-# test_metrics_agree_with_the_exact_reference of tests/unit/sweeps/test_sweeps.py holds the accuracy.
+# Smallest number of steps of a cycle, so that the input and the extremes of a slow wire are resolved. Chosen by trial;
+# test_metrics_agree_with_the_exact_reference of tests/unit/sweeps/test_sweeps.py checks the accuracy.
 _MIN_STEPS = 40
-# Temperature in degC at which designs are compared by how hot their input would hold the wire; it only sorts batches.
+# Temperature in degC at which the heat loss of designs is compared; it only sorts designs into batches.
 _WARM = 80.0
-# Rounding of a recording's times, relative to a cycle.
+# Rounding error of a recording's times, relative to a cycle.
 _TIME_TOLERANCE = 1e-9
 
 
 class RigSweepProblem(AbstractSweepProblem):
-    """A rig under a periodic input, or under a recording whose last of ``cycles`` equal parts is its last cycle.
+    """Sweep problem of a rig under a periodic input or a recording.
 
-    The settling gap of a design is that at its own frequency, or that at its bandwidth where it is larger there.
+    A recording is divided into ``cycles`` equal parts, and the last part is its last cycle. If a bandwidth is
+    evaluated, the settling gap of a design is the largest of those at its own frequency and at its bandwidth.
 
-    Args:
+    Attributes:
         plant: The rig's plant.
-        metrics: Metrics to evaluate.
-        source: The input.
+        metrics: Names of the metrics to evaluate.
+        source: The periodic input or the recording.
         cycles: Number of cycles of the input.
-        interpolation: How a recording is interpolated between its rows.
+        interpolation: Interpolation of a recording between its rows, ``hold`` or ``linear``.
         max_frequency: Frequency in Hz up to which a bandwidth is searched for.
     """
 
@@ -67,37 +69,37 @@ class RigSweepProblem(AbstractSweepProblem):
         return (self.plant.mechanism.coordinate, *dict.fromkeys(n for c in reads for n in numbered(c, wires)))
 
     def numbers(self, steps: int) -> int:
-        """Return about how many numbers one design holds: channels at all steps; a bandwidth takes three runs."""
+        """Return about how many numbers one design stores: channels at all steps; a bandwidth adds three runs."""
         runs = 1 + (3 if "bandwidth" in self.metrics else 0)
         return runs * (self.cycles + 1) * steps * (len(self.channels) + 2 * len(self.plant.signals))
 
     def size_message(self, steps: int) -> str:
-        """Return what to say of a design that needs too much memory: the key to blame, and the steps of its cycles."""
+        """Return the key that causes the memory demand of a design, and the steps of its cycles."""
         slow = "input.frequency" if isinstance(self.source, Excitation) else "input.recording"
         cycles = f"{self.cycles:,} cycles" if self.cycles > 1 else "1 cycle"
-        return f"{slow}: at the slowest input, or with the fastest wire, {cycles} take {steps:,} steps each"
+        return f"{slow}: with the slowest input or the fastest wire, {cycles} take {steps:,} steps each"
 
     @property
     def size_hint(self) -> str:
-        """What to change where a design needs too much memory."""
+        """Hint what to change if a design needs too much memory."""
         if isinstance(self.source, Excitation):
-            return "raise input.frequency, lower input.cycles, or begin wire.diameter higher"
-        return "take a shorter recording, or begin wire.diameter higher"
+            return "raise input.frequency, lower input.cycles, or raise the lower end of wire.diameter"
+        return "take a shorter recording, or raise the lower end of wire.diameter"
 
-    def steps(self, designs: Floats) -> np.ndarray:
+    def steps(self, designs: Float[np.ndarray, "designs axes"]) -> Int[np.ndarray, " designs"]:
         """Return the steps of a cycle that resolve each design; see ``simulation.step_size.resolving_step``."""
 
-        def steps_of(design: jax.Array) -> jax.Array:
+        def steps_of(design: Float[Array, " axes"]) -> Float[Array, ""]:
             plant, values = self._apply(design)
             return self._period(values) / resolving_step(plant)
 
         steps = np.asarray(jax.jit(jax.vmap(steps_of))(jnp.asarray(designs)))
         return np.maximum(_MIN_STEPS, np.ceil(np.where(np.isfinite(steps), steps, 0.0))).astype(int)
 
-    def batch_order(self, designs: Floats) -> Floats:
-        """Return how hot the input would hold each design's wire, by which designs are sorted into batches."""
+    def batch_order(self, designs: Float[np.ndarray, "designs axes"]) -> Float[np.ndarray, " designs"]:
+        """Return the steady excess temperature of each design's wire in K under a constant input of its amplitude."""
 
-        def excess(design: jax.Array) -> jax.Array:
+        def excess(design: Float[Array, " axes"]) -> Float[Array, ""]:
             plant, values = self._apply(design)
             amplitude = values.get("amplitude", jnp.ones(()))
             austenite = Fractions(jnp.zeros(()), jnp.zeros(()))
@@ -107,22 +109,22 @@ class RigSweepProblem(AbstractSweepProblem):
         return np.nan_to_num(np.asarray(jax.jit(jax.vmap(excess))(jnp.asarray(designs))))
 
     def evaluate(
-        self, design: jax.Array, steps: int, differentiable: bool = False
-    ) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Simulate one design; see ``AbstractSweepProblem``."""
+        self, design: Float[Array, " axes"], steps: int, differentiable: bool = False
+    ) -> tuple[dict[str, jax.Array], Int[Array, ""]]:
+        """Simulate the rig with one design, and read the metrics from its response."""
         plant, values = self._apply(design)
         wires = plant.mechanism.wires
-        rests = "time_to_cool" in self.metrics
+        with_rest = "time_to_cool" in self.metrics
         if isinstance(self.source, Excitation):
-            where = grid_parts(self.source, wires, steps, rests)
-            modes = time_constant_bounds(plant) if rests else None
+            parts = grid_parts(self.source, wires, steps, with_rest)
+            modes = time_constant_bounds(plant) if with_rest else None
             inputs = discretise_excitation(self.source, wires, steps, values, modes)
         else:
-            inputs, where = self._recorded_input(plant, steps)
+            inputs, parts = self._recorded_input(plant, steps)
         channels, code = simulate_channels(plant, inputs, self.channels)
         response = self._response(plant, inputs, channels)
-        parts = {"cycle": response.cut(where.cycle), "rest": response.cut(where.rest), "all": response}
-        metrics = {n: METRICS[n].read(parts[METRICS[n].part]) for n in self.metrics if n in METRICS}
+        responses = {"cycle": response.cut(parts.cycle), "rest": response.cut(parts.rest), "all": response}
+        metrics = {n: METRICS[n].read(responses[METRICS[n].part]) for n in self.metrics if n in METRICS}
         if "bandwidth" in self.metrics:
             metrics["bandwidth"], gap, worst_code = self._bandwidth(plant, values, steps, differentiable)
             code = jnp.maximum(code, worst_code)
@@ -130,7 +132,7 @@ class RigSweepProblem(AbstractSweepProblem):
                 metrics["settling"] = jnp.maximum(metrics["settling"], gap)
         return {n: jnp.where(code == SimulationStatus.done, metrics[n], jnp.nan) for n in self.metrics}, code
 
-    def _apply(self, design: jax.Array) -> tuple[Plant, dict[str, jax.Array]]:
+    def _apply(self, design: Float[Array, " axes"]) -> tuple[Plant, dict[str, jax.Array]]:
         """The plant of a design, and its values of the input by key."""
         values = {n: design[k] for k, n in enumerate(self.names)}
         own = {n: v for n, v in values.items() if not n.startswith(INPUT)}
@@ -138,7 +140,7 @@ class RigSweepProblem(AbstractSweepProblem):
             n[len(INPUT) :]: v for n, v in values.items() if n.startswith(INPUT)
         }
 
-    def _period(self, values: Mapping[str, jax.Array]) -> jax.Array:
+    def _period(self, values: Mapping[str, jax.Array]) -> Float[Array, ""]:
         if isinstance(self.source, Excitation):
             return 1.0 / jnp.asarray(values.get("frequency", self.source.frequency))
         return jnp.asarray((self.source.time[-1] - self.source.time[0]) / self.cycles)
@@ -166,8 +168,8 @@ class RigSweepProblem(AbstractSweepProblem):
 
     def _bandwidth(
         self, plant: Plant, values: Mapping[str, jax.Array], steps: int, differentiable: bool
-    ) -> tuple[jax.Array, ...]:
-        """The bandwidth, the largest settling gap of the simulations that it is read off, and the worst code of all."""
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Int[Array, ""]]:
+        """Bandwidth, largest settling gap of the simulations that determine it, and worst code of all simulations."""
         excitation = cast(Excitation, self.source)
         cycle = grid_parts(excitation, plant.mechanism.wires, steps, False).cycle
 

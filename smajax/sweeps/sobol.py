@@ -1,26 +1,32 @@
 """Sobol indices: the share of a metric's variance over the space that each parameter causes, alone and in interactions.
 
-Source: saltelli2010, table 2: Saltelli's estimator of the first-order indices and Jansen's estimator of the total
-    indices (jansen1999).
+Source: saltelli2010, table 2: Saltelli's estimator of the first-order indices, and Jansen's estimator of the total
+indices (jansen1999).
 """
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from smajax.recordings.recording import Floats
-
-# Resamples of the bootstrap that gives the intervals: enough for the 2.5 and 97.5 % quantiles; chosen by trial.
+# Number of bootstrap resamples for the intervals: enough for the 2.5 and 97.5 % quantiles; chosen by trial.
 _RESAMPLES = 500
-# With fewer rows the intervals are as wide as the indices; chosen by trial.
+# Smallest number of rows: with fewer the intervals are as wide as the indices; chosen by trial.
 _MIN_ROWS = 32
-# Range of a metric, relative to its size, that is rounding.
+# Range of a metric, relative to its size, that counts as rounding error: some thousand units in the last place.
 _CONSTANT = 1e-12
 
 
 class SobolIndex(NamedTuple):
-    """First-order and total index of a parameter, each with a 95 % interval by the bootstrap."""
+    """First-order and total Sobol index of a parameter, with 95 % bootstrap intervals.
+
+    Attributes:
+        first: First-order index.
+        first95: Its interval.
+        total: Total index.
+        total95: Its interval.
+    """
 
     first: float
     first95: tuple[float, float]
@@ -28,8 +34,8 @@ class SobolIndex(NamedTuple):
     total95: tuple[float, float]
 
 
-def sobol_indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[str, SobolIndex]:
-    """Estimate the indices of a metric.
+def sobol_indices(values: Float[np.ndarray, " rows"], names: Sequence[str], seed: int) -> Mapping[str, SobolIndex]:
+    """Estimate the Sobol indices of a metric.
 
     Args:
         values: The metric at the designs of ``space.pick_and_freeze``, shape ``((axes + 2) * base,)``. Rows with a NaN
@@ -38,7 +44,7 @@ def sobol_indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[st
         seed: Seed of the bootstrap.
 
     Returns:
-        The index of each axis; nothing where ``missing_reason`` gives a reason.
+        The indices by axis; empty if ``missing_reason`` gives a reason.
     """
     if missing_reason(values, len(names)):
         return {}
@@ -58,24 +64,37 @@ def sobol_indices(values: Floats, names: Sequence[str], seed: int) -> Mapping[st
     }
 
 
-def complete_rows(values: Floats, axes: int) -> np.ndarray:
-    """Return which rows, shape ``(base,)``, have a value at A, at B and at each mixture of the two."""
+def complete_rows(values: Float[np.ndarray, " rows"], axes: int) -> Bool[np.ndarray, " base"]:
+    """Return a mask of the rows that have a value at A, at B and at each mixture of the two.
+
+    Args:
+        values: The metric, as for ``sobol_indices``.
+        axes: Number of axes.
+
+    Returns:
+        The mask, shape ``(base,)``.
+    """
     return np.asarray(~np.isnan(values.reshape(axes + 2, -1)).any(axis=0))
 
 
-def missing_reason(values: Floats, axes: int) -> str:
-    """Return why a metric's values, as for ``sobol_indices``, give no indices; empty if they do."""
+def missing_reason(values: Float[np.ndarray, " rows"], axes: int) -> str:
+    """Return the reason why a metric has no Sobol indices; empty if it has.
+
+    Args:
+        values: The metric, as for ``sobol_indices``.
+        axes: Number of axes.
+    """
     table = values.reshape(axes + 2, -1)[:, complete_rows(values, axes)]
     if np.isinf(table).any():
         return "it is infinite at some designs"
     if table.size and np.ptp(table) <= _CONSTANT * np.max(np.abs(table)):
         return "it does not vary"
     if table.shape[1] < _MIN_ROWS:
-        return f"it has a value in all designs of {table.shape[1]} rows only, of {_MIN_ROWS} needed"
+        return f"only {table.shape[1]} rows have a value in all their designs, and {_MIN_ROWS} are needed"
     return ""
 
 
-def _estimates(table: Floats) -> Floats:
+def _estimates(table: Float[np.ndarray, "designs base"]) -> Float[np.ndarray, "2 axes"]:
     """First-order and total indices, shape ``(2, axes)``, from values at A, at B, and at each A with a column of B."""
     at_a, at_b, mixed = table[0], table[1], table[2:]
     variance = np.var(table[:2])

@@ -1,4 +1,4 @@
-"""The space of designs: the axes, and the designs that are drawn from them."""
+"""Design space: its axes, and the sampling of designs from it."""
 
 import itertools
 import math
@@ -6,28 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.stats import qmc
 
 from smajax.recordings.recording import Floats
 
 SAMPLINGS = ("grid", "latin-hypercube", "sobol")
-# Points of a range on a grid where the file names no number.
+# Points of a range on a grid where the file gives no number: two ends and the quarters between them.
 DEFAULT_POINTS = 5
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One parameter that varies, in its internal unit.
+    """Parameter that varies in a sweep, with its range in internal units.
 
-    Args:
-        name: Name of the parameter.
+    Attributes:
+        name: Name of the parameter, such as ``wire.diameter``.
         unit: Its internal unit.
         lower: Lower end of the range.
         upper: Upper end of the range.
-        log: Whether the range is covered by equal factors; evenly if not.
-        points: Points of the range on a grid, both ends among them.
-        values: Listed values, which stand for the range.
-        whole: Whether the parameter is a whole number; then the ends are whole, too.
+        log: Whether the range is divided on a logarithmic scale; on a linear scale if not.
+        points: Number of points on a grid, with both ends.
+        values: Listed values, which replace the range.
+        whole: Whether the parameter is a whole number; then both ends are whole numbers.
     """
 
     name: str
@@ -39,47 +40,53 @@ class Axis:
     values: tuple[float, ...] = ()
     whole: bool = False
 
-    def at(self, share: Floats) -> Floats:
-        """Return the values at shares of the axis in [0, 1], an array of the same shape.
+    def at(self, share: Float[np.ndarray, " designs"]) -> Float[np.ndarray, " designs"]:
+        """Return the values at shares of the axis.
 
         Each listed value, and each number of a whole axis without ``log``, has an equal part of [0, 1].
+
+        Args:
+            share: Shares in [0, 1], shape ``(designs,)``.
+
+        Returns:
+            Values in the internal unit, shape ``(designs,)``.
         """
         if self.values:
             return np.asarray(self.values)[np.minimum((share * len(self.values)).astype(int), len(self.values) - 1)]
         if self.whole and not self.log:
             return np.minimum(self.lower + np.floor(share * (self.upper - self.lower + 1.0)), self.upper)
-        along = (
+        values = (
             self.lower * (self.upper / self.lower) ** share
             if self.log
             else self.lower + (self.upper - self.lower) * share
         )
-        return np.clip(np.rint(along) if self.whole else along, self.lower, self.upper)
+        return np.clip(np.rint(values) if self.whole else values, self.lower, self.upper)
 
-    def share(self, value: Floats) -> Floats:
-        """Return the shares of values of a range: the inverse of ``at``."""
+    def share(self, value: Floats | np.float64) -> Floats | np.float64:
+        """Return the shares, 0 to 1, of values of a range; the inverse of ``at``."""
         if self.log:
             return np.log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
 
-    def grid(self) -> Floats:
-        """Return the axis' points on a grid in ascending order, or the listed values in theirs."""
+    def grid(self) -> Float[np.ndarray, " points"]:
+        """Return the points of the axis on a grid in ascending order, or the listed values in their own order."""
         if self.values:
             return np.asarray(self.values)
         points = self.at(np.linspace(0.0, 1.0, self.points))
         return np.unique(points) if self.whole else points
 
 
-def draw_designs(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> Floats:
+def draw_designs(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> Float[np.ndarray, "designs axes"]:
     """Draw designs from the space.
 
     Args:
         axes: Axes of the space.
-        sampling: ``grid``, ``latin-hypercube`` or ``sobol`` (scrambled; a power of two of points is the most even).
-        count: Number of designs; on a grid it is the product of the axes' points instead.
+        sampling: ``grid``, ``latin-hypercube`` or ``sobol`` (scrambled; most even for a power of two of designs).
+        count: Number of designs; without effect on a grid, which has the product of the axes' points.
         seed: Seed of the random numbers.
 
     Returns:
-        Designs in internal units, shape ``(m, axes)``.
+        Designs in internal units, shape ``(designs, axes)``.
     """
     if sampling == "grid":
         return np.array(list(itertools.product(*(axis.grid() for axis in axes))), dtype=np.float64)
@@ -90,18 +97,27 @@ def draw_designs(axes: Sequence[Axis], sampling: str, count: int, seed: int) -> 
     return to_designs(axes, shares)
 
 
-def to_designs(axes: Sequence[Axis], shares: Floats) -> Floats:
-    """Return the designs at shares in [0, 1], both of shape ``(m, axes)``."""
+def to_designs(axes: Sequence[Axis], shares: Float[np.ndarray, "designs axes"]) -> Float[np.ndarray, "designs axes"]:
+    """Return the designs at shares of the axes.
+
+    Args:
+        axes: Axes of the space.
+        shares: Shares in [0, 1], shape ``(designs, axes)``.
+
+    Returns:
+        Designs in internal units, shape ``(designs, axes)``.
+    """
     return np.column_stack([axis.at(shares[:, k]) for k, axis in enumerate(axes)])
 
 
-def _sobol_points(axes: int, count: int, seed: int) -> Floats:
+def _sobol_points(axes: int, count: int, seed: int) -> Float[np.ndarray, "designs axes"]:
+    """Scrambled Sobol points in [0, 1)."""
     sampler = qmc.Sobol(axes, rng=np.random.default_rng(seed))
     return sampler.random_base2(max(0, math.ceil(math.log2(count))))[:count]
 
 
-def pick_and_freeze(axes: Sequence[Axis], base: int, seed: int) -> Floats:
-    """Return the designs that Sobol indices are estimated from: A, B, and for each axis A with B's column.
+def pick_and_freeze(axes: Sequence[Axis], base: int, seed: int) -> Float[np.ndarray, "designs axes"]:
+    """Draw the designs for estimates of Sobol indices: A, B, and for each axis A with its column taken from B.
 
     Source: saltelli2010, section 2.
 

@@ -1,4 +1,4 @@
-"""What is swept: a rig under an input, or an actuator that computes its own metrics."""
+"""Subject of a sweep: a rig under an input, or an actuator that computes its own metrics."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,13 +27,13 @@ from smajax.sweeps.problem import INPUT, AbstractSweepProblem
 from smajax.sweeps.rig_problem import RigSweepProblem
 from smajax.sweeps.space import Axis
 
-# Metrics of rigs.
+# Names of the metrics of a rig.
 METRIC_NAMES = (*METRICS, "bandwidth")
 _DEFAULT_METRICS = ("stroke", "force", "peak_temperature", "energy_per_cycle", "efficiency")
-# Metrics that only a periodic input has.
+# Metrics that need a periodic input.
 _NEEDS_WAVE = ("time_to_cool", "bandwidth")
 _ABSOLUTE_ZERO = -273.15
-# Range of an input's frequency in Hz: far beyond what a wire follows on either side.
+# Range of an input's frequency in Hz, far wider than any that a wire can follow.
 _MIN_FREQUENCY = 1e-6
 _MAX_FREQUENCY = 1e4
 _DEFAULT_DUTY = 0.5
@@ -53,13 +53,13 @@ class _Input(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class RigSubject:
-    """A rig under a periodic input or a recording.
+    """Rig under a periodic input or a recording.
 
-    Args:
+    Attributes:
         rig: The rig.
-        source: The input.
+        source: The periodic input or the recording.
         cycles: Number of cycles of the input.
-        max_frequency: Frequency in Hz up to which a bandwidth is searched for; 0 for none.
+        max_frequency: Frequency in Hz up to which a bandwidth is searched for; 0 if the file gives none.
     """
 
     rig: Rig
@@ -74,7 +74,7 @@ class RigSubject:
 
     @property
     def default_metrics(self) -> tuple[str, ...]:
-        """Metrics of a sweep that names none."""
+        """Metrics of a sweep whose file names none."""
         return _DEFAULT_METRICS
 
     @property
@@ -103,7 +103,17 @@ class RigSubject:
         return self._problem((), METRIC_NAMES, 0.0).units
 
     def lower_bound(self, metric: str, axes: Sequence[Axis]) -> float:
-        """Return what a metric never falls below in any design: for a peak temperature the lowest one at the start."""
+        """Return a lower bound of a metric over all designs.
+
+        A peak temperature, degC, is bounded by the lowest temperature at the start; other metrics have no bound.
+
+        Args:
+            metric: Name of the metric.
+            axes: Axes of the space.
+
+        Returns:
+            The bound in the metric's internal unit; minus infinity if there is none.
+        """
         if metric != "peak_temperature":
             return -math.inf
         lower = {axis.name: axis.lower for axis in axes}
@@ -111,7 +121,15 @@ class RigSubject:
         return float(np.nanmin(starts))
 
     def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
-        """Raise InputError if an axis would have no effect, or a metric cannot be computed under this input."""
+        """Check axes and metrics.
+
+        Args:
+            axes: Axes of the space.
+            metrics: Names of the metrics to evaluate.
+
+        Raises:
+            InputError: If an axis has no effect, or a metric cannot be computed under this input.
+        """
         for name in (axis.name for axis in axes):
             if name in ("pulley.inertia", "pulley.damping") and isinstance(self.rig.plant.mechanism, MasslessRotary):
                 raise InputError(
@@ -139,7 +157,12 @@ class RigSubject:
             )
 
     def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
-        """Return the map from a design to its metrics."""
+        """Return the map from a design to its metrics.
+
+        Args:
+            axes: Names of the axes, in the order of a design's values.
+            metrics: Names of the metrics to evaluate.
+        """
         return self._problem(axes, metrics, self.max_frequency)
 
     def _problem(self, axes: tuple[str, ...], metrics: tuple[str, ...], max_frequency: float) -> RigSweepProblem:
@@ -151,7 +174,7 @@ class RigSubject:
         return float(parameters.get(self.rig.plant, name))
 
     def to_toml(self, values: Mapping[str, float] | None = None) -> str:
-        """Return the text of the rig's file, with other values of some parameters."""
+        """Return the text of the rig's file, with other ``values`` of some parameters, in internal units."""
         return self.rig.to_toml(values)
 
     def recording_document(self) -> dict[str, Any] | None:
@@ -165,9 +188,9 @@ class RigSubject:
 
 @dataclass(frozen=True, eq=False)
 class ActuatorSubject:
-    """An actuator with declared parameters that computes its own metrics.
+    """Actuator with declared parameters that computes its own metrics.
 
-    Args:
+    Attributes:
         name: Name of its file.
         actuator: The actuator.
     """
@@ -177,7 +200,7 @@ class ActuatorSubject:
 
     @property
     def default_metrics(self) -> tuple[str, ...]:
-        """Metrics of a sweep that names none: all."""
+        """Metrics of a sweep whose file names none: all."""
         return tuple(self.actuator.units)
 
     @property
@@ -196,14 +219,14 @@ class ActuatorSubject:
         return dict(self.actuator.units)
 
     def lower_bound(self, metric: str, axes: Sequence[Axis]) -> float:
-        """Return what a metric never falls below: an actuator may start at any temperature above the absolute zero."""
+        """Return absolute zero for a temperature in degC, and minus infinity for other metrics."""
         return _ABSOLUTE_ZERO if self.units[metric] == "degC" else -math.inf
 
     def check(self, axes: Sequence[Axis], metrics: Sequence[str]) -> None:
         """Accept all axes and metrics."""
 
     def problem(self, axes: tuple[str, ...], metrics: tuple[str, ...]) -> AbstractSweepProblem:
-        """Return the map from a design to its metrics."""
+        """Return the map from a design to its metrics; arguments as for ``RigSubject.problem``."""
         return ActuatorSweepProblem(axes, self.actuator, metrics)
 
     def value(self, name: str) -> float:
@@ -211,7 +234,7 @@ class ActuatorSubject:
         return float(parameters.get(self.actuator, name))
 
     def to_toml(self, values: Mapping[str, float] | None = None) -> str:
-        """Return the text of the actuator's file, with other values of some parameters."""
+        """Return the text of the actuator's file, with other ``values`` of some parameters, in internal units."""
         return actuator_file.to_toml(self.actuator, values)
 
     def recording_document(self) -> None:
@@ -223,15 +246,15 @@ Subject = RigSubject | ActuatorSubject
 
 
 def read_subject(path: Path, data: Mapping[str, Any], folder: Path) -> Subject:
-    """Read what is swept.
+    """Read the rig or actuator of a sweep, with its input.
 
     Args:
         path: File of a rig or an actuator.
-        data: The sweep file's data, whose ``[input]`` belongs to a rig.
-        folder: Folder from which paths in ``data`` start.
+        data: Data of the sweep file; its section ``[input]`` belongs to a rig.
+        folder: Folder from which relative paths in ``data`` start.
 
     Raises:
-        InputError: if a file or the input is not valid.
+        InputError: If a file or the input is not valid.
     """
     text = read_text(path, "rig")
     if actuator_file.is_actuator(text):
@@ -249,9 +272,12 @@ def rebuild_subject(
 
     Args:
         text: What ``to_toml`` returned.
-        data: The sweep file's data.
-        name: Name of the subject's file.
+        data: Data of the sweep file.
+        name: Name of the file of the rig or actuator.
         recording_document: What ``recording_document`` returned.
+
+    Raises:
+        InputError: If the rig, actuator or input is not valid in this version.
     """
     if actuator_file.is_actuator(text):
         return _actuator_subject(text, name, name, data)
@@ -279,7 +305,7 @@ def _read_input(data: Mapping[str, Any]) -> _Input:
 
 def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> RigSubject:
     if rig.kind == "path":
-        raise InputError("sweep.rig is a path, which has no clock: sweep a rig that runs in time")
+        raise InputError("sweep.rig is a stress path, which has no time: sweep a rig that runs in time")
     if recording is not None:
         _check_recording(rig, settings, recording)
         return RigSubject(rig, recording, settings.cycles or 1, 0.0)
@@ -299,7 +325,7 @@ def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> Rig
 
 
 def _check_recording(rig: Rig, settings: _Input, recording: Recording) -> None:
-    """InputError for keys of a wave next to a recording, and for a recording that heats no wire."""
+    """Raises InputError if there are keys of a wave next to a recording, or if the recording heats no wire."""
     names = ("wave", "amplitude", "frequency", "duty", "highest")
     values = (settings.shape, settings.amplitude, settings.frequency, settings.duty, settings.highest)
     if extra := [name for name, value in zip(names, values, strict=True) if value is not None]:

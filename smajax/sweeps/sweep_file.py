@@ -1,10 +1,10 @@
-"""SWEEP.toml: which rig, which parameters vary, under which input, which objectives, and which constraints.
+"""SWEEP.toml: the rig, the parameters that vary, the input, the objectives and the constraints of a sweep.
 
     [sweep]
     rig = "rig.toml"
     sampling = "sobol"                # sobol, latin-hypercube, grid
     designs = 1024
-    [parameters]                      # what varies: a range, or { from, to, scale, points }, or { values }
+    [parameters]                      # each a range, { from, to, scale, points } or { values }
     wire.diameter = ["0.1 mm", "0.4 mm"]
     input.amplitude = ["0.2 A", "2 A"]
     [input]
@@ -16,13 +16,13 @@
     [constraints]
     peak_temperature = { at_most = "120 degC" }
 
-A rig starts cold, and metrics of a cycle are those of the last one. The column ``settling``, always there, is the gap
-between this cycle's start and end over its range: 0 where the response repeats itself, and up to 1 % counts as settled.
-The summary says how many designs are beyond that; they stay in the table, and ``settling = { at_most = "1 %" }`` among
-the constraints excludes them from the best.
+A rig starts cold, and the metrics of a cycle are those of the last one. Every table has the column ``settling``: the
+gap between start and end of the last cycle over its range. It is 0 for a periodic response, and a design with at most
+1 % has settled. The summary counts the designs that have not; they stay in the table, and the constraint
+``settling = { at_most = "1 %" }`` excludes them from the best designs.
 
-Every mistake is one sentence that names file and key. A sweep's ``header`` holds all that it depends on;
-``from_header`` reproduces it.
+An error message is one sentence that names file and key. A sweep's ``header`` holds everything that the sweep depends
+on; ``from_header`` reproduces the sweep.
 """
 
 import math
@@ -31,6 +31,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, Field
 
 from smajax import __version__
@@ -38,7 +40,6 @@ from smajax.errors import InputError
 from smajax.files.toml import STRICT, advice, check_schema, parse_toml, read_text, validate
 from smajax.files.validators import one_of
 from smajax.files.versions import package_versions
-from smajax.recordings.recording import Floats
 from smajax.sweeps.axis_sections import check_order, read_axes
 from smajax.sweeps.chunks import DEFAULT_CHUNK
 from smajax.sweeps.goal_sections import check_metrics, constraint_units, read_constraints, read_objectives
@@ -48,9 +49,9 @@ from smajax.sweeps.subject import Subject, read_subject, rebuild_subject
 from smajax.sweeps.table import read_header
 
 _SECTIONS = ("schema", "sweep", "parameters", "input", "objectives", "constraints", "refine")
-# Designs of a sweep at most: their table still fits into the memory of a computer.
+# Largest number of designs: a table of so many still fits into the memory of a computer.
 _MAX_DESIGNS = 100_000_000
-# Rows of A and B from which Sobol indices are estimated, at least: with fewer the intervals are as wide as the indices.
+# Smallest number of rows of A and B for Sobol indices: with fewer the intervals are as wide as the indices.
 _MIN_BASE = 64
 
 
@@ -73,24 +74,24 @@ class _Refine(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class SweepFile:
-    """A sweep as its file describes it, in internal units.
+    """Description of a sweep, in internal units, as read from its file.
 
-    Args:
+    Attributes:
         name: Name of the file.
         text: Text of the file.
         subject: The rig or actuator.
         axes: Axes of the space.
-        sampling: How designs are drawn.
+        sampling: ``grid``, ``latin-hypercube`` or ``sobol``.
         count: Number of designs.
         seed: Seed of the random numbers.
-        chunk: Designs of a chunk.
-        metrics: Metrics to evaluate.
-        gradients: Whether the metrics' derivatives go into the table.
+        chunk: Largest number of designs in a chunk.
+        metrics: Names of the metrics to evaluate.
+        gradients: Whether the table has the metrics' derivatives.
         sensitivity: Whether Sobol indices are estimated.
         objectives: ``max`` or ``min`` by metric.
         constraints: Lower and upper bound by metric.
-        constraint_units: The unit in which the file has each constraint.
-        refine_starts: From how many of the best designs a refinement starts; 0 for none.
+        constraint_units: Unit of each constraint in the file, by metric.
+        refine_starts: Number of best designs that are refined; 0 for none.
     """
 
     name: str
@@ -109,7 +110,7 @@ class SweepFile:
     constraint_units: Mapping[str, str]
     refine_starts: int
 
-    def designs(self) -> Floats:
+    def designs(self) -> Float[np.ndarray, "designs axes"]:
         """Return the designs, shape ``(m, axes)``."""
         return draw_designs(self.axes, self.sampling, self.count, self.seed)
 
@@ -118,9 +119,9 @@ class SweepFile:
         return self.subject.problem(tuple(axis.name for axis in self.axes), self.metrics)
 
     def sobol_base(self) -> int:
-        """Return the rows of A and B for Sobol indices, a power of two; 0 for no indices.
+        """Return the number of rows of A and B for Sobol indices, a power of two; 0 for no indices.
 
-        The designs of the indices are at most half as many as the sweep's.
+        The indices take at most half as many designs as the sweep itself.
         """
         if not self.sensitivity:
             return 0
@@ -128,19 +129,19 @@ class SweepFile:
         return 2 ** int(math.log2(base)) if base >= _MIN_BASE else 0
 
     def missing_indices_note(self) -> str:
-        """Return why there are no Sobol indices, as a sentence; empty if there are, or if none are wanted."""
+        """Return a sentence that says why there are no Sobol indices; empty if there are, or if none are due."""
         if self.sampling == "grid" or any(axis.values for axis in self.axes):
             return (
-                "No Sobol indices, which need ranges drawn at random: sampling by sobol or latin-hypercube, "
-                "and no listed values."
+                "No Sobol indices: they need ranges sampled at random (sampling by sobol or latin-hypercube) and no "
+                "listed values."
             )
         if self.sensitivity and not self.sobol_base():
             least = _min_designs(len(self.axes))
-            return f"No Sobol indices, which need at least {least:,} designs of so many parameters."
+            return f"No Sobol indices: they need at least {least:,} designs with {len(self.axes)} parameters."
         return ""
 
     def header(self) -> dict[str, Any]:
-        """Return all that the sweep depends on, as a JSON document; see ``from_header``."""
+        """Return everything that the sweep depends on, as a JSON document; see ``from_header``."""
         return {
             "schema": 1,
             "smajax": __version__,
@@ -160,8 +161,11 @@ def _min_designs(axes: int) -> int:
 def read_sweep(path: str | Path) -> SweepFile:
     """Read and check a SWEEP.toml, or the table (Parquet) of an earlier sweep, which is then reproduced.
 
+    Args:
+        path: The file; relative paths in it start from its folder.
+
     Raises:
-        InputError: one sentence with the place and the cure.
+        InputError: If the file, the rig or a recording cannot be read or is not valid.
     """
     path = Path(path)
     if path.suffix.lower() == ".parquet" and path.is_file():
@@ -176,7 +180,14 @@ def read_sweep(path: str | Path) -> SweepFile:
 
 
 def from_header(header: Mapping[str, Any]) -> SweepFile:
-    """Return the sweep of a ``SweepFile.header``, also of an earlier version; its files need not exist."""
+    """Return the sweep of a ``SweepFile.header``, also of an earlier version; its files need not exist.
+
+    Args:
+        header: What ``SweepFile.header`` returned, with ``name``, ``sweep``, ``rig``, ``rig_name`` and ``recording``.
+
+    Raises:
+        InputError: If the sweep of the header is not valid in this version.
+    """
     data = parse_toml(header["sweep"], header["name"])
     subject = rebuild_subject(header["rig"], data, header["rig_name"], header["recording"])
     return _read_sweep(data, header["name"], header["sweep"], subject)
@@ -229,8 +240,8 @@ def _read_sweep(data: Mapping[str, Any], name: str, text: str, subject: Subject)
 def _count_designs(data: Mapping[str, Any], head: _Sweep, axes: tuple[Axis, ...]) -> int:
     if head.sampling == "grid" and "designs" in data["sweep"]:
         raise InputError(
-            "sweep.designs has no place with a grid, which has as many as its axes' points make: take it out, "
-            "or give points"
+            "sweep.designs has no place with a grid, whose number of designs follows from the points of its axes: "
+            "take it out, or give points"
         )
     count = math.prod(len(axis.grid()) for axis in axes) if head.sampling == "grid" else head.designs
     if count > _MAX_DESIGNS:

@@ -1,4 +1,4 @@
-"""A sweep's table as a Parquet file, with a header that reproduces the sweep. Needs pyarrow."""
+"""Table of a sweep as a Parquet file, with a header that reproduces the sweep. Needs pyarrow."""
 
 import json
 import os
@@ -13,9 +13,9 @@ from smajax.recordings.readers.parquet import pyarrow_parquet
 
 # Key of the header in the file's metadata.
 KEY = b"smajax.sweep"
-# What a header has to name.
+# Keys that a header must have.
 _REQUIRED = ("name", "recording", "rig", "rig_name", "sweep")
-# Characters of pyarrow's message that an error message repeats.
+# Number of characters of pyarrow's message that an error message repeats.
 _MESSAGE_LENGTH = 120
 
 
@@ -25,16 +25,16 @@ def write_table(
     header: Mapping[str, Any] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a table.
+    """Write a table as a Parquet file, which appears only when it is complete.
 
     Args:
         path: The file.
         columns: Columns by name, shape ``(m,)`` each.
-        header: JSON document that goes into the file's metadata.
-        units: Units by column; a column with a unit is headed ``name [unit]``.
+        header: JSON document for the file's metadata.
+        units: Units by column; a column with a unit is called ``name [unit]``.
 
     Raises:
-        InputError: if the disk does not take the file.
+        InputError: If the file cannot be written, or pyarrow is not installed.
     """
     parquet = pyarrow_parquet(path)
     import pyarrow
@@ -59,11 +59,15 @@ def write_table(
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
-    """Return the columns of a table by name, without their units. InputError if the file is not whole."""
+    """Read the columns of a table, shape ``(m,)`` each, by name without the unit.
+
+    Raises:
+        InputError: If the file is not readable, or pyarrow is not installed.
+    """
     parquet = pyarrow_parquet(path)
     try:
         table = parquet.read_table(path)
-    except Exception as error:  # pyarrow raises a kind of its own for each way in which a file can be broken
+    except Exception as error:  # pyarrow raises many kinds of exceptions for damaged files
         words = (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_LENGTH]
         raise InputError(
             f"{path}: the file is not readable as Parquet ({words}): remove it, and run the sweep again with --resume"
@@ -72,7 +76,11 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_header(path: Path) -> dict[str, Any]:
-    """Return the header of a sweep's table. InputError if the file is not such a table."""
+    """Read the header of a sweep's table.
+
+    Raises:
+        InputError: If the file is not the table of a sweep, or pyarrow is not installed.
+    """
     parquet = pyarrow_parquet(path)
     try:
         metadata = parquet.read_schema(path).metadata or {}

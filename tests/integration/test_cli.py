@@ -1,6 +1,6 @@
-"""The command: what it writes and prints, its exit codes, and that asking for help loads nothing heavy.
+"""Command line: files, output and exit codes, and fast help.
 
-Most commands run in this process on a short recording, so that what is compiled once serves all of them.
+Most commands run in this process on a short recording, so that they share compiled programs.
 """
 
 import json
@@ -40,7 +40,7 @@ def smajax(*words: object) -> Result:
 
 
 def sentence(result: Result, code: int) -> str:
-    """The single line on stderr of a command that refused, and nothing on stdout."""
+    """Return the single line on stderr of a refused command, which prints nothing on stdout."""
     lines = [line for line in result.stderr.splitlines() if not re.match("smajax: (loading|reading|compiling)", line)]
     assert result.exit_code == code, result.output
     assert len(lines) == 1, result.stderr
@@ -52,7 +52,7 @@ def sentence(result: Result, code: int) -> str:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory) -> Path:
-    """A rig with two free parameters, and short recordings of it: a simulation with other values, and noise."""
+    """A rig with two free parameters, and short recordings: simulations with other values, with noise."""
     folder = tmp_path_factory.mktemp("bench")
     text = datasets.data_path("recordings", "dead-weight", "rig.toml").read_text()
     text = re.sub(r"free = \[.*?\]", f"free = {json.dumps(FREE)}\nstarts = 1", text, flags=re.DOTALL)
@@ -82,10 +82,10 @@ def fitted(bench) -> Result:
         return smajax("fit", *files, "--out", bench / "out", "--profile", "heat.h0")
 
 
-def test_asking_for_help_loads_nothing_heavy():
+def test_help_imports_no_large_packages():
     probe = "import sys, smajax.app.cli; print([m for m in ('jax', 'numpy', 'scipy', 'pint', 'plotly', 'pandas', 'pydantic') if m in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize(
@@ -97,19 +97,22 @@ def test_asking_for_help_loads_nothing_heavy():
         ("demo",),
     ],
 )
-def test_equinox_is_loaded_after_its_checks_are_off(words, tmp_path):
-    """Its run-time checks call from compiled programs into Python: such programs cannot be kept between runs."""
+def test_equinox_is_imported_after_its_checks_are_disabled(words, tmp_path):
+    """Its run-time checks call Python from compiled programs; such programs cannot be cached between runs."""
     probe = (
         "import sys, smajax.numerics.process\n"
         "def stop(accelerator):\n    print('equinox' in sys.modules)\n    sys.exit(7)\n"
         "smajax.numerics.process.prepare_jax = stop\nimport smajax.app.cli\nsmajax.app.cli.main()"
     )
     files = [ROOT / "data" / "recordings" / "dead-weight" / name for name in ("rig.toml", "train.csv")]
-    given = [word.format(*files) for word in words]
-    found = subprocess.run(
-        [sys.executable, "-c", probe, *given, "--out", str(tmp_path / "out")], cwd=ROOT, capture_output=True, text=True
+    arguments = [word.format(*files) for word in words]
+    result = subprocess.run(
+        [sys.executable, "-c", probe, *arguments, "--out", str(tmp_path / "out")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
-    assert (found.returncode, found.stdout.strip()) == (7, "False"), found.stderr
+    assert (result.returncode, result.stdout.strip()) == (7, "False"), result.stderr
 
 
 def test_help_names_every_command_and_its_options():
@@ -195,26 +198,26 @@ def test_the_parameter_file_and_the_fitted_rig_hold_the_estimates(bench, fitted)
     plant = read_rig(bench / "out" / "rig-fitted.toml").plant
     assert list(entries) == FREE
     for name, entry in entries.items():
-        there = document["parameters"][name]
-        assert (entry.value, entry.interval95) == (there["estimate"], (there["lower95"], there["upper95"]))
+        parameter = document["parameters"][name]
+        assert (entry.value, entry.interval95) == (parameter["estimate"], (parameter["lower95"], parameter["upper95"]))
         assert entry.free
         assert document["recordings"][0]["sha256"] in entry.source
     assert float(plant.heat.h0) == entries["heat.h0"].value
     assert read_header(bench / "out" / "fit.toml")["fit"]["recordings"] == ["train.csv"]
 
 
-def test_the_prediction_is_the_fitted_plant_beside_the_measurement(bench, fitted):
+def test_the_prediction_has_the_fitted_plant_and_the_measurement(bench, fitted):
     rig = read_rig(bench / "out" / "rig-fitted.toml")
     rows = (bench / "out" / "prediction.csv").read_text().splitlines()
     assert rows[0].startswith("recording,role,time [s],current [mA],displacement [mm],displacement_model [mm]")
-    held = np.array(
+    table = np.array(
         [[float(cell) for cell in row.split(",")[2:6]] for row in rows if row.startswith("holdout.csv,holdout,")]
     )
     measured = rig.read(bench / "holdout.csv")
-    np.testing.assert_array_equal(held[:, 0], measured.time)
+    np.testing.assert_array_equal(table[:, 0], measured.time)
     model = simulate(rig.plant, measured, interpolation=rig.interpolation).channels["displacement"]
-    np.testing.assert_allclose(held[:, 2], 1e3 * measured.channels["displacement"], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(held[:, 3], 1e3 * np.asarray(model), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(table[:, 2], 1e3 * measured.channels["displacement"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(table[:, 3], 1e3 * np.asarray(model), rtol=1e-6, atol=1e-7)
 
 
 def test_the_report_is_rebuilt_from_the_folder_alone(bench, fitted):
@@ -262,7 +265,7 @@ def test_a_fit_starts_from_an_earlier_one(bench, fitted):
         assert second["parameters"][name]["estimate"] == pytest.approx(first["parameters"][name]["estimate"], rel=1e-4)
 
 
-def test_ctrl_c_keeps_the_best_point_so_far(bench, fitted, monkeypatch):
+def test_ctrl_c_keeps_the_best_point(bench, fitted, monkeypatch):
     monkeypatch.setattr(Progress, "step", lambda self, text: signal.raise_signal(signal.SIGINT))
     before = signal.getsignal(signal.SIGINT)  # a background process ignores it from the start
     result = smajax(
@@ -282,13 +285,13 @@ def test_a_simulation_is_a_recording_again(bench):
     assert result.exit_code == 0, result.output
     assert "Simulated 400 rows of more.csv with rig.toml." in result.stdout
     rig = read_rig(bench / "rig.toml")
-    given, made = rig.read(bench / "more.csv"), rig.read(bench / "simulated" / "simulation.csv")
-    assert made.units["current"] == "mA"
-    np.testing.assert_array_equal(made.channels["current"], given.channels["current"])
-    channels = simulate(rig.plant, given, interpolation=rig.interpolation).channels
-    assert set(made.channels) == set(rig.plant.observable)
+    recording, simulation = rig.read(bench / "more.csv"), rig.read(bench / "simulated" / "simulation.csv")
+    assert simulation.units["current"] == "mA"
+    np.testing.assert_array_equal(simulation.channels["current"], recording.channels["current"])
+    channels = simulate(rig.plant, recording, interpolation=rig.interpolation).channels
+    assert set(simulation.channels) == set(rig.plant.observable)
     for channel, values in channels.items():
-        np.testing.assert_allclose(made.channels[channel], values, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(simulation.channels[channel], values, rtol=1e-12, atol=1e-12)
     page = (bench / "simulated" / "report.html").read_text()
     assert "The other channels" in page
     assert smajax("report", bench / "simulated").exit_code == 0
@@ -301,20 +304,20 @@ def test_a_simulation_is_a_recording_again(bench):
     )
 
 
-def test_a_simulation_that_fails_is_code_3_and_saves_what_there_is(bench, tmp_path):
+def test_a_failed_simulation_is_code_3_and_saves_its_rows(bench, tmp_path):
     (tmp_path / "runaway.toml").write_text(
         re.sub(r'h2 = "[^"]*"', 'h2 = "-0.5 W/m^2/K^3"', (bench / "rig.toml").read_text())
     )
     result = smajax("simulate", tmp_path / "runaway.toml", bench / "more.csv", "--out", tmp_path / "out", "--quiet")
     reason = sentence(result, 3)
-    assert re.search(r"more\.csv: (diverged|overheated|unsolved): .*h\(T\).* what there is was saved in", reason)
+    assert re.search(r"more\.csv: (diverged|overheated|unsolved): .*h\(T\).* the results so far are saved in", reason)
     run = json.loads((tmp_path / "out" / "run.json").read_text())
     assert run["exit_code"] == 3
     assert run["code"] in ("diverged", "overheated", "unsolved")
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_a_fit_that_cannot_begin_is_code_3_with_its_reason_in_the_result(bench, tmp_path):
+def test_a_failed_fit_is_code_3_with_the_reason_in_the_result(bench, tmp_path):
     (tmp_path / "runaway.toml").write_text(
         re.sub(r'h2 = "[^"]*"', 'h2 = "-0.5 W/m^2/K^3"', (bench / "rig.toml").read_text())
     )
@@ -355,7 +358,7 @@ def test_a_fit_that_cannot_begin_is_code_3_with_its_reason_in_the_result(bench, 
             ["simulate", "{bench}/rig.toml", "{bench}/bad.csv", "--out", "{tmp}/out"],
             r"bad\.csv: row 3, column 'current \[A\]'",
         ),
-        (["report", "{tmp}"], "this is no result folder"),
+        (["report", "{tmp}"], "this is not a result folder"),
         (["report", "{tmp}/none"], "there is no such folder"),
         (["datasets", "get"], "'datasets get' needs a name"),
         (["datasets", "get", "dead-wait"], "did you mean 'dead-weight'"),
@@ -421,20 +424,20 @@ def test_machines_start_and_are_checked_like_rigs(kind, tmp_path):
     checked = smajax("check", rig)
     assert checked.exit_code == 0, checked.output
     assert kind in checked.stdout and all(name in checked.stdout for name in [*subject.declarations, *subject.units])
-    assert "is there already and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path), 2)
-    # What only a rig has.
-    assert "gives its figures without a recording" in sentence(smajax("check", rig, tmp_path / "a.csv"), 2)
+    assert "exists and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path), 2)
+    # Files that only rigs have.
+    assert "the metrics of an actuator need no recording" in sentence(smajax("check", rig, tmp_path / "a.csv"), 2)
     refused = sentence(smajax("simulate", rig, tmp_path / "a.csv", "--out", tmp_path / "out"), 2)
     assert f'rig.kind = "{kind}" is an actuator' in refused and "smajax sweep" in refused
 
 
-def test_a_fault_of_ours_is_one_sentence_with_the_place_of_its_traceback(bench, monkeypatch):
+def test_an_unexpected_error_is_one_sentence_with_the_path_of_its_traceback(bench, monkeypatch):
     def fail(*_: object) -> str:
         raise ZeroDivisionError("deep inside")
 
     monkeypatch.setattr("smajax.app.commands.check.describe", fail)
-    said = sentence(smajax("check", bench / "rig.toml"), 1)
-    written = Path(said.rpartition(" ")[2])
+    message = sentence(smajax("check", bench / "rig.toml"), 1)
+    written = Path(message.rpartition(" ")[2])
     assert "ZeroDivisionError: deep inside" in written.read_text()
     written.unlink()
 
@@ -443,28 +446,28 @@ def test_a_fault_of_ours_is_one_sentence_with_the_place_of_its_traceback(bench, 
 def test_init_writes_files_that_pass_the_check(kind, tmp_path):
     result = smajax("init", kind, "--out", tmp_path / "mine")
     assert result.exit_code == 0, result.output
-    there = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
+    contents = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
     steered = kind in STEERED
     more = {"controller.toml", "sweep.toml"} if steered else set()
-    assert set(there) == {"rig.toml", "example.toml", "example.csv"} | more
+    assert set(contents) == {"rig.toml", "example.toml", "example.csv"} | more
     if steered:
         assert read_sweep(tmp_path / "mine" / "sweep.toml").subject.name == "example.toml"
         read_controller(tmp_path / "mine" / "controller.toml", read_rig(tmp_path / "mine" / "example.toml"))
         assert "smajax tune" in result.output
-    assert there["rig.toml"].count(b"#") > 5
+    assert contents["rig.toml"].count(b"#") > 5
     for rig in ("rig.toml", "example.toml"):
         checked = smajax("check", tmp_path / "mine" / rig, tmp_path / "mine" / "example.csv")
         assert checked.exit_code == 0, checked.output
         assert kind in checked.stdout
         assert "free parameter" in checked.stdout
     (tmp_path / "mine" / "example.csv").unlink()
-    assert "is there already and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path / "mine"), 2)
+    assert "exists and is not overwritten" in sentence(smajax("init", kind, "--out", tmp_path / "mine"), 2)
     assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == {
-        k: v for k, v in there.items() if k != "example.csv"
+        k: v for k, v in contents.items() if k != "example.csv"
     }
 
 
-def test_check_says_what_would_be_fitted(bench):
+def test_check_describes_the_fit(bench):
     text = smajax("check", bench / "rig.toml", bench / "train.csv").stdout
     assert re.search(r"heat\.h0 +100\.6 W/m\^2/K +0 W/m\^2/K \.\. .* rig\.toml line \d+", text)
     assert "Fitted and scored: displacement; needed in a recording: current." in text
@@ -482,7 +485,7 @@ def test_bad_rows_are_dropped_on_request_only_and_counted(bench, tmp_path):
     assert "1 of 400 rows with a blank or unreadable cell dropped on request: row 6" in result.stdout
 
 
-def test_recordings_of_one_name_are_told_apart(bench, tmp_path):
+def test_recordings_with_one_name_get_distinct_names(bench, tmp_path):
     (tmp_path / "two").mkdir()
     (tmp_path / "two" / "train.csv").write_bytes((bench / "more.csv").read_bytes())
     text = smajax("check", bench / "rig.toml", bench / "train.csv", tmp_path / "two" / "train.csv").stdout

@@ -1,4 +1,4 @@
-"""The experiments on recordings by others: what they read, and what they say of folders that they cannot use. Their fits are no tests."""
+"""Experiments with recordings by others: the files that they read, and messages for folders that they cannot use. Fits are not tested."""
 
 import ast
 import importlib
@@ -24,14 +24,14 @@ NAMES = sorted(
 
 
 def run_alone(name: str, *words: str) -> subprocess.CompletedProcess:
-    """An experiment in a process that inherits nothing of how the tests set up JAX, as a user starts it."""
+    """Run an experiment in a separate process without the JAX settings of the tests, as a user does."""
     command = [sys.executable, str(EXPERIMENTS / f"{name}.py"), *words]
     environment = {k: v for k, v in os.environ.items() if k not in ("EQX_ON_ERROR", "XLA_FLAGS")}
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, env=environment)
 
 
 class Ended(NamedTuple):
-    """How an experiment ended, and what it said."""
+    """Exit code and output of an experiment."""
 
     returncode: int
     stdout: str
@@ -40,29 +40,29 @@ class Ended(NamedTuple):
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Runs an experiment in this process, where all that it imports is loaded already."""
+    """Return a function that runs an experiment in this process, whose modules are already imported."""
     monkeypatch.syspath_prepend(str(ROOT))
 
     def ended(name: str, *words: str) -> Ended:
         monkeypatch.setattr(sys, "argv", [str(EXPERIMENTS / f"{name}.py"), *words])
-        with pytest.raises(SystemExit) as left:
+        with pytest.raises(SystemExit) as ended_by:
             importlib.import_module(f"experiments.{name.replace('/', '.')}").main()
-        said = capsys.readouterr()
-        return Ended(int(left.value.code or 0), said.out, said.err)
+        streams = capsys.readouterr()
+        return Ended(int(ended_by.value.code or 0), streams.out, streams.err)
 
     return ended
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_experiment_starts(name, run):
-    done = run(name, "--help")
-    assert done.returncode == 0 and "--json" in done.stdout, done.stderr
-    # Alone, each has to prepare JAX before it loads anything that needs it prepared.
+    result = run(name, "--help")
+    assert result.returncode == 0 and "--json" in result.stdout, result.stderr
+    # Each experiment has to configure JAX before it imports modules that need it.
     assert first_loaded(name).startswith("experiments.common")
 
 
 def first_loaded(name: str) -> str:
-    """The first module that an experiment imports of those that prepare JAX or need it prepared."""
+    """Return the first module in an experiment's imports that configures JAX or needs it configured."""
     for node in ast.parse((EXPERIMENTS / f"{name}.py").read_text("utf-8")).body:
         modules = (
             [str(node.module)] if isinstance(node, ast.ImportFrom) else [a.name for a in getattr(node, "names", [])]
@@ -100,28 +100,28 @@ def levels(folder: Path, *stresses: int) -> Path:
         "measured/bu_softlimb",
     ],
 )
-def test_a_folder_that_is_not_there_is_named(name, tmp_path, run):
-    done = run(name, "--data", str(tmp_path / "nowhere"))
-    assert done.returncode == 2
-    assert "nowhere" in done.stderr and "--data" in done.stderr
+def test_a_missing_folder_is_refused(name, tmp_path, run):
+    result = run(name, "--data", str(tmp_path / "nowhere"))
+    assert result.returncode == 2
+    assert "nowhere" in result.stderr and "--data" in result.stderr
 
 
-def test_a_level_that_is_not_there_is_refused_with_those_that_are(tmp_path, run):
-    done = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 100, 200)), "--holdout", "150")
-    assert done.returncode == 2
-    assert "50, 100, 200 MPa" in done.stderr
+def test_a_missing_level_is_refused_with_a_list(tmp_path, run):
+    result = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 100, 200)), "--holdout", "150")
+    assert result.returncode == 2
+    assert "50, 100, 200 MPa" in result.stderr
 
 
 def test_two_levels_are_too_few(tmp_path, run):
-    done = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 150)), "--holdout", "150")
-    assert done.returncode == 2
-    assert "at least three" in done.stderr
+    result = run("measured/isobaric", "--data", str(levels(tmp_path, 50, 150)), "--holdout", "150")
+    assert result.returncode == 2
+    assert "at least three" in result.stderr
 
 
 def test_the_measured_levels_are_found(shared, run):
-    done = run("measured/isobaric", "--data", str(shared / "data" / "tamu-flexinol-isobaric"), "--holdout", "1")
-    assert done.returncode == 2
-    assert "50, 100, 150, 172, 200 MPa" in done.stderr
+    result = run("measured/isobaric", "--data", str(shared / "data" / "tamu-flexinol-isobaric"), "--holdout", "1")
+    assert result.returncode == 2
+    assert "50, 100, 150, 172, 200 MPa" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -134,23 +134,23 @@ def test_the_measured_levels_are_found(shared, run):
 )
 def test_cycles_that_cannot_be_read_are_refused(text, said, tmp_path, run):
     (tmp_path / "Example Test Data.txt").write_text(text)
-    done = run("measured/cyclic", "--data", str(tmp_path))
-    assert done.returncode == 2
-    assert "Example Test Data.txt" in done.stderr and said in done.stderr
+    result = run("measured/cyclic", "--data", str(tmp_path))
+    assert result.returncode == 2
+    assert "Example Test Data.txt" in result.stderr and said in result.stderr
 
 
-def test_a_workbook_that_is_none_is_refused(tmp_path, run):
+def test_an_invalid_workbook_is_refused(tmp_path, run):
     for temperature in (0, 40, 100):
         (tmp_path / f"pseudoelastic_{temperature}C.xlsx").write_text("no workbook")
-    done = run("measured/superelastic", "--data", str(tmp_path))
-    assert done.returncode == 2
-    assert "pseudoelastic_0C.xlsx cannot be read" in done.stderr
+    result = run("measured/superelastic", "--data", str(tmp_path))
+    assert result.returncode == 2
+    assert "pseudoelastic_0C.xlsx cannot be read" in result.stderr
 
 
 def quick_rows(name: str, folder: Path, tmp_path: Path) -> dict[str, dict]:
-    """The rows of a quick run by what they say."""
-    done = run_alone(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
-    assert done.returncode == 0, done.stderr
+    """Return the rows of a quick run by name."""
+    result = run_alone(name, "--data", str(folder), "--quick", "--json", str(tmp_path / "rows.json"))
+    assert result.returncode == 0, result.stderr
     return {row["what"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
 
 
@@ -161,7 +161,7 @@ def test_an_effect_forecasts_the_measured_cycles_better_than_the_base_model(shar
     assert "10404 scored" in rows["rows"]["measured"]
     assert (
         rows["all effects against the naive forecast, plateau rows"]["met"] is False
-    )  # one effect is not enough, and the table says so
+    )  # one effect is not enough, and the table shows it
 
 
 def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared, tmp_path):
@@ -172,7 +172,7 @@ def test_an_effect_predicts_the_measured_loop_better_than_the_base_model(shared,
 
 
 def arm_log(folder: Path, pulses: tuple[float, ...] = (1.0, 91.0), tags: tuple[int, ...] = (1, 2, 3)) -> Path:
-    """A log of an arm that turns about its middle tag while its second thermocouple warms up."""
+    """Write a log of an arm that turns about its middle tag while its second thermocouple heats up."""
     time = np.arange(0.0, 110.0, 0.2)
     since = (
         np.min([np.where(time >= p, time - p, np.inf) for p in pulses], axis=0)
@@ -198,23 +198,23 @@ def arm_log(folder: Path, pulses: tuple[float, ...] = (1.0, 91.0), tags: tuple[i
 
 
 def test_a_log_without_pulses_or_tags_is_refused(tmp_path, run):
-    done = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, pulses=())))
-    assert done.returncode == 2 and "0 pulses" in done.stderr
-    done = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, tags=())))
-    assert done.returncode == 2 and "0 tags" in done.stderr
+    result = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, pulses=())))
+    assert result.returncode == 2 and "0 pulses" in result.stderr
+    result = run("measured/bu_softlimb", "--data", str(arm_log(tmp_path, tags=())))
+    assert result.returncode == 2 and "0 tags" in result.stderr
 
 
-def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
+def test_the_moving_parts_of_a_log_are_detected(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     from experiments.common import arm_fit
     from experiments.common import arm_log as arm_logs
 
     log = arm_logs.read_logs(arm_log(tmp_path))[0]
-    assert log.found == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
+    assert log.columns == "pwm_duty_b, MCPtemp_1, tags 2 to 3"
     np.testing.assert_allclose(log.pulses, [1.0, 91.0])
     assert (log.until, log.scored) == (80.0, 85.0)
     assert np.nanmax(log.bend) > 5.0
-    parts = arm_fit.parts(log)
+    parts = arm_fit.split_log(log)
     train, select = (np.isfinite(parts[role].channels["displacement"]) for role in ("train", "select"))
     assert not np.any(train & select)
     np.testing.assert_array_equal(train | select, np.isfinite(parts["fitted"].channels["displacement"]))
@@ -222,10 +222,10 @@ def test_what_moves_in_a_log_is_found(tmp_path, monkeypatch):
 
 def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     target = tmp_path / "table.json"
-    done = run_alone(
+    result = run_alone(
         "measured/bu_softlimb", "--data", str(shared / "data" / "bu-softlimb"), "--quick", "--json", str(target)
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
     assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]
     assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]

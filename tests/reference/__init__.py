@@ -1,1 +1,1 @@
-"""Slow, exact, non-smooth simulators in plain NumPy and numba. They share no code with smajax, prove it, and make the shipped recordings."""
+"""Exact, non-smooth and slow simulators in NumPy and numba. They share no code with smajax, verify it, and make the shipped recordings."""

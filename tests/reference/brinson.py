@@ -1,4 +1,4 @@
-"""Brinson's wire, exactly: cosine kinetics with the correction of Chung, Heo and Lee (2007), no smoothing.
+"""Brinson's law without smoothing: cosine kinetics with the correction of Chung, Heo and Lee (2007).
 
 Fractions: ``detwinned`` (stress-induced martensite), ``twinned`` (temperature-induced), the rest is austenite. Temperatures in degC, stresses in
 Pa, tension positive. With A the austenite 1 - detwinned - twinned, the three transformations are, along a leg of monotone driving variable,
@@ -43,7 +43,7 @@ class Material(NamedTuple):
 
 @njit(cache=True)
 def half_cosine(phase):
-    """(1 + cos(pi phase)) / 2, held at 1 below phase 0 and at 0 above phase 1; written as a square so that it keeps its digits near 0."""
+    """Return (1 + cos(pi phase)) / 2, which is 1 below phase 0 and 0 above phase 1; the square keeps the precision near 0."""
     if phase <= 0.0:
         return 1.0
     if phase >= 1.0:
@@ -53,37 +53,37 @@ def half_cosine(phase):
 
 @njit(cache=True)
 def detwinning_drive(m, temperature, stress):
-    """d in Pa: the stress less the shift of the critical stresses above M_s."""
+    """Return d in Pa: the stress minus the shift of the critical stresses above M_s."""
     return stress - m.clausius_clapeyron_martensite * max(temperature - m.martensite_start, 0.0)
 
 
 @njit(cache=True)
 def reverse_drive(m, temperature, stress):
-    """a in K: the temperature above the start of the reverse transformation."""
+    """Return a in K: the temperature above the start of the reverse transformation."""
     return temperature - m.austenite_start - stress / m.clausius_clapeyron_austenite
 
 
 @njit(cache=True)
 def detwinning_cosine(m, drive):
-    """g(d)."""
+    """Return g(d)."""
     return half_cosine((drive - m.detwinning_start_stress) / (m.detwinning_finish_stress - m.detwinning_start_stress))
 
 
 @njit(cache=True)
 def twinning_cosine(m, temperature):
-    """t(T)."""
+    """Return t(T)."""
     return half_cosine((m.martensite_start - temperature) / (m.martensite_start - m.martensite_finish))
 
 
 @njit(cache=True)
 def reverse_cosine(m, drive):
-    """f(a)."""
+    """Return f(a)."""
     return half_cosine(drive / (m.austenite_finish - m.austenite_start))
 
 
 @njit(cache=True)
 def _ratio(after, before):
-    # A cosine that is already 0 belongs to a transformation that is complete.
+    # A cosine of 0 belongs to a complete transformation.
     return after / before if before > 0.0 else 0.0
 
 
@@ -107,7 +107,7 @@ def _monotone_leg(m, detwinned, twinned, t0, s0, t1, s1):
 
 @njit(cache=True)
 def advance(m, detwinned, twinned, t0, s0, t1, s1):
-    """Fractions after a straight path from (t0, s0) to (t1, s1): relative form, exact.
+    """Return the fractions after a straight path from (t0, s0) to (t1, s1): relative form, exact.
 
     d bends where the path crosses M_s, so the path is cut there; on both halves every driving variable is monotone.
     """
@@ -178,7 +178,7 @@ def _detwinned_at(m, temperature, stress, detwinned0):
 
 @njit(cache=True)
 def chung_d(m, temperature, detwinned0, twinned0, cooling):
-    """Twinned fraction that cooling alone would make: corrected D of eq. 5; complete below M_f."""
+    """Return the twinned fraction after cooling alone: the corrected D of eq. 5; complete below M_f."""
     if not cooling or temperature >= m.martensite_start:
         return twinned0
     angle = (
@@ -204,8 +204,8 @@ def reverse_from_leg_start(m, temperature, stress, detwinned0, twinned0):
     """Integrated kinetics of a reverse leg that started outside its band: branch (iv). Returns (detwinned, twinned)."""
     drive = reverse_drive(m, temperature, stress)
     width = m.austenite_finish - m.austenite_start
-    left = 0.5 * (math.cos(math.pi / width * min(max(drive, 0.0), width)) + 1.0)
-    return detwinned0 * left, twinned0 * left
+    remainder = 0.5 * (math.cos(math.pi / width * min(max(drive, 0.0), width)) + 1.0)
+    return detwinned0 * remainder, twinned0 * remainder
 
 
 @njit(cache=True)

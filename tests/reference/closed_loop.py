@@ -1,5 +1,5 @@
-"""Closed loops on the exact simulators of a dead weight and of two wires on a pulley: a PID written down once more, in plain Python,
-sampled and held."""
+"""Closed loops with the exact simulators of a dead weight and of two wires on a pulley: a second, sampled PID controller
+in plain Python."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ def lift(
 ) -> tuple[Floats, Floats, Floats]:
     """Displacement in m, temperature in degC and command at the samples, all (n,), of a wire that lifts a mass, from rest.
 
-    The controller sees the displacement with its ``noise``, or what ``sense`` makes of displacement, resistance and the command until then.
+    The controller measures the displacement with ``noise``, or the output of ``sense`` for displacement, resistance and previous command.
     """
     parts = (rig.material, rig.heat, rig.wire, rig.mechanism["mass"])
     span, position, command = np.array([0.0, pid.period]), 0.0, 0.0
@@ -60,14 +60,14 @@ def lift(
     )
     drive = {"control": rig.control, "interpolation": "hold", "substeps": substeps}
     ohms = float(rigs.dead_weight(*parts, span, np.zeros(2), **drive, start=start).resistance[0, 0])
-    found = np.empty((3, len(reference)))
+    series = np.empty((3, len(reference)))
     for k, r in enumerate(reference):
         command = pid(r, sense(position, ohms, command) if sense else position + noise[k])
-        found[:, k] = position, start.temperature, command
+        series[:, k] = position, start.temperature, command
         run = rigs.dead_weight(*parts, span, np.full(2, command), **drive, start=start)
         position, ohms = position + run.position[-1] - run.position[0], float(run.resistance[-1, 0])
         start = State(run.temperature[-1, 0], run.stress[-1, 0], run.detwinned[-1, 0], run.twinned[-1, 0])
-    return found[0], found[1], found[2]
+    return series[0], series[1], series[2]
 
 
 def turn(
@@ -82,7 +82,7 @@ def turn(
     """Angle in rad (n,), temperatures in degC and commands (n, 2) at the samples, of two wires that turn a light pulley, from rest.
 
     The controller sees the angle with its ``noise``, rounded to ``quantum`` rad. What it commands heats wire 1 above 0 and wire 2 below;
-    both get the co-contraction beside, and none more than the controller's limit.
+    both also get the co-contraction, and at most the limit of the controller.
     """
     parts = (rig.material, rig.heat, rig.wire, rig.mechanism["radius"])
     span, angle = np.array([0.0, pid.period]), 0.0

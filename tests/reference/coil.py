@@ -1,4 +1,4 @@
-"""Machines with helical SMA springs, exactly, in shear: torsional stress and strain at the surface of the coiled wire.
+"""Exact simulators of rigs with helical SMA springs, in torsional stress and strain at the surface of the wire.
 
     tau = 2 F R / (pi r^3)        gamma = r y / (2 pi R^2 N)        gamma = tau / G + gamma_L xi_s        (Theta = 0)
 
@@ -7,7 +7,7 @@ with the wire's radius r, the coil's mean radius R, N turns, a pull F and a stre
 whole spring: m c T' = heat - h(T) A (T - T_ambient) with the developed wire's surface A = pi d (2 pi R N).
 
 Plain small steps: Heun's rule for the temperature, the laws as closed forms from the start of a step to its end, the pull by bisection of
-a function that rises with it. Time is not cut at events; halving the steps says how far that carries.
+an increasing function. Steps are not cut at events; halving the steps shows the error.
 """
 
 import math
@@ -57,7 +57,7 @@ class Coil(NamedTuple):
 
 
 class Spring(NamedTuple):
-    """State: temperature, shear stress, and martensite that is drawn out and that is twinned."""
+    """State: temperature, shear stress, and detwinned and twinned martensite."""
 
     temperature: float
     stress: float
@@ -89,7 +89,7 @@ def _cosine(share):
 
 @njit(cache=True)
 def _remains(law, share):
-    """What is left to transform where a driving variable has gone a share of its band."""
+    """Return the fraction not yet transformed at a position of the driving variable in its band."""
     return 0.01 ** max(share, 0.0) if law == TANAKA else _cosine(share)
 
 
@@ -100,7 +100,7 @@ def _over(after, before):
 
 @njit(cache=True)
 def evolve(m, spring, temperature, stress):
-    """The fractions after a monotone way from the state to (temperature, stress)."""
+    """Return the fractions after a monotone path from the state to (temperature, stress)."""
     s, t = spring.detwinned, spring.twinned
     if m.law == LAGOUDAS:
         compliance = 0.5 * (1.0 / m.modulus_martensite - 1.0 / m.modulus_austenite) * stress**2
@@ -111,21 +111,21 @@ def evolve(m, spring, temperature, stress):
         )
         if forward > s + t:
             return min(forward, 1.0) - t, t
-        taken = m.max_transformation_strain * s / (s + t) * stress + compliance if s + t > 0.0 else 0.0
-        reverse = 1.0 + (taken + entropy * (temperature - m.austenite_start)) / (
+        driving = m.max_transformation_strain * s / (s + t) * stress + compliance if s + t > 0.0 else 0.0
+        reverse = 1.0 + (driving + entropy * (temperature - m.austenite_start)) / (
             entropy * (m.austenite_start - m.austenite_finish)
         )
         if s + t > 0.0 and reverse < s + t:
-            kept = max(reverse, 0.0) / (s + t)
-            return s * kept, t * kept
+            factor = max(reverse, 0.0) / (s + t)
+            return s * factor, t * factor
         return s, t
     before = (spring.temperature - m.austenite_start - spring.stress / m.slope_austenite) / (
         m.austenite_finish - m.austenite_start
     )
     after = (temperature - m.austenite_start - stress / m.slope_austenite) / (m.austenite_finish - m.austenite_start)
     if after > before:
-        kept = _over(_remains(m.law, after), _remains(m.law, before))
-        s, t = s * kept, t * kept
+        factor = _over(_remains(m.law, after), _remains(m.law, before))
+        s, t = s * factor, t * factor
     if m.law == BRINSON:
         band = m.finish_stress - m.start_stress
         before = (
@@ -133,8 +133,8 @@ def evolve(m, spring, temperature, stress):
         ) / band
         after = (stress - m.slope_martensite * max(temperature - m.martensite_start, 0.0) - m.start_stress) / band
         if after > before:
-            left = _over(_cosine(after), _cosine(before))
-            s, t = 1.0 - (1.0 - s) * left, t * left
+            remainder = _over(_cosine(after), _cosine(before))
+            s, t = 1.0 - (1.0 - s) * remainder, t * remainder
         if temperature < spring.temperature:
             before = (m.martensite_start - spring.temperature) / (m.martensite_start - m.martensite_finish)
             after = (m.martensite_start - temperature) / (m.martensite_start - m.martensite_finish)
@@ -199,19 +199,19 @@ def ohms(coil, martensite):
 
 @njit(cache=True)
 def _power(coil, voltage_driven, signal, martensite):
-    """W into one spring: all springs of a bundle in series, at a voltage across the bundle or a current."""
-    one = ohms(coil, martensite)
-    current = signal / (coil.springs * one) if voltage_driven else signal
-    return current**2 * one
+    """Return the power of one spring in W; the springs of a bundle are in series, at a voltage across the bundle or a current."""
+    resistance = ohms(coil, martensite)
+    current = signal / (coil.springs * resistance) if voltage_driven else signal
+    return current**2 * resistance
 
 
 @njit(cache=True)
 def _warmed(heat, coil, voltage_driven, signal, spring, step, guess):
-    """The temperature after a step, by Heun's rule, the fraction going from the spring's to ``guess``."""
+    """Return the temperature after a step by Heun's rule, while the fraction changes to ``guess``."""
     xi = spring.detwinned + spring.twinned
     first = _heat_rate(heat, coil, _power(coil, voltage_driven, signal, xi), spring.temperature, xi)
-    there = spring.temperature + step * first
-    last = _heat_rate(heat, coil, _power(coil, voltage_driven, signal, guess), there, guess)
+    predicted = spring.temperature + step * first
+    last = _heat_rate(heat, coil, _power(coil, voltage_driven, signal, guess), predicted, guess)
     return spring.temperature + 0.5 * step * (first + last)
 
 
@@ -254,13 +254,13 @@ def _single(m, heat, coil, machine, load, stiffness, voltage_driven, time, signa
 
 
 @njit(cache=True)
-def _stress_at(m, coil, spring, temperature, wanted):
-    """Shear stress at which a spring has the wanted stretch, 0 if it hangs slack there."""
+def _stress_at(m, coil, spring, temperature, target):
+    """Return the shear stress at which a spring has the target stretch, 0 if it is slack."""
     low, high = 0.0, 3e9
     for _ in range(60):
         middle = 0.5 * (low + high)
         s, t = evolve(m, spring, temperature, middle)
-        if stretch(m, coil, middle, s, t) > wanted:
+        if stretch(m, coil, middle, s, t) > target:
             high = middle
         else:
             low = middle
@@ -269,7 +269,7 @@ def _stress_at(m, coil, spring, temperature, wanted):
 
 @njit(cache=True)
 def _common_stress(m, coil, first, second, t1, t2, prestretch):
-    """The stress that two springs in line share: their stretches add up to twice the prestretch."""
+    """Return the common stress of two springs in series, whose stretches add up to twice the prestretch."""
     low, high = 0.0, 3e9
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -303,7 +303,7 @@ def _pair(m, heat, coil, prestretch, radius, voltage_driven, time, signal, first
             first, second = a, b
             short1 = prestretch - stretch(m, coil, first.stress, first.detwinned, first.twinned)
             short2 = stretch(m, coil, second.stress, second.detwinned, second.twinned) - prestretch
-            lean = min(max(lean, short1), short2)  # between where spring 1 and where spring 2 comes taut
+            lean = min(max(lean, short1), short2)  # between the angles at which spring 1 and spring 2 become taut
     return out
 
 
@@ -356,7 +356,7 @@ def _run(out: Floats, springs: int) -> Run:
 
 
 def _drawn(material: Shear, coil: Coil, prestretch: float) -> Spring:
-    """Cold and slack, drawn out by so much: the rest of the martensite twinned."""
+    """Return the cold, slack state after stretching to the prestretch; the rest of the martensite is twinned."""
     detwinned = min(max(prestretch / stretch(material, coil, 0.0, 1.0, 0.0), 0.0), 1.0)
     return Spring(coil.ambient, 0.0, detwinned, 1.0 - detwinned)
 
@@ -384,8 +384,16 @@ def dead_weight(
     """Springs side by side lifting a mass; all detwinned at ambient. Position: the contraction in m. Inputs are held from row to row."""
     stress = mass * GRAVITY / pull(coil, 1.0)
     start = Spring(coil.ambient, stress, 1.0, 0.0)
-    given = (_floats(material), _floats(heat), _floats(coil), DEAD_WEIGHT, mass * GRAVITY, 0.0, control == "voltage")
-    return _run(_single(*given, np.asarray(time, float), np.asarray(signal, float), _floats(start), substeps), 1)
+    arguments = (
+        _floats(material),
+        _floats(heat),
+        _floats(coil),
+        DEAD_WEIGHT,
+        mass * GRAVITY,
+        0.0,
+        control == "voltage",
+    )
+    return _run(_single(*arguments, np.asarray(time, float), np.asarray(signal, float), _floats(start), substeps), 1)
 
 
 def bias_spring(
@@ -393,7 +401,7 @@ def bias_spring(
 ) -> Run:  # fmt: skip
     """A spring that stretches another one, F = preload + stiffness x; starts all detwinned at ambient under the preload."""
     start = Spring(coil.ambient, preload / pull(coil, 1.0), 1.0, 0.0)
-    given = (
+    arguments = (
         _floats(material),
         _floats(heat),
         _floats(coil),
@@ -402,7 +410,7 @@ def bias_spring(
         float(stiffness),
         control == "voltage",
     )
-    return _run(_single(*given, np.asarray(time, float), np.asarray(signal, float), _floats(start), substeps), 1)
+    return _run(_single(*arguments, np.asarray(time, float), np.asarray(signal, float), _floats(start), substeps), 1)
 
 
 def antagonistic(
@@ -411,8 +419,17 @@ def antagonistic(
 ) -> Run:  # fmt: skip
     """Two springs on a light pulley, slack at angle 0 and drawn out cold by the prestretch. Position: the angle in rad; signal (n, 2)."""
     start = _floats(_drawn(material, coil, prestretch))
-    given = (_floats(material), _floats(heat), _floats(coil), float(prestretch), float(radius), control == "voltage")
-    return _run(_pair(*given, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2)
+    arguments = (
+        _floats(material),
+        _floats(heat),
+        _floats(coil),
+        float(prestretch),
+        float(radius),
+        control == "voltage",
+    )
+    return _run(
+        _pair(*arguments, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2
+    )
 
 
 def joint(
@@ -422,7 +439,7 @@ def joint(
     """As ``antagonistic``, turning a link: inertia theta'' + damping theta' = radius (F_1 - F_2) - moment sin(theta); kg m^2, N m s/rad, N m."""
     start = _floats(_drawn(material, coil, prestretch))
     turned = (float(radius), float(inertia), float(damping), float(moment))
-    given = (_floats(material), _floats(heat), _floats(coil), float(prestretch), turned, control == "voltage")
+    arguments = (_floats(material), _floats(heat), _floats(coil), float(prestretch), turned, control == "voltage")
     return _run(
-        _turning(*given, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2
+        _turning(*arguments, np.asarray(time, float), np.ascontiguousarray(signal, float), start, start, substeps), 2
     )

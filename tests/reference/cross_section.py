@@ -1,4 +1,4 @@
-"""The cross-section of a flexural actuator by finite elements: linear triangles that follow the wires' edges, one sparse LU of SciPy.
+"""Finite-element model of the cross-section of a flexural actuator: linear triangles along the edges of the wires, sparse LU of SciPy.
 
 It shares nothing with smajax, neither equations nor grid: Delaunay triangles through rings of points around and within each wire and through
 points on the layers' interfaces, lumped capacities, Crank-Nicolson after two half steps of Euler's rule.
@@ -42,17 +42,17 @@ class Section:
 
 
 def _points(section: Section, rings: int) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes, and the rows of those at the wires' centres."""
+    """Return the nodes, and the rows of those at the centres of the wires."""
     half, height, radius = section.width / 2, 2 * section.tape + section.silicone, section.diameter / 2
     level = height / 2 + section.offset
     step, places = radius / rings, section.wires()
-    beside = 0.5 * np.min(np.diff(places)) if len(places) > 1 else half
-    room = min(section.silicone / 2 - abs(section.offset), beside, half - places[-1])
+    neighbour = 0.5 * np.min(np.diff(places)) if len(places) > 1 else half
+    room = min(section.silicone / 2 - abs(section.offset), neighbour, half - places[-1])
     radii = list(step * np.arange(rings + 1))
     while radii[-1] * (1 + 1.1 / rings) + 0.6 * step < room and len(radii) < 3 * rings:
         radii.append(radii[-1] * (1 + 1 / rings))
     reach = radii[-1] + 0.6 * step
-    # Columns as dense as the rings near the wires, then further apart.
+    # Columns with the spacing of the rings near the wires, then a larger one.
     columns = [0.0]
     while columns[-1] < half:
         away = max(np.min(np.abs(places - columns[-1])) - 1.2 * reach, 0.0)
@@ -78,7 +78,7 @@ def _points(section: Section, rings: int) -> tuple[np.ndarray, np.ndarray]:
             turned.append(np.column_stack([place + r * np.cos(angles), level + r * np.sin(angles)]))
         ring = np.concatenate(turned)
         on_axis = np.abs(place) < 1e-12
-        # A wire on the plane of symmetry is cut there.
+        # Half of a wire on the plane of symmetry is modelled.
         ring = (
             np.concatenate([ring[ring[:, 0] > 1e-9], [[0.0, level + s * r] for r in radii[1:] for s in (-1, 1)]])
             if on_axis
@@ -91,19 +91,19 @@ def _points(section: Section, rings: int) -> tuple[np.ndarray, np.ndarray]:
 def cool(section: Section, duration: float, rings: int = 12, step: float = 2.5e-3) -> tuple[np.ndarray, np.ndarray]:
     """Times and the temperature at the centre of the hottest wire; ``rings`` rings of nodes lie within a wire."""
     height, radius = 2 * section.tape + section.silicone, section.diameter / 2
-    nodes, seen = _points(section, rings)
+    nodes, centre_nodes = _points(section, rings)
     corners = Delaunay(nodes).simplices
     p = nodes[corners]
     edges = p[:, [2, 0, 1]] - p[:, [1, 2, 0]]
     area = 0.5 * np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     corners, p, edges, area = (a[area > 1e-6 * area.max() * 1e-3] for a in (corners, p, edges, area))
     middle = p.mean(axis=1)
-    centres = nodes[seen]
+    centres = nodes[centre_nodes]
     in_wire = np.min(np.linalg.norm(middle[:, None] - centres[None], axis=2), axis=1) < radius
     in_tape = (middle[:, 1] < section.tape) | (middle[:, 1] > height - section.tape)
     kind = np.where(in_wire, 2, np.where(in_tape, 0, 1))
     density, heat, conductivity = np.array(section.materials)[kind].T
-    # Chords cut a little off the circle: the wire keeps its heat capacity all the same.
+    # The chords reduce the area of the circle; the heat capacity of the wire is corrected.
     whole = sum(np.pi * radius**2 * (0.5 if abs(c) < 1e-12 else 1.0) for c in section.wires())
     third = area * density * heat / 3 * np.where(in_wire, whole / area[in_wire].sum(), 1.0)
     n = len(nodes)
@@ -125,19 +125,19 @@ def cool(section: Section, duration: float, rings: int = 12, step: float = 2.5e-
         section.elastomer_start - section.ambient + (section.wire_start - section.elastomer_start) * warm / capacity
     )
     lu = splu((sp.diags(capacity) + 0.5 * step * network).tocsc())
-    found = [excess[seen].max()]
+    temperatures = [excess[centre_nodes].max()]
     for i in range(round(duration / step)):
         if i == 0:
             for _ in range(2):
                 excess = lu.solve(capacity * excess)
         else:
             excess = lu.solve(capacity * excess - 0.5 * step * (network @ excess))
-        found.append(excess[seen].max())
-    return step * np.arange(len(found)), np.array(found) + section.ambient
+        temperatures.append(excess[centre_nodes].max())
+    return step * np.arange(len(temperatures)), np.array(temperatures) + section.ambient
 
 
 def cooled(time: np.ndarray, temperature: np.ndarray, target: float = 55.0) -> float:
-    """When the temperature passes the target."""
+    """Return the time at which the temperature passes the target."""
     k = int(np.argmax(temperature <= target))
     share = (temperature[k - 1] - target) / (temperature[k - 1] - temperature[k])
     return float(time[k - 1] + share * (time[k] - time[k - 1]))

@@ -1,4 +1,4 @@
-"""The hand-compiled exact loop: a yardstick of speed, not of accuracy.
+"""Hand-compiled loop with the exact kinetics: a reference for speed, not for accuracy.
 
 The same kinetics as ``brinson.py`` (relative form, exact over a step), as one would write them for speed: one second-order (Heun) step of the heat
 balance for each of ``substeps`` parts of a sample, cosines evaluated only inside their bands, the rotary's balance of forces by a safeguarded
@@ -13,7 +13,7 @@ from numba import njit, prange
 
 
 class Design(NamedTuple):
-    """Everything a simulation depends on, degC and SI; what a rig does not have (mass, prestrain, radius) is ignored there."""
+    """All parameters of a simulation in degC and SI; those that a rig does not have (mass, prestrain, radius) are ignored."""
 
     martensite_start: float
     martensite_finish: float

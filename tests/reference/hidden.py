@@ -1,4 +1,4 @@
-"""A dead weight with things that nobody wrote down: fine steps, every effect in a form of its own.
+"""Dead weight with hidden effects: fine steps, and every effect in an independent formulation.
 
 The heat balance is stepped by a bisected implicit midpoint, friction is rigid (no elastic turn-around), play and lags act on the fine
 steps and not on samples. Nothing here is shared with the package.
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 class Hidden(NamedTuple):
-    """What the rig has beside its file, SI and K; all absent by default.
+    """Hidden effects of the rig, in SI and K; all absent by default.
 
     ``exponent`` is an additional one of the remaining share in every transformation. ``pace`` is a wave of a transformation's pace, which
     is its own one times 1 + pace sin(2 pi share); ``load_step`` a relative change of the load from ``load_instant`` on; ``cubic`` a bend
@@ -78,9 +78,9 @@ class Hidden(NamedTuple):
 
 
 @njit(cache=True)
-def _pace(hidden, left):
-    """How fast what is left of a phase goes, over the law's own pace."""
-    return left**hidden.exponent * (1.0 + hidden.pace * math.sin(2.0 * math.pi * left))
+def _pace(hidden, remainder):
+    """Return the rate of a transformation relative to that of the law, for the remaining fraction."""
+    return remainder**hidden.exponent * (1.0 + hidden.pace * math.sin(2.0 * math.pi * remainder))
 
 
 @njit(cache=True)
@@ -92,16 +92,16 @@ def _fractions(m, hidden, d0, w0, t0, s0, t1, s1):
             share = (after / before) ** _pace(hidden, before) if after > 0.0 else 0.0
             return d0 * share, w0 * share
         if after > before and before < 1.0:
-            left = 1.0 - before
-            share = ((1.0 - after) / left) ** _pace(hidden, left) if after < 1.0 else 0.0
-            whole = 1.0 - left * share
+            remainder = 1.0 - before
+            share = ((1.0 - after) / remainder) ** _pace(hidden, remainder) if after < 1.0 else 0.0
+            whole = 1.0 - remainder * share
             return d1 * whole / after, w1 * whole / after
     return d1, w1
 
 
 @njit(cache=True)
 def _r_share(m, hidden, xi, t, s):
-    """Share of the wire with the strain of the R-phase."""
+    """Return the fraction of the wire with the strain of the R-phase."""
     middle = m.martensite_start + hidden.r_above + s / 15e6
     cold = 0.5 * math.erfc((t - middle) / (hidden.r_spread * math.sqrt(2.0)))
     return cold * (1.0 - xi + hidden.r_kept * xi)
@@ -126,7 +126,7 @@ def _rho(m, hidden, d, w, t, s, ambient):
 
 @njit(cache=True)
 def _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step):
-    """The wire's stress while it goes to a temperature.
+    """Return the stress of the wire at the end of a step to a temperature.
 
     Under friction the one within its reach that keeps the length, or that at the end of its reach; in grease the one that is the load and
     the drag of the rate at which it contracts.
@@ -134,20 +134,20 @@ def _stress(m, hidden, wire, load, d, w, t, s, after, lost, shift, step):
     if hidden.friction == 0.0 and hidden.viscous == 0.0:
         return load
     ambient = wire.ambient
-    held = _strain(m, hidden, d, w, t, s, ambient, lost)
+    held_strain = _strain(m, hidden, d, w, t, s, ambient, lost)
     reach = hidden.friction if hidden.viscous == 0.0 else 3e8
     below, above = max(load - reach, 0.0), load + reach
     if hidden.viscous == 0.0:
         d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, below)
-        if _strain(m, hidden, d1, w1, after, below, ambient, lost) >= held:
+        if _strain(m, hidden, d1, w1, after, below, ambient, lost) >= held_strain:
             return below
         d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, above)
-        if _strain(m, hidden, d1, w1, after, above, ambient, lost) <= held:
+        if _strain(m, hidden, d1, w1, after, above, ambient, lost) <= held_strain:
             return above
     for _ in range(30 if hidden.viscous == 0.0 else 40):
         stress = 0.5 * (below + above)
         d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
-        longer = _strain(m, hidden, d1, w1, after, stress, ambient, lost) - held
+        longer = _strain(m, hidden, d1, w1, after, stress, ambient, lost) - held_strain
         if (longer if hidden.viscous == 0.0 else stress - load + hidden.viscous * longer / step) > 0.0:
             above = stress
         else:
@@ -163,7 +163,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
     fine, x, warm, volts = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     t, d, w, s = ambient, 1.0, 0.0, weight / section
     sleeve = crimps = travel = 0.0
-    slow = left = 1.0
+    slow = remainder = 1.0
     start = _strain(m, hidden, d, w, t, s, ambient, 0.0) + hidden.set_strain
     ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
     fine[0], x[0], warm[0], volts[0] = (
@@ -213,7 +213,7 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
             d1, w1 = _fractions(m, hidden, d, w, t - shift, s, after - shift, stress)
             travel += abs(d1 + w1 - xi)
             if d1 + w1 < xi:
-                left *= (d1 + w1) / xi
+                remainder *= (d1 + w1) / xi
             over = 0.5 * (t + after) - ambient
             sleeve += (1.0 - math.exp(-step / hidden.coating_time)) * (over - sleeve)
             crimps += (1.0 - math.exp(-step / hidden.ends_time)) * (0.5 * over - crimps)
@@ -221,17 +221,19 @@ def _run(m, heat, wire, hidden, weight, time, current, substeps, most):
             t, d, w, s = after, d1, w1, stress
             n += 1
             strain = _strain(m, hidden, d, w, t, s, ambient, hidden.fatigue * 0.5 * travel)
-            strain += hidden.ratchet * travel + hidden.creep * (slow - d - w) + hidden.set_strain * left
+            strain += hidden.ratchet * travel + hidden.creep * (slow - d - w) + hidden.set_strain * remainder
             ohms = _rho(m, hidden, d, w, t, s, ambient) * wire.length / section
             fine[n], x[n], warm[n] = time[k] + (j + 1) * step, wire.length * (start - strain), t
-            there = current[k] + (j + 1) / substeps * (current[k + 1] - current[k])
-            volts[n] = min(there * (1.0 - hidden.saturation * there * there / (most * most)) * ohms, hidden.ceiling)
+            input_now = current[k] + (j + 1) / substeps * (current[k + 1] - current[k])
+            volts[n] = min(
+                input_now * (1.0 - hidden.saturation * input_now * input_now / (most * most)) * ohms, hidden.ceiling
+            )
     return fine, x, warm, volts
 
 
 @njit(cache=True)
 def _late(fine, y, lag):
-    """A series on the fine steps behind a first-order lag."""
+    """Return a series on the fine steps after a first-order lag."""
     out, slow = np.empty(y.size), y[0]
     out[0] = slow
     for k in range(1, y.size):
@@ -242,7 +244,7 @@ def _late(fine, y, lag):
 
 @njit(cache=True)
 def _behind(fine, x, hidden):
-    """Slack, play and lag, on the fine steps; the play begins at the end at which the weight holds it."""
+    """Apply slack, play and lag on the fine steps; the play starts at the end to which the weight pulls it."""
     y = np.empty(x.size)
     out = x[0]
     for k in range(x.size):

@@ -1,4 +1,4 @@
-"""Two wires on a light pulley with things that nobody wrote down: ``hidden``'s for a dead weight, here with a second wire.
+"""Two wires on a light pulley with hidden effects: those of ``hidden`` with a second wire.
 
 Heun's rule in the heat taken up, each of its two ends with temperatures, fractions and the common stress solved by bracketing; friction
 of the pulley is rigid: it stays where it is while the wires' stresses differ by less. Nothing here is shared with the package.
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 
 class _Wire(NamedTuple):
-    """State of one wire, and what it remembers."""
+    """State and memory of one wire."""
 
     temperature: float
     stress: float
@@ -34,7 +34,7 @@ class _Wire(NamedTuple):
 
 @njit(cache=True)
 def _reached(m, hidden, x, temperature, stress):
-    """Fractions of a wire that goes to a temperature and a stress; what it went through so far has moved its own temperatures."""
+    """Return the fractions of a wire at a temperature and a stress; its history has shifted its transformation temperatures."""
     shift = hidden.shift * 0.5 * x.travel
     return _fractions(m, hidden, x.detwinned, x.twinned, x.temperature - shift, x.stress, temperature - shift, stress)
 
@@ -49,7 +49,7 @@ def _missing(m, heat, hidden, x, added, stress, temperature):
 
 @njit(cache=True)
 def _taken_up(m, heat, hidden, x, added, stress):
-    """Temperature and fractions of a wire that has taken up ``added`` J/m^3 on the way to a stress."""
+    """Return temperature and fractions of a wire after it absorbed ``added`` J/m^3 while the stress changed."""
     if hidden.latent_heat == 0.0:
         after = x.temperature + added / (
             heat.capacity_austenite * (1.0 + hidden.capacity_change * (x.detwinned + x.twinned))
@@ -94,37 +94,37 @@ def _strain_after(m, heat, hidden, wire, x, added, stress):
 
 @njit(cache=True)
 def _left(x, xi):
-    """What is left of the martensite of the first instant."""
+    """Return the remaining fraction of the initial martensite."""
     before = x.detwinned + x.twinned
     return x.left * xi / before if xi < before else x.left
 
 
 @njit(cache=True)
-def _surplus(m, heat, hidden, wire, one, two, q1, q2, s1, lead, right, held):
-    """By how much strains are too large: of both wires, wire 2 having ``lead`` less stress, or (``held``) of wire 1 alone."""
-    value = _strain_after(m, heat, hidden, wire, one, q1, max(s1, 0.0)) - right
-    return value if held else value + _strain_after(m, heat, hidden, wire, two, q2, max(s1 - lead, 0.0))
+def _surplus(m, heat, hidden, wire, first, second, q1, q2, s1, lead, right, is_held):
+    """Return the excess strain of both wires, with ``lead`` less stress in wire 2, or (``is_held``) of wire 1 alone."""
+    value = _strain_after(m, heat, hidden, wire, first, q1, max(s1, 0.0)) - right
+    return value if is_held else value + _strain_after(m, heat, hidden, wire, second, q2, max(s1 - lead, 0.0))
 
 
 @njit(cache=True)
-def _solved(m, heat, hidden, wire, one, two, q1, q2, lead, right, held):
-    """Stress of wire 1; as low as it goes where the wires hang slack."""
-    low = 0.0 if held else max(lead, 0.0)
-    f_low = _surplus(m, heat, hidden, wire, one, two, q1, q2, low, lead, right, held)
+def _solved(m, heat, hidden, wire, first, second, q1, q2, lead, right, is_held):
+    """Return the stress of wire 1; the lowest possible one if the wires are slack."""
+    low = 0.0 if is_held else max(lead, 0.0)
+    f_low = _surplus(m, heat, hidden, wire, first, second, q1, q2, low, lead, right, is_held)
     if f_low >= 0.0:
         return low
-    high, reach = max(one.stress, low), 1e4
-    f_high = _surplus(m, heat, hidden, wire, one, two, q1, q2, high, lead, right, held)
+    high, reach = max(first.stress, low), 1e4
+    f_high = _surplus(m, heat, hidden, wire, first, second, q1, q2, high, lead, right, is_held)
     while f_high < 0.0:
         low, f_low = high, f_high
         high += reach
-        f_high = _surplus(m, heat, hidden, wire, one, two, q1, q2, high, lead, right, held)
+        f_high = _surplus(m, heat, hidden, wire, first, second, q1, q2, high, lead, right, is_held)
         reach *= 8.0
     if f_high == 0.0:
         return high
     for _ in range(100):
         middle = _interpolate(low, f_low, high, f_high)
-        f_middle = _surplus(m, heat, hidden, wire, one, two, q1, q2, middle, lead, right, held)
+        f_middle = _surplus(m, heat, hidden, wire, first, second, q1, q2, middle, lead, right, is_held)
         if abs(f_middle) < 1e-14 or high - low < 1e-3:
             return middle
         low, f_low, high, f_high = _narrow(low, f_low, high, f_high, middle, f_middle)
@@ -132,22 +132,22 @@ def _solved(m, heat, hidden, wire, one, two, q1, q2, lead, right, held):
 
 
 @njit(cache=True)
-def _balanced(m, heat, hidden, wire, one, two, q1, q2, lean):
-    """Stresses of both wires after they took up heat, and how far the pulley leans then, in strain of a wire."""
+def _balanced(m, heat, hidden, wire, first, second, q1, q2, lean):
+    """Return the stresses of both wires after they absorbed heat, and the position of the pulley as strain of a wire."""
     right = 2.0 * wire.prestrain
     if hidden.friction == 0.0:
-        s = _solved(m, heat, hidden, wire, one, two, q1, q2, 0.0, right, False)
+        s = _solved(m, heat, hidden, wire, first, second, q1, q2, 0.0, right, False)
         s1, s2 = s, s
     else:
-        s1 = _solved(m, heat, hidden, wire, one, one, q1, 0.0, 0.0, wire.prestrain - lean, True)
-        s2 = _solved(m, heat, hidden, wire, two, two, q2, 0.0, 0.0, wire.prestrain + lean, True)
+        s1 = _solved(m, heat, hidden, wire, first, first, q1, 0.0, 0.0, wire.prestrain - lean, True)
+        s2 = _solved(m, heat, hidden, wire, second, second, q2, 0.0, 0.0, wire.prestrain + lean, True)
         if abs(s1 - s2) <= hidden.friction:
             return s1, s2, lean
         lead = math.copysign(hidden.friction, s1 - s2)
-        s1 = _solved(m, heat, hidden, wire, one, two, q1, q2, lead, right, False)
+        s1 = _solved(m, heat, hidden, wire, first, second, q1, q2, lead, right, False)
         s2 = max(s1 - lead, 0.0)
-    e1 = _strain_after(m, heat, hidden, wire, one, q1, s1)
-    e2 = _strain_after(m, heat, hidden, wire, two, q2, s2)
+    e1 = _strain_after(m, heat, hidden, wire, first, q1, s1)
+    e2 = _strain_after(m, heat, hidden, wire, second, q2, s2)
     return s1, s2, min(max(lean, wire.prestrain - e1), e2 - wire.prestrain)
 
 
@@ -189,7 +189,7 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
     count = (time.size - 1) * substeps + 1
     fine, leans = np.empty(count), np.empty(count)
     drawn = min(wire.prestrain / m.max_transformation_strain, 1.0)
-    one = two = _Wire(wire.ambient, 0.0, drawn, 1.0 - drawn, 0.0, 0.0, 0.0, 1.0, 1.0)
+    first = second = _Wire(wire.ambient, 0.0, drawn, 1.0 - drawn, 0.0, 0.0, 0.0, 1.0, 1.0)
     lean, n = 0.0, 0
     fine[0], leans[0] = time[0], 0.0
     for k in range(time.size - 1):
@@ -201,17 +201,17 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
                 wire.ambient + hidden.drift * (now - time[0]),
                 wire.ambient + hidden.drift * (now + step - time[0]),
             )
-            q1 = step * _heating(m, heat, hidden, wire, one, two, i1, air, now, most)
-            q2 = step * _heating(m, heat, hidden, wire, two, one, i2, air, now, most)
-            s1, s2, _ = _balanced(m, heat, hidden, wire, one, two, q1, q2, lean)
-            there1 = _moved(m, heat, hidden, wire, one, q1, s1, step)
-            there2 = _moved(m, heat, hidden, wire, two, q2, s2, step)
+            q1 = step * _heating(m, heat, hidden, wire, first, second, i1, air, now, most)
+            q2 = step * _heating(m, heat, hidden, wire, second, first, i2, air, now, most)
+            s1, s2, _ = _balanced(m, heat, hidden, wire, first, second, q1, q2, lean)
+            there1 = _moved(m, heat, hidden, wire, first, q1, s1, step)
+            there2 = _moved(m, heat, hidden, wire, second, q2, s2, step)
             q1 = 0.5 * (q1 + step * _heating(m, heat, hidden, wire, there1, there2, i1, later, now, most))
             q2 = 0.5 * (q2 + step * _heating(m, heat, hidden, wire, there2, there1, i2, later, now, most))
-            s1, s2, lean = _balanced(m, heat, hidden, wire, one, two, q1, q2, lean)
-            one, two = (
-                _moved(m, heat, hidden, wire, one, q1, s1, step),
-                _moved(m, heat, hidden, wire, two, q2, s2, step),
+            s1, s2, lean = _balanced(m, heat, hidden, wire, first, second, q1, q2, lean)
+            first, second = (
+                _moved(m, heat, hidden, wire, first, q1, s1, step),
+                _moved(m, heat, hidden, wire, second, q2, s2, step),
             )
             n += 1
             fine[n], leans[n] = time[k] + (j + 1) * step, lean
@@ -220,7 +220,7 @@ def _run(m, heat, wire, hidden, time, current, substeps, most):
 
 @njit(cache=True)
 def _loose(x, play):
-    """What follows only after a play of twice ``play``, from its middle on."""
+    """Return the output of a play of width ``2 play``, which starts in its middle."""
     y = np.empty(x.size)
     out = x[0]
     for k in range(x.size):

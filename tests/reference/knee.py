@@ -13,7 +13,7 @@ ROOT3 = math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class Knee:
-    """A knee's numbers, SI and degC; ``v`` by the names of the machine's file (``"wire.turns"``). ``follows``: time of the kinetics, s."""
+    """Parameters of a knee in SI and degC; ``v`` by the names of the actuator file (``"wire.turns"``). ``follows``: time of the kinetics, s."""
 
     v: dict[str, float]
     follows: float = 0.02
@@ -32,11 +32,11 @@ class Knee:
         """F = k (y - y_t xi) with y_t = 2 pi R^2 N gamma_L / r, gamma_L = sqrt(3) H."""
         v = self.v
         r, R = v["wire.diameter"] / 2, v["wire.coil_diameter"] / 2
-        kept = 2 * math.pi * R**2 * v["wire.turns"] * ROOT3 * v["material.max_transformation_strain"] / r
-        return np.maximum(self.stiffness(xi) * (stretch - kept * xi), 0.0)
+        transformed = 2 * math.pi * R**2 * v["wire.turns"] * ROOT3 * v["material.max_transformation_strain"] / r
+        return np.maximum(self.stiffness(xi) * (stretch - transformed * xi), 0.0)
 
     def law(self, xi: Floats, temperature: Floats, force: Floats) -> Floats:
-        """Where Lagoudas' law with linear hardening has the fraction: not below the forward line, not above the reverse one."""
+        """Return the fraction by Lagoudas' law with linear hardening: not below the forward line, not above the reverse line."""
         v = self.v
         r, R = v["wire.diameter"] / 2, v["wire.coil_diameter"] / 2
         shear = 2 * force * R / (math.pi * r**3)
@@ -55,7 +55,7 @@ class Knee:
         return np.minimum(np.maximum(xi, lines[0]), lines[1])
 
     def slope(self, _: float, y: Floats, command: dict[str, float]) -> Floats:
-        """Rates of (T_1, T_2, xi_1, xi_2, theta, theta', phi', i)."""
+        """Return the rates of (T_1, T_2, xi_1, xi_2, theta, theta', phi', i)."""
         v = self.v
         temperature, xi, (angle, rate, shaft, current) = y[:2], y[2:4], y[4:]
         d, length = v["wire.diameter"], math.pi * v["wire.coil_diameter"] * v["wire.turns"]
@@ -74,8 +74,8 @@ class Knee:
             v["clutch.damping"] * slip if on > 0 else 0.0
         )
         weight = v["joint.mass"] * v["environment.gravity"] * v["joint.lever"] * math.sin(angle)
-        held = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"]) + weight
-        turning = arm * (force[1] - force[0]) + v["clutch.belt"] * passed - held
+        resistance = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"]) + weight
+        turning = arm * (force[1] - force[0]) + v["clutch.belt"] * passed - resistance
         rubbed = v["motor.damping"] * shaft + v["motor.friction"] * math.tanh(shaft / v["joint.slow"])
         spin = (v["motor.torque_constant"] * current - rubbed - passed) / (
             v["motor.rotor_inertia"] * v["motor.reduction"] ** 2
@@ -95,17 +95,17 @@ class Knee:
         )
 
     def roll(self, command: dict[str, float], time: Floats) -> Floats:
-        """The state at the times, shape ``(8, n)``."""
+        """Return the state at the times, shape ``(8, n)``."""
         y0 = np.array([self.v["environment.ambient"]] * 2 + [1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-        found = solve_ivp(
+        solution = solve_ivp(
             self.slope, (0.0, time[-1]), y0, "LSODA", t_eval=time, args=(command,), rtol=1e-9, atol=1e-11, max_step=0.05
         )
-        if not found.success:
-            raise ArithmeticError(found.message)
-        return found.y
+        if not solution.success:
+            raise ArithmeticError(solution.message)
+        return solution.y
 
     def locked(self, voltage: float, time: Floats) -> Floats:
-        """Angle of the joint where the clutch cannot slip and the springs pull by their cold stiffness: eq. 15, the friction geared and the
+        """Return the angle of the joint with a locked clutch and springs of cold stiffness: eq. 15, with geared friction and the
         rotor's inertia kept."""
         v = self.v
         belt = v["clutch.belt"]
@@ -116,10 +116,10 @@ class Knee:
             shaft = belt * rate
             force = self.force(np.ones(2), v["wire.prestretch"] + v["joint.radius"] * angle * np.array([1.0, -1.0]))
             rubbed = v["motor.damping"] * shaft + v["motor.friction"] * math.tanh(shaft / v["joint.slow"])
-            held = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"])
+            resistance = v["joint.damping"] * rate + v["joint.friction"] * math.tanh(rate / v["joint.slow"])
             turning = (
                 belt * (v["motor.torque_constant"] * current - rubbed)
-                - held
+                - resistance
                 + v["joint.radius"] * (force[1] - force[0])
             )
             rise = (voltage - v["motor.resistance"] * current - v["motor.back_voltage"] * shaft) / v["motor.inductance"]

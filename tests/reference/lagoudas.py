@@ -1,4 +1,4 @@
-"""Lagoudas' law with smooth hardening, exact and slow: every condition is solved by bisection, stress paths in many small parts.
+"""Lagoudas' law with smooth hardening, exact and slow: bisection for every condition, many small steps on stress paths.
 
 The formulas are those of Lagoudas, Hartl, Chemisky, Machado, Popov 2012, written from the free energy: the driving force
 
@@ -63,7 +63,7 @@ def current_strain(law: Law, stress: float) -> float:
 
 
 def energy(law: Law) -> Energy:
-    """The constants from what a user gives; the slope of H_cur by a central difference."""
+    """Return the constants for the parameters of the law; the slope of H_cur is a central difference."""
     at, warm, cold = law.calibration_stress, law.clausius_clapeyron_austenite, law.clausius_clapeyron_martensite
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     slope = (current_strain(law, at + 10.0) - current_strain(law, at - 10.0)) / 20.0 if at > 10.0 else 0.0
@@ -78,7 +78,7 @@ def energy(law: Law) -> Energy:
 
 
 def forward_force(law: Law, e: Energy, temperature: float, stress: float, martensite: float) -> float:
-    """pi - Y: forward transformation goes on while this is positive."""
+    """Return pi - Y; the forward transformation proceeds while it is positive."""
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     direction = current_strain(law, stress)
     f = 0.5 * e.a1 * (1 + martensite**law.n1 - (1 - martensite) ** law.n2) + e.a3
@@ -93,7 +93,7 @@ def forward_force(law: Law, e: Energy, temperature: float, stress: float, marten
 
 
 def reverse_force(law: Law, e: Energy, temperature: float, stress: float, martensite: float, direction: float) -> float:
-    """-pi - Y: reverse transformation goes on while this is positive."""
+    """Return -pi - Y; the reverse transformation proceeds while it is positive."""
     softer = 1.0 / law.modulus_martensite - 1.0 / law.modulus_austenite
     f = 0.5 * e.a2 * (1 + martensite**law.n3 - (1 - martensite) ** law.n4) - e.a3
     return -(stress * direction + 0.5 * softer * stress**2 + e.ds * temperature - e.du - f) - (
@@ -102,7 +102,7 @@ def reverse_force(law: Law, e: Energy, temperature: float, stress: float, marten
 
 
 def advance(law: Law, state: State, temperature: float, stress: tuple[float, float], parts: int = 1) -> State:
-    """The state once temperature and stress are there, the stress going straight from the first to the second in so many parts."""
+    """Return the state at a temperature and stress; the stress changes linearly in ``parts`` steps."""
     e = energy(law)
     for k in range(parts):
         before, after = (stress[0] + (stress[1] - stress[0]) * j / parts for j in (k, k + 1))

@@ -1,4 +1,4 @@
-"""Exact simulator of a limb that sheathed wires turn: heat content of the wire, temperature of the sheath, angle and its rate.
+"""Exact simulator of a limb with sheathed wires: heat content of the wire, temperature of the sheath, angle and angular rate.
 
     q = joule - g_w (T - T_p)      C_p dT_p/dt = g_w (T - T_p) - g_a (T_p - T_ambient)      I theta'' = n A sigma exp(-mu phi z) r / ratio - c theta' - M(theta)
 
@@ -84,15 +84,15 @@ def _swing(rig, limb, linear, time, signal, start, substeps):
                 h = nodes[stage] * step
                 u, _ = _between(begin, end, (j + nodes[stage]) / substeps)
                 x = _stretched(rig, here, h * r1, installed - arm / wire.length * (angle + h * r3)) if stage else here
-                held = _engaged(z, before, strain(material, wire, x))
+                grip_strain = _engaged(z, before, strain(material, wire, x))
                 warm, turning = liner + h * r2, speed + h * r4
                 over = x.temperature - wire.ambient
                 r1, r2 = heating(rig, u, x), 0.0
                 if limb.conductance_ratio > 0.0:
-                    # The direct way to the air is not there.
+                    # There is no direct heat flow to the air.
                     r1 += 4.0 / wire.diameter * convection(heat, x.temperature) * over - inner * (x.temperature - warm)
                     r2 = (inner * (x.temperature - warm) - outer * (warm - wire.ambient)) / capacity
-                pull = lever * x.stress * math.exp(-grip * held)
+                pull = lever * x.stress * math.exp(-grip * grip_strain)
                 r3, r4 = turning, (pull - limb.damping * turning - load(limb, angle + h * r3)) / limb.inertia
                 s1 += weights[stage] * r1
                 s2 += weights[stage] * r2
@@ -110,9 +110,9 @@ def limb(
     material: Material, heat: Heat, wire: Wire, parts: Limb, time: Floats, signal: Floats, *,
     control: str = "current", interpolation: str = "hold", substeps: int = 100,
 ) -> Run:  # fmt: skip
-    """Wires on a limb; starts at rest and angle 0, drawn out to the prestrain and then loaded. Position: angle in rad.
+    """Simulate wires on a limb, which starts at rest and angle 0, stretched to the prestrain and then loaded. Position: angle in rad.
 
-    With a sheath the wire gives off no heat but to it, so that h has to be one number.
+    With a sheath, the wire loses heat only to it, so that h must be constant.
     """
     signal = _signals(signal, 1)
     material, heat, wire, parts = floats(material, heat, wire, parts)

@@ -40,12 +40,12 @@ class Channel:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a folder is made: its inputs from a random generator (in the file's units), what is observed, and other columns ``beside``."""
+    """How a folder is made: its inputs from a random generator (in the file's units), what is observed, and other columns ``extra``."""
 
     inputs: Callable[[np.random.Generator], Columns]
     observed: Channel
     options: dict[str, int]
-    beside: tuple[Channel, ...] = ()
+    extra: tuple[Channel, ...] = ()
 
 
 # Factors on nominal values; temperatures and shifts of both of a phase are moved by so many K. Only parameters that the rig file leaves free.
@@ -70,7 +70,7 @@ TRUTHS: dict[str, dict[str, float]] = {
     "wrist": {"h0": 0.95, "capacity": 1.04, "max_transformation_strain": 1.02, "austenite_shift": -1.3, "martensite_shift": 1.6, "friction": 0.8},
     "glove-finger": {"h0": 1.04, "capacity": 1.03, "max_transformation_strain": 0.975, "austenite_shift": -1.8, "martensite_shift": -1.2, "friction": 1.2},
 }  # fmt: skip
-# What the wire has that its rig file does not know: the latent heat of Flexinol, 24.2 kJ/kg, at 6450 kg/m^3 is 1.56e8; a third of it here.
+# Effect of the wire that is not in its rig file: the latent heat of Flexinol, 24.2 kJ/kg, at 6450 kg/m^3 is 1.56e8; a third of it here.
 HIDDEN: dict[str, dict[str, float]] = {"dead-weight-unexplained": {"latent_heat": 5e7}}
 # The parameter that each truth says, and its unit with its size in SI; a capacity is one for both phases.
 WRITTEN = {
@@ -93,7 +93,7 @@ def clock(seconds: float, rate: float = 50.0) -> Floats:
 
 
 def shipped(name: str) -> RigFile:
-    """The rig of a shipped folder."""
+    """Return the rig of a shipped folder."""
     return read_rig(FOLDER / name / "rig.toml")
 
 
@@ -108,7 +108,7 @@ def turns(
 ) -> Floats:
     """A signal that goes up and down between levels in ``down`` and ``up``, by steps and ramps, and turns within the wire's bands.
 
-    As someone at the bench would, it turns when the wire, by the nominal heat balance at half martensite, has reached a temperature drawn
+    It turns when the wire, by the nominal heat balance at half martensite, has reached a temperature drawn
     from ``bands``: (lowest, highest) of the turns after cooling, and of those after heating. Every sixth leg goes all the way, to
     ``hottest`` or nearly to ambient.
     """
@@ -131,7 +131,7 @@ def turns(
 
 
 def dead_weight(rng: np.random.Generator) -> Columns:
-    """120 s of current: many partial loops between whole ones."""
+    """Return 120 s of current: many partial loops between full ones."""
     time, bands = clock(120.0), np.array([[48.0, 62.0], [85.0, 99.0]])
     return {
         "time [s]": time,
@@ -149,7 +149,7 @@ def unexplained(rng: np.random.Generator) -> Columns:
 
 
 def bias_spring(rng: np.random.Generator) -> Columns:
-    """100 s of voltage: many partial loops between whole ones."""
+    """Return 100 s of voltage: many partial loops between full ones."""
     time, bands = clock(100.0), np.array([[45.0, 80.0], [82.0, 112.0]])
     return {
         "time [s]": time,
@@ -206,7 +206,7 @@ def isobaric(rng: np.random.Generator) -> Columns:
 
 
 def coil_dead_weight(rng: np.random.Generator) -> Columns:
-    """200 s of current through a lifting coil: many partial loops between whole ones."""
+    """Return 200 s of current through a lifting coil: many partial loops between full ones."""
     time, bands = clock(200.0, 10.0), np.array([[57.0, 71.0], [87.0, 105.0]])
     return {
         "time [s]": time,
@@ -296,7 +296,7 @@ RECIPES: dict[str, Recipe] = {
 
 
 def read_sensor(rng: np.random.Generator, exact: Floats, channel: Channel) -> Floats:
-    """What the file says of an exact SI series: in its unit, noisy, on its grid."""
+    """Return the measured values of an exact SI series: in the unit of the file, with noise, on the sensor grid."""
     values = exact / channel.si + channel.noise * rng.standard_normal(len(exact))
     if channel.grid:
         values = channel.grid * np.round(values / channel.grid)
@@ -312,7 +312,7 @@ def in_si(columns: Columns) -> dict[str, Floats]:
 
 
 def truth(nominal: RigFile, name: str) -> RigFile:
-    """The wire behind a folder's recordings."""
+    """Return the rig with the true values of a folder's recordings."""
     rig = nominal.changed(**TRUTHS[name])
     return replace(rig, heat=rig.heat._replace(**HIDDEN.get(name, {})))
 
@@ -324,13 +324,13 @@ def make(name: str, split: str) -> tuple[Columns, Floats]:
     columns = recipe.inputs(rng)
     rig = truth(read_rig(FOLDER / name / "rig.toml"), name)
     run = simulate(rig, in_si(columns), **recipe.options)
-    for channel in (recipe.observed, *recipe.beside):
+    for channel in (recipe.observed, *recipe.extra):
         columns[f"{channel.name} [{channel.unit}]"] = read_sensor(rng, read_channel(run, channel.name), channel)
     return columns, read_channel(run, recipe.observed.name)
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """A header and plain numbers, without digits that say nothing."""
+    """Write a header and numbers without insignificant digits."""
     rows = zip(*([f"{value:.10g}" for value in column] for column in columns.values()), strict=True)
     path.write_text("\n".join([",".join(columns), *(",".join(row) for row in rows)]) + "\n", encoding="utf-8")
 
@@ -349,15 +349,15 @@ def truth_text(name: str, nominal: RigFile) -> str:
             )
         else:
             parameter, unit, size = WRITTEN[key]
-            held = true.heat._asdict() | true.material._asdict() | true.mechanism
-            number = held["capacity_austenite" if key == "capacity" else key] / size
+            values = true.heat._asdict() | true.material._asdict() | true.mechanism
+            number = values["capacity_austenite" if key == "capacity" else key] / size
             value, source = f"{number:.10g} {unit}", f"nominal times {by:g}"
         tables.append(f'[{parameter}]\nvalue = "{value}"\nsource = "{source}"\n')
     for key, value in HIDDEN.get(name, {}).items():
         tables.append(f"# Hidden from rig.toml: {key} = {value:g} J/m^3\n")
     noise = "; ".join(
         f"{c.noise:g} {c.unit} in {c.name}" + (f", then rounding to {c.grid:g} {c.unit}" if c.grid else "")
-        for c in (RECIPES[name].observed, *RECIPES[name].beside)
+        for c in (RECIPES[name].observed, *RECIPES[name].extra)
     )
     head = (
         f'schema = "smajax.parameters/1"\ntitle = "{name}: the values behind the recordings"\n'

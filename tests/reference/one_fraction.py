@@ -1,4 +1,4 @@
-"""A wire with the laws of Tanaka or of Liang and Rogers against a spring, exactly: the published closed forms, with memory of their legs.
+"""Exact simulator of a wire with the laws of Tanaka or of Liang and Rogers against a spring: the published closed forms, with memory of their legs.
 
     cooling   1 - xi = (1 - xi_0) g(p) / g(p_0),    p = (M_s + sigma / C_M - T) / (M_s - M_f)
     heating       xi =      xi_0  g(q) / g(q_0),    q = (T - A_s - sigma / C_A) / (A_f - A_s)
@@ -35,7 +35,7 @@ class Rig(NamedTuple):
 
 
 class Leg(NamedTuple):
-    """Where the wire is, and where the leg that it is on began: its kind, its driving variable there and the fraction there."""
+    """State of the wire, and the start of its leg: kind, driving variable and fraction."""
 
     martensite: float
     temperature: float
@@ -47,7 +47,7 @@ class Leg(NamedTuple):
 
 @njit(cache=True)
 def left(tanaka, share):
-    """g: what is left to transform."""
+    """Return g, the fraction not yet transformed."""
     if tanaka:
         return math.exp(-max(share, 0.0) * math.log(100.0))
     return half_cosine(share)
@@ -55,7 +55,7 @@ def left(tanaka, share):
 
 @njit(cache=True)
 def drives(m, temperature, stress):
-    """p and q."""
+    """Return p and q."""
     p = (m.martensite_start + stress / m.clausius_clapeyron_martensite - temperature) / (
         m.martensite_start - m.martensite_finish
     )
@@ -67,7 +67,7 @@ def drives(m, temperature, stress):
 
 @njit(cache=True)
 def follow(r, leg, temperature, stress):
-    """The state at a temperature and a stress; on the way there no driving variable turns."""
+    """Return the state at a temperature and a stress, along a path with monotone driving variables."""
     p0, q0 = drives(r.material, leg.temperature, leg.stress)
     p, q = drives(r.material, temperature, stress)
     if p > p0 and p > 0.0:
@@ -91,14 +91,14 @@ def strain(r, leg):
 
 @njit(cache=True)
 def _settled(r, leg, temperature, origin):
-    """The state at a temperature at which the wire's pull is the spring's."""
+    """Return the state at a temperature in force balance with the spring."""
     section, low, high = area(r.wire), 0.0, 3e9
     if r.stiffness == 0.0:
         return follow(r, leg, temperature, r.preload / section)
     for _ in range(70):
         middle = 0.5 * (low + high)
-        there = strain(r, follow(r, leg, temperature, middle))
-        if middle * section > r.preload + r.stiffness * r.wire.length * (origin - there):
+        wire_strain = strain(r, follow(r, leg, temperature, middle))
+        if middle * section > r.preload + r.stiffness * r.wire.length * (origin - wire_strain):
             high = middle
         else:
             low = middle
@@ -131,11 +131,11 @@ def _march(r, time, current, substeps):
 
 
 def simulate(rig: Rig, time: Floats, current: Floats, substeps: int = 20) -> Floats:
-    """A wire that begins all detwinned at ambient under its preload, the current held from row to row.
+    """Simulate a wire that starts detwinned at ambient under its preload; the current is constant between rows.
 
     Returns contraction in m, temperature, stress and martensite fraction, shape (n, 4). Both phases have the capacity of austenite.
     """
-    made = rig._replace(
+    own_rig = rig._replace(
         **dict(zip(("material", "heat", "wire"), floats(rig.material, rig.heat, rig.wire), strict=True))
     )
-    return _march(made, np.ascontiguousarray(time, float), np.ascontiguousarray(current, float), substeps)
+    return _march(own_rig, np.ascontiguousarray(time, float), np.ascontiguousarray(current, float), substeps)

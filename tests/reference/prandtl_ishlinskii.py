@@ -1,4 +1,4 @@
-"""The generalised Prandtl-Ishlinskii operator as its definition says it: play by play, by whether the input rises or falls.
+"""Generalised Prandtl-Ishlinskii operator by its definition: each play for a rising or falling input.
 
     rising    F_r = max(g_l(v) - r, F_r)        falling    F_r = min(g_r(v) + r, F_r)        y = p_0 g_l(v) + sum p F_r
 
@@ -18,12 +18,12 @@ class Envelope(NamedTuple):
     middle: float
 
     def at(self, v: float) -> float:
-        """The envelope at an input."""
+        """Return the envelope at an input."""
         return self.height * math.tanh(self.slope * v + self.shift) + self.middle
 
 
 def plays(thresholds: list[float], loading: Envelope, unloading: Envelope, values: list[float]) -> list[list[float]]:
-    """The plays at each row, from 0."""
+    """Return the plays at each row, starting from 0."""
     rows: list[list[float]] = []
     for k, v in enumerate(values):
         upper, lower = loading.at(v), unloading.at(v)
@@ -45,7 +45,7 @@ def respond(
     unloading: Envelope,
     values: list[float],
 ) -> list[float]:
-    """The output at each row."""
+    """Return the output at each row."""
     states = plays(thresholds, loading, unloading, values)
     return [
         direct * loading.at(v) + sum(p * f for p, f in zip(densities, now, strict=True))
@@ -54,14 +54,14 @@ def respond(
 
 
 def essential(values: list[float]) -> list[float]:
-    """What a history leaves behind: inner loops, between turns that lie around them, taken out (four points at a time)."""
-    kept: list[float] = []
+    """Return a history without its inner loops, which are removed four points at a time."""
+    history: list[float] = []
     for v in values:
-        kept.append(v)
-        while len(kept) >= 4:
-            a, b, c, d = kept[-4:]
+        history.append(v)
+        while len(history) >= 4:
+            a, b, c, d = history[-4:]
             if min(a, d) <= min(b, c) and max(b, c) <= max(a, d):
-                del kept[-3:-1]
+                del history[-3:-1]
             else:
                 break
-    return kept
+    return history

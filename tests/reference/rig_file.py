@@ -1,6 +1,6 @@
 """Reads the parts of a rig.toml that the reference simulators need, and runs the simulator of its kind.
 
-A small reader of its own, so that the references stay independent: quantities are numbers with one of the units listed here.
+This reader is separate, so that the references stay independent; quantities have one of the units listed here.
 """
 
 import re
@@ -77,7 +77,7 @@ class RigFile:
 
 
 def read_rig(path: str | Path) -> RigFile:
-    """Read a rig.toml; what it does not need to say is 0, air at 20 degC."""
+    """Read a rig.toml; missing values are 0, and the ambient temperature is 20 degC."""
     with Path(path).open("rb") as file:
         raw = tomllib.load(file)
     section = {
@@ -145,7 +145,7 @@ def simulate(rig: RigFile, channels: dict[str, Floats], **options: Any) -> rigs.
         return rigs.testing_machine(*parts, time, channels["strain"], signal, **options)
     if rig.kind in LIMBS:
         parts = limb.Limb(**{key: of.get(key, 0.0) for key in limb.Limb._fields})
-        # A limb swings faster than a wire warms.
+        # A limb moves faster than a wire heats.
         options["substeps"] = 10 * options.get("substeps", 10)
         return limb.limb(rig.material, rig.heat, rig.wire, parts, time, signal, **options)
     raise ValueError(f"no reference simulator for a rig of kind '{rig.kind}'")
@@ -164,12 +164,12 @@ def _simulate_coil(rig: RigFile, channels: dict[str, Floats], **options: Any) ->
     if rig.kind == "coil-bias-spring":
         return coil.bias_spring(*parts, of["stiffness"], of["preload"], time, channels[rig.control], **options)
     signal = np.column_stack([channels[f"{rig.control}_{i}"] for i in (1, 2)])
-    given = (*parts, rig.coil["prestretch"], of["radius"])
+    arguments = (*parts, rig.coil["prestretch"], of["radius"])
     if rig.kind == "coil-antagonistic":
-        return coil.antagonistic(*given, time, signal, **options)
+        return coil.antagonistic(*arguments, time, signal, **options)
     inertia = of.get("inertia", 0.0) + of["mass"] * of["centre"] ** 2
     return coil.joint(
-        *given, inertia, of.get("damping", 0.0), of["mass"] * coil.GRAVITY * of["centre"], time, signal, **options
+        *arguments, inertia, of.get("damping", 0.0), of["mass"] * coil.GRAVITY * of["centre"], time, signal, **options
     )
 
 
@@ -182,7 +182,7 @@ def read_csv(path: str | Path) -> dict[str, Floats]:
 
 
 def read_channel(run: rigs.Run | coil.Run, channel: str) -> Floats:
-    """What a perfect sensor of ``channel`` reads in a run, (n,); a suffix ``_2`` names the wire."""
+    """Return the exact values of ``channel`` in a run, shape ``(n,)``; a suffix ``_2`` names the wire."""
     if channel == "rate":
         return run.rate
     name, _, number = channel.partition("_")

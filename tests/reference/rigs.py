@@ -3,7 +3,7 @@
 Conventions (those of the shipped recordings): row 0 is the start state, the input of row k acts from row k on, held until the next row or
 linear towards it; results are given at the rows. Temperatures in degC, else SI; contraction and the pull of wire 1 are positive.
 
-How it is made exact: the heat content of each wire runs by the classical Runge-Kutta rule with ``substeps`` steps a sample, every stage
+Accuracy: the heat content of each wire runs by the classical Runge-Kutta rule with ``substeps`` steps a sample, every stage
 with the balance of forces solved to rounding. The material's update is exact between two turning points of its driving variables. Inputs
 jump only at rows, and a step is cut where a wire's net heat changes sign, where a wire crosses M_s, and where wires come taut or go slack.
 What remains (a driving variable that turns because the other wire's does) is of second order in the step, and shown to be small by halving it.
@@ -58,12 +58,12 @@ class Run:
 
 @njit(cache=True)
 def _settle(rig, first, second, added1, added2, right):
-    """Both wires after taking up heat, in balance; and the tension, negative where they are slack."""
+    """Return both wires in force balance after they absorbed heat, and the tension, which is negative for slack wires."""
     tension = balance(rig, first, second, added1, added2, right)
     stress = max(tension, 0.0)
-    one = at_stress(rig.material, rig.heat, first, added1, stress)
-    two = at_stress(rig.material, rig.heat, second, added2, stress) if rig.c_2 != 0.0 else second
-    return one, two, tension
+    wire_1 = at_stress(rig.material, rig.heat, first, added1, stress)
+    wire_2 = at_stress(rig.material, rig.heat, second, added2, stress) if rig.c_2 != 0.0 else second
+    return wire_1, wire_2, tension
 
 
 @njit(cache=True)
@@ -93,9 +93,9 @@ def _step(rig, first, second, step, u0, u1, r0, r1):
 
 @njit(cache=True)
 def _events(rig, step, signal, first, second, tension):
-    """What bends the solution where it changes sign: each wire's net heat, each wire's way to M_s, tension against slack."""
+    """Return the event functions: net heat of each wire, distance of each wire to M_s, and tension."""
     q1, q2 = _heating(rig, signal, first, second)
-    # A wire at its steady temperature warms and cools by rounding: no event.
+    # The net heat of a wire at its steady temperature changes sign by rounding: not an event.
     still = 1e-10 * rig.heat.capacity_austenite / step
     start = rig.material.martensite_start
     return (
@@ -117,7 +117,7 @@ def _crossed(before, after):
 
 @njit(cache=True)
 def _step_with_events(rig, first, second, tension, step, u0, u1, r0, r1):
-    """A step that is cut wherever an event function changes sign."""
+    """Return the end of a step that is divided where an event function changes sign."""
     for _ in range(12):
         before = _events(rig, step, u0, first, second, tension)
         x, y, z = _step(rig, first, second, step, u0, u1, r0, r1)
@@ -126,9 +126,9 @@ def _step_with_events(rig, first, second, tension, step, u0, u1, r0, r1):
         low, high = 0.0, 1.0
         while high - low > 1e-9:
             part = 0.5 * (low + high)
-            there, right = _between(u0, u1, part), r0 + part * (r1 - r0)
-            a, b, c = _step(rig, first, second, part * step, u0, there, r0, right)
-            if _crossed(before, _events(rig, step, there, a, b, c)):
+            inputs, right = _between(u0, u1, part), r0 + part * (r1 - r0)
+            a, b, c = _step(rig, first, second, part * step, u0, inputs, r0, right)
+            if _crossed(before, _events(rig, step, inputs, a, b, c)):
                 high, x, y, z = part, a, b, c
             else:
                 low = part
@@ -169,7 +169,7 @@ def _quasi_static(rig, linear, time, signal, right, first, second, tension, lean
 
 @njit(cache=True)
 def _lean(lean, middle, strain1, strain2):
-    """How far wire 1 is shorter than the middle: between where wire 1 and where wire 2 comes taut, the same where both are."""
+    """Return the shortening of wire 1 from the middle: between the values at which wire 1 and wire 2 become taut."""
     return min(max(lean, middle - strain1), strain2 - middle)
 
 
@@ -185,9 +185,11 @@ def _run(material: Material, wire: Wire, out: Floats, position: Floats, signal: 
     temperature, stress, detwinned, twinned = np.moveaxis(out, 2, 0)
     free = strain_array(material, temperature, stress, detwinned, twinned, wire.ambient)
     ohm = resistance(material, wire, detwinned + twinned)
-    given = signal[:, : out.shape[1]]
+    columns = signal[:, : out.shape[1]]
     code = CONTROLS[control]
-    current = given if code == CURRENT else np.sqrt(np.maximum(given, 0.0) / ohm) if code == POWER else given / ohm
+    current = (
+        columns if code == CURRENT else np.sqrt(np.maximum(columns, 0.0) / ohm) if code == POWER else columns / ohm
+    )
     return Run(position, temperature, stress, free, detwinned, twinned, current, current * ohm, ohm)
 
 
@@ -258,7 +260,7 @@ def testing_machine(
 
 
 def drawn_out(material: Material, wire: Wire, strain_there: float) -> State:
-    """Stress-free at ambient, its strain all from detwinned martensite, the rest twinned."""
+    """Return the stress-free state at ambient with all strain from detwinned martensite and the rest twinned."""
     detwinned = min(max(strain_there / material.max_transformation_strain, 0.0), 1.0)
     return State(wire.ambient, 0.0, detwinned, 1.0 - detwinned)
 
@@ -281,7 +283,7 @@ def rotary(
     time = np.ascontiguousarray(time, float)
     rig = Rig(material, heat, wire, CONTROLS[control], 0.0, 1.0, 1.0)
     per_lean = wire.length / radius
-    # Wires that go on from slack have to be seen coming taut.
+    # Wires that start slack: detect when they become taut.
     tension = balance(rig, first, second, 0.0, 0.0, right[0]) if start else 0.0
     out, lean = _quasi_static(
         rig, linear, time, signal, right, first, second, tension, float(angle) / per_lean, substeps
@@ -334,9 +336,9 @@ def _turning(rig, linear, time, signal, radius, inertia, damping, start, substep
             for stage in range(4):
                 h = nodes[stage] * step
                 u = _between(begin, end, (j + nodes[stage]) / substeps)
-                there = angle + h * r3
-                x = _stretched(rig, first, h * r1, wire.prestrain - per_angle * there) if stage else first
-                y = _stretched(rig, second, h * r2, wire.prestrain + per_angle * there) if stage else second
+                end_angle = angle + h * r3
+                x = _stretched(rig, first, h * r1, wire.prestrain - per_angle * end_angle) if stage else first
+                y = _stretched(rig, second, h * r2, wire.prestrain + per_angle * end_angle) if stage else second
                 turning = speed + h * r4
                 r1, r2 = heating(rig, u[0], x), heating(rig, u[1], y)
                 r3, r4 = turning, (lever * (x.stress - y.stress) - damping * turning) / inertia
@@ -355,7 +357,7 @@ def _placed(run: Run, position: Floats) -> Run:
     return Run(position, *(getattr(run, name) for name in list(Run.__dataclass_fields__)[1:]))
 
 
-# Paths without a clock: rows follow one another, straight in between. With these a heat is a change of temperature.
+# Paths without a clock, linear between rows: the heat is a change of temperature.
 UNIT_WIRE = Wire(math.sqrt(4.0 / math.pi), 1.0, 0.0, 20.0)
 UNIT_CAPACITY = Heat(0.0, 0.0, 0.0, 2.0, 1.0, 1.0, 0.0)
 
@@ -373,7 +375,7 @@ def _stress_path(m, temperature, stress, detwinned, twinned):
 
 
 def cooled_from_austenite(material: Material, temperature: float, stress: float) -> State:
-    """Fractions of a wire brought from far above A_f to this temperature under this stress."""
+    """Return the fractions of a wire after cooling from far above A_f to a temperature under a stress."""
     return State(temperature, stress, *advance(material, 0.0, 0.0, 1e4, stress, temperature, stress))
 
 
@@ -397,7 +399,7 @@ def path(
         start = start or cooled_from_austenite(material, temperature[0], 0.0)
         fitting = stress_of(material, temperature[0], strain[0], start.detwinned, start.twinned, reference)
         start = State(temperature[0], fitting, start.detwinned, start.twinned)
-        # Held from row to row, this "power" leads the temperature straight from row to row.
+        # With this constant "power" between rows, the temperature is linear between rows.
         rate = np.column_stack([np.append(np.diff(temperature), 0.0), np.zeros(len(temperature))])
         rig = Rig(material, UNIT_CAPACITY, unit, POWER, 0.0, 1.0, 0.0)
         rows = np.arange(len(temperature), dtype=float)

@@ -1,4 +1,4 @@
-"""The exact reference against published vectors and figures (rotary paper), against closed forms, and against itself with smaller steps."""
+"""Exact reference against published vectors and figures (rotary paper), closed forms, and smaller steps."""
 
 import math
 
@@ -40,7 +40,7 @@ FAN = polynomial_heat(MODES["high"][0], CAPACITY, h2=MODES["high"][1])
 
 
 def levels(rng: np.random.Generator, rows: int, hold: int, low: float, high: float) -> np.ndarray:
-    """Random levels held for ``hold`` rows, every third one zero: partial and whole loops."""
+    """Return random levels of ``hold`` rows each, every third one zero: partial and full loops."""
     chosen = rng.uniform(low, high, rows // hold + 1)
     chosen[::3] = 0.0
     return np.repeat(chosen, hold)[:rows]
@@ -105,7 +105,7 @@ def test_the_uncorrected_law_passes_one_and_the_corrected_does_not(start, stress
 
 @pytest.mark.parametrize("point", [(46.0, 50e6, 0.2, 0.1), (44.5, 70e6, 0.0, 0.3), (48.0, 30e6, 0.4, 0.0)])
 def test_printed_rates_are_those_of_the_corrected_law(point):
-    """Equation 5 of the paper gives rates only; they are the derivative of the integrated law along a path in stress and temperature."""
+    """The rates of equation 5 in the paper are the derivative of the integrated law along a path in stress and temperature."""
     temperature, stress, x0, y0 = point
     per_second, width = (3e6, -0.7), PAPER.detwinning_finish_stress - PAPER.detwinning_start_stress
     a_m = math.pi / (PAPER.martensite_start - PAPER.martensite_finish)
@@ -146,7 +146,7 @@ def test_fractions_stay_in_range_and_a_leg_may_be_cut_anywhere():
 
 
 def test_a_restart_inside_the_band_is_continuous_and_completes():
-    """The reading of the leg's start that the references take: no jump where a leg turns, and all is done at the finish."""
+    """There is no jump where a leg reverses, and the transformation is complete at the finish."""
     cold = (1.0, 0.0)
     half = advance(MATERIAL, *cold, 20.0, 0.0, 72.0, 0.0)
     assert 0.4 < sum(half) < 0.6
@@ -193,13 +193,13 @@ def test_convection_time_constants_and_steady_temperatures():
 
 
 @pytest.mark.parametrize(("control", "signal"), [("current", 0.3), ("power", 0.9), ("voltage", 3.0)])
-def test_the_three_controls_agree_on_what_they_read(control, signal):
+def test_the_three_controls_agree(control, signal):
     time = np.arange(101) / 50
     run = rigs.dead_weight(
         MATERIAL, AIR, SINGLE, 0.2, time, np.full(101, signal), control=control, interpolation="hold"
     )
-    given = {"current": run.current, "power": run.current * run.voltage, "voltage": run.voltage}[control]
-    assert given == pytest.approx(signal, rel=1e-12)
+    signal_in = {"current": run.current, "power": run.current * run.voltage, "voltage": run.voltage}[control]
+    assert signal_in == pytest.approx(signal, rel=1e-12)
     assert run.voltage == pytest.approx(run.current * run.resistance, rel=1e-12)
 
 
@@ -213,14 +213,14 @@ def test_latent_heat_and_phase_dependent_capacity_against_the_closed_form():
     )
     temperature, fraction = run.temperature[:, 0], (run.detwinned + run.twinned)[:, 0]
     assert fraction[0] == 1.0 and fraction[-1] == 0.0
-    # Integrate what it takes along the transformation with the integrated kinetics, finely.
+    # Integrate the absorbed heat along the transformation with the integrated kinetics in small steps.
     grid = np.linspace(20.0, temperature[-1], 200_001)
     start = 64.0 + run.stress[0, 0] / 6.73e6
     xi = 0.5 * (1.0 + np.cos(np.pi * np.clip((grid - start) / 16.0, 0.0, 1.0)))
     capacity = 2.4e6 + 0.5 * (xi[1:] + xi[:-1]) * (CAPACITY - 2.4e6)
-    taken = np.concatenate([[0.0], np.cumsum(capacity * np.diff(grid) - latent * np.diff(xi))])
-    given = power / (np.pi / 4 * SINGLE.diameter**2 * SINGLE.length) * time
-    assert np.interp(temperature, grid, taken) == pytest.approx(given, rel=2e-6, abs=1.0)
+    absorbed = np.concatenate([[0.0], np.cumsum(capacity * np.diff(grid) - latent * np.diff(xi))])
+    supplied = power / (np.pi / 4 * SINGLE.diameter**2 * SINGLE.length) * time
+    assert np.interp(temperature, grid, absorbed) == pytest.approx(supplied, rel=2e-6, abs=1.0)
 
 
 # Rigs against the paper and against one another.
@@ -270,10 +270,10 @@ def test_heat_is_conserved_in_the_rotary_rig_with_latent_heat():
 
     # Held currents: the input of row k acts to the end of its step.
     before, after = net(currents)[:-1], (net(np.roll(currents, 1, axis=0)))[1:]
-    taken = np.cumsum(0.5 * (before + after) * np.diff(time)[:, None], axis=0)
+    absorbed = np.cumsum(0.5 * (before + after) * np.diff(time)[:, None], axis=0)
     content = CAPACITY * (run.temperature - 20.0) - 1.56e8 * (fraction - fraction[0])
     assert np.ptp(fraction) > 0.9
-    assert content[1:] == pytest.approx(taken, abs=2e-5 * np.ptp(content))
+    assert content[1:] == pytest.approx(absorbed, abs=2e-5 * np.ptp(content))
 
 
 def test_a_spring_without_stiffness_is_a_dead_weight():
@@ -290,18 +290,18 @@ def test_a_spring_without_stiffness_is_a_dead_weight():
 def test_strain_and_stress_paths_are_inverse_and_a_loop_dissipates():
     temperature = np.full(241, 90.0)
     strain = 0.035 * np.sin(np.linspace(0, 2 * np.pi, 241)) ** 2
-    there = rigs.path(MATERIAL, temperature, strain=strain, reference=90.0)
-    back = rigs.path(MATERIAL, temperature, stress=there.stress[:, 0], reference=90.0)
+    strain_path = rigs.path(MATERIAL, temperature, strain=strain, reference=90.0)
+    back = rigs.path(MATERIAL, temperature, stress=strain_path.stress[:, 0], reference=90.0)
     assert back.position == pytest.approx(strain, abs=1e-12)
-    work = np.trapezoid(there.stress[:, 0], strain)
+    work = np.trapezoid(strain_path.stress[:, 0], strain)
     # Two superelastic loops, each of the area between its plateaus: at 50 % martensite they lie 2.6 C apart in stress.
     forward, reverse = 65e6 + 6.32e6 * (90.0 - 50.0), 6.73e6 * (90.0 - 72.0)
-    assert work == pytest.approx(2 * 0.041 * (forward - reverse) * there.detwinned.max(), rel=0.25)
-    assert np.all(there.stress >= 0.0)
+    assert work == pytest.approx(2 * 0.041 * (forward - reverse) * strain_path.detwinned.max(), rel=0.25)
+    assert np.all(strain_path.stress >= 0.0)
 
 
-def test_a_slack_pulley_stays_where_it_is():
-    """Wires drawn out further than the pulley asks hang slack: the angle stays until one comes taut."""
+def test_the_angle_of_a_slack_pulley_is_constant():
+    """Wires with more prestrain than the pulley needs are slack: the angle is constant until one becomes taut."""
     wire = PAIR._replace(prestrain=0.02)
     loose = rigs.State(20.0, 0.0, 0.03 / 0.041, 1 - 0.03 / 0.041)
     time = np.arange(201) / 50
@@ -309,7 +309,7 @@ def test_a_slack_pulley_stays_where_it_is():
     run = rigs.rotary(PAPER, AIR, wire, 0.02, time, currents, start=(loose, loose), substeps=10)
     assert np.all(run.position[time < 1.0] == 0.0) and np.all(run.stress[time < 1.0] == 0.0)
     assert run.position[-1] > np.radians(10.0)
-    # It turns only once wire 1 is shorter than its way round the pulley, and then at that length.
+    # The pulley turns only when wire 1 is shorter than its path around the pulley.
     free = 500e-3 / 0.02 * (0.02 - run.strain[:, 0])
     assert run.position[-1] == pytest.approx(max(0.0, free.max()), abs=1e-9)
 
@@ -369,7 +369,7 @@ def test_rotary_is_converged():
 
 
 def test_a_rotary_run_goes_on_from_any_row():
-    """From states and angle: from slack wires, from ones that come taut, and as they pull to and fro."""
+    """Restart from states and angle with slack wires, with wires that become taut, and during oscillation."""
     time = np.arange(301) / 50
     currents = np.zeros((301, 2))
     currents[:60, 0], currents[90:140, 1], currents[200:, 0] = 0.55, 0.6, 0.5
@@ -390,9 +390,9 @@ def test_a_rotary_run_goes_on_from_any_row():
 
 def test_the_fast_loop_converges_to_the_exact_rigs():
     time, current = np.arange(1001) / 50, levels(np.random.default_rng(7), 1001, 75, 0.2, 0.34)
-    one = MATERIAL._replace(thermal_expansion_martensite=11e-6)
-    design = fast_loop.Design(*one[:14], *AIR[:3], CAPACITY, *SINGLE[:2], 20.0, 0.2, 0.0, 1.0)
-    exact = rigs.dead_weight(one, AIR, SINGLE, 0.2, time, current).position
+    material = MATERIAL._replace(thermal_expansion_martensite=11e-6)
+    design = fast_loop.Design(*material[:14], *AIR[:3], CAPACITY, *SINGLE[:2], 20.0, 0.2, 0.0, 1.0)
+    exact = rigs.dead_weight(material, AIR, SINGLE, 0.2, time, current).position
     error = [np.sqrt(np.mean((fast_loop.dead_weight(design, time, current, substeps=n) - exact) ** 2)) for n in (1, 16)]
     assert error[0] < 1e-4 and error[1] < error[0] / 10
     time = np.arange(1001) / 50
@@ -427,7 +427,7 @@ def test_shipped_recordings_are_what_their_recipe_makes(name):
     columns, exact = make(name, "train")
     recipe = RECIPES[name].observed
     shipped = np.loadtxt(FOLDER / name / "train.csv", delimiter=",", skiprows=1)
-    # One unit in the last digit: rounding may differ with the platform's cosine.
+    # One unit in the last digit: the cosine of the platform may round differently.
     last = max(recipe.grid, 10.0**-recipe.digits)
     assert shipped == pytest.approx(np.column_stack(list(columns.values())), abs=1.01 * last)
     residual = shipped[:, list(columns).index(f"{recipe.name} [{recipe.unit}]")] - exact / recipe.si
@@ -452,7 +452,7 @@ def test_nominal_values_do_not_explain_the_recordings(name):
 
 @pytest.mark.parametrize(("case", "channel"), [("case-01", "displacement"), ("case-08", "angle")])
 def test_agrees_in_start_and_sign_with_recordings_made_elsewhere(shared, case, channel):
-    """Start states, signs and stroke of other exact recordings of the same two kinds of rig, with nominal values: only roughly alike."""
+    """Initial states, signs and stroke of other exact recordings of two kinds of rig agree roughly with nominal values."""
     folder = shared / "blind" / case
     channels = {name: values[:1500] for name, values in read_csv(folder / "train.csv").items()}
     run = simulate(read_rig(folder / "rig.toml"), channels, substeps=8)
@@ -462,7 +462,7 @@ def test_agrees_in_start_and_sign_with_recordings_made_elsewhere(shared, case, c
     assert np.corrcoef(position, measured)[0, 1] > 0.5
 
 
-def test_the_rig_with_hidden_effects_is_the_other_one_without_them():
+def test_a_rig_without_hidden_effects_agrees_with_the_exact_one():
     rig = read_rig(FOLDER / "dead-weight" / "rig.toml")
     channels = read_csv(FOLDER / "dead-weight" / "train.csv")
     time, current = channels["time"][:1500], channels["current"][:1500]
@@ -480,7 +480,7 @@ def test_the_rig_with_hidden_effects_is_the_other_one_without_them():
         assert np.max(np.abs(displacement(rig, Hidden(**{name: size}), time, current) - exact)) > 2e-5, name
 
 
-def test_two_wires_with_hidden_effects_are_the_others_without_them():
+def test_two_wires_without_hidden_effects_agree_with_the_exact_ones():
     rig = read_rig(FOLDER / "rotary" / "rig.toml")
     channels = read_csv(FOLDER / "rotary" / "train.csv")
     time, current = channels["time"][:1500], np.column_stack([channels["current_1"], channels["current_2"]])[:1500]

@@ -44,7 +44,7 @@ class Wire(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """What stays the same during a simulation; c_s, c_1, c_2 are those of the balance in the module's docstring (c_2 = 0: one wire)."""
+    """Constants of a simulation; c_s, c_1, c_2 are those of the balance in the module's docstring (c_2 = 0: one wire)."""
 
     material: Material
     heat: Heat
@@ -65,7 +65,7 @@ class State(NamedTuple):
 
 
 def floats(*records: tuple) -> tuple:
-    """The same records with every field a float, as the compiled functions expect."""
+    """Return the records with all fields as floats for the compiled functions."""
     return tuple(type(r)(*map(float, r)) for r in records)
 
 
@@ -90,7 +90,7 @@ def convection(heat, temperature):
 
 @njit(cache=True)
 def heating(rig, signal, state):
-    """Net heat into the wire, W/m^3, for a current (A), a power (W) or a voltage (V)."""
+    """Return the net heat into the wire in W/m^3 for a current (A), a power (W) or a voltage (V)."""
     material, heat, wire, control = rig.material, rig.heat, rig.wire, rig.control
     rho = resistivity(material, state.detwinned + state.twinned)
     section = area(wire)
@@ -127,7 +127,7 @@ def _interpolate(low, f_low, high, f_high):
 
 @njit(cache=True)
 def _narrow(low, f_low, high, f_high, middle, f_middle):
-    """The bracket (f_low < 0 < f_high) with one end moved, the other end's value scaled down (Anderson, Bjorck 1973)."""
+    """Return the bracket (f_low < 0 < f_high) with one end moved and the value of the other scaled (Anderson, Bjorck 1973)."""
     if f_middle == 0.0:
         return middle, f_middle, middle, f_middle
     if f_middle < 0.0:
@@ -139,10 +139,10 @@ def _narrow(low, f_low, high, f_high, middle, f_middle):
 
 @njit(cache=True)
 def at_stress(material, heat, state, added, stress):
-    """The state after taking up ``added`` J/m^3 on the way to ``stress``."""
+    """Return the state after absorbing ``added`` J/m^3 while the stress changes to ``stress``."""
     if heat.latent_heat == 0.0 and heat.capacity_austenite == heat.capacity_martensite:
         return _to(material, state, state.temperature + added / heat.capacity_austenite, stress)
-    # What is missing rises with the temperature: bracket the root from the old temperature on.
+    # The missing heat increases with the temperature: bracket the root from the old temperature.
     low = high = state.temperature
     f_low = f_high = _heat_missing(material, heat, state, added, stress, low)
     reach = 1e-9 + abs(added) / max(heat.capacity_austenite, heat.capacity_martensite)
@@ -189,7 +189,7 @@ def _excess(rig, first, second, added1, added2, right, stress):
 def balance(rig, first, second, added1, added2, right):
     """The stress s >= 0 of the balance in the module's docstring: bracketed regula falsi, to rounding.
 
-    Where the wires are slack, less than zero: minus the amount by which the left side is too large without tension.
+    For slack wires it is negative: minus the excess of the left side without tension.
     """
     if rig.c_1 == 0.0 and rig.c_2 == 0.0:
         return right / rig.c_s

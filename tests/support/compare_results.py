@@ -39,19 +39,19 @@ LEFT_OUT = re.compile(
     r"|path|paths|folder|out|files|sha256|hash|elapsed|took|text|why|meaning|advice|warnings|source"
 )
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-# What a sentence says about time: its numbers are not compared.
+# Parts of sentences about time, whose numbers are not compared.
 TIMING = re.compile(r"\d[\d.,]* ?(?:ms|s|us|x|min)\b|\b\d[\d.]*x\b|wall|seconds| s\b|rollouts a|a second")
 
 
 def current(text: str) -> str:
-    """A text with the current names of parameters."""
+    """Return a text with the current names of parameters."""
     for old, new in RENAMED_PARAMETERS.items():
         text = text.replace(old, new)
     return text
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of a document with their places."""
+    """Yield the values of a document with their places."""
     if isinstance(value, dict):
         for key, item in value.items():
             if not LEFT_OUT.fullmatch(key):
@@ -64,7 +64,7 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def same(old: Any, new: Any, rtol: float) -> bool:
-    """Whether two values agree: numbers to ``rtol``, the numbers of texts likewise, and all else exactly."""
+    """Return whether two values agree: numbers, also in texts, to ``rtol``, and all else exactly."""
     if isinstance(old, bool) or isinstance(new, bool) or old is None or new is None:
         return old == new
     if isinstance(old, int | float) and isinstance(new, int | float):
@@ -79,17 +79,19 @@ def same(old: Any, new: Any, rtol: float) -> bool:
 
 
 def documents(folder: Path) -> dict[str, Any]:
-    """All JSON files below a folder, by path and current name; run.json is left out."""
-    found = {}
+    """Return the JSON files below a folder, except run.json, by path with current names."""
+    contents = {}
     for path in sorted(folder.rglob("*.json")):
         if path.name != "run.json":
             name = RENAMED_FILES.get(path.stem, path.stem)
-            found[path.relative_to(folder).with_name(f"{name}.json").as_posix()] = json.loads(path.read_text("utf-8"))
-    return found
+            contents[path.relative_to(folder).with_name(f"{name}.json").as_posix()] = json.loads(
+                path.read_text("utf-8")
+            )
+    return contents
 
 
 def main() -> None:
-    """Compare the folders that the command line names."""
+    """Compare the two folders of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path)

@@ -1,8 +1,8 @@
-"""A co-simulation of a plant's and a controller's FMU by fmpy, in a process of its own without JAX: see test_fmu.py.
+"""Co-simulation of the FMUs of a plant and a controller with fmpy, in a process without JAX; used by test_fmu.py.
 
     python fmu_master.py FOLDER
 
-reads FOLDER/plant.fmu, controller.fmu and wanted.npz, and writes found.npz beside them.
+reads FOLDER/plant.fmu, controller.fmu and wanted.npz, and writes FOLDER/found.npz.
 """
 
 import sys
@@ -15,15 +15,15 @@ from fmpy.validation import validate_fmu
 
 
 class Unit:
-    """One FMU, its variables by name."""
+    """An FMU with its variables by name."""
 
     def __init__(self, path: Path, **start: float):
-        self.told = fmpy.read_model_description(str(path))
-        self.places = {v.name: v.valueReference for v in self.told.modelVariables}
+        self.description = fmpy.read_model_description(str(path))
+        self.places = {v.name: v.valueReference for v in self.description.modelVariables}
         self.slave = FMU2Slave(
-            guid=self.told.guid,
+            guid=self.description.guid,
             unzipDirectory=fmpy.extract(str(path)),
-            modelIdentifier=self.told.coSimulation.modelIdentifier,
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
             instanceName=path.stem,
         )
         self.slave.instantiate()
@@ -48,12 +48,12 @@ class Unit:
 
 
 def closed(plant: Unit, controller: Unit, reference: np.ndarray, period: float, pieces: int) -> np.ndarray:
-    """Rows of displacement, temperature and command at the samples; each period in so many communication steps."""
+    """Return displacement, temperature and command at the samples; a period has ``pieces`` communication steps."""
     rows = []
-    for wanted in reference:
+    for setpoint in reference:
         value, warm = plant.get("displacement", "temperature")
         for piece in range(pieces):
-            controller.set(reference=wanted, measurement=plant.get("displacement")[0])
+            controller.set(reference=setpoint, measurement=plant.get("displacement")[0])
             controller.step(period / pieces)
             (command,) = controller.get("command")
             if piece == 0:
@@ -64,38 +64,38 @@ def closed(plant: Unit, controller: Unit, reference: np.ndarray, period: float, 
 
 
 def main(folder: Path) -> None:
-    wanted = np.load(folder / "wanted.npz")
-    period, reference = float(wanted["period"]), wanted["reference"]
-    found: dict[str, np.ndarray] = {}
+    inputs = np.load(folder / "wanted.npz")
+    period, reference = float(inputs["period"]), inputs["reference"]
+    results: dict[str, np.ndarray] = {}
     problems = [p for name in ("plant", "controller") for p in validate_fmu(str(folder / f"{name}.fmu"))]
     assert not problems, problems
 
-    table = np.array(list(zip(wanted["time"], wanted["current"], strict=True)), [("time", float), ("command", float)])
+    table = np.array(list(zip(inputs["time"], inputs["current"], strict=True)), [("time", float), ("command", float)])
     alone = fmpy.simulate_fmu(
         str(folder / "plant.fmu"),
-        stop_time=float(wanted["time"][-1]),
+        stop_time=float(inputs["time"][-1]),
         output_interval=period,
         step_size=period,
         input=table,
     )
-    found["alone"] = np.column_stack([alone[n] for n in ("displacement", "temperature", "resistance")])
+    results["alone"] = np.column_stack([alone[n] for n in ("displacement", "temperature", "resistance")])
 
     controller, rows = Unit(folder / "controller.fmu", reference=0.0, measurement=0.0), []
-    for r, y in wanted["samples"]:
+    for r, y in inputs["samples"]:
         controller.set(reference=r, measurement=y)
         controller.step(period)
         rows.append(controller.get("command")[0])
-    found["commands"] = np.array(rows)
+    results["commands"] = np.array(rows)
     controller.slave.reset()
     controller.begin(reference=2e-3, measurement=0.0)
     controller.set(kp=3.0, ki=10.0, kd=0.0)
     controller.step(2.5 * period)
-    found["gains"] = np.array(controller.get("command"))
+    results["gains"] = np.array(controller.get("command"))
     controller.slave.reset()
     controller.begin(reference=0.0, measurement=0.0)
 
     plant = Unit(folder / "plant.fmu")
-    found["closed"] = closed(plant, controller, reference, period, 1)
+    results["closed"] = closed(plant, controller, reference, period, 1)
     plant.set(command=0.3)
     state = plant.slave.getFMUState()
     ends = []
@@ -103,17 +103,17 @@ def main(folder: Path) -> None:
         plant.slave.setFMUState(state)
         plant.step(period)
         ends.append(plant.get("displacement", "temperature"))
-    found["twice"] = np.array(ends)
+    results["twice"] = np.array(ends)
     fine = Unit(folder / "plant.fmu"), Unit(folder / "controller.fmu", reference=0.0, measurement=0.0)
-    found["fine"] = closed(*fine, reference, period, 4)
+    results["fine"] = closed(*fine, reference, period, 4)
     warm = Unit(folder / "plant.fmu", environment__ambient=30.0, load__mass=0.3)
     again = Unit(folder / "controller.fmu", reference=0.0, measurement=warm.get("displacement")[0])
-    found["other"] = closed(warm, again, reference, period, 1)
-    found["start"] = np.array(
+    results["other"] = closed(warm, again, reference, period, 1)
+    results["start"] = np.array(
         Unit(folder / "plant.fmu").get("environment.ambient", "load.mass", "displacement", "power")
     )
     assert not {"jax", "equinox", "smajax"} & set(sys.modules), "an FMU has to run without JAX"
-    np.savez(folder / "found.npz", **found)
+    np.savez(folder / "found.npz", **results)
 
 
 if __name__ == "__main__":

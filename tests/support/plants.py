@@ -1,11 +1,11 @@
-"""Plants and recordings that the tests share, built by hand so that a test shows what it stands on."""
+"""Plants and recordings that several tests use, with explicit parameters."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from smajax.channels import CHANNELS, channel_of
-from smajax.plant.convection import PolynomialHeat, PowerHeat
+from smajax.plant.convection import PolynomialConvection, PowerLawConvection
 from smajax.plant.drive import CurrentDrive, DutyDrive, NoDrive, PowerDrive, VoltageDrive
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.materials.brinson import Brinson
@@ -55,7 +55,7 @@ HEAT = {"h0": 100.6, "h2": 0.001, "capacity_austenite": 2.046e6, "capacity_marte
 def _plant(mechanism, wire: Wire, drive, heat=None, material=None, initial: Initial | None = None) -> Plant:
     channels = (mechanism.coordinate, "stress") if mechanism.wires == 1 else (mechanism.coordinate,)
     return Plant(
-        wire, Environment(), initial or Initial(), drive, heat or PolynomialHeat(**HEAT), Brinson(**(material or MATERIAL)), mechanism,
+        wire, Environment(), initial or Initial(), drive, heat or PolynomialConvection(**HEAT), Brinson(**(material or MATERIAL)), mechanism,
         Sensor.identity(channels),
     )  # fmt: skip
 
@@ -69,7 +69,9 @@ def bias_spring(drive=None) -> Plant:
 
 
 def testing_machine(heat=None) -> Plant:
-    heat = heat or PowerHeat(h0=60.0, exponent=1.5, h2=0.05, capacity_austenite=2.2e6, capacity_martensite=1.9e6)
+    heat = heat or PowerLawConvection(
+        h0=60.0, exponent=1.5, h2=0.05, capacity_austenite=2.2e6, capacity_martensite=1.9e6
+    )
     return _plant(TestingMachine(), Wire(0.4e-3, 0.1, 0.002), PowerDrive(), heat)
 
 
@@ -95,7 +97,7 @@ def rotary(inertia: float = 1e-5, damping: float = 1e-3) -> Plant:
 
 
 def limb(sheathed: bool = True) -> Plant:
-    """A forearm on thin wires, which warm and cool in seconds."""
+    """Return a forearm with thin wires, which heat and cool within seconds."""
     sheath = Sheath(0.07, 2.5, 3.0, 1.5) if sheathed else None
     mechanism = TendonLimb(Limb(0.12, 0.15, 0.3, 0.05, 0.02), Pulley(0.03, 0.004, 0.1), Transmission(2.0, 1.5), sheath)
     return _plant(mechanism, Wire(0.2e-3, 0.5, 0.041), CurrentDrive())
@@ -114,14 +116,14 @@ def recording(channels: dict[str, np.ndarray], time: np.ndarray | None = None, n
 
 
 def pulses(rows: int, low: float, high: float, *, seed: int = 0) -> np.ndarray:
-    """Ten random levels, every third of them zero: partial loops of all sizes."""
+    """Return ten random levels, every third of them zero, which make partial loops of all sizes."""
     levels = np.random.default_rng(seed).uniform(low, high, 10)
     levels[0], levels[1::3] = high, 0.0
     return np.repeat(levels, -(-rows // 10))[:rows]
 
 
 def inputs(kind: str, rows: int = 600, step: float = 0.05) -> Recording:
-    """Inputs that bring every branch of a rig of that kind into play; the observed channels are zero."""
+    """Return inputs that exercise every branch of a kind of rig; the observed channels are zero."""
     time = np.arange(rows) * step
     zero = np.zeros(rows)
     if kind == "dead_weight":

@@ -1,4 +1,4 @@
-"""Processes that a test or an experiment watches and kills."""
+"""Processes that a test or an experiment monitors and kills."""
 
 import contextlib
 
@@ -6,7 +6,7 @@ import psutil
 
 
 def workers_of(parent: int) -> list[psutil.Process]:
-    """The worker processes of a run on a cluster of its own, by the run's process number."""
+    """Return the worker processes of a run with a local cluster, by the process number of the run."""
     with contextlib.suppress(psutil.NoSuchProcess):
         return [
             p

@@ -174,11 +174,11 @@ BAD = {
     "unknown name": (
         HEAD + '[material.martensit_start]\nvalue = "48 degC"\n',
         "there is no parameter 'material.martensit_start' (did you mean 'material.martensite_start'?): "
-        "correct the name, or take the table out",
+        "correct the name, or remove the table",
     ),
     "unknown section": (
         HEAD + '[magnet.field]\nvalue = "1 T"\n',
-        "there is no parameter 'magnet.field': correct the name, or take the table out",
+        "there is no parameter 'magnet.field': correct the name, or remove the table",
     ),
     "not a table": (
         HEAD + '[load]\nmass = "0.2 kg"\n',
@@ -211,11 +211,11 @@ BAD = {
     ),
     "value outside": (
         HEAD + '[load.mass]\nvalue = "0.2 kg"\nbounds = ["0.3 kg", "1 kg"]\n',
-        "load.mass.bounds = ['0.3 kg', '1 kg'] do not hold the value '0.2 kg': correct one of them",
+        "load.mass.bounds = ['0.3 kg', '1 kg'] do not contain the value '0.2 kg': correct one of them",
     ),
     "interval reversed": (
         HEAD + '[load.mass]\nvalue = "0.2 kg"\ninterval95 = ["0.3 kg", "0.1 kg"]\n',
-        "load.mass.interval95 = ['0.3 kg', '0.1 kg'] runs backwards: put the smaller end first",
+        "load.mass.interval95 = ['0.3 kg', '0.1 kg'] is in the wrong order: put the smaller end first",
     ),
     "free not boolean": (
         HEAD + '[load.mass]\nvalue = "0.2 kg"\nfree = "yes"\n',
@@ -227,7 +227,7 @@ BAD = {
     ),
     "twice": (
         HEAD + '[load.mass]\nvalue = "0.2 kg"\n[load.mass]\nvalue = "0.3 kg"\n',
-        "row 4, column 11: this section stands in the file a second time: put its keys together under one heading",
+        "row 4, column 11: this section is in the file twice: put its keys together under one heading",
     ),
 }
 

@@ -11,6 +11,7 @@ from tests.conftest import ROOT
 ROOMS = (
     ("errors",),
     ("channels",),
+    ("unit_parser",),
     ("units",),
     ("parameters", "progress"),
     ("numerics",),

@@ -12,7 +12,7 @@ from smajax.errors import InputError
 
 
 class Kind(StrEnum):
-    """The kinds of rig and of actuator that there are templates for."""
+    """Kinds of rigs and actuators with a template."""
 
     dead_weight = "dead-weight"
     bias_spring = "bias-spring"
@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 
 class DatasetAction(StrEnum):
-    """What can be done with data sets."""
+    """Actions on data sets."""
 
     list = "list"
     get = "get"
@@ -69,16 +69,16 @@ def init(
 
     if is_actuator_kind(kind.value):
         rig, sweep_file = write_actuator_example(kind.value, out)
-        typer.echo(f"Wrote {rig}, to be filled in with your own numbers, and {sweep_file}, a sweep of it.")
+        typer.echo(f"Wrote {rig}, to fill in with your own numbers, and {sweep_file}, a sweep of it.")
         typer.echo(f"Next: smajax check {rig}\n      smajax sweep {sweep_file} --out {out / 'swept'}")
         return
 
-    rig, example, recording, more = write_example(kind.value, out)
+    rig, example, recording, others = write_example(kind.value, out)
     typer.echo(
-        f"Wrote {rig}, to be filled in with your own wire, and {recording} with its rig {example}, to try things on.\n"
+        f"Wrote {rig}, to fill in with your own wire, and the example {recording} with its rig {example}.\n"
         f"Next: smajax check {rig} {recording}\n      smajax fit {example} {recording} --out {out / 'result'}"
     )
-    for path in more:
+    for path in others:
         if path.name == "controller.toml":
             typer.echo(f"      smajax tune {example} {path} --out {out / 'tuned'}")
         else:

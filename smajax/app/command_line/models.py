@@ -6,15 +6,26 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from smajax.app.command_line.options import DropBadRows, Json, Open, Out, Quiet, RigFile, Seed, Start, TrainFile
+from smajax.app.command_line.options import (
+    MAX_STARTS,
+    DropBadRows,
+    Json,
+    Open,
+    Out,
+    Quiet,
+    RigFile,
+    Seed,
+    Start,
+    TrainFile,
+)
 from smajax.app.command_line.run import argv, finish_run, start_run
 
 
 class FitCommand(TyperCommand):
-    """Takes all files after ``--holdout``, up to the next option, as holdouts: none is fitted by mistake."""
+    """The command fit, in which all files between ``--holdout`` and the next option are holdouts."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, with the option written before each of its files."""
+        """Parse the arguments after repeating ``--holdout`` before each of its files."""
         spread: list[str] = []
         in_holdout = False
         for word in args:
@@ -58,7 +69,7 @@ def fit(
     start: Start = None,
     seed: Seed = None,
     starts: Annotated[
-        int | None, typer.Option("--starts", min=1, max=10_000, help="Points to start from (default: the rig's).")
+        int | None, typer.Option("--starts", min=1, max=MAX_STARTS, help="Points to start from (default: the rig's).")
     ] = None,
     profile: Annotated[
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")

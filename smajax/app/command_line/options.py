@@ -5,6 +5,10 @@ from typing import Annotated
 
 import typer
 
+# Largest seed of NumPy's and JAX's random generators, and largest number of starting points, as in a rig file.
+_MAX_SEED = 2**32 - 1
+MAX_STARTS = 10_000
+
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml).")]
 Out = Annotated[
     Path,
@@ -13,7 +17,7 @@ Out = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show no progress and no summary.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result file to stdout, and nothing else there.")]
 Seed = Annotated[
-    int | None, typer.Option("--seed", min=0, max=2**32 - 1, help="Seed of random numbers (default: the rig's).")
+    int | None, typer.Option("--seed", min=0, max=_MAX_SEED, help="Seed of random numbers (default: the rig's).")
 ]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")]
 Start = Annotated[

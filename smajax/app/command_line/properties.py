@@ -14,7 +14,7 @@ _DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
 
 
 class StartModel(StrEnum):
-    """Laws for which thermal cycles give start values."""
+    """Material laws for which thermal cycles give start values."""
 
     brinson = "brinson"
     lagoudas = "lagoudas"
@@ -23,7 +23,7 @@ class StartModel(StrEnum):
 
 
 class TangentLine(StrEnum):
-    """The line along a transformation."""
+    """Lines along a transformation."""
 
     lines = "lines"
     steepest = "steepest"
@@ -39,7 +39,7 @@ def properties(
             "--smooth",
             min=1,
             metavar="ROWS",
-            help="Smooth temperatures over so many rows, an odd number (default: as their noise requires).",
+            help="Rows of the running median of the temperatures, an odd number (default: as their noise requires).",
         ),
     ] = None,
     tangent: Annotated[
@@ -59,11 +59,12 @@ def properties(
         typer.Option(
             "--columns",
             metavar="A,B,...",
-            help=r"Headers of a file without: 'temperature \[degC],strain [%],-'; - is left out.",
+            help=r"Headers of a file without a header row: 'temperature \[degC],strain [%],-'; - is left out.",
         ),
     ] = "",
     delimiter: Annotated[
-        str, typer.Option("--delimiter", metavar="CHARACTER", help="What separates columns; 'tab' and 'space' by name.")
+        str,
+        typer.Option("--delimiter", metavar="CHARACTER", help="Character between columns; 'tab' and 'space' by name."),
     ] = ",",
     decimal: Annotated[
         str, typer.Option("--decimal", metavar="SIGN", help="The decimal sign of text files and cells: '.' or ','.")

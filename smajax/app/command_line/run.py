@@ -1,4 +1,4 @@
-"""How a long command starts and ends: progress, the command line for its record, output and exit code."""
+"""Start and end of a long command: progress, the command line for its record, output and exit code."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 def start_run(quiet: bool, accelerator: bool = False) -> "Progress":
-    """Show progress and set JAX up; whatever uses JAX has to be imported after it.
+    """Show progress and configure JAX; call it before importing modules that use JAX.
 
     Args:
         quiet: Whether no progress is shown.
-        accelerator: Whether JAX may take an accelerator.
+        accelerator: Whether JAX may use an accelerator.
     """
     from smajax.numerics.process import prepare_jax
     from smajax.progress import Progress
@@ -34,11 +34,11 @@ def argv() -> list[str]:
 def finish_run(
     outcome: "Outcome", result: str, text: str, *, quiet: bool, as_json: bool = False, open_report: bool = False
 ) -> None:
-    """Print the result of a run, open its report, and leave with its exit code.
+    """Print the result of a run, open its report, and exit with its code.
 
     Args:
-        outcome: The outcome.
-        result: The file of the result folder that ``--json`` prints.
+        outcome: The outcome of the job.
+        result: Name of the file in the result folder that ``--json`` prints.
         text: The summary.
         quiet: Whether no summary is printed.
         as_json: Whether the result file is printed instead.
@@ -49,7 +49,7 @@ def finish_run(
     elif not quiet:
         typer.echo(text)
     if outcome.reason:
-        typer.echo(f"smajax: {outcome.reason}; what there is was saved in {outcome.folder}", err=True)
+        typer.echo(f"smajax: {outcome.reason}; the results so far are saved in {outcome.folder}", err=True)
     if outcome.note and not quiet:
         typer.echo(f"smajax: {outcome.note}", err=True)
     if open_report:

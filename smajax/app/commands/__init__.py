@@ -1,1 +1,1 @@
-"""The jobs behind the long commands, without their options: files in, a result folder out."""
+"""Jobs of the long commands, without their options: read the files, call the library, write the result folder."""

@@ -1,4 +1,4 @@
-"""The job of ``smajax check``: describe a rig and its recordings, or an actuator file. Runs nothing."""
+"""Job of ``smajax check``: describe a rig and its recordings, or an actuator, without a calculation."""
 
 import math
 from collections.abc import Sequence
@@ -21,8 +21,9 @@ from smajax.report.summary import table
 from smajax.simulation.step_size import default_step
 from smajax.units import as_text
 
-# Relative deviation of the sample time up to which rows count as equally spaced, and rounding of a step.
+# Relative range of the sample times up to which the text calls them equal. Chosen by trial.
 _EVEN = 1e-3
+# Relative difference between a step and the sample time that counts as rounding.
 _ROUNDING = 1e-9
 
 
@@ -32,13 +33,13 @@ def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False
     Args:
         path: The rig or actuator file.
         recordings: Recordings of the rig.
-        drop_bad_rows: Whether rows that cannot be read are left out.
+        drop_bad_rows: Whether to omit rows that cannot be read.
 
     Returns:
         The text that the command prints.
 
     Raises:
-        InputError: With the first mistake in a file.
+        InputError: For the first mistake in a file, or for recordings of an actuator.
     """
     text = read_text(path, "rig")
     if is_actuator(text):
@@ -53,7 +54,7 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     control = rig.plant.drive.control
     drive = f", driven by {control} ({rig.interpolation} between samples)" if control else ""
     lines = [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
-    lines += _free_parameters(rig) or ["Nothing is free: name the parameters to fit under [fit] free."]
+    lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}
     observed = ", ".join(f"{c} (noise {noises[c]})" if c in noises else c for c in rig.fit.observe)
     lines += ["", f"Fitted and scored: {observed}; needed in a recording: {', '.join(rig.plant.signals)}."]
@@ -68,31 +69,31 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
 def _describe_actuator(actuator: AbstractActuator, path: Path, recordings: Sequence[Path]) -> list[str]:
     if recordings:
         raise InputError(
-            f"{path}: an actuator gives its figures without a recording: take {recordings[0]} off the command line"
+            f"{path}: the metrics of an actuator need no recording: remove {recordings[0]} from the command line"
         )
     rows = []
     for name, declaration in parameters.all_declarations(actuator).items():
         value = float(parameters.get(actuator, name))
         shown = as_text(value, declaration.unit) if math.isfinite(value) else "not given"
         rows.append((name, shown, _bounds_text((declaration.lower, declaration.upper), declaration.unit)))
-    figures = ", ".join(name if unit == "1" else f"{name} [{unit}]" for name, unit in actuator.units.items())
-    lines = [f"{path.name}: {kind_of(actuator)}, an actuator, which gives its figures without a recording", ""]
-    lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Figures: {figures}."]
-    return [*lines, "A sweep varies the parameters and asks for figures."]
+    metrics = ", ".join(name if unit == "1" else f"{name} [{unit}]" for name, unit in actuator.units.items())
+    lines = [f"{path.name}: {kind_of(actuator)}, an actuator, whose metrics need no recording", ""]
+    lines += [*table([("parameter", "value", "bounds"), *rows]), "", f"Metrics: {metrics}."]
+    return [*lines, "A sweep varies the parameters and computes the metrics."]
 
 
 def _free_parameters(rig: Rig) -> list[str]:
-    """A table of the free parameters; empty if there are none."""
-    declared = parameters.all_declarations(rig.plant)
+    """Return a table of the free parameters; empty if there are none."""
+    declarations = parameters.all_declarations(rig.plant)
     rows = []
     for name in rig.fit.names:
-        value, unit = float(parameters.get(rig.plant, name)), declared[name].unit
-        bounds = rig.fit.bounds.get(name, (declared[name].lower, declared[name].upper))
+        value, unit = float(parameters.get(rig.plant, name)), declarations[name].unit
+        bounds = rig.fit.bounds.get(name, (declarations[name].lower, declarations[name].upper))
         per_recording = name in rig.fit.per_recording or name.startswith("initial.")
         rows.append(
             (
                 name,
-                as_text(value, unit) if math.isfinite(value) else "as it starts",
+                as_text(value, unit) if math.isfinite(value) else "derived",
                 _bounds_text(bounds, unit),
                 rig.sources.get(parameters.expand([name])[0], "default"),
                 "one per recording" if per_recording else "",
@@ -117,6 +118,6 @@ def _describe_recording(rig: Rig, recording: Recording) -> list[str]:
             head += f" (simulated in steps of at most {step:.3g} s)"
     auxiliary = auxiliary_channels(rig.plant, rig.fit.observe, [recording])[0]
     roles = {c: "input" for c in rig.plant.signals} | {c: "observed" for c in rig.fit.observe}
-    roles |= {c: "evidence for a diagnosis" for c in auxiliary}
+    roles |= {c: "auxiliary in a diagnosis" for c in auxiliary}
     channels = ", ".join(f"{c} [{recording.units[c]}] ({roles.get(c, 'not used')})" for c in recording.channels)
     return [head, f"  {channels}", *(f"  {note}" for note in recording.notes)]

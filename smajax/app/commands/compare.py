@@ -1,10 +1,10 @@
-"""The job of ``smajax compare``: read, compare, write the folder."""
+"""Job of ``smajax compare``: fit several models to one recording and rank them by their prediction of another."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from smajax.app.run_record import Clock, Outcome, rig_text, run_record
+from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.comparison.compare import compare_models
 from smajax.comparison.models import select_models
 from smajax.files.documents import to_json
@@ -19,7 +19,17 @@ from smajax.report.comparison_document import comparison_document
 
 
 class CompareJob(NamedTuple):
-    """What a comparison is asked to do; ``seed`` replaces the rig's where it is given."""
+    """Files and options of a comparison.
+
+    Attributes:
+        rig: The rig file.
+        train: The recording to fit.
+        holdout: The recording to predict.
+        models: Names of the models.
+        out: The result folder.
+        seed: Seed of the starting points, which replaces that of the rig file.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+    """
 
     rig: Path
     train: Path
@@ -34,19 +44,19 @@ def run_compare(job: CompareJob, progress: Progress, argv: Sequence[str]) -> Out
     """Fit each model, predict the holdout and write the result folder.
 
     Args:
-        job: What to compare.
-        progress: Where phases are shown.
+        job: Files and options.
+        progress: Display of the phases.
         argv: The command line, for the record of the run.
 
     Raises:
-        InputError: If a file, a model's name or the folder is bad, or if no model can be fitted to such input.
+        InputError: If a file, a model name or the folder is not valid, or no model can be fitted to such input.
         NumericsError: If no model can be fitted.
     """
     out, clock = check_output_folder(job.out), Clock()
     names = select_models(job.models)
     progress.phase("reading")
     with clock.time("read"):
-        rig, text = read_rig(job.rig), rig_text(job.rig)
+        rig, text = read_rig(job.rig), read_rig_text(job.rig)
         recordings = [r for r, _ in read_train_and_holdout(rig, [job.train], [job.holdout], job.drop_bad_rows)]
         refuse_copies(recordings)
     seed = rig.fit.seed if job.seed is None else job.seed

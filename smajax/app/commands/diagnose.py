@@ -1,4 +1,4 @@
-"""The job of ``smajax diagnose``."""
+"""Job of ``smajax diagnose``: find the effects that a rig has and its model lacks."""
 
 import dataclasses
 import time
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from smajax import parameters
-from smajax.app.run_record import Clock, Outcome, rig_text, run_record
+from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.diagnosis.auxiliary_channels import (
     auxiliary_channels,
     saturation_reason,
@@ -34,13 +34,24 @@ from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
 from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.prediction import Series, make_series, read_predictions, write_predictions
 
-# Rows that each recording has at least: below that intervals, noise and the classes of effects say nothing. Chosen by
-# trial.
+# Smallest number of rows of each recording: with fewer, intervals, noise and classes of effects are not reliable.
+# Chosen by trial.
 _MIN_ROWS = 200
 
 
 class DiagnoseJob(NamedTuple):
-    """The files and options of a diagnosis; ``seed`` replaces the rig's where there is one."""
+    """Files and options of a diagnosis.
+
+    Attributes:
+        rig: The rig file.
+        train: The recording to fit.
+        select: The recording that decides whether an effect is added.
+        holdout: The recording to predict at the end.
+        out: The result folder.
+        seed: Seed of the random numbers, which replaces that of the rig file.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        start: Parameter set to start from.
+    """
 
     rig: Path
     train: Path
@@ -53,7 +64,13 @@ class DiagnoseJob(NamedTuple):
 
 
 class DiagnosisSetup(NamedTuple):
-    """What a diagnosis runs on: problem, auxiliary channels, and the channels left out, with the reason."""
+    """Input of a diagnosis.
+
+    Attributes:
+        problem: The problem.
+        auxiliary: Auxiliary channels.
+        left_out: Reasons by channel for the channels that are not used.
+    """
 
     problem: DiagnosisProblem
     auxiliary: tuple[str, ...]
@@ -61,22 +78,22 @@ class DiagnosisSetup(NamedTuple):
 
 
 def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> Outcome:
-    """Read the files, diagnose, and write the folder.
+    """Read the files, diagnose, and write the result folder.
 
     Args:
         job: Files and options.
-        progress: Shows the phases.
+        progress: Display of the phases.
         argv: The command line, for the record of the run.
 
     Raises:
         InputError: If a file or a recording cannot be used.
-        NumericsError: If the simulation fails, or the base fit did not converge and no effect explains it; then the
-            folder has ``rig-last.toml``.
+        NumericsError: If the simulation fails, or the base fit does not converge and no effect explains it; the
+            folder then has ``rig-last.toml``.
     """
     out, clock, began = check_output_folder(job.out), Clock(), time.perf_counter()
     progress.phase("reading")
     with clock.time("read"):
-        rig, text = _read_rig(job), rig_text(job.rig)
+        rig, text = _read_rig(job), read_rig_text(job.rig)
         recordings = _read_recordings(rig, job)
     seed = rig.fit.seed if job.seed is None else job.seed
     with clock.time("diagnose"):
@@ -89,7 +106,9 @@ def run_diagnose(job: DiagnoseJob, progress: Progress, argv: Sequence[str]) -> O
             last = dataclasses.replace(rig, plant=parameters.replace(setup.problem.base_problem.plant, error.state))
             run = run_record("diagnose", rig, argv, clock, seed, error.exit_code)
             write_folder(out, run, lambda folder: last.write(folder / "rig-last.toml"))
-            raise NumericsError(f"{error}; where it ended is kept in {out / 'rig-last.toml'}", error.state) from None
+            raise NumericsError(
+                f"{error}; the last parameter values are saved in {out / 'rig-last.toml'}", error.state
+            ) from None
     document = diagnosis_document(
         diagnosis,
         recordings,
@@ -124,7 +143,7 @@ def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetu
 
     Args:
         rig: The rig.
-        recordings: The recordings for training, selection and holdout.
+        recordings: Recordings for training, selection and holdout.
 
     Raises:
         InputError: If every observed channel is saturated.
@@ -142,24 +161,24 @@ def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
     Args:
         rig: The rig.
         plant: The plant with the effects.
-        auxiliary: Auxiliary channels, of which those are observed that one of the effects needs.
+        auxiliary: Auxiliary channels; those that one of the effects needs are added to the observed channels.
     """
     needed = [c for c in auxiliary if any(f"{c} observed" in effect.needs for effect in plant.effects)]
     return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed)))
 
 
 def prediction_series(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Series]:
-    """Return measurement and model of each recording, before and after.
+    """Return measured and modelled channels of each recording, before and after the effects were added.
 
     Args:
-        recordings: The recordings for training, selection and holdout.
+        recordings: Recordings for training, selection and holdout.
         diagnosis: The result.
     """
     series = []
     for k, (recording, role) in enumerate(zip(recordings, SPLIT_NAMES, strict=True)):
-        for when, residuals in diagnosis.predictions.items():
+        for stage, residuals in diagnosis.predictions.items():
             model = {c: recording.channels[c] + v for c, v in residuals[k].items()}
-            name = f"{recording.name} ({when})"
+            name = f"{recording.name} ({stage})"
             columns = (recording.time, recording.channels, model, recording.units)
             series.append(make_series(name, role, *columns, has_clock=recording.has_clock))
     return series
@@ -177,7 +196,7 @@ def _read_rig(job: DiagnoseJob) -> Rig:
 
 
 def _read_recordings(rig: Rig, job: DiagnoseJob) -> list[Recording]:
-    """The three recordings. InputError if they are too short, share rows, or the training inputs never change."""
+    """Read the three recordings; refuse short ones, copies, and training inputs that never change."""
     pairs = read_train_and_holdout(rig, [job.train], [job.select, job.holdout], job.drop_bad_rows)
     recordings = [recording for recording, _ in pairs]
     for recording in recordings:
@@ -190,17 +209,17 @@ def _read_recordings(rig: Rig, job: DiagnoseJob) -> list[Recording]:
     if signals and all(np.ptp(train.channels[name]) == 0.0 for name in signals):
         raise InputError(
             f"{train.name}: {' and '.join(signals)} never change{'s' * (len(signals) == 1)}, "
-            "so that no effect can be seen: vary it"
+            "so that no effect can be detected: vary the input"
         )
     return recordings
 
 
 def _saturated_channels(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:
-    """Observed channels that are saturated, with the reason. InputError if all of them are."""
+    """Return the reasons by observed channel why it is saturated; refuse a rig of which all are."""
     reasons = {c: reason for c in rig.fit.observe if (reason := saturation_reason(c, recordings))}
     if len(reasons) == len(rig.fit.observe):
         raise InputError(
-            f"{next(iter(reasons.values()))}, as a saturated or clipped sensor does: cut these rows out, "
+            f"{next(iter(reasons.values()))}, as a saturated or clipped sensor does: remove these rows, "
             "or record with a wider range"
         )
     return reasons

@@ -1,4 +1,4 @@
-"""The job of ``smajax fit``: read, fit, predict the holdout, write the folder."""
+"""Job of ``smajax fit``: fit the free parameters and predict the holdout recordings."""
 
 import contextlib
 import dataclasses
@@ -11,7 +11,7 @@ import numpy as np
 
 from smajax import __version__, parameters
 from smajax.app.console import INTERRUPTED, stopping
-from smajax.app.run_record import Clock, Outcome, rig_text, run_record
+from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.errors import InputError, NumericsError, suggestion
 from smajax.files.documents import to_json
 from smajax.files.fit_settings import FitSettings
@@ -36,17 +36,17 @@ from smajax.simulation.status import SimulationStatus
 
 
 class FitJob(NamedTuple):
-    """What a fit is asked to do.
+    """Files and options of a fit.
 
     Attributes:
         rig: The rig file.
         train: Recordings to fit.
         out: The result folder.
         holdout: Recordings to predict.
-        start: A parameter file to start from.
-        seed: Seed of the starts, in place of the rig's.
-        starts: Number of starts, in place of the rig's.
-        drop_bad_rows: Whether rows that cannot be read are left out.
+        start: Parameter set to start from.
+        seed: Seed of the starting points, which replaces that of the rig file.
+        starts: Number of starting points, which replaces that of the rig file.
+        drop_bad_rows: Whether to omit rows that cannot be read.
         profiles: Parameters to profile.
     """
 
@@ -62,7 +62,7 @@ class FitJob(NamedTuple):
 
 
 class _FitInputs(NamedTuple):
-    """What a fit works on: rig, text of its file, settings, recordings with roles, labels to profile, warnings."""
+    """Input of a fit: rig, text of its file, settings, recordings with roles, labels to profile, warnings."""
 
     rig: Rig
     text: str
@@ -72,12 +72,12 @@ class _FitInputs(NamedTuple):
     warnings: list[str]
 
     def with_role(self, role: str) -> list[Recording]:
-        """Return the recordings of a role."""
-        return [recording for recording, own in self.recordings if own == role]
+        """Return the recordings with a role."""
+        return [recording for recording, recording_role in self.recordings if recording_role == role]
 
 
 class _Search(NamedTuple):
-    """How a search ended: its result, or the reason why there is none; profiles; and whether it was interrupted."""
+    """Outcome of a search: its result, or the reason why there is none; profiles; whether it was interrupted."""
 
     result: FitResult | None
     reason: str
@@ -89,15 +89,15 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     """Fit, predict the holdout, and write the result folder.
 
     Args:
-        job: What to fit.
-        progress: Where phases and steps are shown.
+        job: Files and options.
+        progress: Display of the phases and steps.
         argv: The command line, for the record of the run.
 
     Returns:
-        The outcome; a failure of the numerics is one, too.
+        The outcome; a failure of the numerics does not raise, but has an exit code.
 
     Raises:
-        InputError: If a file, an option or the folder is bad.
+        InputError: If a file, an option or the folder is not valid.
     """
     out, clock = check_output_folder(job.out), Clock()
     progress.phase("reading")
@@ -113,9 +113,9 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     ]
     failure = NumericsError.exit_code if failed or search.result is None else 0
     code = INTERRUPTED if search.interrupted else failure
-    reason = search.reason or "; ".join(failed) or "interrupted; the best point so far is kept"
-    ending = {key: document["solver"][key] for key in ("code", "text")}
-    run = run_record("fit", inputs.rig, argv, clock, inputs.settings.seed, code) | ending
+    reason = search.reason or "; ".join(failed) or "interrupted with the best point so far"
+    solver = {key: document["solver"][key] for key in ("code", "text")}
+    run = run_record("fit", inputs.rig, argv, clock, inputs.settings.seed, code) | solver
     series = [_to_series(inputs.rig, response) for response in responses]
 
     def fill(folder: Path) -> None:
@@ -125,7 +125,7 @@ def run_fit(job: FitJob, progress: Progress, argv: Sequence[str]) -> Outcome:
         if search.result is not None:
             _write_parameters(folder / "fit.toml", search.result, inputs.with_role("train"))
             _write_fitted_rig(folder / "rig-fitted.toml", inputs.rig, search.result)
-        # From the table as it was written, so that `smajax report` makes the same page of it.
+        # The table is read back, so that `smajax report` makes the same page.
         page = fit_page(document, prediction.read_predictions(folder / "prediction.csv"), run, inputs.text)
         (folder / "report.html").write_text(page, "utf-8")
 
@@ -138,38 +138,39 @@ def _read_inputs(job: FitJob) -> _FitInputs:
     warnings = list(rig.notes)
     if job.start is not None:
         rig = dataclasses.replace(rig, plant=warm_start_plant(rig, job.start))
-    replaced = {key: value for key, value in (("seed", job.seed), ("starts", job.starts)) if value is not None}
-    settings = dataclasses.replace(rig.fit, **replaced)
+    options = {key: value for key, value in (("seed", job.seed), ("starts", job.starts)) if value is not None}
+    settings = dataclasses.replace(rig.fit, **options)
     recordings = read_train_and_holdout(rig, job.train, job.holdout, job.drop_bad_rows)
     labels = _profile_labels(job.profiles, settings, [r.name for r, role in recordings if role == "train"])
-    fitted = {r.sha256: r.name for r, role in recordings if role == "train"}
+    train_names = {r.sha256: r.name for r, role in recordings if role == "train"}
     warnings += [
-        f"{r.name} has the same content as {fitted[r.sha256]}: it tests nothing."
+        f"{r.name} has the same content as {train_names[r.sha256]}: it is not an independent test."
         for r, role in recordings
-        if role == "holdout" and r.sha256 in fitted
+        if role == "holdout" and r.sha256 in train_names
     ]
-    return _FitInputs(rig, rig_text(job.rig), settings, recordings, labels, warnings)
+    return _FitInputs(rig, read_rig_text(job.rig), settings, recordings, labels, warnings)
 
 
-def _profile_labels(names: Sequence[str], settings: FitSettings, trained: Sequence[str]) -> list[str]:
-    """The labels to profile; the name of a parameter per recording stands for its labels of all recordings."""
-    own = {*settings.per_recording, *(f"initial.{state}" for state in settings.initial)}
-    labels_of = {name: [f"{name}@{r}" for r in trained] if name in own else [name] for name in settings.names}
+def _profile_labels(names: Sequence[str], settings: FitSettings, train_names: Sequence[str]) -> list[str]:
+    """Return the labels to profile; a parameter per recording has one for each recording."""
+    per_recording = {*settings.per_recording, *(f"initial.{state}" for state in settings.initial)}
+    labels_of = {
+        name: [f"{name}@{r}" for r in train_names] if name in per_recording else [name] for name in settings.names
+    }
     labels_of |= {label: [label] for labels in list(labels_of.values()) for label in labels}
     for name in names:
         if name not in labels_of:
             free = ", ".join(settings.names)
-            raise InputError(
-                f"--profile {name}: this parameter is not free{suggestion(name, settings.names)}: free are {free}"
-            )
+            hint = suggestion(name, settings.names)
+            raise InputError(f"--profile {name}: this parameter is not free{hint}: the free ones are {free}")
     return [label for name in names for label in labels_of[name]]
 
 
 def _search(inputs: _FitInputs, progress: Progress, clock: Clock) -> _Search:
-    """Fit and profile, until done or interrupted."""
-    trained = inputs.with_role("train")
+    """Fit and profile, until the end or an interruption."""
+    train = inputs.with_role("train")
     settings: Any = inputs.settings  # frozen, and the protocol of ``fit`` has plain attributes
-    samples = sum(len(r) for r in trained) * len(settings.observe)
+    samples = sum(len(r) for r in train) * len(settings.observe)
 
     def report(step: int, cost: float) -> None:
         residual = f", residual {math.sqrt(cost / samples):.4g} x noise" if math.isfinite(cost) else ""
@@ -178,14 +179,12 @@ def _search(inputs: _FitInputs, progress: Progress, clock: Clock) -> _Search:
             raise KeyboardInterrupt
 
     result, profiles, reason = None, {}, ""
-    progress.phase(
-        "compiling the model and trying the starts (a later run on recordings of this size finds it compiled)"
-    )
+    progress.phase("compiling the model and evaluating the starts (later runs with recordings of this size reuse it)")
     with clock.time("fit"), stopping(progress) as stop:
         try:
             result = fit(
                 inputs.rig.plant,
-                trained,
+                train,
                 settings,
                 holdout=inputs.with_role("holdout"),
                 interpolation=inputs.rig.interpolation,
@@ -201,13 +200,13 @@ def _search(inputs: _FitInputs, progress: Progress, clock: Clock) -> _Search:
                 progress.phase(f"profile likelihood of {label}")
                 try:
                     profiles[label] = profile_likelihood(result, label)
-                except InputError as error:  # a profile that cannot be drawn is no reason to lose the fit
+                except InputError as error:  # the fit is valid without the profile
                     inputs.warnings.append(f"{error}.")
     return _Search(result, reason, profiles, stop.requested or stop_profiles.requested)
 
 
 def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list[Response]]:
-    """The document of a fit and the responses of all recordings; of a failed fit, those of the start values."""
+    """Return the document of a fit and the responses of all recordings, with the start values if the fit failed."""
     rig, result, warnings = inputs.rig, search.result, list(inputs.warnings)
     settings: Any = inputs.settings
     if result is None:
@@ -229,14 +228,14 @@ def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list
 
 def _to_series(rig: Rig, response: Response) -> Series:
     recording = response.recording
-    chosen = modelled_channels(rig.plant.observable, rig.plant.signals, recording.channels)
-    model: dict[str, np.ndarray] = {c: response.model[c] for c in chosen if c in response.model}
+    names = modelled_channels(rig.plant.observable, rig.plant.signals, recording.channels)
+    model: dict[str, np.ndarray] = {c: response.model[c] for c in names if c in response.model}
     return recording_series(recording, response.role, model)
 
 
-def _write_parameters(path: Path, result: FitResult, trained: Sequence[Recording]) -> None:
-    """Write fit.toml: the estimates with their intervals, bounds and source."""
-    source = "fit to " + ", ".join(f"{r.name} (sha256 {r.sha256})" for r in trained)
+def _write_parameters(path: Path, result: FitResult, train: Sequence[Recording]) -> None:
+    """Write fit.toml: the estimates with intervals, bounds and source."""
+    source = "fit to " + ", ".join(f"{r.name} (sha256 {r.sha256})" for r in train)
     entries = {}
     for estimate in result.estimates:
         low, high = estimate.bounds
@@ -251,17 +250,17 @@ def _write_parameters(path: Path, result: FitResult, trained: Sequence[Recording
             free=True,
             at_bound=estimate.at_bound,
         )
-    about = {
+    fit_table = {
         "smajax": __version__,
         "result": result.status.name,
         "seed": result.seed,
-        "recordings": [r.name for r in trained],
+        "recordings": [r.name for r in train],
     }
-    write_parameters(path, entries, {"title": "parameters estimated by smajax fit", "fit": about})
+    write_parameters(path, entries, {"title": "parameters estimated by smajax fit", "fit": fit_table})
 
 
 def _write_fitted_rig(path: Path, rig: Rig, result: FitResult) -> None:
-    """Write the rig with the estimates; values that make no rig, as a closed band, are in fit.toml only."""
+    """Write the rig with the estimates, unless these fail the checks of a rig file; fit.toml has them in any case."""
     with contextlib.suppress(InputError):
         names = result.problem.shared + result.problem.per_recording
         values = {name: float(parameters.get(result.plant, name)) for name in names}

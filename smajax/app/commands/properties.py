@@ -1,4 +1,4 @@
-"""The job of ``smajax properties``: properties of thermal cycles, and a parameter set to start a fit from."""
+"""Job of ``smajax properties``: properties of thermal cycles, and a parameter set to start a fit from."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,22 +14,22 @@ from smajax.properties.thermal_cycles import mean_properties
 from smajax.recordings.read import read_recording
 from smajax.report.properties import merge_sentences, properties_document
 
-# The header of a column that is left out.
+# Header of a column that is not read.
 _IGNORED_COLUMN = "-"
 
 
 class PropertiesJob(NamedTuple):
-    """What to analyse, and how.
+    """Files and options of an analysis of thermal cycles.
 
     Attributes:
         paths: Recordings with temperature and strain.
-        smooth: Rows of the running median of the temperatures; ``None``: as their noise requires.
-        write_set: A parameter file to write for ``model``.
-        model: The material law of that file.
-        columns: Headers of text files without ("temperature [degC]", or "-" for a column to leave out).
-        delimiter: What separates the columns.
-        decimal: The decimal sign of the numbers.
-        tangent: The line along the transformation, see ``analyse_cycles``.
+        smooth: Rows of the running median of the temperatures; ``None`` to choose them by the noise.
+        write_set: Parameter set to write, with start values for ``model``.
+        model: Material law of the parameter set.
+        columns: Headers of text files without a header row ("temperature [degC]", or "-" for a column to ignore).
+        delimiter: Character between the columns.
+        decimal: Decimal sign of the numbers.
+        tangent: Line along the transformation, see ``analyse_cycles``.
     """
 
     paths: Sequence[Path]
@@ -46,11 +46,14 @@ def run_properties(job: PropertiesJob, progress: Callable[[str], None] = lambda 
     """Analyse all recordings and return the document that is printed.
 
     Args:
-        job: What to analyse.
-        progress: Called with the name of each cycle before it is analysed.
+        job: Files and options.
+        progress: Function that is called with the name of each cycle before its analysis.
+
+    Returns:
+        The document: properties with intervals of each cycle and of the means.
 
     Raises:
-        InputError: If no cycle of any recording can be analysed, or if a file is given twice.
+        InputError: If no cycle of any recording can be analysed, or a file is given twice or cannot be used.
     """
     files = [path.resolve() for path in job.paths]
     for k, path in enumerate(job.paths):
@@ -66,7 +69,7 @@ def run_properties(job: PropertiesJob, progress: Callable[[str], None] = lambda 
 
 
 def _analyse_file(path: Path, job: PropertiesJob, progress: Callable[[str], None]) -> list[StressGroup]:
-    """Read a file and analyse its cycles; errors of reading name the options of this command."""
+    """Read a file and analyse its cycles; the messages of reading errors name the options of this command."""
     try:
         thermal = read_recording(
             path,
@@ -84,7 +87,7 @@ def _analyse_file(path: Path, job: PropertiesJob, progress: Callable[[str], None
 
 
 def _write_start_values(path: Path, model: str, groups: Sequence[StressGroup]) -> str:
-    """Write the parameter set, and say which of its values do not come from the cycles."""
+    """Write the parameter set, and return a sentence on the values that do not come from the cycles."""
     levels = [StressLevel(g.recording.name, g.stress, mean_properties(g.cycles)) for g in groups]
     entries = make_start_values(levels, model)
     names = ", ".join(dict.fromkeys(g.recording.name for g in groups))

@@ -1,14 +1,14 @@
-"""Hints of error messages about recordings, in terms of the options of ``smajax properties``.
+"""Hints in the error messages of ``smajax properties``.
 
-The readers of recordings name keys of a rig file; this command has no rig. Each rule replaces a hint by the option,
-or the change of the file, that does the same here.
+The messages of the readers of recordings name keys of a rig file; this command has no rig. Each rule replaces such a
+hint by the option of this command, or the change of the file, with the same effect.
 """
 
 import re
 
 _TEXT_ENDINGS = (".csv", ".txt")
 _COLUMNS_HINT = "--columns, as in --columns 'temperature [degC],strain [%]'"
-# Of all files.
+# Rules for all files.
 _RULES = (
     (r'set delimiter = " " under \[channels\] in the rig', "give --delimiter space"),
     (r", or, if it is right, give \w+ any_scale = true under \[channels\] in the rig", ""),
@@ -17,9 +17,9 @@ _RULES = (
     (r'set decimal = "," under \[channels\] in the rig', "give --decimal ,"),
     (r"set delimiter and decimal under \[channels\]", "give --delimiter and --decimal"),
     (r"begin with a row like '[^']+'", f"name the columns by {_COLUMNS_HINT}"),
-    (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or take its row out"),
+    (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or remove its row"),
     (r"sort the rows by time, or leave such rows out with --drop-bad-rows", "sort the rows by time"),
-    (r", or take it out of \[fit\] observe", ""),
+    (r", or remove it from \[fit\] observe", ""),
 )
 _RULES_OF_TEXT = (
     (r"rename it, map it under \[channels\].*", f"rename it, or name it by {_COLUMNS_HINT}"),
@@ -42,15 +42,22 @@ _RULES_OF_MAT = (
     ),
 )
 _RULES_OF_OTHERS = (
-    (r"rename it, map it under \[channels\].*", "rename it in the file, or take it out"),
+    (r"rename it, map it under \[channels\].*", "rename it in the file, or remove it"),
     (r", or give the unit under \[channels\]", ""),
     (r" or map one to \w+ under \[channels\] in the rig", ""),
 )
 
 
 def hints_of_this_command(message: str, ending: str) -> str:
-    """Replace the hints of a message about a file with this ending by those of this command."""
-    own = _RULES_OF_TEXT if ending in _TEXT_ENDINGS else _RULES_OF_MAT if ending == ".mat" else _RULES_OF_OTHERS
-    for pattern, replacement in (*_RULES, *own):
+    """Replace the hints in a message by those of this command.
+
+    Args:
+        message: Message of a reader of recordings.
+        ending: Ending of the file name, such as ".csv".
+    """
+    format_rules = (
+        _RULES_OF_TEXT if ending in _TEXT_ENDINGS else _RULES_OF_MAT if ending == ".mat" else _RULES_OF_OTHERS
+    )
+    for pattern, replacement in (*_RULES, *format_rules):
         message = re.sub(pattern, replacement, message)
     return message

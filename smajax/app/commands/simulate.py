@@ -1,4 +1,4 @@
-"""The job of ``smajax simulate``: read, simulate, write the folder."""
+"""Job of ``smajax simulate``: simulate a rig under the inputs of a recording."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from smajax.app.run_record import Clock, Outcome, rig_text, run_record
+from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.errors import NumericsError
 from smajax.files.documents import finite_or_none
 from smajax.files.result_folder import check_output_folder, write_folder
@@ -26,27 +26,27 @@ def run_simulation(
 ) -> Outcome:
     """Simulate a rig under the inputs of a recording and write the result folder.
 
-    simulation.csv is a recording itself: time, inputs, and all channels that the plant gives, in the units of the
-    input file where it has the channel. Of a simulation that failed it has the rows before the failure.
+    simulation.csv is a recording with time, inputs and all channels of the plant, in the units of the input file for
+    channels that it has. If the simulation fails, it has the rows before the failure.
 
     Args:
         rig_path: The rig file.
         path: The recording.
         out: The result folder.
-        drop_bad_rows: Whether rows that cannot be read are left out.
-        progress: Where phases are shown.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        progress: Display of the phases.
         argv: The command line, for the record of the run.
 
     Returns:
-        The outcome; a failure of the numerics is one, too.
+        The outcome; a failure of the numerics does not raise, but has an exit code.
 
     Raises:
-        InputError: If a file or the folder is bad.
+        InputError: If a file or the folder is not valid.
     """
     out, clock = check_output_folder(out), Clock()
     progress.phase("reading")
     with clock.time("read"):
-        rig, text = read_rig(rig_path), rig_text(rig_path)
+        rig, text = read_rig(rig_path), read_rig_text(rig_path)
         recording = rig.read(path, drop_bad_rows=drop_bad_rows, observed=False)
     progress.phase("compiling and simulating")
     with clock.time("simulate"):
@@ -83,13 +83,13 @@ def run_simulation(
 
 
 def _rows_before_failure(channels: Mapping[str, np.ndarray]) -> int:
-    """The number of rows before the first one that is not finite in some channel."""
+    """Return the number of rows before the first one with a value that is not finite."""
     finite = np.all([np.isfinite(v) for v in channels.values()], axis=0)
     return int(np.argmin(np.append(finite, False)))
 
 
 def _simulated_recording(rig: Rig, recording: Recording, channels: Mapping[str, np.ndarray], rows: int) -> Recording:
-    """The first rows of the inputs and of the simulated channels as a recording."""
+    """Return the first rows of the inputs and of the simulated channels as a recording."""
     inputs = {c: recording.channels[c] for c in rig.plant.signals}
     columns = inputs | {c: v for c, v in channels.items() if c not in inputs}
     units = {c: recording.units.get(c) or prediction.usual_unit(c) for c in ("time", *columns)}

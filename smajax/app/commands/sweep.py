@@ -1,8 +1,8 @@
-"""The job of ``smajax sweep``: many designs of a rig simulated in chunks, the best of them refined, and the report.
+"""Job of ``smajax sweep``: simulate many designs of a rig in chunks, refine the best ones, and write the report.
 
-While it runs, its chunks lie in ``DIR.partial`` next to the result folder: a run that ends early, for whatever reason,
-leaves them there, and ``--resume`` continues from them; a finished sweep is left as it is. Which sweep a partial folder
-belongs to is written in its ``sweep.json``.
+During the run, the chunks are in ``DIR.partial`` next to the result folder. A run that ends early leaves them there,
+and ``--resume`` continues with them; it does not change a finished sweep. ``sweep.json`` in the partial folder
+identifies the sweep.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ import numpy as np
 from smajax.app.commands.sweep_document import sweep_document
 from smajax.app.console import INTERRUPTED, stopping
 from smajax.app.run_record import Clock, Outcome, run_record
-from smajax.errors import InputError
+from smajax.errors import InputError, NumericsError
 from smajax.files.documents import to_json
 from smajax.files.result_folder import check_output_folder, read_json, write_folder
 from smajax.progress import Progress
@@ -43,13 +43,13 @@ from smajax.sweeps.table import write_table
 
 
 class SweepJob(NamedTuple):
-    """What to sweep.
+    """Files and options of a sweep.
 
-    Args:
-        sweep: A SWEEP.toml, or the table of an earlier sweep.
-        out: Result folder.
-        scheduler: A Dask scheduler's address, ``local`` for one of this computer, ``None`` for this process alone.
-        resume: Whether to continue from the chunks of an earlier run.
+    Attributes:
+        sweep: A sweep file, or the table of an earlier sweep.
+        out: The result folder.
+        scheduler: Address of a Dask scheduler, ``local`` to start one, or ``None`` to simulate in this process.
+        resume: Whether to continue with the chunks of an earlier run.
     """
 
     sweep: Path
@@ -59,7 +59,15 @@ class SweepJob(NamedTuple):
 
 
 class _Study(NamedTuple):
-    """A sweep that is read: its file, problem, header and chunks; the first ``count`` designs are the sweep's own."""
+    """A sweep with its chunks.
+
+    Attributes:
+        sweep: The sweep file.
+        problem: Problem that maps a design to its metrics.
+        header: Header that identifies the sweep.
+        chunks: Chunks of all designs.
+        count: Number of designs of the sweep; the designs of the Sobol indices follow them.
+    """
 
     sweep: SweepFile
     problem: AbstractSweepProblem
@@ -69,23 +77,29 @@ class _Study(NamedTuple):
 
 
 class _Tables(NamedTuple):
-    """Columns of the sweep's designs, and of those of the Sobol indices."""
+    """Columns of the designs of the sweep, and of the designs of the Sobol indices."""
 
     designs: Mapping[str, np.ndarray]
     sobol: Mapping[str, np.ndarray]
 
 
 def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome:
-    """Read, simulate chunk by chunk, and write the result folder.
+    """Simulate the designs chunk by chunk, refine the best ones, and write the result folder.
 
-    Exit code 3 if every simulation failed or no design keeps the constraints, drawn or refined; 130 if interrupted.
-    What is finished stays in both cases.
+    Args:
+        job: Files and options.
+        progress: Display of the phases and steps.
+        argv: The command line, for the record of the run.
+
+    Returns:
+        The outcome. Its exit code is 3 if every simulation failed, or no sampled or refined design satisfies the
+        constraints, and 130 if the run was interrupted; finished chunks are kept.
 
     Raises:
-        InputError: for what cannot be read, written or reached.
+        InputError: If a file is not valid, the folder cannot be written, or the scheduler cannot be reached.
     """
     out, clock = check_output_folder(job.out), Clock()
-    pyarrow_parquet(out, instead="")  # before anything is computed
+    pyarrow_parquet(out, instead="")  # before any computation
     progress.phase("reading")
     with clock.time("read"):
         sweep = read_sweep(job.sweep)
@@ -96,11 +110,11 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
             return finished
         note = "there was nothing to resume, so all designs were simulated from the start"
         if (out / "run.json").is_file():
-            note += ", and the result that was there, of another sweep or not whole, was replaced"
+            note += ", and the earlier result, of another sweep or incomplete, was replaced"
     progress.phase("drawing designs")
     with clock.time("draw"):
         study = _draw(sweep, header, job.sweep)
-    # Workers are asked for before anything is made, and released before the best designs are refined here.
+    # Workers are requested before any folder is created, and released before the best designs are refined here.
     with contextlib.ExitStack() as workers:
         if job.scheduler is not None:
             progress.phase("looking for workers")
@@ -110,7 +124,7 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
             workers.close()
             if not complete:
                 count = sum((folder / chunk.file).is_file() for chunk in study.chunks)
-                reason = f"stopped after {count} of {_counted(study.chunks)}; run it again with --resume to go on"
+                reason = f"stopped after {count} of {_counted(study.chunks)}; run it again with --resume to continue"
                 return Outcome(folder, {"chunks": count}, INTERRUPTED, reason)
             document, code, reason = _finish(study, folder, out, progress, clock, argv)
             shutil.rmtree(folder, ignore_errors=True)
@@ -118,7 +132,7 @@ def run_sweep(job: SweepJob, progress: Progress, argv: Sequence[str]) -> Outcome
 
 
 def _draw(sweep: SweepFile, header: Mapping[str, Any], path: Path) -> _Study:
-    """The chunks of the sweep's designs and of those of the Sobol indices."""
+    """Draw the designs of the sweep and of the Sobol indices, and split them into chunks."""
     problem = sweep.problem()
     designs, base = sweep.designs(), sweep.sobol_base()
     sobol_designs = pick_and_freeze(sweep.axes, base, sweep.seed) if base else np.zeros((0, len(sweep.axes)))
@@ -131,7 +145,7 @@ def _draw(sweep: SweepFile, header: Mapping[str, Any], path: Path) -> _Study:
 
 
 def _simulate(study: _Study, folder: Path, submit: Submit, progress: Progress, clock: Clock) -> bool:
-    """Simulates the chunks that are missing; says whether all are there now."""
+    """Simulate the missing chunks, and return whether all are finished."""
     total = sum(len(chunk.rows) for chunk in study.chunks)
     progress.phase(f"compiling, then {total:,} designs in {_counted(study.chunks)}")
     with clock.time("simulate"), stopping(progress) as request:
@@ -148,16 +162,16 @@ def _simulate(study: _Study, folder: Path, submit: Submit, progress: Progress, c
 def _finish(
     study: _Study, folder: Path, out: Path, progress: Progress, clock: Clock, argv: Sequence[str]
 ) -> tuple[dict[str, Any], int, str]:
-    """Refines the best designs and writes the result folder: the document, the exit code and its reason."""
+    """Refine the best designs and write the result folder; return the document, the exit code and its reason."""
     sweep, problem = study.sweep, study.problem
-    progress.phase("looking for the best")
+    progress.phase("refining the best designs")
     tables = _split_table(read_chunks(study.chunks, folder), study.count)
     with clock.time("refine"):
         best = find_best_designs(sweep, tables.designs)
         refined = refine_best_designs(sweep, problem, tables.designs, best, progress.phase)
         document = sweep_document(sweep, problem, tables.designs, tables.sobol, best, refined)
     reason = "; ".join(document["problems"])
-    code = 3 if reason else 0
+    code = NumericsError.exit_code if reason else 0
     run = run_record("sweep", sweep.subject, argv, clock, sweep.seed, code)
     run |= {"sweep": sweep.name, "header": digest(study.header)}
     progress.phase("writing the report")
@@ -166,7 +180,7 @@ def _finish(
 
 
 def _split_table(columns: Mapping[str, np.ndarray], count: int) -> _Tables:
-    """The first ``count`` rows, and the others, whose designs are numbered from 0 again."""
+    """Split a table after ``count`` rows; the designs of both parts are numbered from 0."""
     parts = [{n: v[rows] for n, v in columns.items()} for rows in (slice(0, count), slice(count, None))]
     return _Tables(*({**c, "design": c["design"] - c["design"][0]} if len(c["design"]) else c for c in parts))
 
@@ -179,7 +193,7 @@ def _write_results(
     refined: Sequence[RefinedDesign],
     run: Mapping[str, Any],
 ) -> None:
-    """Writes the files of the result folder."""
+    """Write the files of the result folder."""
     sweep, problem = study.sweep, study.problem
     units = {axis.name: axis.unit for axis in sweep.axes} | problem.units
     units |= {
@@ -206,13 +220,13 @@ def _write_results(
 
 
 def _counted(chunks: Sequence[Chunk]) -> str:
-    """Their number, in words."""
+    """Return the number of chunks in words."""
     return f"{len(chunks):,} chunk{'' if len(chunks) == 1 else 's'}"
 
 
 @contextlib.contextmanager
 def _workers(study: _Study, scheduler: str | None) -> Iterator[Submit]:
-    """What simulates chunks: this process, or a cluster. InputError if there is no such cluster."""
+    """Yield the function that submits chunks to this process or to a cluster."""
     if scheduler is None:
         yield submit_locally(study.problem, study.sweep.gradients)
         return
@@ -221,12 +235,12 @@ def _workers(study: _Study, scheduler: str | None) -> Iterator[Submit]:
 
 
 def _finished_outcome(out: Path, header: Mapping[str, Any]) -> Outcome | None:
-    """The result in ``out`` of a finished run of the sweep with this header; ``None`` if it is not whole."""
+    """Return the result of a finished run of the sweep with this header; ``None`` if there is no complete one."""
     try:
         run, document = read_json(out, "run.json"), read_json(out, "sweep.json")
     except InputError:
         return None
     if run.get("header") != digest(header) or not all((out / str(name)).is_file() for name in run.get("files", [])):
         return None
-    note = "there was nothing to resume, since this sweep had ended: its result was left as it is"
+    note = "there was nothing to resume, since this sweep was finished: its result is unchanged"
     return Outcome(out, document, int(run["exit_code"]), "; ".join(document["problems"]), note)

@@ -1,4 +1,4 @@
-"""The document sweep.json: the best designs of a sweep, spans of its metrics, sensitivities and refined designs."""
+"""Document sweep.json: best designs of a sweep, ranges of the metrics, sensitivities and refined designs."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,9 +16,9 @@ from smajax.sweeps.refinement import RefinedDesign
 from smajax.sweeps.sobol import complete_rows, missing_reason, sobol_indices
 from smajax.sweeps.sweep_file import SweepFile
 
-# Designs of the front in the document, about: enough for a picture; the table has all.
+# Approximate number of designs of the front in the document: enough for a plot; the table has all.
 _MAX_FRONT = 200
-# A metric within this share of its bound's size is at the bound.
+# Relative difference between a metric and its bound up to which it is at the bound; it only affects a message.
 _AT_BOUND = 1e-3
 
 
@@ -30,18 +30,18 @@ def sweep_document(
     best: BestDesigns,
     refined: Sequence[RefinedDesign],
 ) -> dict[str, Any]:
-    """Return the document.
+    """Return the document sweep.json.
 
     Args:
         sweep: The sweep.
-        problem: Maps a design to its metrics.
-        columns: Columns of the sweep's table by name.
-        sobol_columns: Columns of the designs of the Sobol indices.
+        problem: Problem that maps a design to its metrics.
+        columns: Columns of the table of the sweep, shape ``(designs,)``, by name.
+        sobol_columns: Columns of the designs of the Sobol indices, by name.
         best: The best designs.
         refined: The refined designs.
     """
     codes, counts = np.unique(columns["code"], return_counts=True)
-    front, keeps = best.front_rows, best.keeps
+    front, keeps = best.front_rows, best.feasible
     sensitivity, notes = _sensitivity(sweep, problem, sobol_columns)
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -74,7 +74,7 @@ def sweep_document(
 def _problems(
     sweep: SweepFile, columns: Mapping[str, np.ndarray], keeps: np.ndarray, refined: Sequence[RefinedDesign]
 ) -> list[str]:
-    """Why the sweep has no usable design."""
+    """Return the reasons why the sweep has no usable design."""
     if not np.any(columns["code"] == "done"):
         codes = ", ".join(np.unique(columns["code"]))
         return [f"none of the {len(keeps):,} designs could be simulated: {codes}"]
@@ -97,11 +97,11 @@ def _axis_entries(sweep: SweepFile) -> dict[str, Any]:
 
 
 def _span(values: np.ndarray) -> dict[str, Any]:
-    """Lowest and highest value of a metric."""
-    known = values[~np.isnan(values)]
-    if not len(known):
+    """Return the lowest and highest value of a metric."""
+    defined = values[~np.isnan(values)]
+    if not len(defined):
         return {"lowest": None, "highest": None}
-    return {"lowest": metric_entry(known.min()), "highest": metric_entry(known.max())}
+    return {"lowest": metric_entry(defined.min()), "highest": metric_entry(defined.max())}
 
 
 def _design_entry(
@@ -126,11 +126,11 @@ def _refined_entry(sweep: SweepFile, refined: RefinedDesign) -> dict[str, Any]:
 
 
 def _infeasible_words(sweep: SweepFile, columns: Mapping[str, np.ndarray], refined: Sequence[RefinedDesign]) -> str:
-    """The design nearest to the constraints, where refining ended, and the constraints that both violate."""
+    """Return a sentence on the design nearest to the constraints, on the refined one, and on what both violate."""
     violation = np.where(columns["code"] == "done", constraint_violation(columns, sweep.constraints), np.inf)
     k = int(np.argmin(violation))
     nearest = {n: float(columns[n][k]) for n in sweep.constraints}
-    words = f"none of the {len(violation):,} designs keeps the constraints: the nearest, design "
+    words = f"none of the {len(violation):,} designs satisfies the constraints: the nearest, design "
     words += f"{int(columns['design'][k])}, has {', '.join(_violated(sweep, nearest))}"
     if not refined:
         return words
@@ -138,7 +138,7 @@ def _infeasible_words(sweep: SweepFile, columns: Mapping[str, np.ndarray], refin
     place = ", ".join(
         f"{axis.name} {format_value(float(v), axis.unit)}" for axis, v in zip(sweep.axes, last.design, strict=True)
     )
-    words += f"; refining from the nearest kept none either, and ended at {', '.join(_violated(sweep, last.metrics))}"
+    words += f"; its refinement does not satisfy them either and ended at {', '.join(_violated(sweep, last.metrics))}"
     bounds = [(n, bound) for n, pair in sweep.constraints.items() for bound in pair if np.isfinite(bound)]
     if binding := [n for n, bound in bounds if abs(last.metrics[n] - bound) <= _AT_BOUND * abs(bound)]:
         words += f" with {' and '.join(binding)} at the limit,"
@@ -146,7 +146,7 @@ def _infeasible_words(sweep: SweepFile, columns: Mapping[str, np.ndarray], refin
 
 
 def _violated(sweep: SweepFile, metrics: Mapping[str, float]) -> list[str]:
-    """The violated constraints, each with its metric and what is allowed, in the unit of the sweep file."""
+    """Return the violated constraints with metric and allowed range, in the units of the sweep file."""
     words = []
     for name, (low, high) in sweep.constraints.items():
         if not low <= metrics[name] <= high:
@@ -158,7 +158,7 @@ def _violated(sweep: SweepFile, metrics: Mapping[str, float]) -> list[str]:
 
 
 def _settling(columns: Mapping[str, np.ndarray], front: np.ndarray, refined: Sequence[RefinedDesign]) -> dict[str, Any]:
-    """Numbers of designs that have not settled; nothing for an actuator, which has no cycles."""
+    """Return the numbers of designs that have not settled; empty for an actuator, which has no cycles."""
     if "settling" not in columns:
         return {}
     unsettled = (columns["code"] == "done") & ~(columns["settling"] <= SETTLED_GAP)
@@ -173,24 +173,24 @@ def _settling(columns: Mapping[str, np.ndarray], front: np.ndarray, refined: Seq
 def _sensitivity(
     sweep: SweepFile, problem: AbstractSweepProblem, columns: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Sobol indices by metric, and sentences on what they leave out and why some are missing."""
+    """Return the Sobol indices by metric, and sentences on the rows and indices that are missing."""
     if not len(columns["design"]):
         return {}, [note for note in [sweep.missing_indices_note()] if note]
-    done, axes = columns["code"] == "done", len(problem.names)
+    succeeded, axes = columns["code"] == "done", len(problem.names)
     entries, notes = {}, []
-    failed = ~complete_rows(np.where(done, 0.0, np.nan), axes)
+    failed = ~complete_rows(np.where(succeeded, 0.0, np.nan), axes)
     if failed.any():
         notes.append(
             f"Sobol indices leave out {failed.sum():,} of {len(failed):,} rows of designs, "
             "in which a simulation failed."
         )
     for name in problem.units:
-        values = np.where(done, columns[name], np.nan)
+        values = np.where(succeeded, columns[name], np.nan)
         indices = sobol_indices(values, problem.names, sweep.seed)
         if reason := missing_reason(values, axes):
             notes.append(f"No Sobol indices of {name}: {reason}.")
-        elif more := int(np.sum(~complete_rows(values, axes)) - failed.sum()):
-            notes.append(f"Those of {name} leave out {more:,} more, in which it has no value.")
+        elif missing := int(np.sum(~complete_rows(values, axes)) - failed.sum()):
+            notes.append(f"Those of {name} leave out {missing:,} more rows, in which it has no value.")
         entries[name] = {
             axis: {key: _numbers(value) for key, value in index._asdict().items()} for axis, index in indices.items()
         }

@@ -1,4 +1,4 @@
-"""The job of ``smajax tune``: gains of a controller for a rig, compared with the start gains, checked, and exported."""
+"""Job of ``smajax tune``: tune the gains of a controller for a rig, compare them with the start, and export them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,14 +11,14 @@ import numpy as np
 
 from smajax import __version__, parameters
 from smajax.app.commands.tune_document import TunedLoop, feedforward_entry, tune_document, unreachable_reference
-from smajax.app.run_record import Clock, Outcome, rig_text, run_record
+from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.channels import CHANNELS
 from smajax.control.analysis.closed_loop_checks import GainEvaluation, check_draws, evaluate_gains, wire_channels
 from smajax.control.analysis.reachable_range import clip_reference, falls_when_heated, reachable_range
 from smajax.control.controller_file.read import ControllerFile, read_controller
 from smajax.control.export.c_header import c_header
 from smajax.control.export.fmu.controller_model import controller_model
-from smajax.control.export.fmu.pack import fmu
+from smajax.control.export.fmu.pack import pack_fmu
 from smajax.control.export.fmu.plant_model import plant_model
 from smajax.control.export.json_document import controller_document
 from smajax.control.loop.gains import gain
@@ -26,7 +26,7 @@ from smajax.control.tuning.feedforward_identification import IdentifiedFeedforwa
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
 from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProblem, noise_draws
 from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
-from smajax.errors import InputError
+from smajax.errors import InputError, NumericsError
 from smajax.files.documents import finite_or_none, to_json
 from smajax.files.result_folder import check_output_folder, read_json, write_folder
 from smajax.files.rig_file import Rig, read_rig
@@ -34,18 +34,18 @@ from smajax.progress import Progress
 from smajax.report import prediction
 from smajax.report.tuning import tuning_page, tuning_summary
 
-# Separates the random numbers of the draws from others of the same seed.
+# Key of the random stream of the draws, which makes it independent of other streams with the same seed.
 _DRAWS_STREAM = 7
 
 
 class TuneJob(NamedTuple):
-    """What to tune.
+    """Files and options of a tuning.
 
-    Args:
+    Attributes:
         rig: The rig file.
         controller: The controller file.
-        out: Result folder.
-        seed: Seed that replaces the controller file's.
+        out: The result folder.
+        seed: Seed of the random numbers, which replaces that of the controller file.
     """
 
     rig: Path
@@ -55,7 +55,7 @@ class TuneJob(NamedTuple):
 
 
 class _Inputs(NamedTuple):
-    """What is read: rig and controller file with their texts, the seed, and draws of parameters."""
+    """Input of a tuning: rig and controller file with their texts, the seed, and draws of parameters."""
 
     rig: Rig
     rig_text: str
@@ -66,14 +66,20 @@ class _Inputs(NamedTuple):
 
 
 def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
-    """Read, tune, check, export and write the result folder.
+    """Tune and check the gains, export the controller, and write the result folder.
 
-    Exit code 3 with the best feasible result if the start gains are unstable, the reference is beyond the stroke, or a
-    limit is not met.
+    Args:
+        job: Files and options.
+        progress: Display of the phases and steps.
+        argv: The command line, for the record of the run.
+
+    Returns:
+        The outcome. Its exit code is 3 if the start or tuned gains are unstable, the rig cannot follow the reference, a
+        limit is not met, or draws fail; the folder then has the best gains.
 
     Raises:
-        InputError: for what cannot be read or written.
-        NumericsError: if no gains give numbers.
+        InputError: If a file is not valid, or the folder cannot be written.
+        NumericsError: If no gains have a finite cost.
     """
     out, clock = check_output_folder(job.out), Clock()
     progress.phase("reading")
@@ -90,25 +96,25 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
             loop = eqx.tree_at(lambda closed_loop: closed_loop.controller, settings.loop, controller)
             settings = replace(settings, loop=loop)
     file_weights = settings.weights
-    settings, found = _tune(settings, inputs, job, progress, clock)
+    settings, tuned_loop = _tune(settings, inputs, job, progress, clock)
     progress.phase("exporting")
     with clock.time("export"):
-        exports, left_out = _exports(settings, inputs.rig, found.tuned)
-    document: dict[str, Any] = tune_document(settings, inputs.rig.name, found, seed) | {"left_out": left_out}
-    document |= _optional_entries(settings, found.tuned, identified)
-    if found.other_weights:
+        exports, left_out = _exports(settings, inputs.rig, tuned_loop.tuned)
+    document: dict[str, Any] = tune_document(settings, inputs.rig.name, tuned_loop, seed) | {"left_out": left_out}
+    document |= _optional_entries(settings, tuned_loop.tuned, identified)
+    if tuned_loop.other_weights:
         document["objective"]["asked"] = dict(file_weights)
     document["summary"] = tuning_summary(document)
     reason = "; ".join(document["problems"])
-    code = 3 if reason else 0
+    code = NumericsError.exit_code if reason else 0
     run = run_record("tune", inputs.rig, argv, clock, seed, code) | {"controller": settings.name}
     progress.phase("writing the report")
-    write_folder(out, run, lambda folder: _write_results(folder, inputs, settings, found, exports, document, run))
+    write_folder(out, run, lambda folder: _write_results(folder, inputs, settings, tuned_loop, exports, document, run))
     return Outcome(out, document, code, reason)
 
 
 def _read(job: TuneJob) -> _Inputs:
-    rig, text = read_rig(job.rig), rig_text(job.rig)
+    rig, text = read_rig(job.rig), read_rig_text(job.rig)
     settings = read_controller(job.controller, rig)
     controller_text = job.controller.read_text("utf-8-sig")
     seed = settings.seed if job.seed is None else job.seed
@@ -120,7 +126,7 @@ def _read(job: TuneJob) -> _Inputs:
 
 
 def _draw_parameters(settings: ControllerFile, rig: Rig, seed: int) -> dict[str, np.ndarray]:
-    """Draws of the uncertain parameters, as many as gains are tuned for or checked on, whichever are more."""
+    """Draw the uncertain parameters; the number is the larger of ``robust.draws`` and ``robust.check``."""
     if settings.robust is None:
         return {}
     count = max(settings.robust.draws, settings.robust.check)
@@ -135,9 +141,9 @@ def _draw_parameters(settings: ControllerFile, rig: Rig, seed: int) -> dict[str,
 def _tune(
     settings: ControllerFile, inputs: _Inputs, job: TuneJob, progress: Progress, clock: Clock
 ) -> tuple[ControllerFile, TunedLoop]:
-    """The settings with which the gains were tuned (reference, weights), and what was found."""
+    """Tune the gains; return the settings of the tuning (reference and weights may differ) and the result."""
     draws, seed, robust = inputs.draws, inputs.seed, settings.robust
-    progress.phase("trying the start gains")
+    progress.phase("evaluating the start gains")
     with clock.time("start"):
         reachable = reachable_range(settings.system, settings.loop, settings.scenario, settings.limits)
         _check_channel(settings, inputs.rig, job)
@@ -159,8 +165,8 @@ def _tune(
         other_weights, settings = weights is not settings.weights, replace(settings, weights=weights)
     progress.phase("checking")
     with clock.time("check"):
-        tried = {"start": start_gains, "tuned": result.gains} if draws else {}
-        checks = {when: check_draws(settings, gains, draws) for when, gains in tried.items()}
+        gain_sets = {"start": start_gains, "tuned": result.gains} if draws else {}
+        checks = {stage: check_draws(settings, gains, draws) for stage, gains in gain_sets.items()}
     if checks and checks["tuned"].failing:
         with clock.time("tune"):
             result, checks["tuned"] = retune_on_failing_draws(settings, problem, result, checks, draws, seed, progress)
@@ -169,43 +175,43 @@ def _tune(
         result, checks["tuned"], other_weights = result._replace(gains=start_gains), checks["start"], False
     if checks:
         tuned = evaluate_gains(settings, result.gains)
-    documents = {when: check.document for when, check in checks.items()}
-    found = TunedLoop(start, tuned, result.rollouts, documents, unreachable, reachable, other_weights)
-    return settings, found
+    documents = {stage: check.document for stage, check in checks.items()}
+    tuned_loop = TunedLoop(start, tuned, result.rollouts, documents, unreachable, reachable, other_weights)
+    return settings, tuned_loop
 
 
 def _check_channel(settings: ControllerFile, rig: Rig, job: TuneJob) -> None:
-    """InputError for a channel that decreases while the wire is heated."""
+    """Refuse a channel that decreases while the wire is heated."""
     channel, coordinate = settings.loop.channel, rig.plant.mechanism.coordinate
     if channel != coordinate and falls_when_heated(settings.system, settings.loop):
         raise InputError(
             f"{job.controller}: controller.channel: {channel} falls while the wire is heated, and no gain is negative: "
-            f"steer {coordinate}"
+            f"control {coordinate}"
         )
 
 
 def _exports(settings: ControllerFile, rig: Rig, evaluation: GainEvaluation) -> tuple[dict[str, bytes], dict[str, str]]:
-    """C header and FMUs of plant and controller by file name, and of those that could not be made, why."""
+    """Return C header and FMUs of plant and controller by file name, and the reasons for those that are missing."""
     loop = evaluation.loop
     units = (CHANNELS[settings.system.plant.drive.control].unit, CHANNELS[settings.loop.channel].unit)
-    made: dict[str, bytes] = {}
+    exports: dict[str, bytes] = {}
     left_out: dict[str, str] = {}
     for name, content in (
         ("controller.h", lambda: c_header(loop, units, __version__).encode()),
-        ("plant.fmu", lambda: fmu(plant_model(settings.system.plant, rig.name))),
-        ("controller.fmu", lambda: fmu(controller_model(loop, units, settings.units, settings.name))),
+        ("plant.fmu", lambda: pack_fmu(plant_model(settings.system.plant, rig.name))),
+        ("controller.fmu", lambda: pack_fmu(controller_model(loop, units, settings.units, settings.name))),
     ):
         try:
-            made[name] = content()
+            exports[name] = content()
         except InputError as error:
             left_out[name] = str(error)
-    return made, left_out
+    return exports, left_out
 
 
 def _optional_entries(
     settings: ControllerFile, tuned: GainEvaluation, identified: IdentifiedFeedforward | None
 ) -> dict[str, Any]:
-    """Entries of tune.json that only some controllers have: feedforward, pulses, and the filter's instruments."""
+    """Return entries of tune.json that only some controllers have: feedforward, pulses, instruments of the filter."""
     entries: dict[str, Any] = {}
     if identified is not None:
         entries["feedforward"] = feedforward_entry(settings, identified)
@@ -223,20 +229,20 @@ def _write_results(
     folder: Path,
     inputs: _Inputs,
     settings: ControllerFile,
-    found: TunedLoop,
+    tuned_loop: TunedLoop,
     exports: Mapping[str, bytes],
     document: Mapping[str, Any],
     run: Mapping[str, Any],
 ) -> None:
-    """Writes the files of the result folder."""
+    """Write the files of the result folder."""
     (folder / "rig.toml").write_text(inputs.rig_text, "utf-8", newline="")
     (folder / "controller.toml").write_text(inputs.controller_text, "utf-8", newline="")
     (folder / "tune.json").write_text(to_json(document), "utf-8")
-    controller = controller_document(found.tuned.loop, dict(settings.units))
+    controller = controller_document(tuned_loop.tuned.loop, dict(settings.units))
     (folder / "controller.json").write_text(to_json(controller), "utf-8")
     for name, content in exports.items():
         (folder / name).write_bytes(content)
-    evaluations = (("start gains", found.start), ("tuned gains", found.tuned))
+    evaluations = (("start gains", tuned_loop.start), ("tuned gains", tuned_loop.tuned))
     series = [_series(settings, evaluation, name) for name, evaluation in evaluations]
     prediction.write_predictions(folder / "prediction.csv", series)
     page = tuning_page(document, prediction.read_predictions(folder / "prediction.csv"), run, inputs.rig_text)

@@ -1,4 +1,4 @@
-"""The document tune.json: gains, metrics, margins and checks before and after, and problems."""
+"""Document tune.json: gains, metrics, margins and checks before and after the tuning, and problems."""
 
 import math
 from collections.abc import Mapping
@@ -23,10 +23,12 @@ from smajax.files.documents import finite_or_none
 from smajax.report import prediction
 from smajax.report.tuning import SCHEMA, format_metric, margin_words, stabilising_advice
 
-# Share of the reference's span by which it may leave the reachable range: the simulated range is that of sampled
-# commands.
+# Fraction of the span of the reference by which it may exceed the reachable range, which is simulated with sampled
+# commands. Chosen by trial.
 _REACH_TOLERANCE = 0.02
-# Failures of draws in words, by the key of their number.
+# Smallest span for this tolerance, so that it is positive for a constant reference.
+_MIN_SPAN = 1e-12
+# Failures of draws in words, by the key of their number in the document.
 _DRAW_FAILURES = {
     "unstable": "are unstable",
     "unstable_linearised": "are unstable, linearised along their rollouts",
@@ -35,16 +37,16 @@ _DRAW_FAILURES = {
 
 
 class TunedLoop(NamedTuple):
-    """What a tuning found.
+    """Result of a tuning.
 
-    Args:
-        start: The start gains on the rig's own plant.
-        tuned: The tuned gains on it.
+    Attributes:
+        start: Evaluation of the start gains on the plant of the rig.
+        tuned: Evaluation of the tuned gains on it.
         rollouts: Number of rollouts.
-        checks: Documents of the checks on draws of the ``start`` and the ``tuned`` gains; empty without draws.
-        unreachable: Why the rig cannot follow the reference; empty if it can.
-        reachable: Range that the rig reaches.
-        other_weights: Whether the tuned gains were found with other weights than those of the file.
+        checks: Documents of the checks on draws, for the ``start`` and the ``tuned`` gains; empty without draws.
+        unreachable: Reason why the rig cannot follow the reference; empty if it can.
+        reachable: Range of the channel that the rig reaches.
+        other_weights: Whether the weights of the tuned gains differ from those in the file.
     """
 
     start: GainEvaluation
@@ -56,19 +58,19 @@ class TunedLoop(NamedTuple):
     other_weights: bool = False
 
 
-def tune_document(settings: ControllerFile, rig_name: str, found: TunedLoop, seed: int) -> dict[str, Any]:
-    """Return the document without what only some controllers have.
+def tune_document(settings: ControllerFile, rig_name: str, tuned_loop: TunedLoop, seed: int) -> dict[str, Any]:
+    """Return the entries of tune.json that all controllers have.
 
     Args:
         settings: The controller file.
         rig_name: Name of the rig file.
-        found: What the tuning found.
+        tuned_loop: Result of the tuning.
         seed: Seed of all random numbers.
     """
-    start, tuned = found.start, found.tuned
+    start, tuned = tuned_loop.start, tuned_loop.tuned
     table = _gain_table(settings, start, tuned)
     violated = violated_limits(settings.limits, tuned.metrics)
-    failures = _failing_draws(found.checks)
+    failures = _failing_draws(tuned_loop.checks)
     return {
         "schema": SCHEMA,
         "rig": rig_name,
@@ -76,7 +78,7 @@ def tune_document(settings: ControllerFile, rig_name: str, found: TunedLoop, see
         "channel": settings.loop.channel,
         "unit": CHANNELS[settings.loop.channel].unit,
         "feasible": not (violated or tuned.unstable or tuned.margins.unstable or failures),
-        "problems": _problems(settings, found),
+        "problems": _problems(settings, tuned_loop),
         "gains": table,
         "metrics": {
             "start": {n: finite_or_none(v) for n, v in start.metrics.items()},
@@ -88,10 +90,10 @@ def tune_document(settings: ControllerFile, rig_name: str, found: TunedLoop, see
             "tuned": {n: finite_or_none(v) for n, v in tuned.margins._asdict().items()},
         },
         "stable": {"start": not start.unstable, "tuned": not tuned.unstable},
-        "robust": dict(found.checks),
-        "start_kept": bool(found.checks) and all(entry["start"] == entry["tuned"] for entry in table.values()),
+        "robust": dict(tuned_loop.checks),
+        "start_kept": bool(tuned_loop.checks) and all(entry["start"] == entry["tuned"] for entry in table.values()),
         "objective": {"settle": settings.settle, "weights": dict(settings.weights)},
-        "rollouts": found.rollouts,
+        "rollouts": tuned_loop.rollouts,
         "seed": seed,
         "smajax": __version__,
     }
@@ -114,75 +116,85 @@ def _gain_table(settings: ControllerFile, start: GainEvaluation, tuned: GainEval
     }
 
 
-def _problems(settings: ControllerFile, found: TunedLoop) -> list[str]:
-    """Why the result is not usable, or the start was not."""
-    start, tuned = found.start, found.tuned
+def _problems(settings: ControllerFile, tuned_loop: TunedLoop) -> list[str]:
+    """Return the reasons why the result or the start is not usable."""
+    start, tuned = tuned_loop.start, tuned_loop.tuned
     problems = [f"the start gains are unstable: {start.unstable}"] if start.unstable else []
     if not start.unstable and start.margins.unstable:
         margins = margin_words(start.margins.gain, start.margins.phase)
         problems.append(f"the start gains are unstable, linearised along their rollout, with {margins}")
-    problems += [found.unreachable] if found.unreachable else []
+    problems += [tuned_loop.unreachable] if tuned_loop.unreachable else []
     problems += [
         _limit_words(settings, name, tuned.metrics) for name in violated_limits(settings.limits, tuned.metrics)
     ]
     if tuned.unstable:
-        problems.append(f"the best gains found are unstable: {tuned.unstable}")
+        problems.append(f"the best gains are unstable: {tuned.unstable}")
     elif tuned.margins.unstable:
         margins = margin_words(tuned.margins.gain, tuned.margins.phase)
         advice = stabilising_advice(settings.settle)
-        problems.append(f"the best gains found are unstable, linearised along their rollout, with {margins}: {advice}")
-    if fails_to_track(settings, tuned, found.reachable):
+        problems.append(f"the best gains are unstable, linearised along their rollout, with {margins}: {advice}")
+    if fails_to_track(settings, tuned, tuned_loop.reachable):
         errors = [tuned.metrics["rmse"], idle_error(settings)]
         shown = [format_metric(error, "rmse", settings.loop.channel) for error in errors]
         problems.append(
-            f"the best gains found do not follow the reference: they leave an error of {shown[0]}, an idle rig one of "
-            f"{shown[1]}; try more starts, other start gains or wider limits"
+            f"the best gains do not follow the reference: their error is {shown[0]}, that of an idle rig {shown[1]}; "
+            "try more starts, other start gains or wider limits"
         )
-    if failures := _failing_draws(found.checks):
+    if failures := _failing_draws(tuned_loop.checks):
         words = " and ".join(f"{count} {_DRAW_FAILURES[k]}" for k, count in failures.items())
         problems.append(
-            f"of {found.checks['tuned']['draws']} draws {words} with the best gains found: narrow what varies, "
+            f"of {tuned_loop.checks['tuned']['draws']} draws {words} with the best gains: reduce the variation, "
             "or raise robust.draws"
         )
     return problems
 
 
 def _limit_words(settings: ControllerFile, name: str, metrics: Mapping[str, float]) -> str:
-    """A limit that the tuned gains violate."""
+    """Return a sentence on a limit that the tuned gains violate."""
     key = name if name in metrics else f"peak_{name}"
     value, limit = (format_metric(v, key, settings.loop.channel) for v in (metrics[key], settings.limits[name]))
-    words = f"give {value}" if math.isfinite(metrics[key]) else f"never do ({name})"
-    return f"the limit on {name} is not met: it is {limit}, and the best gains found {words}"
+    metric = value if math.isfinite(metrics[key]) else "no finite value"
+    return f"the limit on {name} is not met: it is {limit}, and the best gains give {metric}"
 
 
 def _failing_draws(checks: Mapping[str, Any]) -> dict[str, int]:
-    """Numbers of draws that fail with the tuned gains, by failure; those that are 0 are left out."""
+    """Return the numbers of draws that fail with the tuned gains, by failure, without zeros."""
     return {k: checks["tuned"][k] for k in _DRAW_FAILURES if checks and checks["tuned"][k]}
 
 
 def unreachable_reference(settings: ControllerFile, reachable: ReachableRange) -> str:
-    """Return what to say of a reference that the rig cannot follow; empty if it can."""
+    """Return a sentence on a reference that the rig cannot follow; an empty text if it can.
+
+    Args:
+        settings: The controller file.
+        reachable: Range of the channel that the rig reaches.
+    """
     reference, channel = np.asarray(settings.scenario.reference), settings.loop.channel
     initial = float(settings.scenario.initial_reference)
-    tolerance = _REACH_TOLERANCE * max(float(np.ptp(np.append(reference, initial))), 1e-12)
+    tolerance = _REACH_TOLERANCE * max(float(np.ptp(np.append(reference, initial))), _MIN_SPAN)
     if reachable.lower - tolerance <= reference.min() and reference.max() <= reachable.upper + tolerance:
         return ""
     values = (reference.min(), reference.max(), reachable.lower, reachable.upper)
     ends = [format_metric(float(v), channel, channel) for v in values]
-    course = f"asks for {ends[0]}" if ends[0] == ends[1] else f"goes from {ends[0]} to {ends[1]}"
+    course = f"is {ends[0]}" if ends[0] == ends[1] else f"goes from {ends[0]} to {ends[1]}"
     words = f"the reference {course}, and with its largest command the rig reaches {ends[2]} to {ends[3]}"
     limited = any(k in settings.limits for k in ("temperature", "stress", "current"))
     words += " within the limits" if limited or settings.loop.temperature_limiter is not None else ""
     stress, limit = value_at_rest(settings, "stress"), settings.limits.get("stress", math.inf)
     if stress > limit:
         ends = [format_metric(v, "peak_stress", channel) for v in (stress, limit)]
-        words += f": at rest the stress is {ends[0]} already, and its limit is {ends[1]}"
+        words += f": the stress at rest is already {ends[0]}, and its limit is {ends[1]}"
     clipped = clip_reference(settings.scenario, reachable) is not settings.scenario
-    return words + ("; tuned for the reference cut to that" if clipped else "")
+    return words + ("; tuned for the reference clipped to that range" if clipped else "")
 
 
 def feedforward_entry(settings: ControllerFile, identified: IdentifiedFeedforward) -> dict[str, Any]:
-    """Return what the feedforward was fitted to, and how well: of the operator, not of its inverse."""
+    """Return the entry on the fit of the feedforward operator, before its inversion.
+
+    Args:
+        settings: The controller file.
+        identified: The fitted feedforward.
+    """
     feedforward = settings.feedforward
     assert feedforward is not None
     return {

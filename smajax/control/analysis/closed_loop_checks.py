@@ -24,24 +24,25 @@ _BATCH = 64
 # Share of the error of an idle rig: gains that leave more than this (above the smallest possible error) do not track.
 # Chosen by trial; tests/unit/control/test_tuning.py holds it.
 _IDLE_SHARE = 0.9
-# An idle error below this share of the reference's span says nothing of tracking; chosen by trial.
+# An idle error below this share of the reference's span is too small to judge tracking; chosen by trial.
 _MIN_IDLE_ERROR = 0.1
-# Tolerance of a limit, relative to its scale: the searches' own tolerance (search.VIOLATION_TOLERANCE, 1e-3), and as
-# much for the difference between a search's noise and the file's.
+# Tolerance of a limit, relative to its scale: that of the searches (search.VIOLATION_TOLERANCE, 1e-3), and the same
+# again for the difference between the noise of a search and that of the file.
 _LIMIT_TOLERANCE = 2e-3
-# Scale of a temperature limit in K, and of a stress or current limit as a share of it; those of tuning/objective.py.
-_TEMPERATURE_SCALE = 10.0
-_RELATIVE_SCALE = 0.1
+# Excess over a limit that counts as a violation of order one: in K for a temperature, as a share of the limit for a
+# stress or a current. They put the limits on the scale of the objective's terms, which are near 1.
+TEMPERATURE_SCALE = 10.0
+RELATIVE_SCALE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class ControlTask:
-    """What a loop has to do.
+    """Control task: a closed loop around a sampled plant, its scenario and its limits.
 
-    Args:
+    Attributes:
         system: The sampled plant.
         loop: The closed loop, with the start gains.
-        scenario: Reference, noise and changes.
+        scenario: Reference, sensor noise and parameter changes.
         limits: Limits by name (``objective.LIMITS``), internal units.
         band: Settling band as a share of a jump.
     """
@@ -55,15 +56,15 @@ class ControlTask:
 
 @dataclass(frozen=True, eq=False)
 class GainEvaluation:
-    """One set of gains on the plant of the rig file.
+    """Behaviour of the plant of the rig file under one set of gains.
 
-    Args:
+    Attributes:
         loop: The loop with these gains.
-        channels: Channels of its rollout by name, shape ``(n,)`` each.
+        channels: Channels of its rollout by name, internal units, shape ``(n,)`` each.
         command: Commands, shape ``(n, wires)``.
-        metrics: Metrics of the rollout in SI units and degC.
-        margins: Stability margins.
-        unstable: Why the gains count as unstable; empty if they do not.
+        metrics: Metrics of the rollout in SI units and degC, by their names in tune.json.
+        margins: Stability margins along the rollout without noise.
+        unstable: Why the gains count as unstable by their rollout without noise; empty if they do not.
     """
 
     loop: ClosedLoop
@@ -75,14 +76,27 @@ class GainEvaluation:
 
 
 class DrawChecks(NamedTuple):
-    """Checks of gains on draws: a JSON document, and the draws that are unstable or beyond a limit."""
+    """Checks of one set of gains on samples of parameters (draws).
+
+    Attributes:
+        document: JSON document with counts of failing draws, metrics and margins.
+        failing: Numbers of the draws that are unstable or beyond a limit.
+    """
 
     document: dict[str, Any]
     failing: tuple[int, ...]
 
 
 def evaluate_gains(task: ControlTask, gains: Mapping[str, float]) -> GainEvaluation:
-    """Return how the rig's own plant behaves with other gains, in internal units."""
+    """Evaluate gains on the rig's own plant, with the scenario's noise and without noise.
+
+    Args:
+        task: The control task.
+        gains: Gains in internal units; others keep their start values.
+
+    Returns:
+        Rollout, metrics, margins and stability with these gains.
+    """
     quiet = task.scenario.without_noise()
     result, quiet_result = (
         simulate_members(task.system, task.loop, scenario, gains) for scenario in (task.scenario, quiet)
@@ -118,12 +132,22 @@ def _rollout_metrics(task: ControlTask, channels: Mapping[str, np.ndarray], comm
 
 
 def wire_channels(task: ControlTask, name: str) -> tuple[str, ...]:
-    """Return the names of a channel of all wires."""
+    """Return the names of a channel of all wires: its name, or its name with the number of each wire.
+
+    Args:
+        task: The control task.
+        name: Name of the channel without the number of a wire.
+    """
     return numbered(name, task.system.wires)
 
 
 def value_at_rest(task: ControlTask, name: str) -> float:
-    """Return a channel at rest without any command; of two wires the larger value."""
+    """Return the value of a channel at rest without any command, internal unit; the larger one of two wires.
+
+    Args:
+        task: The control task.
+        name: Name of the channel, with or without the number of a wire.
+    """
     channels = task.system.observe(task.system.start(), jnp.zeros(task.system.wires))
     return max(float(channels[n]) for n in ((name,) if name in channels else wire_channels(task, name)))
 
@@ -131,17 +155,16 @@ def value_at_rest(task: ControlTask, name: str) -> float:
 def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[str, np.ndarray]) -> DrawChecks:
     """Check gains on samples of parameters.
 
-    A draw counts as unstable by its rollout without noise. One that is stable there is checked by its margins, too, as
-    the rig's own plant is.
+    Stability is checked first by the rollout without noise and then, as for the rig's own plant, by the margins.
 
     Args:
         task: The control task.
         gains: Gains in internal units.
-        draws: Parameters, internal units, shape ``(count,)`` each.
+        draws: Parameters by name, internal units, shape ``(count,)`` each.
 
     Returns:
-        A document with numbers of failing draws, quantiles (5, 50, 95 %) and largest values of the metrics, and the
-        worst margins.
+        The failing draws, and a document with their numbers (``unstable``, ``unstable_linearised``,
+        ``beyond_a_limit``), quantiles (5, 50, 95 %) and largest values of the metrics, and the worst margins.
     """
     count = len(next(iter(draws.values())))
     size = min(_BATCH, count)
@@ -150,7 +173,7 @@ def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[st
     metrics: list[dict[str, float]] = []
     unstable, unstable_linearised, beyond_a_limit, failing = 0, 0, 0, []
     for first in range(0, count, size):
-        # The last batch is filled up with the last draw, so that one program serves all.
+        # The last batch is padded with the last draw, so that one compiled program serves all batches.
         rows = np.minimum(np.arange(first, first + size), count - 1)
         batch = {n: v[rows] for n, v in draws.items()}
         result, quiet_result = (
@@ -158,8 +181,8 @@ def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[st
         )
         channels = {n: np.asarray(v) for n, v in result.channels.items()}
         for k in range(min(size, count - first)):
-            of_draw = {n: v[k] for n, v in channels.items()}
-            metrics.append(_rollout_metrics(task, of_draw, np.asarray(result.command[k])))
+            draw_channels = {n: v[k] for n, v in channels.items()}
+            metrics.append(_rollout_metrics(task, draw_channels, np.asarray(result.command[k])))
             is_unstable = bool(_instability_of(task, quiet_result, k))
             is_beyond = bool(violated_limits(task.limits, metrics[-1]))
             is_linear_unstable = not is_unstable and margins[first + k].unstable
@@ -178,7 +201,7 @@ def check_draws(task: ControlTask, gains: Mapping[str, float], draws: Mapping[st
 
 def _spread(metrics: list[dict[str, float]]) -> dict[str, Any]:
     """Quantiles and largest value of each metric."""
-    table = {n: np.array([of_draw[n] for of_draw in metrics]) for n in metrics[0]}
+    table = {n: np.array([draw_metrics[n] for draw_metrics in metrics]) for n in metrics[0]}
     return {
         "spread": {n: [finite_or_none(float(q)) for q in _quantiles(v)] for n, v in table.items()},
         "worst": {n: finite_or_none(float(np.max(v))) for n, v in table.items()},
@@ -187,30 +210,42 @@ def _spread(metrics: list[dict[str, float]]) -> dict[str, Any]:
 
 def _quantiles(values: np.ndarray) -> np.ndarray:
     """The 5, 50 and 95 % quantiles without NaNs; infinite values, such as a settling time, are included."""
-    known = np.sort(values[~np.isnan(values)])
-    return np.quantile(known, [0.05, 0.5, 0.95], method="inverted_cdf") if len(known) else np.full(3, np.nan)
+    numbers = np.sort(values[~np.isnan(values)])
+    return np.quantile(numbers, [0.05, 0.5, 0.95], method="inverted_cdf") if len(numbers) else np.full(3, np.nan)
 
 
 def violated_limits(limits: Mapping[str, float], metrics: Mapping[str, float]) -> list[str]:
-    """Return the limits that a rollout's metrics violate."""
+    """Return the names of the limits that a rollout's metrics violate; NaN violates a limit.
+
+    Args:
+        limits: Limits by name, internal units.
+        metrics: Metrics of the rollout in the same units: ``overshoot``, ``settling``, ``peak_temperature``, ...
+            Limits without a metric are not checked.
+    """
     violated = []
     for name, limit in limits.items():
         metric = name if name in ("overshoot", "settling") else f"peak_{name}"
-        scales = {"temperature": _TEMPERATURE_SCALE, "overshoot": SETTLING_BAND, "settling": max(limit, 1e-9)}
-        tolerance = _LIMIT_TOLERANCE * scales.get(name, _RELATIVE_SCALE * abs(limit))
+        scales = {"temperature": TEMPERATURE_SCALE, "overshoot": SETTLING_BAND, "settling": max(limit, 1e-9)}
+        tolerance = _LIMIT_TOLERANCE * scales.get(name, RELATIVE_SCALE * abs(limit))
         if metric in metrics and not metrics[metric] <= limit + tolerance:
             violated.append(name)
     return violated
 
 
 def fails_to_track(task: ControlTask, evaluation: GainEvaluation, reachable: ReachableRange) -> bool:
-    """Return whether the tracking error is hardly smaller than that of an idle rig, though the rig can follow."""
+    """Return whether the tracking error is hardly smaller than that of an idle rig, although the rig can follow.
+
+    Args:
+        task: The control task.
+        evaluation: The gains on the rig's own plant.
+        reachable: Range of the channel that the rig reaches.
+    """
     idle, smallest = idle_error(task), _smallest_error(task, reachable)
     return idle > 0.0 and evaluation.metrics["rmse"] > smallest + _IDLE_SHARE * (idle - smallest)
 
 
 def idle_error(task: ControlTask) -> float:
-    """Return the tracking error (RMS) of a rig that stays at rest; 0 for a reference that is always near its rest."""
+    """Return the RMS tracking error of a rig that stays at rest; 0 if the reference is always near the rest value."""
     rest = value_at_rest(task, task.loop.channel)
     reference = np.append(np.asarray(task.scenario.reference), rest)
     error = float(np.sqrt(np.mean((reference - rest) ** 2)))
@@ -218,7 +253,7 @@ def idle_error(task: ControlTask) -> float:
 
 
 def _smallest_error(task: ControlTask, reachable: ReachableRange) -> float:
-    """The tracking error (RMS) of a rig that is always as near to the reference as its reachable range allows."""
+    """The tracking error (RMS) if the channel always equals the reference clipped to the reachable range."""
     reference = np.asarray(task.scenario.reference)
     clipped = np.clip(reference, reachable.lower, reachable.upper)
     return float(np.sqrt(np.mean((reference - clipped) ** 2)))

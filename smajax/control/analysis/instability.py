@@ -5,63 +5,72 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Float
 
-# RMS of the command's moves from sample to sample, as a share of its range, above which it does not settle. Chosen by
+# RMS of the command's changes from sample to sample, as a share of its range, above which it does not settle. Chosen by
 # trial on the wire of experiments/control/wire_position.py; tests/unit/control/test_control.py holds it.
 _MAX_MOVES = 0.02
-# A constant reference of at least so many samples is a hold; chosen by trial.
+# Number of samples from which on a constant reference counts as a hold; chosen by trial.
 _MIN_HOLD = 10
 # Oscillations of less than this share of the reference's span count as settled; chosen by trial.
 _MIN_SWING = 0.05
-# Swings of a loop that settles: so many, and so many more for each turn of the reference. Chosen by trial;
-# tests/unit/control/test_control.py holds them.
+# Largest number of swings of a loop that settles, and the addition for each turning point of the reference. Chosen by
+# trial; tests/unit/control/test_control.py holds them.
 _SETTLING_SWINGS = 4
 _SWINGS_PER_TURN = 4
 # An oscillation is sustained if its last swings are more than this share of its first; chosen by trial.
 _SUSTAINED = 0.7
-# A last quarter further from the reference than this many spans has diverged.
+# Distance from the reference in the last quarter of a rollout, in spans of the reference, above which a loop diverges.
 _DIVERGED = 3.0
 
 
-def instability_reason(command: np.ndarray, reference: np.ndarray, value: np.ndarray, command_range: float) -> str:
+def instability_reason(
+    command: Float[np.ndarray, "samples wires"],
+    reference: Float[np.ndarray, " samples"],
+    value: Float[np.ndarray, " samples"],
+    command_range: float,
+) -> str:
     """Return why a rollout without noise counts as unstable; empty if it does not.
 
-    In the later half of each hold of the reference the command has to settle; where the reference always moves, the
-    command must not jump back and forth. In both cases the channel must not oscillate about the reference without
-    decay.
+    The command has to settle in the second half of each hold of the reference; if the reference has no holds, changes
+    of the command that reverse its direction have to be small. In both cases the channel must not oscillate about the
+    reference without decay.
 
     Args:
         command: Commands, shape ``(n, wires)``.
         reference: Reference, shape ``(n,)``.
-        value: Channel, shape ``(n,)``.
-        command_range: Largest less smallest command; if it is infinite, the largest command of the rollout counts
-            instead.
+        value: Controlled channel, shape ``(n,)``, unit of the reference.
+        command_range: Largest minus smallest allowed command; if it is infinite, the largest absolute command of the
+            rollout is used instead.
+
+    Returns:
+        A clause for a message, with the size of the oscillation.
     """
     if not (np.all(np.isfinite(value)) and np.all(np.isfinite(command))):
-        return "the loop's numbers overflow"
+        return "the rollout has values that are not finite"
     span = float(np.ptp(np.append(reference, value[0]))) or 1.0
     last_quarter = slice(3 * len(value) // 4, None)
     if np.max(np.abs(value[last_quarter] - reference[last_quarter])) > _DIVERGED * span:
         return "the loop diverges from its reference"
     size = command_range if math.isfinite(command_range) else float(np.max(np.abs(command)))
     change = np.diff(command, axis=0, prepend=command[:1])
-    settled_rows = _later_halves(reference)
+    settled_rows = _second_halves(reference)
     holds = bool(np.any(settled_rows))
     if not holds:
         reversals = change * np.roll(change, 1, axis=0) < 0.0
         change, settled_rows = np.where(reversals, change, 0.0), np.ones(len(value), bool)
     moves = float(np.sqrt(np.mean(change[settled_rows] ** 2))) / max(size, 1e-300)
     if moves > _MAX_MOVES:
-        return f"the command goes on moving by {100 * moves:.0f} % of its range from sample to sample"
+        return f"the command keeps changing by {100 * moves:.0f} % of its range from sample to sample"
     parts = _settled_parts(reference, holds)
     swing = max((_sustained_swing(reference[part], value[part], _MIN_SWING * span) for part in parts), default=0.0)
     if not swing > 0.0:
         return ""
-    return f"the loop goes on oscillating about its reference by {100 * swing / span:.0f} % of the reference's span"
+    return f"the loop keeps oscillating about its reference by {100 * swing / span:.0f} % of the reference's span"
 
 
 def _settled_parts(reference: np.ndarray, holds: bool) -> Iterator[slice]:
-    """All but the first quarter of each hold, or of the whole where the reference always moves."""
+    """All but the first quarter of each hold, or of the whole rollout if the reference has no holds."""
     for first, end in _holds(reference) if holds else [(0, len(reference))]:
         yield slice(first + (end - first) // 4, end)
 
@@ -69,7 +78,8 @@ def _settled_parts(reference: np.ndarray, holds: bool) -> Iterator[slice]:
 def _sustained_swing(reference: np.ndarray, value: np.ndarray, min_swing: float) -> float:
     """Size of a sustained oscillation of a value about its reference; 0 if there is none.
 
-    It has to have more swings than a loop that settles, and its last swings must not be much smaller than its first.
+    A sustained oscillation has more swings than a loop that settles, and its last swings are not much smaller than its
+    first.
     """
     swings = swing_sizes(value - reference, min_swing)
     turns = len(swing_sizes(reference, min_swing))
@@ -79,8 +89,13 @@ def _sustained_swing(reference: np.ndarray, value: np.ndarray, min_swing: float)
     return last if last > _SUSTAINED * first else 0.0
 
 
-def swing_sizes(values: np.ndarray, min_swing: float) -> list[float]:
-    """Return the distances between consecutive turning points; turns by at most ``min_swing`` are ignored."""
+def swing_sizes(values: Float[np.ndarray, " samples"], min_swing: float) -> list[float]:
+    """Return the distances between consecutive turning points, in the unit of ``values``.
+
+    Args:
+        values: Values at the samples, shape ``(n,)``.
+        min_swing: Reversals of at most this size are ignored; unit of ``values``.
+    """
     sizes: list[float] = []
     low = high = start = float(values[0])
     direction = 0
@@ -95,15 +110,15 @@ def swing_sizes(values: np.ndarray, min_swing: float) -> list[float]:
     return sizes
 
 
-def _later_halves(reference: np.ndarray) -> np.ndarray:
-    """Which samples lie in the later half of a hold."""
-    later = np.zeros(len(reference), bool)
+def _second_halves(reference: np.ndarray) -> np.ndarray:
+    """Which samples lie in the second half of a hold."""
+    rows = np.zeros(len(reference), bool)
     for first, end in _holds(reference):
-        later[(first + end + 1) // 2 : end] = True
-    return later
+        rows[(first + end + 1) // 2 : end] = True
+    return rows
 
 
 def _holds(reference: np.ndarray) -> Iterator[tuple[int, int]]:
-    """First sample of each hold, and the one after its last."""
+    """First row of each hold, and the row after its last one."""
     edges = np.r_[0, np.flatnonzero(np.diff(reference)) + 1, len(reference)]
     yield from ((int(a), int(b)) for a, b in itertools.pairwise(edges) if b - a >= _MIN_HOLD)

@@ -1,13 +1,13 @@
 """Stability margins of a loop: gain and phase margin and largest sensitivity of its linearisation along a rollout.
 
 The loop is cut at the controller's output. At a sample of a rollout, plant and controller are linearised about their
-states, and their frequency responses multiplied: L = -K P. The largest sensitivity is the maximum of |1 / (1 + L)|.
+states, and their frequency responses are multiplied: L = -K P. The largest sensitivity is the maximum of |1 / (1 + L)|.
 
-A shape-memory wire has other dynamics while it warms than while it cools, so that margins are taken at many samples and
-their medians count. Where the wire does not transform, its thermal expansion moves the channel the wrong way; such
-samples have no margin and are left out, since the loop leaves them by itself. Frequencies far below the crossover are
-left out as well: the states have changed before such a period is over. A filter whose estimate the controller uses is
-taken as exact; its effect on the loop shows in rollouts only.
+The dynamics of a shape-memory wire differ between heating and cooling, so margins are computed at many samples, and
+their medians are reported. Where the wire does not transform, its thermal expansion moves the channel in the opposite
+direction; such samples have no margin and are left out, since the loop does not stay there. Frequencies far below the
+crossover are left out as well: the states change within such a period. An estimate that the controller uses is assumed
+to be exact; the effect of its filter on the loop appears in rollouts only.
 """
 
 import math
@@ -19,32 +19,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario, rollout_with_solutions
 from smajax.control.sampled_plant import AbstractSampledSystem
 
-# Frequencies of the responses, evenly on a logarithmic axis, from a tenth of a cycle over the whole rollout to the
-# Nyquist frequency. Chosen by trial; tests/unit/control/test_control.py compares margins with exact ones.
+# Number of frequencies, evenly spaced on a logarithmic axis from a tenth of a cycle over the whole rollout to the
+# Nyquist frequency, and the lowest one times the rollout's duration over pi. Chosen by trial;
+# tests/unit/control/test_control.py compares margins with exact ones.
 _FREQUENCIES = 400
 _LOWEST_FREQUENCY = 0.2
-# Samples of the plant's own rollout, and of that of one draw, at which the loop is linearised: medians change little
-# with more.
+# Number of samples of the rig's own rollout, and of the rollout of one draw, at which the loop is linearised: medians
+# change little with more.
 _SAMPLES = 300
 _SAMPLES_OF_DRAW = 60
 # Point of the z plane at which a response consists of its first sample only: z^-1 is negligible there.
 _FAR = 1e6
-# Frequencies below the crossover by more than this factor are left out; chosen by trial.
+# Frequencies below the crossover frequency by more than this factor are left out; chosen by trial.
 _BELOW_CROSSOVER = 5.0
 
 
 class Margins(NamedTuple):
-    """Stability margins of a loop; for a nonlinear plant medians over the samples of a rollout.
+    """Stability margins of a loop; for a nonlinear plant, medians over the samples of a rollout.
 
-    Args:
+    Attributes:
         gain: Gain margin, a factor; infinite without a phase crossover.
         phase: Phase margin in degrees; infinite without a gain crossover.
-        sensitivity: Largest sensitivity.
+        sensitivity: Largest sensitivity, dimensionless.
     """
 
     gain: float
@@ -53,12 +55,12 @@ class Margins(NamedTuple):
 
     @property
     def unstable(self) -> bool:
-        """Whether the linearised loop is unstable, though limits of its command may bound it."""
+        """Whether the linearised loop is unstable; the limits of the command may bound its oscillation."""
         return self.gain < 1.0 or self.phase < 0.0
 
 
-# A loop whose command never moves.
-_NO_LOOP = Margins(math.inf, math.inf, 0.0)
+# Margins of a loop whose command never changes.
+_OPEN_LOOP = Margins(math.inf, math.inf, 0.0)
 
 
 @eqx.filter_jit
@@ -99,13 +101,13 @@ def _loop_gain(
 def stability_margins(
     system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, *, samples: int = _SAMPLES
 ) -> Margins:
-    """Return the stability margins of a loop.
+    """Compute the stability margins of a loop.
 
     Args:
         system: The sampled plant.
         loop: The closed loop.
         scenario: Scenario of the rollout along which a nonlinear plant is linearised.
-        samples: Samples of the rollout, spread over those at which the command moves.
+        samples: Number of samples of the rollout, evenly spread over those at which the command changes.
     """
     period = loop.controller.inner.period
     count = scenario.reference.shape[0]
@@ -120,37 +122,43 @@ def stability_margins(
         carries, command = _carries(system, loop, scenario)
         moving = np.flatnonzero(np.any(np.abs(np.diff(np.asarray(command), axis=0)) > 0.0, axis=1)) + 1
         if not len(moving):
-            return _NO_LOOP
+            return _OPEN_LOOP
         rows = moving[np.linspace(0, len(moving) - 1, samples).astype(int)]
         gains = np.asarray(
             _loop_gains(system, loop, carries[rows], scenario.reference[rows], scenario.draws[rows], z, first)
         )
-        # A negative first sample of the response: the channel moves the wrong way.
+        # A first sample of the response that is not positive: the channel moves in the opposite direction.
         gains = gains[(np.real(gains[:, -1]) > 0.0) & np.all(np.isfinite(gains), axis=1)]
     return _median_margins(gains[:, :-1], frequencies)
 
 
 def margins_of_draws(
-    system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, draws: Mapping[str, np.ndarray]
+    system: AbstractSampledSystem,
+    loop: ClosedLoop,
+    scenario: Scenario,
+    draws: Mapping[str, Float[np.ndarray, " draws"]],
 ) -> list[Margins]:
-    """Return the margins of a loop around each of several plants, each at fewer samples of its own rollout.
+    """Compute the margins of a loop around each of several plants, each at fewer samples of its own rollout.
 
     Args:
         system: The sampled plant.
         loop: The closed loop.
         scenario: Scenario of the rollouts.
-        draws: Parameters in which the plants differ, internal units, shape ``(count,)`` each.
+        draws: Parameters in which the plants differ, by name, internal units, shape ``(count,)`` each.
+
+    Returns:
+        The margins of each draw.
     """
     count = len(next(iter(draws.values())))
     systems = (
         system.with_parameters({name: jnp.asarray(values[k], jnp.float64) for name, values in draws.items()})
         for k in range(count)
     )
-    return [stability_margins(drawn, loop, scenario, samples=_SAMPLES_OF_DRAW) for drawn in systems]
+    return [stability_margins(draw, loop, scenario, samples=_SAMPLES_OF_DRAW) for draw in systems]
 
 
 def worst_margins(margins: Sequence[Margins]) -> Margins:
-    """Return the smallest gain and phase margins and the largest sensitivity, each by itself."""
+    """Return the smallest gain margin, the smallest phase margin and the largest sensitivity, each by itself."""
     gain, phase, sensitivity = zip(*margins, strict=True)
     return Margins(min(gain), min(phase), max(sensitivity))
 
@@ -173,9 +181,9 @@ def _loop_gains(
 
 
 def _median_margins(gains: np.ndarray, frequencies: np.ndarray) -> Margins:
-    """Medians over the rows of ``gains``, L at ``frequencies``."""
+    """Medians of the margins over the rows of ``gains``, which are L at ``frequencies``."""
     rows = [_margins_of_response(gain, frequencies) for gain in gains]
-    return Margins(*(float(np.median(column)) for column in zip(*rows, strict=True))) if rows else _NO_LOOP
+    return Margins(*(float(np.median(column)) for column in zip(*rows, strict=True))) if rows else _OPEN_LOOP
 
 
 def _margins_of_response(gain: np.ndarray, frequencies: np.ndarray) -> Margins:

@@ -1,4 +1,4 @@
-"""Rollouts of one loop around several plants at once, each with gains and sensor noise of its own."""
+"""Rollouts of one loop around several plants (members) at once, each with its own gains and sensor noise."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
@@ -18,19 +19,19 @@ def rollout_members(
     system: AbstractSampledSystem,
     loop: ClosedLoop,
     scenario: Scenario,
-    members: dict[str, jax.Array],
-    noise: jax.Array,
-    gains: dict[str, jax.Array],
+    members: dict[str, Float[Array, " members"]],
+    noise: Float[Array, "members samples"],
+    gains: dict[str, Float[Array, " members"]],
 ) -> Rollout:
-    """Simulate a loop around all members; to be compiled by the caller.
+    """Simulate a loop around all members; the caller compiles it.
 
     Args:
         system: The sampled plant.
         loop: The closed loop.
         scenario: The scenario; its noise is replaced by that of each member.
-        members: Parameters in which the members differ, shape ``(m,)`` each.
+        members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
         noise: Standard normal numbers of the sensor's noise, shape ``(m, n)``.
-        gains: Gains in internal units, shape ``(m,)`` each.
+        gains: Gains by name, internal units, shape ``(m,)`` each.
 
     Returns:
         Rollouts whose leaves have a leading axis of ``m``.
@@ -54,17 +55,18 @@ def simulate_members(
     gains: Mapping[str, Any],
     members: Mapping[str, Any] | None = None,
 ) -> Rollout:
-    """Simulate a loop with other gains around one plant or several, under the scenario's noise.
+    """Simulate a loop with other gains around one plant or several, all with the scenario's noise.
 
     Args:
         system: The sampled plant.
         loop: The closed loop.
         scenario: The scenario.
-        gains: Gains in internal units, scalars.
-        members: Parameters in which the plants differ, shape ``(m,)`` each; none for the plant itself.
+        gains: Gains by name, internal units, scalars; others keep their values.
+        members: Parameters in which the plants differ, by name, internal units, shape ``(m,)`` each; without them the
+            plant itself is simulated.
 
     Returns:
-        Rollouts whose leaves have a leading axis of ``m``, or of 1.
+        Rollouts whose leaves have a leading axis of ``m``, or of 1 without ``members``.
     """
     values = {name: jnp.asarray(v) for name, v in (members or {}).items()}
     count = next((len(v) for v in values.values()), 1)

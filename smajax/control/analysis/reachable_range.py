@@ -1,4 +1,4 @@
-"""The range of the channel that a rig reaches within its limits, whatever controls it."""
+"""The range of the channel that a rig reaches within its limits, whatever the controller."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,18 +14,18 @@ from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.rollout import Scenario
 from smajax.control.sampled_plant import AbstractSampledSystem
 
-# Commands that are tried at each sample: 0, and equal factors down to the square root of this share of the largest
-# command, so that their power covers the share itself. Chosen by trial; tests/unit/control/test_tuning.py holds it.
+# Number of commands that are tried at each sample: 0, and a geometric series up to the largest command whose smallest
+# power is this share of the largest. Chosen by trial; tests/unit/control/test_tuning.py holds it.
 _COMMANDS = 64
 _MIN_POWER = 1e-8
-# Shortest simulated time in s, so that a wire can warm up under a short reference; chosen by trial.
+# Shortest simulated time in s, so that a wire can heat up even if the reference is short; chosen by trial.
 _MIN_DURATION = 5.0
 # A clipped reference is used if its span is more than this share of what it could be; chosen by trial.
 _MIN_SPAN_SHARE = 0.5
 
 
 class ReachableRange(NamedTuple):
-    """Smallest and largest value of the channel that the rig reaches."""
+    """Smallest and largest value of the channel that the rig reaches, internal unit."""
 
     lower: float
     upper: float
@@ -34,15 +34,15 @@ class ReachableRange(NamedTuple):
 def reachable_range(
     system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario, limits: Mapping[str, float]
 ) -> ReachableRange:
-    """Return the range that the channel reaches by the reference's end.
+    """Compute the range that the channel reaches within the duration of the reference.
 
     At each sample a wire gets the largest of many commands with which it keeps the limits until the next sample. Two
-    wires are heated one after the other, each from rest.
+    wires are heated in two separate simulations, each from rest.
 
     Args:
         system: The sampled plant.
-        loop: The closed loop; the limit of its temperature limiter counts as well.
-        scenario: Scenario with the reference.
+        loop: The closed loop; the limit of its temperature limiter is a limit, too.
+        scenario: Scenario with the reference, for its duration.
         limits: Limits on ``temperature``, ``stress`` and ``current``, internal units; others are ignored.
     """
     period = loop.controller.inner.period
@@ -51,11 +51,11 @@ def reachable_range(
     if loop.temperature_limiter is not None:
         bounds["temperature"] = min(bounds["temperature"], float(loop.temperature_limiter.limit))
     greedy = _greedy_rollout(system, loop.channel, bounds, count)
-    reached = [np.array([_value_at_rest(system, loop.channel)])]
+    parts = [np.array([_value_at_rest(system, loop.channel)])]
     for wire, max_command in enumerate(loop.allocation.max_commands):
         value, keeps = map(np.asarray, greedy(jnp.zeros(system.wires).at[wire].set(max_command)))
-        reached.append(value[keeps])
-    values = np.concatenate(reached)
+        parts.append(value[keeps])
+    values = np.concatenate(parts)
     return ReachableRange(float(np.min(values)), float(np.max(values)))
 
 
@@ -64,8 +64,8 @@ def _greedy_rollout(
 ) -> Callable[[jax.Array], tuple[jax.Array, jax.Array]]:
     """A compiled rollout under the largest commands that keep the bounds.
 
-    It maps the largest commands, shape ``(wires,)``, to the channel and whether the bounds are kept, shape ``(count,)``
-    each.
+    It maps the largest commands, shape ``(wires,)``, to the channel, and to whether the bounds are kept, shape
+    ``(count,)`` each.
     """
 
     @eqx.filter_jit
@@ -96,8 +96,12 @@ def _greedy_rollout(
 def clip_reference(scenario: Scenario, reachable: ReachableRange) -> Scenario:
     """Return the scenario with its reference clipped to the reachable range.
 
-    The scenario is returned as it is if the clipped reference spans at most half of its own span, or of the longer
-    distance that the rig can move, whichever is smaller.
+    The scenario is returned unchanged if the clipped reference spans at most half of the original span, or of the
+    larger distance that the rig can move from the initial reference, whichever is smaller.
+
+    Args:
+        scenario: The scenario.
+        reachable: Range of the channel that the rig reaches.
     """
     clipped = jnp.clip(scenario.reference, reachable.lower, reachable.upper)
     initial = float(scenario.initial_reference)
@@ -107,7 +111,12 @@ def clip_reference(scenario: Scenario, reachable: ReachableRange) -> Scenario:
 
 
 def falls_when_heated(system: AbstractSampledSystem, loop: ClosedLoop) -> bool:
-    """Return whether the channel decreases on the whole while the first wire gets its largest command."""
+    """Return whether the channel's largest change from rest is negative while the first wire gets its largest command.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop, for the channel and the largest command.
+    """
     commands = loop.allocation.max_commands * (jnp.arange(system.wires) == 0)
     count = math.ceil(2.0 * _MIN_DURATION / loop.controller.inner.period)
 

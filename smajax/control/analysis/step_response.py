@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 # Share of a jump within which the response counts as settled: the usual 2 % band.
 SETTLING_BAND = 0.02
-# A reference that moves at more than this share of its samples has no jumps. Chosen by trial;
+# A reference that changes at more than this share of its samples has no jumps. Chosen by trial;
 # tests/unit/control/test_control.py holds it.
 _MAX_MOVING_SHARE = 0.1
 # Shares of the jump between which the rise time is measured: the usual 10 to 90 %.
@@ -17,10 +18,10 @@ _RISE_END = 0.9
 class Jumps(NamedTuple):
     """Jumps of a reference that is constant otherwise.
 
-    Args:
+    Attributes:
         since_jump: Time since the last jump in s, shape ``(n,)``; 0 before the first.
-        jump_size: Size of the last jump, shape ``(n,)``; 0 before the first.
-        rows: First sample of each jump.
+        jump_size: Size of the last jump in the channel's unit, shape ``(n,)``; 0 before the first.
+        rows: First row of each jump.
     """
 
     since_jump: np.ndarray
@@ -28,14 +29,14 @@ class Jumps(NamedTuple):
     rows: tuple[int, ...]
 
     def segments(self) -> list[tuple[int, int]]:
-        """Return the first row of each jump and the row after the last one of its hold."""
+        """Return the first row of each jump, and the row after the last one of the hold that follows it."""
         return list(zip(self.rows, (*self.rows[1:], len(self.since_jump))[: len(self.rows)], strict=True))
 
 
-def find_jumps(reference: np.ndarray, initial_reference: float, period: float) -> Jumps:
-    """Return the jumps of a reference; none of one that moves at more than a tenth of its samples.
+def find_jumps(reference: Float[np.ndarray, " samples"], initial_reference: float, period: float) -> Jumps:
+    """Return the jumps of a reference; none if it changes at more than a tenth of its samples.
 
-    Consecutive samples at which the reference moves are one jump, as between two rows of a recorded reference.
+    Consecutive samples at which the reference changes are one jump, as between two rows of a recorded reference.
 
     Args:
         reference: Reference at the samples, shape ``(n,)``.
@@ -58,10 +59,10 @@ def find_jumps(reference: np.ndarray, initial_reference: float, period: float) -
 class StepResponse(NamedTuple):
     """Response to one jump.
 
-    Args:
+    Attributes:
         rise: Rise time from 10 to 90 % in s; infinite if 90 % is not reached.
         settling: Settling time in s; infinite if the last sample is outside the band.
-        overshoot: Overshoot as a share of the jump.
+        overshoot: Overshoot as a share of the jump; 0 if there is none.
     """
 
     rise: float
@@ -70,7 +71,11 @@ class StepResponse(NamedTuple):
 
 
 def step_responses(
-    value: np.ndarray, reference: np.ndarray, jumps: Jumps, period: float, band: float = SETTLING_BAND
+    value: Float[np.ndarray, " samples"],
+    reference: Float[np.ndarray, " samples"],
+    jumps: Jumps,
+    period: float,
+    band: float = SETTLING_BAND,
 ) -> list[StepResponse]:
     """Return the response to each jump, with linear interpolation between samples.
 
@@ -90,8 +95,13 @@ def step_responses(
     return responses
 
 
-def settling_row(share: np.ndarray, band: float) -> float:
-    """Return the row, interpolated linearly, from which on ``|share| <= band``; infinite if the last row is outside."""
+def settling_row(share: Float[np.ndarray, " rows"], band: float) -> float:
+    """Return the row, interpolated linearly, from which on ``|share| <= band``; infinite if the last row is outside.
+
+    Args:
+        share: Error over the jump, dimensionless, shape ``(n,)``.
+        band: Settling band as a share of the jump.
+    """
     outside = np.flatnonzero(~(np.abs(share) <= band))
     if not len(outside):
         return 0.0
@@ -112,8 +122,19 @@ def _first_row_above(share: np.ndarray, level: float) -> float:
     return float(k) if k == 0 else k - 1 + (level - share[k - 1]) / (share[k] - share[k - 1])
 
 
-def tracking_errors(value: np.ndarray, reference: np.ndarray, period: float) -> dict[str, float]:
-    """Return RMSE, largest error and ITAE (integral of time times absolute error), in the channel's unit and s."""
+def tracking_errors(
+    value: Float[np.ndarray, " samples"], reference: Float[np.ndarray, " samples"], period: float
+) -> dict[str, float]:
+    """Return RMSE, largest absolute error and ITAE (integral of time times absolute error) of a rollout.
+
+    Args:
+        value: Channel at the samples, shape ``(n,)``.
+        reference: Reference at the samples, shape ``(n,)``, same unit.
+        period: Time between samples, s.
+
+    Returns:
+        ``rmse`` and ``max_error`` in the channel's unit, ``itae`` in the channel's unit times s^2.
+    """
     error = value - reference
     time = period * np.arange(len(error))
     return {

@@ -29,7 +29,7 @@ def read_estimator_section(data: Any, limiter: TemperatureLimiter | None) -> Est
         limiter: The temperature limiter, if there is one.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong key or value, or if nothing uses the estimator.
     """
     section = validate(EstimatorSection, data, "estimator")
     extended = section.kind == "extended"
@@ -46,13 +46,19 @@ def read_estimator_section(data: Any, limiter: TemperatureLimiter | None) -> Est
     return section
 
 
-def extended_filter(
+def build_extended_filter(
     section: EstimatorSection, rig: Rig, instruments: Instruments, period: float
 ) -> ExtendedKalmanFilter:
-    """Build the extended Kalman filter on the rig's own plant; a carrier enters it as the mean of its pulses.
+    """Build the extended Kalman filter on the rig's own plant; pulses of a carrier are replaced by their mean.
+
+    Args:
+        section: Section [estimator].
+        rig: The rig.
+        instruments: The instruments that the filter measures with.
+        period: Period of the controller, s.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong quantity, or an unknown parameter in ``estimator.unknown``.
     """
     deviations = {}
     for name, value in with_current_parameters(section.unknown, "estimator.unknown").items():
@@ -76,13 +82,19 @@ def extended_filter(
     )
 
 
-def thermal_observer(
+def build_thermal_observer(
     section: EstimatorSection, rig: Rig, limiter: TemperatureLimiter, period: float
 ) -> ThermalObserver:
-    """Build the thermal observer; missing numbers follow from the rig's convection and capacity at the limiter's limit.
+    """Build the thermal observer; by default from the rig's convection and heat capacity at the limiter's limit.
+
+    Args:
+        section: Section [estimator].
+        rig: The rig.
+        limiter: The temperature limiter.
+        period: Period of the controller, s.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong or missing value, or one that is too fast for the period.
     """
     if (section.a1 is None) != (section.a2 is None):
         missing = "a1" if section.a1 is None else "a2"
@@ -97,11 +109,11 @@ def thermal_observer(
         return _check_stability(observer, limiter, section)
     a1 = quantity_at(section.a1, "K/J", "estimator.a1")
     if not a1 > 0.0:
-        raise InputError(f"estimator.a1 = {show(section.a1)} would not warm a wire by its power: give one above 0")
+        raise InputError(f"estimator.a1 = {show(section.a1)} would not heat a wire by its power: give one above 0")
     unit = "1/s" if section.exponent == 1 else f"K^{1 - section.exponent}/s"
     a2 = quantity_at(section.a2, unit, "estimator.a2")
     if not a2 < 0.0:
-        raise InputError(f"estimator.a2 = {show(section.a2)} would warm the wire without power: give one below 0")
+        raise InputError(f"estimator.a2 = {show(section.a2)} would heat the wire without power: give one below 0")
     numbers = dict(zip(("a1", "a2", "exponent"), float_arrays(a1, a2, section.exponent), strict=True))
     return _check_stability(replace(observer, **numbers), limiter, section)
 
@@ -109,7 +121,7 @@ def thermal_observer(
 def _check_stability(
     observer: ThermalObserver, limiter: TemperatureLimiter, section: EstimatorSection
 ) -> ThermalObserver:
-    """The observer, if its explicit step does not overshoot at the limiter's limit: rate times period at most 1."""
+    """The observer, if its explicit step is stable at the limiter's limit: rate times period at most 1."""
     excess, exponent = float(limiter.limit - observer.ambient), float(observer.exponent)
     loss_rate, gain = -exponent * float(observer.a2) * excess ** (exponent - 1.0), float(observer.gain)
     if observer.period * (loss_rate + gain) > 1.0:

@@ -21,17 +21,17 @@ from smajax.files.rig_file import Rig
 from smajax.files.toml import show, validate
 from smajax.units import as_text
 
-# Longest delay in periods, against mistaken units: the delayed values are part of a rollout's state. Chosen by trial.
+# Longest delay in periods, to detect wrong units: the delayed values are part of a rollout's state. Chosen by trial.
 _MAX_DELAY = 10_000
 # Longest delay in periods of an instrument of an extended Kalman filter, whose covariance has a row for each delayed
 # reading. Chosen by trial; tests/unit/control/test_tuning.py holds it.
 _MAX_FILTER_DELAY = 100
 # Relative distance from a whole number of periods that counts as a rounding error of the file.
-_WHOLE_PERIODS = 1e-6
+_ROUNDING = 1e-6
 _UNITS = {"voltage": "V", "current": "A", "temperature": "K", "displacement": "m", "angle": "rad"}
 
 
-def sensor_model(section: SensorSection, unit: str, period: float, place: str) -> SensorModel:
+def build_sensor(section: SensorSection, unit: str, period: float, place: str) -> SensorModel:
     """Build a sensor from its section.
 
     Args:
@@ -41,14 +41,14 @@ def sensor_model(section: SensorSection, unit: str, period: float, place: str) -
         place: Section of the file, for error messages.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong quantity, or a delay that is too long or not a whole number of periods.
     """
     noise = optional_quantity(section.noise, unit, f"{place}.noise")
     quantum = optional_quantity(section.quantum, unit, f"{place}.quantum")
     periods = optional_quantity(section.delay, "s", f"{place}.delay") / period
     if periods > _MAX_DELAY:
         raise InputError(f"{place}.delay = {show(section.delay)} is too long: give {_MAX_DELAY * period:g} s or less")
-    if abs(periods - round(periods)) > _WHOLE_PERIODS * max(periods, 1.0):
+    if abs(periods - round(periods)) > _ROUNDING * max(periods, 1.0):
         ends = [as_text(period * n, "s") for n in (math.floor(periods), math.ceil(periods))]
         raise InputError(
             f"{place}.delay = {show(section.delay)} is not a whole number of controller.period: "
@@ -64,7 +64,7 @@ def read_instruments(
     estimator: ThermalObserver | EstimatorSection | None,
     period: float,
 ) -> Instruments:
-    """Read the section.
+    """Read the section [instruments].
 
     Args:
         data: The section of the file.
@@ -74,12 +74,12 @@ def read_instruments(
         period: Period of the controller, s.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong key or quantity, or an instrument that nothing uses.
     """
     section = validate(InstrumentsSection, data, "instruments")
     if limiter is None and not isinstance(estimator, EstimatorSection):
         raise InputError(
-            "[instruments] are what a temperature limiter and its estimator measure, and there is none: add a section "
+            "[instruments] is used by a temperature limiter and its estimator, and there is none: add a section "
             "[temperature_limiter], or take [instruments] out"
         )
     sensors, lag = {}, 0.0
@@ -90,14 +90,14 @@ def read_instruments(
         _check_use(kind, rig, estimator)
         model = ThermocoupleSection if kind == "temperature" else SensorSection
         sensor = validate(model, entry, f"instruments.{kind}")
-        sensors[kind] = sensor_model(sensor, unit, period, f"instruments.{kind}")
+        sensors[kind] = build_sensor(sensor, unit, period, f"instruments.{kind}")
         if isinstance(estimator, EstimatorSection):
             _check_for_filter(kind, sensors[kind], period)
         if isinstance(sensor, ThermocoupleSection):
             lag = optional_quantity(sensor.lag, "s", "instruments.temperature.lag")
     if not sensors:
         raise InputError(
-            '[instruments] names none: add a line like temperature = { noise = "0.5 K", lag = "1 s" }, '
+            '[instruments] is empty: add a line like temperature = { noise = "0.5 K", lag = "1 s" }, '
             "or take the section out"
         )
     return Instruments(sensors, period, *float_arrays(lag))
@@ -125,7 +125,7 @@ def _check_for_filter(kind: str, sensor: SensorModel, period: float) -> None:
     """Refuse an instrument that an extended Kalman filter cannot use."""
     if not float(sensor.noise) + float(sensor.quantum) > 0.0:
         raise InputError(
-            f"instruments.{kind}: without noise and quantum an extended Kalman filter would weigh it infinitely: "
+            f"instruments.{kind}: without noise and quantum its weight in an extended Kalman filter would be infinite: "
             "give it one of them"
         )
     if sensor.delay > _MAX_FILTER_DELAY:

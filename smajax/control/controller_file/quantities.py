@@ -13,9 +13,14 @@ def float_arrays(*values: float) -> tuple[Any, ...]:
 
 
 def optional_quantity(value: Any, unit: str, place: str) -> float:
-    """Return a quantity of 0 or more in a unit; 0 where ``value`` is ``None``.
+    """Return a quantity of 0 or more in a unit.
+
+    Args:
+        value: The quantity with its unit, as in the file; ``None`` for 0.
+        unit: Unit of the result.
+        place: Section and key, for the error message.
 
     Raises:
-        InputError: with ``place``, section and key.
+        InputError: if the value is not a quantity of 0 or more in such a unit.
     """
     return 0.0 if value is None else quantity_at(value, unit, place, least=0.0)

@@ -1,4 +1,4 @@
-"""controller.toml: which controller controls which channel, what it shall follow, and what is tuned.
+"""Reader of controller.toml: the controller and its channel, the reference, the sensors, and the tuning.
 
     [controller]
     kind = "pid"                      # pid, bpid, ppid, adaptive-pid
@@ -20,11 +20,11 @@
     kp = "0.05 A/K"
     [estimator]                       # optional: temperature from the wire's power; or kind = "extended"
     gain = "0.2 1/s"                  # and corrected by a thermocouple
-    [instruments]                     # optional: what limiter and estimator measure
+    [instruments]                     # optional: the sensors of temperature limiter and estimator
     temperature = { noise = "0.5 K", lag = "1 s" }
 
-Quantities carry units; those of the gains follow from the drive and the channel. Every mistake is one sentence that
-names file and key.
+Quantities have units; those of the gains follow from the drive and the channel. The message for a mistake is one
+sentence that names file and key.
 """
 
 from collections.abc import Mapping
@@ -68,7 +68,7 @@ from smajax.files.toml import advice, check_schema, parse_toml, quantity_at, rea
 from smajax.files.validators import quantity
 
 _EXAMPLES = {"controller": 'kind = "pid"', "gains": 'kp = "..."', "reference": 'kind = "step"'}
-# Shortest period, s, lowest frequency of a carrier, Hz, and narrowest settling band: against mistaken units.
+# Shortest period in s, lowest frequency of a carrier in Hz, and narrowest settling band: they detect wrong units.
 _MIN_PERIOD = 1e-6
 _MIN_CARRIER = 1e-3
 _MIN_BAND = 1e-4
@@ -78,12 +78,12 @@ _MIN_BAND = 1e-4
 class ControllerFile(TuningTask):
     """Content of a controller file in internal units.
 
-    Args:
+    Attributes:
         name: Name of the file.
-        units: Units of all gains by name.
-        feedforward: Section [feedforward].
+        units: Unit of each gain by name.
+        feedforward: Section [feedforward]; ``None`` if there is none.
         seed: Seed of all random numbers.
-        robust: Section [robust].
+        robust: Section [robust]; ``None`` if there is none.
     """
 
     name: str
@@ -94,7 +94,7 @@ class ControllerFile(TuningTask):
 
 
 class _Units(NamedTuple):
-    """Controlled channel, unit of the command, of the channel, and of differences of the channel."""
+    """Name of the controlled channel, and units of the command, of the channel, and of differences of the channel."""
 
     channel: str
     command: str
@@ -106,11 +106,14 @@ def read_controller(path: Path, rig: Rig) -> ControllerFile:
     """Read and check a controller file for a rig.
 
     Args:
-        path: The file.
+        path: The file; paths in it are relative to its folder.
         rig: The rig.
 
+    Returns:
+        The content of the file, with default values, in internal units.
+
     Raises:
-        InputError: one sentence with file, section and key, and the cure.
+        InputError: if the file cannot be read, or for any mistake in it, with section, key and cure.
     """
     data = parse_toml(read_text(path, "controller"), str(path))
     try:
@@ -120,16 +123,16 @@ def read_controller(path: Path, rig: Rig) -> ControllerFile:
 
 
 def _current_sections(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The sections under their current names; unknown and missing ones are refused."""
+    """The sections under their current names; unknown and missing ones raise an error."""
     data = with_current_controller_keys(data)
     for key in data:
         if key not in SECTIONS:
-            known = advice(key, SECTIONS[1:], "the sections are")
-            raise InputError(f"[{key}] is not a section of a controller{known}")
+            sections = advice(key, SECTIONS[1:], "the sections are")
+            raise InputError(f"[{key}] is not a section of a controller{sections}")
     check_schema(data)
-    for needed, example in _EXAMPLES.items():
-        if needed not in data:
-            raise InputError(f"the section [{needed}] is missing: add it, with lines like {example}")
+    for section, example in _EXAMPLES.items():
+        if section not in data:
+            raise InputError(f"the section [{section}] is missing: add it, with lines like {example}")
     return data
 
 
@@ -149,7 +152,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
     reference = np.asarray(scenario.reference)
     if not scenario.changes and not np.ptp(np.append(reference, rest_value)) > 0.0:
         raise InputError(
-            "reference: it stays where the rig rests, so that there is nothing to follow: give it another level"
+            "reference: it stays at the channel's value at rest, so there is nothing to follow: give it another level"
         )
     weights, settle = read_objective(tune.objective)
     limits = read_limits(data.get("limits", {}), max(float(rest[n]) for n in numbered("temperature", system.wires)))
@@ -175,6 +178,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
 
 
 def _units(head: ControllerSection, rig: Rig) -> _Units:
+    """Channel and units of a controller."""
     plant = rig.plant
     channel = head.channel or plant.mechanism.coordinate
     if channel not in plant.observable or channel not in CHANNELS:
@@ -183,7 +187,7 @@ def _units(head: ControllerSection, rig: Rig) -> _Units:
             f"controller.channel: '{channel}' cannot be controlled here{advice(channel, channels, 'the channels are')}"
         )
     value = CHANNELS[channel].unit
-    # A rig without a drive has no unit of the command; it is refused by ``_sampled_plant``.
+    # A rig without a drive has no unit of the command; ``_sampled_plant`` raises the error.
     command = CHANNELS[plant.drive.control].unit if plant.drive.control else "1"
     return _Units(channel, command, value, "K" if value == "degC" else value)
 
@@ -204,19 +208,18 @@ def _output(head: ControllerSection, unit: str, system: SampledPlant) -> tuple[f
     if system.plant.drive.control == "duty" and max(-lower, upper) > 1.0:
         raise InputError(
             f"controller.output: a duty is a share of the supply, and {show(head.output[1])} is beyond 1: "
-            "write 0 to 1, or '0 %' to '100 %'"
+            "give limits between 0 and 1, or between '0 %' and '100 %'"
         )
     if not lower < upper:
         raise InputError("controller.output: the first limit has to be below the second")
     if system.wires == 1 and lower < 0.0:
         raise InputError(
-            "controller.output: a wire cannot be cooled by its drive: "
-            f"make the least output {show('0 ' + unit)} or more"
+            f"controller.output: a wire cannot be cooled by its drive: make the lower limit {show('0 ' + unit)} or more"
         )
     if system.wires == 2 and not lower < 0.0 < upper:
         raise InputError(
-            "controller.output: above 0 it heats the first wire, below 0 the second: "
-            "give a least output below 0 and one above"
+            "controller.output: a command above 0 heats the first wire, one below 0 the second: "
+            "give a lower limit below 0 and an upper limit above 0"
         )
     return lower, upper
 
@@ -273,14 +276,15 @@ def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str
 
 
 def _check_jumps(scenario: Scenario, period: float, settle: bool, limits: Mapping[str, float]) -> None:
-    """Refuse objectives and limits of a step response where the reference has no jump."""
+    """Raise an error for objectives and limits of a step response if the reference has no jump."""
     if find_jumps(np.asarray(scenario.reference), float(scenario.initial_reference), period).rows:
         return
     if settle:
         raise InputError(
-            "tune.objective: the reference never jumps and holds, so that nothing settles: ask for tracking instead"
+            "tune.objective: the reference never jumps and holds, so there is no settling time to minimise: choose "
+            "tracking instead"
         )
     if unused := [key for key in ("overshoot", "settling") if key in limits]:
         raise InputError(
-            f"limits.{unused[0]}: the reference never jumps and holds, so that there is nothing to limit: take it out"
+            f"limits.{unused[0]}: the reference never jumps and holds, so there is nothing to limit: take it out"
         )

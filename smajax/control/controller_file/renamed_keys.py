@@ -1,4 +1,4 @@
-"""Old names of sections and keys of controller.toml, which stay readable, and the current ones."""
+"""Old and current names of sections and keys of controller.toml; files with old names stay readable."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -25,7 +25,7 @@ def with_current_controller_keys(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the sections of a controller file under their current names, with the current names of their keys.
 
     Args:
-        data: Sections of the file.
+        data: Sections of the file by name.
 
     Raises:
         InputError: if a section or a key is given under both names.

@@ -1,4 +1,4 @@
-"""Sections [reference] and [[change]] of a controller file: what the channel shall follow, and what changes meanwhile.
+"""Sections [reference] and [[change]] of a controller file: the reference, and parameters that change during a rollout.
 
 [reference]
 kind = "step"                     # step, staircase, sine, recorded
@@ -36,9 +36,9 @@ _KEYS_OF_KIND = {
 }
 # Rounding error of sample times, s.
 _ROUNDING = 1e-9
-# A sine needs more than two samples a cycle.
+# Cycles of a sine in a period have to be fewer than this: the sampling theorem requires more than two samples a cycle.
 _MAX_CYCLES_PER_PERIOD = 0.5
-# Lowest frequency of a sine, Hz.
+# Lowest frequency of a sine in Hz, to detect wrong units.
 _MIN_FREQUENCY = 1e-6
 
 
@@ -53,15 +53,15 @@ def read_scenario(
     """Read the scenario of a controller file.
 
     Args:
-        data: Sections of the file.
-        folder: Folder at which the paths in the file start.
+        data: Sections of the file by name.
+        folder: Folder to which paths in the file are relative.
         rig: The rig.
-        sampled_channel: Name of the channel, its unit, and the period in s.
-        rest_value: Value of the channel at rest, the default of ``reference.low``.
+        sampled_channel: Name of the channel, its internal unit, and the period in s.
+        rest_value: Value of the channel at rest, internal unit; the default of ``reference.low``.
         seed: Seed of the sensor noise.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong, missing or unsuitable key or value, or a recording that cannot be read.
     """
     section = _reference_section(data["reference"])
     reader = _ReferenceReader(section, sampled_channel, show(data["controller"]["period"]), rest_value)
@@ -72,24 +72,24 @@ def read_scenario(
 
 
 def _reference_section(data: Any) -> ReferenceSection:
-    """The section, whose keys are those of its kind."""
+    """The section, with only keys of its kind."""
     if isinstance(data, dict) and (kind := str(data.get("kind"))) in _KEYS_OF_KIND:
         unknown = [key for key in data if key not in ReferenceSection.model_fields]
-        if unknown:  # the cure is among the keys of this kind
+        if unknown:  # the message lists the keys of this kind only
             keys = advice(unknown[0], _KEYS_OF_KIND[kind], f"the keys of a {kind} are")
             raise InputError(f"reference.{unknown[0]} is not known{keys}")
     section = validate(ReferenceSection, data, "reference")
     for key in ("duration", "low", "high", "at", "levels", "hold", "frequency", "file"):
         if getattr(section, key) not in (None, []) and key not in _KEYS_OF_KIND[section.kind]:
             raise InputError(
-                f"reference.{key} has no place with a {section.kind}, "
+                f"reference.{key} does not belong to a {section.kind}, "
                 f"whose keys are {', '.join(_KEYS_OF_KIND[section.kind])}: take it out"
             )
     return section
 
 
 class _ReferenceReader:
-    """Times, values and initial value of a reference; each method returns these three."""
+    """Reader of a reference; its public methods return times in s, values, and the initial value."""
 
     def __init__(
         self, section: ReferenceSection, sampled_channel: tuple[str, str, float], period_text: str, rest_value: float
@@ -98,9 +98,17 @@ class _ReferenceReader:
         self.channel, self.unit, self.period = sampled_channel
 
     def recorded(self, folder: Path, rig: Rig) -> tuple[np.ndarray, np.ndarray, float]:
-        """A recorded trajectory, from its first row on."""
+        """Return a recorded reference, interpolated at the samples.
+
+        Args:
+            folder: Folder to which the path of the recording is relative.
+            rig: The rig, for the names of columns.
+
+        Raises:
+            InputError: if the file is missing, cannot be read or has no such channel.
+        """
         if self.section.file is None:
-            raise InputError('reference.file is missing: name the recording, as in file = "wanted.csv"')
+            raise InputError('reference.file is missing: name the recording, as in file = "reference.csv"')
         recording = read_recording(folder / self.section.file, required=(self.channel,), mapping=rig.channels.columns)
         duration = float(recording.time[-1] - recording.time[0]) + self.period
         time = _sample_times(duration, self.period, "file")
@@ -108,7 +116,11 @@ class _ReferenceReader:
         return time, values, float(values[0])
 
     def generated(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """A step, a staircase or a sine."""
+        """Return a step, a staircase or a sine.
+
+        Raises:
+            InputError: for a wrong, missing or unsuitable key or value.
+        """
         section = self.section
         low = self.rest_value if section.low is None else quantity_at(section.low, self.unit, "reference.low")
         duration = self._duration(section.duration, "duration", 2)
@@ -137,7 +149,7 @@ class _ReferenceReader:
         if (len(levels) - 1) * hold > time[-1]:
             raise InputError(
                 f"reference.levels: {len(levels)} levels of {show(self.section.hold)} do not fit into "
-                f"{show(self.section.duration)}: make it longer"
+                f"{show(self.section.duration)}: make reference.duration longer"
             )
         return references.staircase(time, levels, hold)
 
@@ -176,14 +188,14 @@ def _sample_times(duration: float, period: float, key: str) -> np.ndarray:
 
 
 def _changes(data: Any, rig: Rig, time: np.ndarray) -> dict[str, Any]:
-    """The parameters that change, each as a series; changes act in the order of their times."""
+    """The parameters that change, each with its value at every sample; changes apply in the order of their times."""
     changes = []
     for entry in data if isinstance(data, list) else [data]:
         section = validate(ChangeSection, entry, "change")
         name = current_name(section.parameter)
         if name.startswith("initial."):
             raise InputError(
-                f"change.parameter: {name} is how a run begins, which nothing changes later: set it in the rig"
+                f"change.parameter: {name} is an initial value, which cannot change later: set it in the rig"
             )
         try:
             declared = parameters.declaration(rig.plant, name)

@@ -43,7 +43,7 @@ class ControllerSection(BaseModel):
 
 
 class FeedforwardSection(BaseModel):
-    """Section [feedforward]: the inverse operator, fitted to a slow loop that is simulated or recorded."""
+    """Section [feedforward]: number of play operators, and the slow loop to which the operator is fitted."""
 
     model_config = STRICT
     operators: int = Field(10, ge=1, le=100, examples=["10"])
@@ -64,7 +64,7 @@ class TuneSection(BaseModel):
 
 
 class LimitsSection(BaseModel):
-    """Section [limits]: what has to hold at every sample."""
+    """Section [limits]: limits on the wires' channels and on the step response."""
 
     model_config = STRICT
     temperature: Any = Field(None, examples=['"110 degC"'])
@@ -75,7 +75,7 @@ class LimitsSection(BaseModel):
 
 
 class RobustSection(BaseModel):
-    """Section [robust]: random plants for which the gains are tuned and checked."""
+    """Section [robust]: samples of uncertain parameters for which the gains are tuned and checked."""
 
     model_config = STRICT
     fit: str | None = Field(None, examples=['"result"'])
@@ -85,7 +85,7 @@ class RobustSection(BaseModel):
 
 
 class ReferenceSection(BaseModel):
-    """Section [reference]: the course that the channel shall follow."""
+    """Section [reference]: the reference of the channel over time."""
 
     model_config = STRICT
     kind: Annotated[str, one_of(("step", "staircase", "sine", "recorded"))]
@@ -96,7 +96,7 @@ class ReferenceSection(BaseModel):
     levels: list[Any] = Field([], examples=['["2 mm", "6 mm", "4 mm"]'])
     hold: Any = Field(None, examples=['"20 s"'])
     frequency: Any = Field(None, examples=['"0.1 Hz"'])
-    file: str | None = Field(None, examples=['"wanted.csv"'])
+    file: str | None = Field(None, examples=['"reference.csv"'])
 
 
 class ChangeSection(BaseModel):
@@ -118,13 +118,13 @@ class SensorSection(BaseModel):
 
 
 class ThermocoupleSection(SensorSection):
-    """The entry ``temperature`` of [instruments], which has a lag in addition."""
+    """Entry ``temperature`` of [instruments]: a sensor with a lag."""
 
     lag: Any = Field(None, examples=['"1 s"'])
 
 
 class TemperatureLimiterSection(BaseModel):
-    """Section [temperature_limiter]: set temperature and gains."""
+    """Section [temperature_limiter]: largest temperature and gains."""
 
     model_config = STRICT
     limit: Any = Field(examples=['"110 degC"'])

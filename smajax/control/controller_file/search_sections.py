@@ -26,21 +26,24 @@ from smajax.fitting.io_models.problem import Series
 from smajax.recordings.read import read_recording
 
 OBJECTIVES = (*TERMS, "settling")
-# Weight of the effort next to a named objective: without it, the noise of a real sensor shakes the wire. Chosen by
-# trial.
+# Weight of the effort in addition to a named objective: without it, the command follows the noise of a real sensor.
+# Chosen by trial.
 _DEFAULT_EFFORT_WEIGHT = {"effort": 0.01}
 # Default bounds of a gain, as factors of its start value. Chosen by trial.
 _MIN_FACTOR = 0.01
 _MAX_FACTOR = 100.0
-# Gains that are not tuned unless ``tune.free`` names them: they say where the controller acts, and not how strongly.
+# Gains that are not tuned unless ``tune.free`` names them: they set the operating point, not the strength of control.
 _NOT_FREE = ("tuning_point", "band")
 
 
 class Robust(NamedTuple):
-    """Section [robust]: number of draws to tune for and to ``check`` on.
+    """Section [robust]: samples of uncertain parameters (draws).
 
-    They come from the fit in the folder ``fit`` (``None``: no fit) and from the ranges ``vary`` of parameters, in
-    internal units.
+    Attributes:
+        fit: Folder of the fit from whose intervals parameters are drawn; ``None`` for no fit.
+        draws: Number of draws that the gains are tuned for.
+        check: Number of draws that the gains are checked on.
+        vary: Smallest and largest value of parameters that are drawn from ranges, by name, internal units.
     """
 
     fit: Path | None
@@ -54,13 +57,13 @@ def read_feedforward(data: Any, path: Path, rig: Rig, head: ControllerSection, u
 
     Args:
         data: The section.
-        path: The controller file, at whose folder paths start.
+        path: The controller file; paths in it are relative to its folder.
         rig: The rig.
         head: The section [controller].
         units: Unit of the command, and the name of the channel.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong or unsuitable key or value, or a recording that cannot be read.
     """
     section, (unit, channel) = validate(FeedforwardSection, data, "feedforward"), units
     if head.kind not in ("pid", "ppid"):
@@ -91,7 +94,7 @@ def read_bounds(tune: TuneSection, loop: ClosedLoop, units: Mapping[str, str]) -
         units: Unit of each gain by name.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for an unknown gain, or bounds that are not positive or do not contain the start value.
     """
     values = {name: float(gain(loop, name)) for name in units}
     free = tune.free
@@ -100,16 +103,17 @@ def read_bounds(tune: TuneSection, loop: ClosedLoop, units: Mapping[str, str]) -
     for name in [*free, *tune.bounds]:
         if name not in values:
             raise InputError(f"tune: there is no gain '{name}'{advice(name, values, 'the gains are')}")
-    if held := [name for name in tune.bounds if name not in free]:
-        raise InputError(f"tune.bounds.{held[0]}: {held[0]} is not tuned: add it to tune.free, or take its bounds out")
+    for name in tune.bounds:
+        if name not in free:
+            raise InputError(f"tune.bounds.{name}: {name} is not tuned: add it to tune.free, or take its bounds out")
     bounds = {name: _bounds_of(name, tune, values[name], units[name]) for name in free}
     if not bounds:
-        raise InputError("tune.free names no gain: nothing would be tuned")
+        raise InputError("tune.free names no gain, so nothing would be tuned: name one, or take it out")
     return bounds
 
 
 def _bounds_of(name: str, tune: TuneSection, start: float, unit: str) -> tuple[float, float]:
-    """The bounds of one gain, which hold its start value."""
+    """The bounds of one gain, which contain its start value."""
     if name in tune.bounds:
         ends = tune.bounds[name]
         if not isinstance(ends, list) or len(ends) != 2:
@@ -118,11 +122,11 @@ def _bounds_of(name: str, tune: TuneSection, start: float, unit: str) -> tuple[f
     else:
         low, high = _MIN_FACTOR * start, _MAX_FACTOR * start
     if low == high > 0.0:
-        raise InputError(f"tune.bounds.{name} leaves it no room: take {name} out of tune.free, or widen its bounds")
+        raise InputError(f"tune.bounds.{name}: both are equal: take {name} out of tune.free, or widen its bounds")
     if not 0.0 < low <= start <= high:
         raise InputError(
             f"tune: {name} starts at {start:.6g} {unit} and is to be tuned between {low:.6g} and {high:.6g}: "
-            "start above 0, and give bounds above 0 that hold the start value"
+            "start above 0, and give bounds above 0 that contain the start value"
         )
     return low, high
 
@@ -134,12 +138,12 @@ def read_objective(objective: Any) -> tuple[dict[str, float], bool]:
         objective: The key ``tune.objective``: a word, or a table of weights.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for an unknown term, or a weight that is negative or not finite, or if all are 0.
     """
     if isinstance(objective, str):
         if objective not in OBJECTIVES:
-            known = advice(objective, OBJECTIVES, "the objectives are")
-            raise InputError(f"tune.objective: '{objective}' is not known{known}")
+            names = advice(objective, OBJECTIVES, "the objectives are")
+            raise InputError(f"tune.objective: '{objective}' is not known{names}")
         settling = objective == "settling"
         return ({"itae": 1.0} if settling else {objective: 1.0}) | _DEFAULT_EFFORT_WEIGHT, settling
     if not isinstance(objective, dict) or not objective:
@@ -148,11 +152,11 @@ def read_objective(objective: Any) -> tuple[dict[str, float], bool]:
         )
     for name, weight in objective.items():
         if name not in TERMS:
-            raise InputError(f"tune.objective: '{name}' cannot be weighed{advice(name, TERMS, 'what can be are')}")
+            raise InputError(f"tune.objective: '{name}' is not a term{advice(name, TERMS, 'the terms are')}")
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0.0 <= weight < math.inf:
             raise InputError(f"tune.objective: the weight {name} = {show(weight)} is not a number of 0 or more")
     if not any(objective.values()):
-        raise InputError("tune.objective: no weight is above 0, so that nothing would be minimised: give one")
+        raise InputError("tune.objective: no weight is above 0, so nothing would be minimised: give one")
     return {name: float(weight) for name, weight in objective.items()}, False
 
 
@@ -164,7 +168,7 @@ def read_limits(data: Any, rest_temperature: float) -> dict[str, float]:
         rest_temperature: Largest temperature of the wires at rest, degC.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong key or quantity, or a limit that cannot be kept.
     """
     section = validate(LimitsSection, data, "limits")
     units = {"temperature": "degC", "current": "A", "stress": "Pa", "overshoot": "1", "settling": "s"}
@@ -190,11 +194,11 @@ def read_robust(data: Any, path: Path, rig: Rig) -> Robust:
 
     Args:
         data: The section.
-        path: The controller file, at whose folder paths start.
+        path: The controller file; paths in it are relative to its folder.
         rig: The rig.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong key, an unknown parameter or an empty range, or if there is neither fit nor range.
     """
     section = validate(RobustSection, data, "robust")
     vary = {}
@@ -209,5 +213,5 @@ def read_robust(data: Any, path: Path, rig: Rig) -> Robust:
         if not vary[name][0] <= vary[name][1]:
             raise InputError(f"robust.vary: the range of {name} is empty: put the smaller value first")
     if section.fit is None and not vary:
-        raise InputError('[robust] has neither fit = "FOLDER" nor vary = {...}: name what may be different')
+        raise InputError('[robust] has neither fit = "FOLDER" nor vary = {...}: give at least one of them')
     return Robust(None if section.fit is None else path.parent / section.fit, section.draws, section.check, vary)

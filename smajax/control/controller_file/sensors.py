@@ -1,16 +1,16 @@
-"""What a controller file says about measurements: [sensor], [temperature_limiter], [estimator] and [instruments].
+"""Sections of a controller file on measurements: [sensor], [temperature_limiter], [estimator] and [instruments].
 
-[sensor]                          # what the controller measures of its channel
+[sensor]                          # the sensor of the controlled channel
 noise = "5 um"
 [temperature_limiter]             # keeps the wire below a temperature, whatever the command
 limit = "115 degC"
 kp = "0.05 A/K"
-[estimator]                       # the limiter takes the temperature that is estimated from the wire's power
-gain = "0.2 1/s"                  # and corrected by a thermocouple; or, from all instruments, by a Kalman filter:
+[estimator]                       # the limiter uses the temperature that is estimated from the wire's power
+gain = "0.2 1/s"                  # and corrected by a thermocouple; or by a Kalman filter with all instruments:
 kind = "extended"
 unknown = { "environment.ambient" = "4 K" }
-use_estimate = true               # the controller, too, takes the filter's estimate, and not a sensor of its channel
-[instruments]                     # what limiter and estimator measure
+use_estimate = true               # the controller uses the filter's estimate, too, instead of its sensor
+[instruments]                     # the sensors of temperature limiter and estimator
 temperature = { noise = "0.5 K", lag = "1 s" }
 """
 
@@ -19,8 +19,12 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from smajax.control.controller_file.estimator import extended_filter, read_estimator_section, thermal_observer
-from smajax.control.controller_file.instruments import read_instruments, sensor_model
+from smajax.control.controller_file.estimator import (
+    build_extended_filter,
+    build_thermal_observer,
+    read_estimator_section,
+)
+from smajax.control.controller_file.instruments import build_sensor, read_instruments
 from smajax.control.controller_file.quantities import float_arrays, optional_quantity
 from smajax.control.controller_file.schema import SensorSection, TemperatureLimiterSection
 from smajax.control.controllers.pid import PID
@@ -34,7 +38,7 @@ from smajax.files.toml import quantity_at, validate
 
 
 class LoopSensors(NamedTuple):
-    """The parts of a closed loop that measure, by the names of the fields of ``ClosedLoop``."""
+    """Parts of a closed loop that measure, with the names of the fields of ``ClosedLoop``."""
 
     sensor: SensorModel
     temperature_limiter: TemperatureLimiter | None
@@ -49,23 +53,23 @@ def read_sensors(
     """Read the sections on measurements.
 
     Args:
-        data: Sections of the file.
+        data: Sections of the file by name.
         rig: The rig.
         units: Unit of the command, and of differences of the channel.
         period: Period of the controller, s.
-        max_command: Largest command.
+        max_command: Largest command of a wire, internal unit.
 
     Raises:
-        InputError: with section, key and cure.
+        InputError: for a wrong key or value, a missing section, or one that nothing uses.
     """
     command_unit, difference = units
-    sensor = sensor_model(validate(SensorSection, data.get("sensor", {}), "sensor"), difference, period, "sensor")
+    sensor = build_sensor(validate(SensorSection, data.get("sensor", {}), "sensor"), difference, period, "sensor")
     limiter = None
     if "temperature_limiter" in data:
         limiter = _temperature_limiter(data["temperature_limiter"], rig, command_unit, period, max_command)
     section = read_estimator_section(data["estimator"], limiter) if "estimator" in data else None
     if section is None or section.kind == "thermal":
-        observer = None if section is None or limiter is None else thermal_observer(section, rig, limiter, period)
+        observer = None if section is None or limiter is None else build_thermal_observer(section, rig, limiter, period)
         instruments = None
         if "instruments" in data:
             instruments = read_instruments(data["instruments"], rig, limiter, observer, period)
@@ -77,19 +81,20 @@ def read_sensors(
         )
     if section.use_estimate and "sensor" in data:
         raise InputError(
-            "[sensor] is what a controller measures, and with estimator.use_estimate it takes the estimate of the "
-            "filter, which measures by [instruments]: "
+            "[sensor] is the sensor of the controller, and with estimator.use_estimate the controller uses the "
+            "estimate of the filter, which measures by [instruments]: "
             f"move it to instruments.{rig.plant.mechanism.coordinate}, or take it out"
         )
     instruments = read_instruments(data["instruments"], rig, limiter, section, period)
     return LoopSensors(
-        sensor, limiter, extended_filter(section, rig, instruments, period), instruments, section.use_estimate
+        sensor, limiter, build_extended_filter(section, rig, instruments, period), instruments, section.use_estimate
     )
 
 
 def _temperature_limiter(
     data: Any, rig: Rig, command_unit: str, period: float, max_command: float
 ) -> TemperatureLimiter:
+    """The temperature limiter from its section."""
     section = validate(TemperatureLimiterSection, data, "temperature_limiter")
     kp = optional_quantity(section.kp, f"{command_unit}/K", "temperature_limiter.kp")
     ki = optional_quantity(section.ki, f"{command_unit}/K/s", "temperature_limiter.ki")

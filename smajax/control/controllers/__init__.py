@@ -1,8 +1,8 @@
 """Controllers of one channel, sampled once a period.
 
-All are built around a ``PID`` (parallel form, filtered derivative, saturation, anti-windup): ``BPID`` adds a bilinear
-compensator, ``PPID`` switches between PD and feedforward plus PI, ``AdaptivePID`` adapts the gains, ``FeedforwardPID``
-adds an inverse hysteresis operator.
+All are built around a ``PID`` (parallel form, filtered derivative, saturation, anti-windup by conditional
+integration): ``BPID`` adds a bilinear compensator, ``PPID`` switches between PD and feedforward plus PI,
+``AdaptivePID`` adapts the gains, ``FeedforwardPID`` adds an inverse hysteresis operator.
 """
 
 from smajax.control.controllers.adaptive_pid import AdaptivePID

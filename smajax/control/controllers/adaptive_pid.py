@@ -3,8 +3,8 @@
     printed      K_p += g_p e       K_i += g_i K_i int e dt     K_d += g_d K_d de/dt
     gradient     K_p += g_p e e     K_i += g_i e int e dt       K_d += g_d e de/dt
 
-The printed law is linear in the error, so that K_p becomes a second integrator whose sign follows e. The gradient law
-(MIT rule) is what the paper describes in words. Both keep each gain between 0 and a largest value.
+The printed law is linear in the error, so that K_p is a second integral of the error. The gradient law (MIT rule) is
+what the paper describes in words. Both keep each gain between 0 and a largest value.
 
 Source: ali2026 (printed law); wittenmark1995, chapter 5 (MIT rule).
 """
@@ -23,7 +23,15 @@ from smajax.parameters import parameter
 
 
 class AdaptiveState(NamedTuple):
-    """The PID's state, the integral of the error (channel unit times s), and the current gains; scalars."""
+    """State of an adaptive PID, scalars.
+
+    Attributes:
+        inner: State of the PID.
+        error_integral: Integral of the error, channel unit times s.
+        kp: Current proportional gain.
+        ki: Current integral gain.
+        kd: Current derivative gain.
+    """
 
     inner: PIDState
     error_integral: Float[Array, ""]
@@ -33,7 +41,16 @@ class AdaptiveState(NamedTuple):
 
 
 class AdaptivePID(AbstractController):
-    """PID with adapted gains; they start from those of ``pid`` and are at most ``growth`` times as large."""
+    """PID whose gains are adapted at each sample.
+
+    Attributes:
+        pid: The PID with the start gains.
+        rate_p: Adaptation rate of the proportional gain per sample.
+        rate_i: Adaptation rate of the integral gain per sample.
+        rate_d: Adaptation rate of the derivative gain per sample.
+        growth: Upper bound of each gain, as a multiple of its start value.
+        law: The printed law or the gradient law.
+    """
 
     pid: PID
     rate_p: jax.Array = parameter(
@@ -60,7 +77,7 @@ class AdaptivePID(AbstractController):
     def step(
         self, state: AdaptiveState, reference: Float[Array, ""], value: Float[Array, ""]
     ) -> tuple[AdaptiveState, Float[Array, ""]]:
-        """Adapt the gains, then take one sample of the PID with them; returns the state and the command."""
+        """Adapt the gains and take one sample of the PID with them; return the state and the command."""
         error, derivative = reference - value, self.pid.filtered_derivative(state.inner, reference, value)
         error_integral = state.error_integral + error * self.pid.period
         factors = (1.0, state.ki, state.kd) if self.law == "printed" else (error, error, error)

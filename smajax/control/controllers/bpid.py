@@ -7,7 +7,7 @@ For a plant y' = -a y + b u + eta u y, whose gain grows with its output, the law
 makes the loop linear in the PID's output v, with the gain that the plant has at y_0, the value at which the PID was
 tuned.
 
-Source: copaci2020 names the controller; the formula is not printed there and is derived here from the plant above.
+Source: copaci2020 (name of the controller; its formula is not printed there and is derived here from the plant above).
 """
 
 import jax
@@ -24,7 +24,13 @@ MIN_DENOMINATOR = 0.05
 
 
 class BPID(AbstractController):
-    """PID with a bilinear compensator; the PID's limits hold for the command that leaves the compensator."""
+    """PID with a bilinear compensator; the limits of the PID apply to the output of the compensator.
+
+    Attributes:
+        pid: The PID before the compensator.
+        kb: Bilinear gain K_b, 1 over the channel's unit.
+        tuning_point: Value y_0 at which the PID was tuned, in the channel's unit.
+    """
 
     pid: PID
     kb: jax.Array = parameter("1/y", "bilinear gain", default=0.0)
@@ -42,7 +48,7 @@ class BPID(AbstractController):
     def step(
         self, state: PIDState, reference: Float[Array, ""], value: Float[Array, ""]
     ) -> tuple[PIDState, Float[Array, ""]]:
-        """Take one sample; returns the PID's state and the compensated command."""
+        """Take one sample of the PID; return its state and the compensated command."""
         at_tuning_point, at_value = (maximum(1.0 + self.kb * y, MIN_DENOMINATOR) for y in (self.tuning_point, value))
         factor = at_tuning_point / at_value
         state, output = self.pid.step_within(state, reference, value, self.pid.lower / factor, self.pid.upper / factor)

@@ -17,9 +17,12 @@ from smajax.numerics.nonsmooth import clip
 class FeedforwardPID(AbstractController):
     """Sum of a feedforward and a PID.
 
-    ``inverse`` gives the command at which the operator's output is the reference, as ``PrandtlIshlinskii.inverse``
-    does. The PID's limits are what the feedforward leaves of the actuator's range, so that its integral does not wind
-    up.
+    At each sample the output of the PID is limited to the range of the actuator minus the feedforward, so that the
+    anti-windup of the PID acts when their sum saturates.
+
+    Attributes:
+        pid: The PID, with the limits of the command.
+        inverse: Inverse hysteresis operator: the reference is its input, the feedforward command its output.
     """
 
     pid: PID
@@ -31,11 +34,11 @@ class FeedforwardPID(AbstractController):
         return self.pid
 
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
-        """Return the state at rest: of the PID, of the inverse operator, and the last reference."""
+        """Return the state at rest: state of the PID, state of the inverse operator, and the last reference."""
         return self.pid.reset(reference, value), self.inverse.init(reference), reference
 
     def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
-        """Take one sample; returns the state and the sum of feedforward and PID."""
+        """Take one sample; return the state and the sum of feedforward and PID."""
         pid_state, operator, last_reference = state
         operator = self.inverse.step(operator, last_reference, reference, jnp.asarray(self.pid.period))
         feedforward = clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper)

@@ -1,9 +1,15 @@
 """PID controller in parallel form, with a filtered derivative, output saturation and anti-windup.
 
-    u = K_p e + K_i int e dt + K_d d,     T_f d' + d = e'  (or -y')
+    u = K_p e + I + K_d d,     I' = K_i e,     T_f d' + d = e'  (or -y'),     e = r - y
 
-sampled by the rectangle rule and backward differences. Anti-windup by conditional integration: while the output is
-saturated, the integral does not grow in the direction of the saturation.
+sampled with period h by the rectangle rule and backward differences,
+
+    I_k = I_(k-1) + K_i h e_k
+    d_k = (T_f d_(k-1) + e_k - e_(k-1)) / (T_f + h)
+    u_k = K_p e_k + I_k + K_d d_k, limited to lower .. upper
+
+Anti-windup by conditional integration: the integral keeps its value, I_k = I_(k-1), at a sample at which the output is
+saturated and the integral would grow in the direction of the saturation.
 
 Source: astrom1995, chapter 3 (discretisation, derivative filter, conditional integration).
 """
@@ -23,8 +29,10 @@ from smajax.parameters import parameter
 class PIDState(NamedTuple):
     """State of a PID, scalars.
 
-    ``integral`` is in the unit of the command; ``last_signal`` is the differentiated signal at the last sample (the
-    error or minus the value), ``derivative`` its filtered rate of change.
+    Attributes:
+        integral: Integral term I, in the unit of the command.
+        last_signal: Differentiated signal at the last sample (the error, or minus the value), in the channel's unit.
+        derivative: Filtered derivative d of that signal, in the channel's unit per second.
     """
 
     integral: Float[Array, ""]
@@ -33,7 +41,19 @@ class PIDState(NamedTuple):
 
 
 class PID(AbstractController):
-    """PID controller in parallel form; with ``derivative_on = "value"`` a jump of the reference gives no kick."""
+    """PID controller in parallel form, with a filtered derivative, output saturation and anti-windup.
+
+    Attributes:
+        kp: Proportional gain K_p.
+        ki: Integral gain K_i.
+        kd: Derivative gain K_d.
+        filter_time: Time constant T_f of the derivative's filter, s.
+        lower: Smallest output.
+        upper: Largest output.
+        period: Period h of the samples, s.
+        derivative_on: Differentiated signal: the error, or minus the value, which avoids a kick of the output at a jump
+            of the reference.
+    """
 
     kp: jax.Array = parameter("u/y", "proportional gain", 0.0)
     ki: jax.Array = parameter("u/y/s", "integral gain", 0.0, default=0.0)
@@ -51,12 +71,12 @@ class PID(AbstractController):
 
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> PIDState:
         """Return the state at rest: no integral and no derivative."""
-        return PIDState(jnp.zeros(()), self._differentiated(reference, value), jnp.zeros(()))
+        return PIDState(jnp.zeros(()), self._differentiated_signal(reference, value), jnp.zeros(()))
 
     def step(
         self, state: PIDState, reference: Float[Array, ""], value: Float[Array, ""]
     ) -> tuple[PIDState, Float[Array, ""]]:
-        """Take one sample within the controller's own limits; returns the state and the command."""
+        """Take one sample within the controller's own limits; return the state and the command."""
         return self.step_within(state, reference, value, self.lower, self.upper)
 
     def step_within(
@@ -67,14 +87,14 @@ class PID(AbstractController):
         lower: Float[Array, ""],
         upper: Float[Array, ""],
     ) -> tuple[PIDState, Float[Array, ""]]:
-        """Take one sample between other limits, for instance where a feedforward uses a part of the actuator's range.
+        """Take one sample within other limits, for instance where a feedforward uses a part of the actuator's range.
 
         Args:
             state: State after the previous sample.
-            reference: Reference at this sample.
-            value: Measured value at this sample.
-            lower: Smallest output of this sample.
-            upper: Largest output of this sample.
+            reference: Reference at this sample, in the channel's unit.
+            value: Measured value at this sample, in the channel's unit.
+            lower: Smallest output at this sample.
+            upper: Largest output at this sample.
 
         Returns:
             The state after this sample, and the saturated output.
@@ -84,19 +104,52 @@ class PID(AbstractController):
         integral = state.integral + self.ki * error * self.period
         unsaturated = self.kp * error + integral + self.kd * derivative
         output = clip(unsaturated, lower, upper)
-        winds_up = ((unsaturated > upper) & (integral > state.integral)) | (
-            (unsaturated < lower) & (integral < state.integral)
-        )
-        signal = self._differentiated(reference, value)
-        return PIDState(jnp.where(winds_up, state.integral, integral), signal, derivative), output
+        integral = anti_windup(state.integral, integral, unsaturated, lower, upper)
+        return PIDState(integral, self._differentiated_signal(reference, value), derivative), output
 
     def filtered_derivative(
         self, state: PIDState, reference: Float[Array, ""], value: Float[Array, ""]
     ) -> Float[Array, ""]:
-        """Return the filtered derivative after this sample, in the channel's unit per second."""
-        return (self.filter_time * state.derivative + self._differentiated(reference, value) - state.last_signal) / (
-            self.filter_time + self.period
-        )
+        """Return the filtered derivative at this sample.
 
-    def _differentiated(self, reference: jax.Array, value: jax.Array) -> jax.Array:
+        Args:
+            state: State after the previous sample.
+            reference: Reference at this sample, in the channel's unit.
+            value: Measured value at this sample, in the channel's unit.
+
+        Returns:
+            d_k = (T_f d_(k-1) + e_k - e_(k-1)) / (T_f + h), in the channel's unit per second.
+        """
+        signal = self._differentiated_signal(reference, value)
+        return (self.filter_time * state.derivative + signal - state.last_signal) / (self.filter_time + self.period)
+
+    def _differentiated_signal(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Float[Array, ""]:
         return reference - value if self.derivative_on == "error" else -value
+
+
+def anti_windup(
+    integral: Float[Array, ""],
+    next_integral: Float[Array, ""],
+    unsaturated: Float[Array, ""],
+    lower: Float[Array, ""],
+    upper: Float[Array, ""],
+) -> Float[Array, ""]:
+    """Return the integral of a sample with anti-windup by conditional integration.
+
+    Args:
+        integral: Integral of the previous sample.
+        next_integral: Integral of this sample without anti-windup.
+        unsaturated: Output of this sample before saturation.
+        lower: Smallest output.
+        upper: Largest output.
+
+    Returns:
+        ``integral`` if the output is saturated and the integral would grow in the direction of the saturation, else
+        ``next_integral``.
+
+    Source: astrom1995, chapter 3 (conditional integration).
+    """
+    winds_up = ((unsaturated > upper) & (next_integral > integral)) | (
+        (unsaturated < lower) & (next_integral < integral)
+    )
+    return jnp.where(winds_up, integral, next_integral)

@@ -3,8 +3,9 @@
     |e| > band     u = K_p e + K_d e'
     |e| <= band    u = u_ff + K_p,rest e + K_i int e dt
 
-The integral is reset at each switch. The band has a hysteresis: it is left at a larger error than it is entered. The
-feedforward acts while the wire contracts (e > 0) and is 0 while it stretches, when only cooling helps.
+The integral is reset at each switch. The band has a hysteresis: the error enters it at ``band`` and leaves it at
+``exit_factor`` times ``band``. The feedforward acts for e > 0, while the wire has to contract; for e < 0 it is 0, since
+a wire is cooled by its surroundings only.
 
 Source: copaci2020; the reset and the hysteresis of the band are added here against chattering.
 """
@@ -26,8 +27,12 @@ from smajax.parameters import parameter
 class PPID(AbstractController):
     """Controller that switches between PD and feedforward plus PI.
 
-    Of ``pid``, the integral gain acts within the band only, the proportional and derivative gains outside of it only.
-    The band is left at ``exit_factor`` times its width.
+    Attributes:
+        pid: PID whose proportional and derivative gains act outside the band, and whose integral gain acts within it.
+        kp_rest: Proportional gain within the band.
+        band: Error at which the controller switches to feedforward plus PI, in the channel's unit.
+        exit_factor: Error at which it switches back, as a multiple of ``band``.
+        inverse: Inverse hysteresis operator, whose output is the feedforward; ``None``: no feedforward.
     """
 
     pid: PID
@@ -42,13 +47,13 @@ class PPID(AbstractController):
         return self.pid
 
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
-        """Return the state at rest: PID, inverse operator, last reference, and whether the error is in the band."""
+        """Return the state at rest: of PID and inverse operator, last reference, whether the error is in the band."""
         operator = () if self.inverse is None else self.inverse.init(reference)
         return self.pid.reset(reference, value), operator, reference, jnp.abs(reference - value) <= self.band
 
     def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
-        """Take one sample; returns the state and the command."""
-        inner, operator, last_reference, was_in_band = state
+        """Take one sample; return the state and the command."""
+        pid_state, operator, last_reference, was_in_band = state
         error = reference - value
         in_band = jnp.abs(error) <= jnp.where(was_in_band, self.exit_factor * self.band, self.band)
         feedforward = jnp.zeros(())
@@ -57,12 +62,13 @@ class PPID(AbstractController):
             feedforward = jnp.where(
                 error > 0.0, clip(self.inverse.output(operator, reference), self.pid.lower, self.pid.upper), 0.0
             )
-        inner = PIDState(jnp.where(in_band == was_in_band, inner.integral, 0.0), inner.last_signal, inner.derivative)
+        integral = jnp.where(in_band == was_in_band, pid_state.integral, 0.0)
+        pid_state = PIDState(integral, pid_state.last_signal, pid_state.derivative)
         pi = eqx.tree_at(lambda p: (p.kp, p.kd), self.pid, (self.kp_rest, jnp.zeros(())))
         pd = eqx.tree_at(lambda p: p.ki, self.pid, jnp.zeros(()))
         pi_state, pi_output = pi.step_within(
-            inner, reference, value, self.pid.lower - feedforward, self.pid.upper - feedforward
+            pid_state, reference, value, self.pid.lower - feedforward, self.pid.upper - feedforward
         )
-        pd_state, pd_output = pd.step(inner, reference, value)
-        inner = jax.tree.map(lambda a, b: jnp.where(in_band, a, b), pi_state, pd_state)
-        return (inner, operator, reference, in_band), jnp.where(in_band, feedforward + pi_output, pd_output)
+        pd_state, pd_output = pd.step(pid_state, reference, value)
+        pid_state = jax.tree.map(lambda a, b: jnp.where(in_band, a, b), pi_state, pd_state)
+        return (pid_state, operator, reference, in_band), jnp.where(in_band, feedforward + pi_output, pd_output)

@@ -1,4 +1,4 @@
-"""Estimators of what a rig does not measure, or measures badly.
+"""Estimators of states that a rig does not measure, or measures with much noise or lag.
 
 - ``ThermalObserver``: the temperature of a wire from its electrical power, corrected by a thermocouple (Luenberger
   observer).

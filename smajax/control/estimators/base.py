@@ -1,46 +1,43 @@
-"""Interfaces of the estimators of what a rig does not measure."""
+"""Interfaces of the estimators of states that a rig does not measure."""
 
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.channels import numbered
 
 
 class AbstractTemperatureEstimator(eqx.Module):
-    """Base class of the estimators of the wires' temperatures, by which a temperature limiter goes.
+    """Base class of the estimators of the wires' temperatures, which a temperature limiter uses.
 
     At each sample ``update`` takes the measured channels, then ``apply_command`` the commands until the next sample.
     """
 
-    def init(self, measured: dict[str, jax.Array]) -> Any:
-        """Return the state at rest.
-
-        Args:
-            measured: Channels at the first sample by name, scalars.
-        """
+    def init(self, measured: dict[str, Float[Array, ""]]) -> Any:
+        """Return the state at rest, from the measured channels at the first sample by name."""
         raise NotImplementedError
 
-    def update(self, state: Any, measured: dict[str, jax.Array]) -> tuple[Any, jax.Array]:
+    def update(self, state: Any, measured: dict[str, Float[Array, ""]]) -> tuple[Any, Float[Array, " wires"]]:
         """Take the measurements of one sample.
 
         Args:
             state: State after the previous sample and its commands.
-            measured: Channels at this sample by name, scalars.
+            measured: Measured channels at this sample by name; NaN: not measured.
 
         Returns:
-            The state at this sample, and the estimated temperatures in degC, shape ``(wires,)``.
+            The state at this sample, and the estimated temperatures of the wires, degC.
         """
         raise NotImplementedError
 
-    def apply_command(self, state: Any, command: jax.Array) -> Any:
+    def apply_command(self, state: Any, command: Float[Array, " wires"]) -> Any:
         """Return the state with the commands until the next sample.
 
         Args:
             state: State at this sample.
-            command: Commands of the wires, shape ``(wires,)``.
+            command: Commands of the wires, in the unit of the drive.
         """
         raise NotImplementedError
 
@@ -48,16 +45,24 @@ class AbstractTemperatureEstimator(eqx.Module):
 class AbstractFilter(AbstractTemperatureEstimator):
     """Base class of the filters of the whole plant, whose estimate of a channel a controller may use."""
 
-    def estimated_channel(self, state: Any, channel: str) -> jax.Array:
-        """Return the estimate of a channel at this sample, a scalar."""
+    def estimated_channel(self, state: Any, channel: str) -> Float[Array, ""]:
+        """Return the estimate of a channel at this sample.
+
+        Args:
+            state: State of the filter at this sample.
+            channel: Name of the channel.
+        """
         raise NotImplementedError
 
 
 class Estimate(NamedTuple):
     """Estimate of the whole plant at a sample.
 
-    ``mean`` and ``standard_deviation`` are of the channels by name, scalars; ``martensite`` is the fraction of each
-    wire, shape ``(wires,)``, with its standard deviation.
+    Attributes:
+        mean: Means of the channels by name, scalars in internal units.
+        standard_deviation: Standard deviations of the channels by name, scalars in internal units.
+        martensite: Mean martensite fraction of each wire, shape ``(wires,)``.
+        martensite_standard_deviation: Standard deviation of these fractions, shape ``(wires,)``.
     """
 
     mean: dict[str, jax.Array]
@@ -66,6 +71,11 @@ class Estimate(NamedTuple):
     martensite_standard_deviation: jax.Array
 
 
-def per_wire(channels: dict[str, jax.Array], name: str) -> jax.Array:
-    """Return a channel of all wires, shape ``(wires,)``."""
+def per_wire(channels: dict[str, Float[Array, ""]], name: str) -> Float[Array, " wires"]:
+    """Return a channel of all wires as one array.
+
+    Args:
+        channels: Channels by name.
+        name: Name of the channel without the number of a wire, such as ``temperature``.
+    """
     return jnp.stack([channels[n] for n in numbered(name, 1 if name in channels else 2)])

@@ -1,17 +1,25 @@
 """Ensemble Kalman filter on the plant: the state of a rig, and unknown parameters, from what it measures.
 
-``members`` plants, which differ in the unknown parameters of the rig (its convection, its ambient temperature), are
-simulated under the same commands. At each sample their readings are compared with the measurements, and each state is
-corrected along the covariances of the ensemble (square-root filter, one measurement after another). In a hysteresis the
-next kelvin may transform nothing and the fifth one everything; members on both sides represent both.
-``ExtendedKalmanFilter`` linearises the plant at one state, and represents the other branch only by a process noise of
-the fractions.
+N plants, the members, differ in the unknown parameters of the rig (such as its convection and its ambient temperature)
+and are simulated under the same commands. At each sample, the measurements correct the members one after another
+(square-root filter). With the mean x of the members' numbers, their anomalies X (one row per member, column X_y for the
+measured number) and the variance r of the measurement's noise,
 
-The channels of the drive are measurements, too: under a current, the voltage gives the resistance, and that the phase
-fractions. A thermocouple follows its wire with a first-order lag, and its temperature is estimated with the rest.
-Unknown parameters vary within their standard deviation: for the ambient temperature that is noise of the heat balance.
-Relaxation to the prior spread keeps the ensemble from becoming overconfident, since it has fewer members than there are
-sources of error.
+    P_yy = X_y^T X_y / (N - 1)     K = X^T X_y / (N - 1) / (P_yy + r)
+    x <- x + K (y - x_y)           X <- X - X_y K^T / (1 + sqrt(r / (P_yy + r)))
+
+The innovation y - x_y is clipped to ``innovation_limit`` standard deviations. After all measurements, the anomalies are
+inflated by 1 + a (s_prior / s - 1), with ``relaxation`` a and the standard deviations s_prior and s of the members
+before and after the correction: relaxation to the prior spread keeps the ensemble from becoming overconfident, since it
+has fewer members than there are sources of error.
+
+At a knee of the hysteresis a small change of temperature transforms nothing or much, and members on both sides
+represent both cases. ``ExtendedKalmanFilter`` linearises the plant at one state, and represents the other branch only
+by a process noise of the fractions.
+
+The channels of the drive are measurements, too: under a known current, the voltage gives the resistance, and the
+resistance the phase fractions. A thermocouple follows its wire with a first-order lag, and its temperature is estimated
+as well. The unknown parameters vary in time within their standard deviations.
 
 Source: whitaker2002 (square-root filter); whitaker2012 (relaxation to the prior spread).
 """
@@ -22,6 +30,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax import parameters
 from smajax.channels import numbered
@@ -33,13 +42,27 @@ from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
 from smajax.plant.materials.base import Fractions
 
+# Defaults, chosen by trial; tests/unit/control/test_ensemble_kalman_filter.py holds that the intervals have their
+# coverage with them.
+# Correlation time of the unknown parameters, s.
+_CORRELATION_TIME = 30.0
+# Relaxation of the spread towards that before the measurements.
+_RELAXATION = 0.5
+# Innovation in standard deviations at which it is clipped.
+_INNOVATION_LIMIT = 2.0
+# Number of members.
+_MEMBERS = 32
+
 
 class Ensemble(NamedTuple):
     """State of the filter.
 
-    ``states`` of the plant, ``thermocouples`` in degC, shape ``(members, wires)``, and unknown ``parameters``, shape
-    ``(members, p)``, of the members; ``command`` since the last sample, shape ``(wires,)``, and the ``count`` of
-    samples so far.
+    Attributes:
+        states: States of the members' plants, leaves with a leading axis of members.
+        thermocouples: Temperatures of the thermocouples, shape ``(members, wires)``, degC.
+        parameters: Unknown parameters, shape ``(members, p)``, internal units.
+        command: Commands since the last sample, shape ``(wires,)``.
+        count: Number of samples so far.
     """
 
     states: Any
@@ -50,23 +73,35 @@ class Ensemble(NamedTuple):
 
 
 class EnsembleKalmanFilter(AbstractFilter):
-    """Ensemble Kalman filter, sampled at the period of ``system``, the nominal plant.
+    """Ensemble Kalman filter on the plant.
 
-    ``noise`` are standard deviations of the measured channels by name (infinite: not measured); ``temperature`` is that
-    of the thermocouple, which follows with ``lag``. ``parameter_deviations`` are standard deviations of named
-    parameters about those of the plant.
+    Attributes:
+        system: Nominal plant, sampled at the period of the filter.
+        noise: Standard deviations of the measured channels by kind, scalars in internal units (infinite: not measured);
+            ``temperature`` is that of the thermocouples.
+        parameter_deviations: Standard deviations of the unknown parameters about those of ``system`` by name.
+        lag: Time constant of the thermocouples, s.
+        correlation_time: Correlation time of the unknown parameters, s.
+        relaxation: Relaxation of the spread towards that before the measurements, 0 to 1.
+        innovation_limit: Innovation in standard deviations at which it is clipped.
+        members: Number N of members.
+        seed: Seed of the random numbers.
     """
 
     system: SampledPlant
     noise: dict[str, jax.Array]
     parameter_deviations: dict[str, jax.Array]
     lag: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, default=0.0)
-    correlation_time: jax.Array = parameter("s", "correlation time of the unknown parameters", 0.0, default=30.0)
-    relaxation: jax.Array = parameter("1", "relaxation of the spread towards that before a measurement", 0.0, 1.0, 0.5)
-    innovation_limit: jax.Array = parameter(
-        "1", "innovation in standard deviations at which it is clipped", 0.0, default=2.0
+    correlation_time: jax.Array = parameter(
+        "s", "correlation time of the unknown parameters", 0.0, default=_CORRELATION_TIME
     )
-    members: int = eqx.field(static=True, default=32)
+    relaxation: jax.Array = parameter(
+        "1", "relaxation of the spread towards that before a measurement", 0.0, 1.0, _RELAXATION
+    )
+    innovation_limit: jax.Array = parameter(
+        "1", "innovation in standard deviations at which it is clipped", 0.0, default=_INNOVATION_LIMIT
+    )
+    members: int = eqx.field(static=True, default=_MEMBERS)
     seed: int = eqx.field(static=True, default=0)
 
     def reset(self) -> Ensemble:
@@ -78,12 +113,15 @@ class EnsembleKalmanFilter(AbstractFilter):
         states = jax.vmap(lambda values: self._with_parameters(values).start())(values)
         return Ensemble(states, states[0].temperature, values, jnp.zeros(self.system.wires), jnp.asarray(0))
 
-    def step(self, ensemble: Ensemble, measured: Mapping[str, jax.Array]) -> Ensemble:
+    def step(self, ensemble: Ensemble, measured: Mapping[str, Float[Array, ""]]) -> Ensemble:
         """Predict over one period under the last commands, then correct by the measurements.
 
         Args:
             ensemble: State after the previous sample.
-            measured: Channels of ``noise`` at this sample, scalars by name; NaN: not measured.
+            measured: Channels of ``noise`` at this sample by name; NaN: not measured.
+
+        Returns:
+            The state at this sample.
         """
         predicted = self._predict(ensemble)
         readings = jax.vmap(self._exact_readings, in_axes=(0, 0, 0, None))(
@@ -101,9 +139,9 @@ class EnsembleKalmanFilter(AbstractFilter):
         anomalies = members - mean[None]
         prior = _standard_deviation(anomalies)
         for k, name in enumerate(names):
-            at = members.shape[1] - len(names) + k
+            index = members.shape[1] - len(names) + k
             noise = self.noise[_kind(name, self.noise)] ** 2
-            mean, anomalies = self._correct(mean, anomalies, at, noise, measured[name])
+            mean, anomalies = self._correct(mean, anomalies, index, noise, measured[name])
         posterior = _standard_deviation(anomalies)
         inflation = 1.0 + self.relaxation * (prior / jnp.where(posterior > 0.0, posterior, 1.0) - 1.0) * (
             posterior > 0.0
@@ -111,42 +149,51 @@ class EnsembleKalmanFilter(AbstractFilter):
         return self._with_numbers(predicted, mean[None] + anomalies * inflation[None])
 
     def _correct(
-        self, mean: jax.Array, anomalies: jax.Array, at: int, noise: jax.Array, measured: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Correct by a measurement of the number at place ``at``, with variance ``noise``."""
-        variance = jnp.mean(anomalies[:, at] ** 2) * self.members / (self.members - 1)
+        self,
+        mean: Float[Array, " n"],
+        anomalies: Float[Array, "members n"],
+        index: int,
+        noise: Float[Array, ""],
+        measured: Float[Array, ""],
+    ) -> tuple[Float[Array, " n"], Float[Array, "members n"]]:
+        """Correct by a measurement of the number at ``index`` with variance ``noise``."""
+        measured_anomalies = anomalies[:, index]
+        variance = jnp.mean(measured_anomalies**2) * self.members / (self.members - 1)
         valid = jnp.isfinite(measured)
-        gain = jnp.where(valid, anomalies[:, at] @ anomalies / (self.members - 1) / (variance + noise), 0.0)
+        gain = jnp.where(valid, measured_anomalies @ anomalies / (self.members - 1) / (variance + noise), 0.0)
         limit = self.innovation_limit * jnp.sqrt(variance + noise)
-        mean = mean + gain * clip(jnp.where(valid, measured, mean[at]) - mean[at], -limit, limit)
-        anomalies = anomalies - jnp.outer(anomalies[:, at], gain) / (1.0 + jnp.sqrt(1.0 / (1.0 + variance / noise)))
-        return mean, anomalies
+        mean = mean + gain * clip(jnp.where(valid, measured, mean[index]) - mean[index], -limit, limit)
+        # sqrt(r / (P_yy + r)), which is 1 for an infinite r.
+        noise_share = jnp.sqrt(1.0 / (1.0 + variance / noise))
+        return mean, anomalies - jnp.outer(measured_anomalies, gain) / (1.0 + noise_share)
 
     def estimate(self, ensemble: Ensemble) -> Estimate:
         """Return means and standard deviations of the channels and martensite fractions over the members."""
 
-        def member(state: Any, values: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        def member(
+            state: Any, values: Float[Array, " p"]
+        ) -> tuple[dict[str, Float[Array, ""]], Float[Array, " wires"]]:
             return self._with_parameters(values).observe(state, ensemble.command), state[0].fractions.martensite
 
         channels, martensite = jax.vmap(member)(ensemble.states, ensemble.parameters)
         mean, deviation = ({n: f(v, axis=0) for n, v in channels.items()} for f in (jnp.mean, _sample_deviation))
         return Estimate(mean, deviation, jnp.mean(martensite, axis=0), _sample_deviation(martensite, axis=0))
 
-    def init(self, measured: dict[str, jax.Array]) -> Ensemble:
+    def init(self, measured: dict[str, Float[Array, ""]]) -> Ensemble:
         """Return the ensemble at rest; the first measurements are not used."""
         return self.reset()
 
-    def update(self, state: Ensemble, measured: dict[str, jax.Array]) -> tuple[Ensemble, jax.Array]:
-        """Take one sample; returns the ensemble and the mean temperatures in degC, shape ``(wires,)``."""
+    def update(self, state: Ensemble, measured: dict[str, Float[Array, ""]]) -> tuple[Ensemble, Float[Array, " wires"]]:
+        """Predict and correct; return the ensemble and the mean temperatures of the wires in degC."""
         ensemble = self.step(state, measured)
         return ensemble, jnp.mean(ensemble.states[0].temperature, axis=0)
 
-    def apply_command(self, state: Ensemble, command: jax.Array) -> Ensemble:
+    def apply_command(self, state: Ensemble, command: Float[Array, " wires"]) -> Ensemble:
         """Return the ensemble with the commands until the next sample."""
         return state._replace(command=command)
 
-    def estimated_channel(self, state: Ensemble, channel: str) -> jax.Array:
-        """Return the members' mean of a channel, a scalar."""
+    def estimated_channel(self, state: Ensemble, channel: str) -> Float[Array, ""]:
+        """Return the mean of a channel over the members."""
         members = jax.vmap(lambda member, values: self._with_parameters(values).observe(member, state.command)[channel])
         return jnp.mean(members(state.states, state.parameters))
 
@@ -154,18 +201,18 @@ class EnsembleKalmanFilter(AbstractFilter):
     def _parameter_names(self) -> list[str]:
         return sorted(self.parameter_deviations)  # the order in which a compiled function sees a dictionary
 
-    def _nominal_parameters(self) -> jax.Array:
+    def _nominal_parameters(self) -> Float[Array, " p"]:
         return jnp.stack([parameters.get(self.system.plant, n) for n in self._parameter_names])
 
-    def _parameter_deviations(self) -> jax.Array:
+    def _parameter_deviations(self) -> Float[Array, " p"]:
         return jnp.stack([self.parameter_deviations[n] for n in self._parameter_names])
 
-    def _clip_parameters(self, values: jax.Array) -> jax.Array:
-        """A member's parameters within their bounds, shape ``(p,)``."""
+    def _clip_parameters(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The parameters of a member within their bounds."""
         declared = [parameters.declaration(self.system.plant, n) for n in self._parameter_names]
         return clip(values, jnp.asarray([d.lower for d in declared]), jnp.asarray([d.upper for d in declared]))
 
-    def _with_parameters(self, values: jax.Array) -> SampledPlant:
+    def _with_parameters(self, values: Float[Array, " p"]) -> SampledPlant:
         return _with_parameters(self.system, tuple(self._parameter_names), values)
 
     def _channel_names(self, channel: str) -> tuple[str, ...]:
@@ -175,11 +222,11 @@ class EnsembleKalmanFilter(AbstractFilter):
         return numbered(channel, self.system.wires)
 
     def _predict(self, ensemble: Ensemble) -> Ensemble:
-        """One period without measurements."""
+        """Prediction over one period; the parameters decay to the nominal ones and get noise."""
         decay, nominal = jnp.exp(-self.system.period / self.correlation_time), self._nominal_parameters()
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(self.seed), ensemble.count), 0)
 
-        def next_parameters(values: jax.Array, draw: jax.Array) -> jax.Array:
+        def next_parameters(values: Float[Array, " p"], draw: Float[Array, " p"]) -> Float[Array, " p"]:
             return self._clip_parameters(
                 nominal + decay * (values - nominal) + jnp.sqrt(1.0 - decay**2) * self._parameter_deviations() * draw
             )
@@ -193,14 +240,18 @@ class EnsembleKalmanFilter(AbstractFilter):
         return Ensemble(states, thermocouples, values, ensemble.command, ensemble.count + 1)
 
     def _exact_readings(
-        self, state: Any, thermocouples: jax.Array, values: jax.Array, command: jax.Array
-    ) -> dict[str, jax.Array]:
-        """The channels of a member as its instruments would show them without noise."""
+        self,
+        state: Any,
+        thermocouples: Float[Array, " wires"],
+        values: Float[Array, " p"],
+        command: Float[Array, " wires"],
+    ) -> dict[str, Float[Array, ""]]:
+        """Readings of a member's instruments without noise, and its other channels."""
         readings = dict(zip(self._channel_names("temperature"), thermocouples, strict=True))
         return self._with_parameters(values).observe(state, command) | readings
 
-    def _with_numbers(self, ensemble: Ensemble, members: jax.Array) -> Ensemble:
-        """The ensemble with other temperatures, fractions (clipped to 0 and 1), thermocouples and parameters."""
+    def _with_numbers(self, ensemble: Ensemble, members: Float[Array, "members n"]) -> Ensemble:
+        """The ensemble with other temperatures, fractions (clipped to 0 .. 1), thermocouples and parameters."""
         wires, (state, time) = self.system.wires, ensemble.states
         temperature, detwinned, twinned, thermocouples = (members[:, i * wires : (i + 1) * wires] for i in range(4))
         detwinned = clip(detwinned, 0.0, 1.0)
@@ -218,7 +269,7 @@ def _with_parameters(system: SampledPlant, names: tuple[str, ...], values: jax.A
 def _step_members(
     system: SampledPlant, names: tuple[str, ...], states: Any, values: jax.Array, command: jax.Array
 ) -> Any:
-    """The members' states a period later; its derivative reuses the step solutions, as that of a rollout does."""
+    """The members' states a period later; the derivative reuses the step solutions, as that of a rollout does."""
     return jax.vmap(lambda state, v: _with_parameters(system, names, v).step(state, command)[0])(states, values)
 
 
@@ -254,8 +305,8 @@ def _kind(name: str, kinds: Mapping[str, Any]) -> str:
     return name if name in kinds else name.rpartition("_")[0]
 
 
-def _standard_deviation(anomalies: jax.Array) -> jax.Array:
-    """Standard deviations, shape ``(n,)``; where all members agree it is 0, with the derivative 0."""
+def _standard_deviation(anomalies: Float[Array, "members n"]) -> Float[Array, " n"]:
+    """Standard deviations of the columns; where all members are equal, value and derivative are 0."""
     squares = jnp.sum(anomalies**2, axis=0) / (anomalies.shape[0] - 1)
     return jnp.where(squares > 0.0, jnp.sqrt(jnp.where(squares > 0.0, squares, 1.0)), 0.0)
 

@@ -1,28 +1,31 @@
 """Extended Kalman filter on the plant: the state of a rig, and unknown parameters, from what its instruments measure.
 
-One plant is simulated under the same commands as the rig, with a covariance P of its error. Over a period
+One plant with the mean state x is simulated under the same commands as the rig, with a covariance P of the error of x.
 
-    x' = f(x, command)      P' = F (P + Q) F^T       F = df/dx, by forward mode through the plant's steps at their
-    solutions
+Prediction over a period, with F by forward-mode differentiation through the plant's steps at their solutions:
 
-and each measurement y corrects both (one after another, since their noises are independent), in Joseph's form, which
-keeps P symmetric and positive semidefinite in spite of rounding:
+    x- = f(x, command)     P- = F (P + Q) F^T     F = df/dx
 
-    K = P h / (h^T P h + r)     x += K (y - h^T x)     P = (1 - K h^T) P (1 - K h^T)^T + r K K^T
+Correction by each measurement y = h^T x + v with variance r of v, one after another, since their noises are
+independent. Joseph's form keeps P symmetric and positive semidefinite in spite of rounding:
 
-r grows where the innovation exceeds ``huber_threshold`` standard deviations (Huber's weight), so that no single
-measurement moves x to another branch. x holds the plant's integrator state (temperatures, fractions, stresses, unknowns
-and motion of the mechanism), the temperatures of the thermocouples, the unknown parameters, and the exact readings of
-the instruments now and at the last samples, as far back as the longest delay. So a delayed measurement corrects the
-present state by its covariance with the reading then, and h picks one number. Quantisation counts as noise, quantum^2 /
-12.
+    K = P- h / (h^T P- h + r)     x = x- + K (y - h^T x-)     P = (1 - K h^T) P- (1 - K h^T)^T + r K K^T
 
-The memories of effects (the points at which a branch began, the presliding state of friction, durations) are carried by
-the mean and are not in P: they are reset at a reversal, so that their derivative jumps between 0 and 1 with the branch
-of the mean, and a correction along it could put such a point where no history leads. The phase fractions need no such
-points (see ``smajax.plant.materials.brinson``) and are in P. But the mean is on one branch: that the wire may be on
-another one enters P only by the process noise of the fraction. ``EnsembleKalmanFilter`` has members on both branches,
-at the cost of as many plants.
+Where the innovation y - h^T x- exceeds ``huber_threshold`` standard deviations, r is increased (Huber's weight), so
+that no single measurement moves x to another branch of the hysteresis. Quantisation counts as noise with variance
+quantum^2 / 12.
+
+The vector x contains the plant's integrator state (temperatures, fractions, stresses, unknowns and motion of the
+mechanism), the temperatures of the thermocouples, the unknown parameters, and the exact readings of the instruments at
+this sample and at earlier ones, back to the longest delay. A delayed measurement thus corrects the present state by its
+covariance with the earlier reading, and h is a unit vector.
+
+The memories of effects (the points at which a branch began, the presliding state of friction, durations) are states of
+the mean that are not in P. They are reset at a reversal, so that their derivative jumps between 0 and 1 with the branch
+of the mean, and a correction could set such a point to a value that no history reaches. The phase fractions need no
+such points (see ``smajax.plant.materials.brinson``) and are in P. The mean is on one branch of the hysteresis: that the
+wire may be on another one is represented only by the process noise of the fraction. ``EnsembleKalmanFilter`` has
+members on both branches, at the cost of as many simulations as members.
 
 Source: kalman1960; bucy1968 (Joseph's form); huber1964 (weight of outliers).
 """
@@ -34,6 +37,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from smajax import parameters
 from smajax.channels import channel_of
@@ -44,13 +48,29 @@ from smajax.numerics.nonsmooth import clip, maximum
 from smajax.parameters import parameter
 from smajax.plant.materials.base import Fractions
 
+# Defaults, chosen by trial; tests/unit/control/test_extended_kalman_filter.py holds that the intervals have their
+# coverage with them.
+# Correlation time of the unknown parameters, s.
+_CORRELATION_TIME = 30.0
+# Innovation in standard deviations beyond which a measurement counts as noisier.
+_HUBER_THRESHOLD = 1.0
+# Standard deviation of the random walk of the temperatures in one second, K.
+_TEMPERATURE_PROCESS_NOISE = 2.0
+# Standard deviation of the random walk of the detwinned fractions in one second.
+_FRACTION_PROCESS_NOISE = 0.1
+
 
 class KalmanState(NamedTuple):
     """State of the filter.
 
-    Means: ``state`` of the plant, ``thermocouples`` by channel (degC), unknown ``parameters``, shape ``(p,)``, and
-    exact ``readings`` of the instruments, newest first, shape ``(longest delay + 1, instruments)``. ``covariance`` is
-    that of all these numbers in that order. ``command`` are the commands since the last sample, shape ``(wires,)``.
+    Attributes:
+        state: Mean of the plant's state.
+        thermocouples: Means of the temperatures of the thermocouples by channel, scalars, degC.
+        parameters: Means of the unknown parameters, shape ``(p,)``, internal units.
+        readings: Means of the exact readings of the instruments, newest first, shape
+            ``(longest delay + 1, instruments)``.
+        covariance: Covariance of the estimated numbers of these four, in this order, shape ``(n, n)``.
+        command: Commands since the last sample, shape ``(wires,)``.
     """
 
     state: Any
@@ -62,13 +82,17 @@ class KalmanState(NamedTuple):
 
 
 class ExtendedKalmanFilter(AbstractFilter):
-    """Extended Kalman filter, sampled at the period of ``system``, the nominal plant.
+    """Extended Kalman filter on the plant; all numbers are differentiable leaves.
 
-    ``instruments`` are the measurements by kind of channel: noise, quantisation and delay of each, and the lag of the
-    thermocouples. ``parameter_deviations`` are standard deviations of named parameters about those of the plant, within
-    which they vary with ``correlation_time``. ``initial_deviation`` and ``process_noise`` have the structure of the
-    plant's state: standard deviations of its numbers at the start, and of their random walk in one second, in their
-    unit per root second; see ``of``. All are differentiable leaves.
+    Attributes:
+        system: Nominal plant, sampled at the period of the filter.
+        instruments: Measurements by kind of channel: noise, quantisation and delay, and the lag of the thermocouples.
+        parameter_deviations: Standard deviations of the unknown parameters about those of ``system`` by name.
+        initial_deviation: Standard deviations of the plant's state at the start, in the structure of that state.
+        process_noise: Standard deviations of the random walk of the plant's state in one second, in the structure of
+            that state, in its units per root second.
+        correlation_time: Correlation time of the unknown parameters, s.
+        huber_threshold: Innovation in standard deviations beyond which a measurement counts as noisier.
     """
 
     system: AbstractSampledSystem
@@ -76,9 +100,14 @@ class ExtendedKalmanFilter(AbstractFilter):
     parameter_deviations: dict[str, jax.Array]
     initial_deviation: Any
     process_noise: Any
-    correlation_time: jax.Array = parameter("s", "correlation time of the unknown parameters", 0.0, default=30.0)
+    correlation_time: jax.Array = parameter(
+        "s", "correlation time of the unknown parameters", 0.0, default=_CORRELATION_TIME
+    )
     huber_threshold: jax.Array = parameter(
-        "1", "innovation in standard deviations beyond which a measurement counts as noisier", 0.0, default=1.0
+        "1",
+        "innovation in standard deviations beyond which a measurement counts as noisier",
+        0.0,
+        default=_HUBER_THRESHOLD,
     )
 
     @classmethod
@@ -89,28 +118,30 @@ class ExtendedKalmanFilter(AbstractFilter):
         parameter_deviations: Mapping[str, Any],
         *,
         initial_temperature_deviation: Any = 0.0,
-        temperature_process_noise: Any = 2.0,
-        fraction_process_noise: Any = 0.1,
+        temperature_process_noise: Any = _TEMPERATURE_PROCESS_NOISE,
+        fraction_process_noise: Any = _FRACTION_PROCESS_NOISE,
     ) -> "ExtendedKalmanFilter":
-        """Build the filter of a rig's wires.
+        """Build the filter from standard deviations of temperatures, fractions and parameters.
 
-        Both process noises stand for what the filter does not represent on its one branch. With the defaults the
-        intervals hold for wires whose convection and ambient temperature differ from the plant's; without a process
-        noise of the fraction the filter takes its branch for certain and diverges
-        (``tests/unit/control/test_extended_kalman_filter.py`` has both).
+        Both process noises represent the other branches of the hysteresis. With the defaults the intervals have their
+        coverage for wires whose convection and ambient temperature differ from the plant's; without a process noise of
+        the fraction the filter is overconfident and diverges (``tests/unit/control/test_extended_kalman_filter.py``
+        has both).
 
         Args:
             system: The nominal plant.
-            instruments: What is measured.
-            parameter_deviations: Standard deviations of unknown parameters by name.
+            instruments: Sensors of the measured channels.
+            parameter_deviations: Standard deviations of the unknown parameters by name, scalars in internal units.
             initial_temperature_deviation: Standard deviation of the temperatures at the start, K, in addition to that
                 of the surroundings; a scalar, or shape ``(wires,)``.
-            temperature_process_noise: Standard deviation of the temperatures' random walk in one second, K.
-            fraction_process_noise: Standard deviation of the random walk of the detwinned fractions in one second.
+            temperature_process_noise: Standard deviation of the random walk of the temperatures in one second, K; a
+                scalar, or shape ``(wires,)``.
+            fraction_process_noise: Standard deviation of the random walk of the detwinned fractions in one second; a
+                scalar, or shape ``(wires,)``.
         """
         zeros, time = jax.tree.map(jnp.zeros_like, system.start())
 
-        def wires(value: Any) -> jax.Array:
+        def wires(value: Any) -> Float[Array, " wires"]:
             return jnp.broadcast_to(jnp.asarray(value, jnp.float64), (system.wires,))
 
         process_noise = zeros._replace(
@@ -126,7 +157,9 @@ class ExtendedKalmanFilter(AbstractFilter):
         nominal, no_command = self._nominal_parameters(), jnp.zeros(self.system.wires)
         deviations, _ = self._estimated_numbers(self.initial_deviation)
 
-        def initial_numbers(error: jax.Array, values: jax.Array) -> tuple[jax.Array, KalmanState]:
+        def initial_numbers(
+            error: Float[Array, " k"], values: Float[Array, " p"]
+        ) -> tuple[Float[Array, " n"], KalmanState]:
             system = self._with_parameters(values)
             numbers, to_state = self._estimated_numbers(system.start())
             state = to_state(numbers + error)
@@ -137,90 +170,105 @@ class ExtendedKalmanFilter(AbstractFilter):
             first = KalmanState(state, thermocouples, values, readings, jnp.zeros(()), no_command)
             return jnp.concatenate([self._core(first)[0], jnp.ravel(readings)]), first
 
-        slopes, first = jax.jacfwd(initial_numbers, argnums=(0, 1), has_aux=True)(jnp.zeros_like(deviations), nominal)
-        root = jnp.concatenate(slopes, axis=1) * jnp.concatenate([deviations, self._parameter_deviations()])[None]
+        jacobians, first = jax.jacfwd(initial_numbers, argnums=(0, 1), has_aux=True)(
+            jnp.zeros_like(deviations), nominal
+        )
+        root = jnp.concatenate(jacobians, axis=1) * jnp.concatenate([deviations, self._parameter_deviations()])[None]
         return first._replace(covariance=root @ root.T)
 
-    def step(self, filter_state: KalmanState, measured: Mapping[str, jax.Array]) -> KalmanState:
+    def step(self, filter_state: KalmanState, measured: Mapping[str, Float[Array, ""]]) -> KalmanState:
         """Predict over one period under the last commands, then correct by the measurements.
 
         Args:
             filter_state: State after the previous sample.
-            measured: Channels of the instruments at this sample, scalars by name; NaN: not measured.
+            measured: Channels of the instruments at this sample by name; NaN: not measured.
+
+        Returns:
+            The state at this sample.
         """
         predicted = self._predict(filter_state)
         core, split = self._core(predicted)
         mean, covariance = jnp.concatenate([core, jnp.ravel(predicted.readings)]), predicted.covariance
         for k, name in enumerate(self._channels):
             sensor = self.instruments.sensors[str(channel_of(name))]
-            at = len(core) + sensor.delay * len(self._channels) + k
+            index = len(core) + sensor.delay * len(self._channels) + k
+            # A uniform error of one quantum has the variance quantum^2 / 12.
             noise = sensor.noise**2 + sensor.quantum**2 / 12.0
-            mean, covariance = self._correct(mean, covariance, at, noise, measured[name])
+            mean, covariance = self._correct(mean, covariance, index, noise, measured[name])
         state, thermocouples, values = split(mean[: len(core)])
-        state, values = self._clipped(state, values)
+        state, values = self._clip_to_bounds(state, values)
         readings = mean[len(core) :].reshape(predicted.readings.shape)
         return KalmanState(state, thermocouples, values, readings, covariance, predicted.command)
 
     def _correct(
-        self, mean: jax.Array, covariance: jax.Array, at: int, noise: jax.Array, measured: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Correct by a measurement of the number at ``at``, variance ``noise`` (Joseph's form, Huber's weight)."""
-        variance = covariance[at, at]
+        self,
+        mean: Float[Array, " n"],
+        covariance: Float[Array, "n n"],
+        index: int,
+        noise: Float[Array, ""],
+        measured: Float[Array, ""],
+    ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
+        """Correct by a measurement of the number at ``index`` with variance ``noise`` (Joseph, Huber)."""
+        variance = covariance[index, index]  # h^T P h
         valid = jnp.isfinite(measured) & (variance + noise > 0.0)
-        innovation = jnp.where(valid, measured, mean[at]) - mean[at]
-        total = jnp.where(valid, variance + noise, 1.0)
-        total = total * maximum(jnp.abs(innovation) / (self.huber_threshold * jnp.sqrt(total)), 1.0)
-        gain = jnp.where(valid, covariance[at] / total, 0.0)
+        innovation = jnp.where(valid, measured, mean[index]) - mean[index]
+        total_variance = jnp.where(valid, variance + noise, 1.0)  # h^T P h + r
+        deviations = jnp.abs(innovation) / (self.huber_threshold * jnp.sqrt(total_variance))
+        total_variance = total_variance * maximum(deviations, 1.0)
+        gain = jnp.where(valid, covariance[index] / total_variance, 0.0)
         mean = mean + gain * innovation
-        reduced = covariance - jnp.outer(gain, covariance[at])
-        covariance = reduced - jnp.outer(reduced[:, at], gain) + (total - variance) * jnp.outer(gain, gain)
+        reduced = covariance - jnp.outer(gain, covariance[index])  # (1 - K h^T) P
+        increased_noise = total_variance - variance
+        covariance = reduced - jnp.outer(reduced[:, index], gain) + increased_noise * jnp.outer(gain, gain)
         return mean, 0.5 * (covariance + covariance.T)
 
     def estimate(self, filter_state: KalmanState) -> Estimate:
         """Return means and standard deviations of all channels and of the martensite fractions at a sample."""
         core, split = self._core(filter_state)
 
-        def estimated(core: jax.Array) -> tuple[jax.Array, tuple]:
+        def channels_and_fractions(core: Float[Array, " core"]) -> tuple[Float[Array, " numbers"], tuple]:
             state, _, values = split(core)
             martensite = state[0].fractions.martensite if isinstance(self.system, SampledPlant) else jnp.zeros(0)
             both = self._with_parameters(values).observe(state, filter_state.command), martensite
             return ravel_pytree(both)[0], both
 
-        slope, (mean, martensite) = jax.jacfwd(estimated, has_aux=True)(core)
-        variance = jnp.sum((slope @ filter_state.covariance[: len(core), : len(core)]) * slope, axis=1)
+        jacobian, (mean, martensite) = jax.jacfwd(channels_and_fractions, has_aux=True)(core)
+        variance = jnp.sum((jacobian @ filter_state.covariance[: len(core), : len(core)]) * jacobian, axis=1)
         positive = variance > 0.0
         deviations = jnp.where(positive, jnp.sqrt(jnp.where(positive, variance, 1.0)), 0.0)
         mean_deviation, martensite_deviation = ravel_pytree((mean, martensite))[1](deviations)
         return Estimate(mean, mean_deviation, martensite, martensite_deviation)
 
-    def init(self, measured: dict[str, jax.Array]) -> KalmanState:
+    def init(self, measured: dict[str, Float[Array, ""]]) -> KalmanState:
         """Return the state at rest; the first measurements are not used."""
         return self.reset()
 
-    def update(self, state: KalmanState, measured: dict[str, jax.Array]) -> tuple[KalmanState, jax.Array]:
-        """Take one sample; returns the state and the estimated temperatures in degC, shape ``(wires,)``."""
+    def update(
+        self, state: KalmanState, measured: dict[str, Float[Array, ""]]
+    ) -> tuple[KalmanState, Float[Array, " wires"]]:
+        """Predict and correct; return the state and the mean temperatures of the wires in degC."""
         filter_state = self.step(state, measured)
         return filter_state, filter_state.state[0].temperature
 
-    def apply_command(self, state: KalmanState, command: jax.Array) -> KalmanState:
+    def apply_command(self, state: KalmanState, command: Float[Array, " wires"]) -> KalmanState:
         """Return the state with the commands until the next sample."""
         return state._replace(command=command)
 
-    def estimated_channel(self, state: KalmanState, channel: str) -> jax.Array:
-        """Return a channel of the mean, a scalar."""
+    def estimated_channel(self, state: KalmanState, channel: str) -> Float[Array, ""]:
+        """Return a channel of the plant in its mean state."""
         return self._with_parameters(state.parameters).observe(state.state, state.command)[channel]
 
-    def linearise(self, filter_state: KalmanState) -> tuple[jax.Array, KalmanState]:
-        """Linearise one period.
+    def linearise(self, filter_state: KalmanState) -> tuple[Float[Array, "n n"], KalmanState]:
+        """Linearise the prediction over one period about the mean.
 
         Returns:
-            The Jacobian of all estimated numbers after the period by those before it, shape as the covariance, and the
-            means after it.
+            The Jacobian F of all estimated numbers after the period by those before it, and the state with the means
+            after the period.
         """
         decay, nominal = jnp.exp(-self.instruments.period / self.correlation_time), self._nominal_parameters()
         core, split = self._core(filter_state)
 
-        def after_period(core: jax.Array) -> tuple[jax.Array, KalmanState]:
+        def after_period(core: Float[Array, " core"]) -> tuple[Float[Array, " numbers"], KalmanState]:
             state, thermocouples, values = split(core)
             values = nominal + decay * (values - nominal)
             system = self._with_parameters(values)
@@ -235,7 +283,7 @@ class ExtendedKalmanFilter(AbstractFilter):
             later = later._replace(readings=jnp.concatenate([row[None], filter_state.readings[:-1]]))
             return jnp.concatenate([self._core(later)[0], row]), later
 
-        # The steps are solved once, for the mean; how their solutions depend on it is in ``twice_differentiable_step``.
+        # The steps are solved once, at the mean; ``twice_differentiable_step`` differentiates their solutions.
         system, state, command = jax.lax.stop_gradient(
             (
                 self._with_parameters(nominal + decay * (filter_state.parameters - nominal)),
@@ -244,49 +292,51 @@ class ExtendedKalmanFilter(AbstractFilter):
             )
         )
         _, step_solutions, _ = system.step(state, command)
-        slope, later = jax.jacfwd(after_period, has_aux=True)(core)
-        n, size = len(core), len(filter_state.covariance)
-        # The readings move by one row; the oldest is dropped.
-        jacobian = jnp.zeros((size, size)).at[: len(slope), :n].set(slope)
-        return jacobian.at[len(slope) :, n : size - len(self._channels)].set(jnp.eye(size - len(slope))), later
+        core_jacobian, later = jax.jacfwd(after_period, has_aux=True)(core)
+        n, rows, size = len(core), len(core_jacobian), len(filter_state.covariance)
+        # The stored readings move by one row; the oldest row is dropped.
+        jacobian = jnp.zeros((size, size)).at[:rows, :n].set(core_jacobian)
+        return jacobian.at[rows:, n : size - len(self._channels)].set(jnp.eye(size - rows)), later
 
     def _predict(self, filter_state: KalmanState) -> KalmanState:
-        """One period without measurements; the process noise acts at its beginning."""
-        slope, later = self.linearise(filter_state)
+        """Prediction over one period; the process noise acts at its beginning."""
+        jacobian, later = self.linearise(filter_state)
         random_walk = self._estimated_numbers(self.process_noise)[0]
-        # Variance that keeps the parameters' variance stationary after the decay: (1 - decay^2) / decay^2.
-        regained = jnp.expm1(2.0 * self.instruments.period / self.correlation_time)
-        exact = jnp.zeros(len(slope) - len(random_walk) - len(self.parameter_deviations))
+        # Relative noise that keeps the variance of the parameters stationary after the decay: (1 - decay^2) / decay^2.
+        relative_noise = jnp.expm1(2.0 * self.instruments.period / self.correlation_time)
+        no_noise = jnp.zeros(len(jacobian) - len(random_walk) - len(self.parameter_deviations))
         thermocouples = len(later.thermocouples)
         noise = jnp.concatenate(
             [
                 self.instruments.period * random_walk**2,
-                exact[:thermocouples],
-                regained * self._parameter_deviations() ** 2,
-                exact[thermocouples:],
+                no_noise[:thermocouples],
+                relative_noise * self._parameter_deviations() ** 2,
+                no_noise[thermocouples:],
             ]
         )
-        return later._replace(covariance=slope @ (filter_state.covariance + jnp.diag(noise)) @ slope.T)
+        return later._replace(covariance=jacobian @ (filter_state.covariance + jnp.diag(noise)) @ jacobian.T)
 
-    def _estimated_numbers(self, state: Any) -> tuple[jax.Array, Any]:
-        """The estimated numbers of a plant's state, shape ``(k,)``, and the function that makes a state of them."""
+    def _estimated_numbers(self, state: Any) -> tuple[Float[Array, " k"], Any]:
+        """The estimated numbers of a plant's state, and the function that builds a state from them."""
         numbers, rest = eqx.partition(state, self.system.estimated_leaves(state))
         flat, unflatten = ravel_pytree(numbers)
         return flat, lambda flat: eqx.combine(unflatten(flat), rest)
 
-    def _core(self, filter_state: KalmanState) -> tuple[jax.Array, Any]:
-        """All estimated numbers but the readings, and the function that splits them again."""
+    def _core(self, filter_state: KalmanState) -> tuple[Float[Array, " core"], Any]:
+        """All estimated numbers except the readings, and the function that splits them again."""
         numbers, to_state = self._estimated_numbers(filter_state.state)
         flat, unflatten = ravel_pytree((numbers, filter_state.thermocouples, filter_state.parameters))
 
-        def split(flat: jax.Array) -> tuple[Any, dict[str, jax.Array], jax.Array]:
+        def split(flat: Float[Array, " core"]) -> tuple[Any, dict[str, Float[Array, ""]], Float[Array, " p"]]:
             numbers, thermocouples, values = unflatten(flat)
             return to_state(numbers), thermocouples, values
 
         return flat, split
 
-    def _exact_readings(self, channels: dict[str, jax.Array], thermocouples: dict[str, jax.Array]) -> jax.Array:
-        """Readings of the instruments without noise, shape ``(instruments,)``."""
+    def _exact_readings(
+        self, channels: dict[str, Float[Array, ""]], thermocouples: dict[str, Float[Array, ""]]
+    ) -> Float[Array, " instruments"]:
+        """Readings of the instruments without noise."""
         return jnp.stack([thermocouples.get(n, channels[n]) for n in self._channels])
 
     @property
@@ -297,24 +347,25 @@ class ExtendedKalmanFilter(AbstractFilter):
 
     @property
     def _reading_rows(self) -> int:
+        """Number of samples whose readings are stored."""
         return 1 + max(sensor.delay for sensor in self.instruments.sensors.values())
 
     @property
     def _parameter_names(self) -> list[str]:
         return sorted(self.parameter_deviations)  # the order in which a compiled function sees a dictionary
 
-    def _nominal_parameters(self) -> jax.Array:
+    def _nominal_parameters(self) -> Float[Array, " p"]:
         plant = self.system.plant if isinstance(self.system, SampledPlant) else None
         return jnp.asarray([parameters.get(plant, n) for n in self._parameter_names], jnp.float64)
 
-    def _parameter_deviations(self) -> jax.Array:
+    def _parameter_deviations(self) -> Float[Array, " p"]:
         return jnp.asarray([self.parameter_deviations[n] for n in self._parameter_names], jnp.float64)
 
-    def _with_parameters(self, values: jax.Array) -> AbstractSampledSystem:
+    def _with_parameters(self, values: Float[Array, " p"]) -> AbstractSampledSystem:
         return self.system.with_parameters({n: values[i] for i, n in enumerate(self._parameter_names)})
 
-    def _clipped(self, state: Any, values: jax.Array) -> tuple[Any, jax.Array]:
-        """The mean where the equations hold: fractions between 0 and 1, parameters within their bounds."""
+    def _clip_to_bounds(self, state: Any, values: Float[Array, " p"]) -> tuple[Any, Float[Array, " p"]]:
+        """The mean with fractions between 0 and 1 and parameters within their bounds, where the equations hold."""
         if not isinstance(self.system, SampledPlant):
             return state, values
         declared = [parameters.declaration(self.system.plant, n) for n in self._parameter_names]

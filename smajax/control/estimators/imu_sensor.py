@@ -1,22 +1,46 @@
 """Inertial measurement unit as the sensor of an angle: gyroscope, tilt sensor and Kalman filter."""
 
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.control.estimators.angle_kalman_filter import AngleKalmanFilter, AngleState
 from smajax.control.sensors.sensor_model import quantise
 
 
+class ImuState(NamedTuple):
+    """State of the sensor.
+
+    Attributes:
+        filter: State of the Kalman filter.
+        last_angle: Exact angle at the last sample, a scalar, rad.
+        last_draw: Standard normal number of the last sample, a scalar.
+        delayed: Estimates that are still delayed, oldest first, shape ``(delay,)``, rad.
+    """
+
+    filter: AngleState
+    last_angle: jax.Array
+    last_draw: jax.Array
+    delayed: jax.Array
+
+
 class ImuSensor(eqx.Module):
     """Sensor of an angle by an ``AngleKalmanFilter`` from a gyroscope and a tilt sensor on the moving link.
 
-    The sensors have noise of standard deviation ``rate_noise`` (rad/s) and ``tilt_noise`` (rad), steps of
-    ``rate_quantum`` and ``tilt_quantum`` (0: none), and the gyroscope a ``bias`` (rad/s). The draw of a sample is the
-    noise of the tilt, and one sample later that of the gyroscope. The estimate arrives ``delay`` samples later. Apart
-    from that, the response to the angle is 1, which ``smajax.control.analysis.margins`` uses.
+    The draw of a sample is the noise of the tilt, and one sample later that of the gyroscope. Apart from its delay, the
+    response of the sensor to the angle is 1, which ``smajax.control.analysis.margins`` uses.
+
+    Attributes:
+        filter: The Kalman filter.
+        rate_noise: Standard deviation of the gyroscope's noise, a scalar, rad/s.
+        tilt_noise: Standard deviation of the tilt's noise, a scalar, rad.
+        bias: Bias of the gyroscope, a scalar, rad/s.
+        rate_quantum: Step of the gyroscope's quantisation, a scalar, rad/s; 0: none.
+        tilt_quantum: Step of the tilt's quantisation, a scalar, rad; 0: none.
+        delay: Delay of the estimate, samples.
     """
 
     filter: AngleKalmanFilter
@@ -29,12 +53,12 @@ class ImuSensor(eqx.Module):
 
     @property
     def noise(self) -> jax.Array:
-        """Standard deviation of the tilt's noise, rad."""
+        """Standard deviation of the tilt's noise, a scalar, rad."""
         return self.tilt_noise
 
-    def reset(self, value: jax.Array) -> tuple[AngleState, jax.Array, jax.Array, jax.Array]:
-        """Return the state at rest: filter, last angle, last draw (0), and delayed angles, oldest first."""
-        return (
+    def reset(self, value: Float[Array, ""]) -> ImuState:
+        """Return the state of a sensor whose angle has been ``value``, in rad."""
+        return ImuState(
             self.filter.reset(value),
             jnp.asarray(value, jnp.float64),
             jnp.zeros(()),
@@ -42,23 +66,23 @@ class ImuSensor(eqx.Module):
         )
 
     def step(
-        self, state: tuple[AngleState, jax.Array, jax.Array, jax.Array], value: jax.Array, draw: jax.Array
-    ) -> tuple[Any, jax.Array]:
+        self, state: ImuState, value: Float[Array, ""], draw: Float[Array, ""]
+    ) -> tuple[ImuState, Float[Array, ""]]:
         """Take one sample.
 
         Args:
             state: State after the previous sample.
-            value: True angle, rad, a scalar.
-            draw: Standard normal number of this sample, a scalar.
+            value: Exact angle, rad.
+            draw: Standard normal number of this sample.
 
         Returns:
-            The state after this sample, and the estimated angle, delayed.
+            The state after this sample, and the estimated angle, delayed, rad.
         """
-        filter_state, last_value, last_draw, delayed = state
+        filter_state, last_angle, last_draw, delayed = state
         rate = quantise(
-            (value - last_value) / self.filter.period + self.bias + self.rate_noise * last_draw, self.rate_quantum
+            (value - last_angle) / self.filter.period + self.bias + self.rate_noise * last_draw, self.rate_quantum
         )
         tilt = quantise(value + self.tilt_noise * draw, self.tilt_quantum)
         filter_state = self.filter.step(filter_state, rate, tilt)
         angles = jnp.append(delayed, filter_state.mean[0])
-        return (filter_state, value, jnp.asarray(draw, jnp.float64), angles[1:]), angles[0]
+        return ImuState(filter_state, value, jnp.asarray(draw, jnp.float64), angles[1:]), angles[0]

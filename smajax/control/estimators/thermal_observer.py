@@ -1,9 +1,9 @@
 """Thermal observer: the temperature of a wire from its electrical power, corrected by a thermocouple.
 
-    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_measured - T_e)
+    T_e' = a_1 P + a_2 |T_e|^n sgn(T_e) + L (T_m - T_e)
 
-with temperatures above ambient; L = 0 without a thermocouple. In a rollout the power and the thermocouple are those of
-the loop's instruments. Filters of the whole plant are ``ExtendedKalmanFilter`` and ``EnsembleKalmanFilter``.
+with the estimate T_e and the reading T_m as temperatures above ambient; L = 0 without a thermocouple. In a rollout, the
+loop's instruments measure power and temperature.
 
 Source: ali2026 (estimator, L = 0); luenberger1964 (correction by a measurement).
 """
@@ -13,19 +13,23 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from smajax.control.estimators.base import AbstractTemperatureEstimator, per_wire
 from smajax.plant.plant import Plant
 
-# Martensite fraction for which ``ThermalObserver.of`` evaluates the heat capacity: phases half and half.
+# Martensite fraction at which ``ThermalObserver.of`` evaluates the heat capacity: the middle of a transformation.
 _HALF_TRANSFORMED = 0.5
 
 
 class ThermalState(NamedTuple):
-    """State of the observer, each of shape ``(wires,)``.
+    """State of the observer, arrays of shape ``(wires,)``.
 
-    ``estimate`` in degC; ``reading`` of the thermocouples at that sample in degC (the estimate where there was none);
-    last ``power`` in W.
+    Attributes:
+        estimate: Estimated temperatures at the last sample, degC.
+        reading: Readings of the thermocouples at that sample, degC; the estimates where there was none.
+        power: Last finite power, W.
     """
 
     estimate: jax.Array
@@ -34,10 +38,18 @@ class ThermalState(NamedTuple):
 
 
 class ThermalObserver(AbstractTemperatureEstimator):
-    """Observer of wire temperatures: ``a1`` in K/J, ``a2`` < 0 in K^(1 - n)/s, ``exponent`` n, ``ambient`` in degC.
+    """Luenberger observer of the temperatures of the wires.
 
-    ``gain`` in 1/s is the correction by a thermocouple; a reading that is NaN is left out. A power that is NaN is
-    replaced by the last one, and the estimate is NaN meanwhile.
+    A reading that is NaN is not used. A power that is NaN is replaced by the last finite one, and the returned
+    temperature is NaN meanwhile.
+
+    Attributes:
+        a1: Heating a_1 per energy, a scalar, K/J.
+        a2: Heat loss a_2 < 0, a scalar, K^(1 - n)/s.
+        exponent: Exponent n of the heat loss, a scalar.
+        ambient: Temperature of the surroundings, a scalar, degC.
+        gain: Gain L of the correction by a thermocouple, a scalar, 1/s.
+        period: Period of the samples, s.
     """
 
     a1: jax.Array
@@ -49,13 +61,13 @@ class ThermalObserver(AbstractTemperatureEstimator):
 
     @classmethod
     def of(cls, plant: Plant, temperature: float, period: float, gain: float = 0.0) -> "ThermalObserver":
-        """Linearise a plant's heat balance without its effects: n = 1, phases half and half.
+        """Build the observer from a plant's heat balance, without its effects: n = 1, phases half and half.
 
         Args:
             plant: The plant.
-            temperature: Temperature about which the heat loss is linearised, degC.
+            temperature: Temperature at which the conductance of the heat loss is evaluated, degC.
             period: Period of the samples, s.
-            gain: Correction by a thermocouple, 1/s.
+            gain: Gain of the correction by a thermocouple, 1/s.
         """
         at, wire = jnp.asarray(temperature, jnp.float64), plant.wire
         capacity = plant.heat.capacity(jnp.asarray(_HALF_TRANSFORMED))
@@ -69,17 +81,25 @@ class ThermalObserver(AbstractTemperatureEstimator):
             period,
         )
 
-    def reset(self, temperature: jax.Array) -> jax.Array:
-        """Return the estimate at the start, degC."""
+    def reset(self, temperature: ArrayLike) -> jax.Array:
+        """Return the estimate at the start for a temperature in degC."""
         return jnp.asarray(temperature)
 
-    def step(self, estimate: jax.Array, power: jax.Array, measured: jax.Array | None = None) -> jax.Array:
+    def step(
+        self,
+        estimate: Float[Array, "*wires"],
+        power: Float[Array, "*wires"],
+        measured: Float[Array, "*wires"] | None = None,
+    ) -> Float[Array, "*wires"]:
         """Return the estimate a period later, by an explicit Euler step.
 
         Args:
             estimate: Estimate at the beginning, degC.
-            power: Electrical power during the period, W, of the same shape.
-            measured: Reading of the thermocouple at the beginning, degC; NaN or ``None``: none.
+            power: Electrical power during the period, W.
+            measured: Reading of the thermocouple at the beginning, degC; NaN or ``None``: not measured.
+
+        Returns:
+            The estimate at the end, degC.
         """
         excess = estimate - self.ambient
         distance = jnp.abs(excess)
@@ -90,14 +110,16 @@ class ThermalObserver(AbstractTemperatureEstimator):
             rate = rate + self.gain * jnp.where(jnp.isnan(measured), 0.0, measured - estimate)
         return estimate + self.period * rate
 
-    def init(self, measured: dict[str, jax.Array]) -> ThermalState:
-        """Return the state at rest; a wire whose temperature is not measured is at ambient."""
+    def init(self, measured: dict[str, Float[Array, ""]]) -> ThermalState:
+        """Return the state at rest; a wire whose temperature is not measured is at ambient temperature."""
         temperature = per_wire(measured, "temperature")
         estimate = jnp.where(jnp.isfinite(temperature), temperature, self.ambient)
         return ThermalState(estimate, estimate, jnp.zeros_like(estimate))
 
-    def update(self, state: ThermalState, measured: dict[str, jax.Array]) -> tuple[ThermalState, jax.Array]:
-        """Take one sample: the power is the mean of the last period, the reading corrects the next step."""
+    def update(
+        self, state: ThermalState, measured: dict[str, Float[Array, ""]]
+    ) -> tuple[ThermalState, Float[Array, " wires"]]:
+        """Take one sample: the power is that of the last period, and the reading corrects the next step."""
         measured_power, reading = per_wire(measured, "power"), per_wire(measured, "temperature")
         finite = jnp.isfinite(measured_power)
         power = jnp.where(finite, measured_power, state.power)
@@ -105,6 +127,6 @@ class ThermalObserver(AbstractTemperatureEstimator):
         reading = jnp.where(jnp.isfinite(reading), reading, estimate)
         return ThermalState(estimate, reading, power), jnp.where(finite, estimate, jnp.nan)
 
-    def apply_command(self, state: ThermalState, command: jax.Array) -> ThermalState:
-        """Return the state unchanged: the measured power has the effect of the command."""
+    def apply_command(self, state: ThermalState, command: Float[Array, " wires"]) -> ThermalState:
+        """Return the state unchanged: the observer uses the measured power, not the command."""
         return state

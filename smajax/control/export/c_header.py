@@ -1,16 +1,16 @@
 """A tuned controller as a C header for a microcontroller.
 
-The header holds one controller: its gains as constants, its state as a structure, and two functions, ``smajax_reset``
-and ``smajax_step``, which do what ``reset`` and ``step`` do in Python, operation by operation. It needs no heap, and no
-library but for the ``atanh`` of a feedforward and the ``pow`` of an observer that is not linear; ``smajax_step`` is
-called once a period. A measurement that is NaN is replaced by the last finite one for ``DROPOUT_TIMEOUT``; then the
-command is 0, and with the next finite value the controller is reset.
+The header contains one controller: its gains as constants, its state as a structure, and two functions,
+``smajax_reset`` and ``smajax_step``, which are equivalent to ``reset`` and ``step`` in Python, operation by operation.
+It uses no heap, and no library except the ``atanh`` of a feedforward and the ``pow`` of a nonlinear observer;
+``smajax_step`` is called once a period. A measurement that is NaN is replaced by the last finite one for
+``DROPOUT_TIMEOUT``; then the command is 0, and with the next finite value the controller is reset.
 
-- Of two wires there is also ``smajax_allocate``, which gives each wire its command.
-- With a temperature limiter there is ``smajax_guard``, which cuts a wire's command to what its temperature allows, to 0
-  where the temperature has been NaN for ``DROPOUT_TIMEOUT``; ``smajax_step_guarded`` takes what it allows and replaces
+- For two wires, ``smajax_allocate`` gives each wire its command.
+- With a temperature limiter, ``smajax_guard`` limits a wire's command according to its temperature, to 0 if the
+  temperature has been NaN for ``DROPOUT_TIMEOUT``; ``smajax_step_guarded``, which takes these limits, replaces
   ``smajax_step``.
-- With a thermal observer there is ``smajax_observe``, which estimates the temperature from the wire's power.
+- With a thermal observer, ``smajax_observe`` estimates the temperature from the wire's power.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,15 @@ from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
 
 
 class _Controller(NamedTuple):
-    """C texts of a kind of controller: name, body of its step, constants, additional state and its reset."""
+    """C texts of a controller.
+
+    Attributes:
+        kind: Name of the kind.
+        step: Body of the step function.
+        constants: Constants in addition to the gains, by name.
+        state: Members of the state in addition to those of a PID.
+        reset: Statements that reset these members.
+    """
 
     kind: str
     step: str
@@ -48,7 +56,7 @@ class _Controller(NamedTuple):
 
 
 class _Limiter(NamedTuple):
-    """C texts of temperature limiter and thermal observer: functions, how they are used, and what they include."""
+    """C texts of temperature limiter and thermal observer: functions, instructions for use, and included headers."""
 
     functions: str
     use: str
@@ -64,7 +72,7 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
         version: Version of smajax.
 
     Raises:
-        InputError: for a kind of controller that has no C text, and for an estimator that is no thermal observer.
+        InputError: for a kind of controller that has no C text, or an estimator other than a thermal observer.
     """
     controller = owner.controller if isinstance(owner, ClosedLoop) else owner
     inverse = feedforward_inverse(controller)
@@ -110,6 +118,7 @@ def _has_two_wires(owner: AbstractController | ClosedLoop) -> bool:
 
 
 def _controller(controller: AbstractController, inverse: InversePrandtlIshlinskii | None) -> _Controller:
+    """The texts of a controller by its kind."""
     if isinstance(controller, PID):
         return _Controller("PID", c_templates.STEP_PID, {})
     if isinstance(controller, BPID):
@@ -144,7 +153,7 @@ def _adaptive_pid(controller: AdaptivePID) -> _Controller:
 
 
 def _pair(owner: AbstractController | ClosedLoop) -> str:
-    """The allocation to two wires."""
+    """The text of the allocation to two wires; empty for one wire."""
     if not isinstance(owner, ClosedLoop) or not _has_two_wires(owner):
         return ""
     first, second = (float(command) for command in owner.allocation.max_commands)
@@ -152,6 +161,7 @@ def _pair(owner: AbstractController | ClosedLoop) -> str:
 
 
 def _limiter(loop: ClosedLoop) -> _Limiter:
+    """The texts of a loop's temperature limiter and thermal observer; empty without a limiter."""
     observer = estimator_document(loop.estimator) if loop.estimator is not None else None
     if loop.temperature_limiter is None:
         return _Limiter("", "", "")

@@ -1,4 +1,4 @@
-"""Texts of the C header, filled in by ``c_header``; their C names are public and stay as they are."""
+"""Templates of the C header, filled in by ``c_header``; the C names are public and must not change."""
 
 HEADER = """/* {kind} controller tuned by smajax {version}.
  * Include it where the loop runs, and call smajax_step once every SMAJAX_PERIOD s.

@@ -17,14 +17,17 @@ from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT
 from smajax.errors import InputError
 from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
 
+# With schema 2 the kinds of Kalman filters changed: ExtendedKalmanFilter was ExtendedFilter. The keys are those of
+# schema 1.
+SCHEMA = "smajax.controller/2"
 _KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
 
 
 def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlinskii | None:
-    """Return the inverse operator of a controller's feedforward, if it has one.
+    """Return the inverse operator of a controller's feedforward; ``None`` without a feedforward.
 
     Raises:
-        InputError: for an operator of another kind.
+        InputError: if the operator is not the inverse of a Prandtl-Ishlinskii operator with one envelope.
     """
     inverse = getattr(controller, "inverse", None)
     if inverse is not None and not isinstance(inverse, InversePrandtlIshlinskii):
@@ -35,7 +38,7 @@ def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlins
 
 
 def fixed_constants(controller: AbstractController) -> dict[str, Any]:
-    """Return a controller's constants that are no gains, as C header and JSON document name them."""
+    """Return a controller's constants other than gains, by their names in C header and JSON document."""
     if isinstance(controller, BPID):
         return {"least": MIN_DENOMINATOR}
     if isinstance(controller, PPID):
@@ -49,19 +52,22 @@ def controller_document(owner: AbstractController | ClosedLoop, units: dict[str,
     """Return a controller as a JSON document.
 
     Its keys: ``kind``, ``period_s``, ``output`` (limits of the command), ``gains`` with their units. ``law`` and
-    ``growth`` are those of an adaptive PID; ``leave`` is the ``exit_factor`` of a PPID; ``least`` the smallest 1 + kb y
-    of a BPID; ``blind_s`` the time for which the channel, or a temperature, may be NaN before the command is 0.
-    ``wires`` are the largest commands of two wires, ``guard`` the temperature limiter and ``observer`` the estimator,
-    if there are such; ``steers`` is true if the controller uses the estimate.
+    ``growth`` are those of an adaptive PID; ``leave`` is the ``exit_factor`` of a PPID; ``least`` the smallest value
+    of 1 + kb y of a BPID; ``blind_s`` the time in s for which the channel, or a temperature, may be NaN before the
+    command is 0. ``wires`` are the largest commands of two wires, ``guard`` the temperature limiter and ``observer``
+    the estimator, if there are any; ``steers`` is true if the controller uses the estimate.
 
     Args:
         owner: The controller, or a loop.
         units: Unit of each gain by name.
+
+    Raises:
+        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope.
     """
     controller = owner.controller if isinstance(owner, ClosedLoop) else owner
     pid, inverse = controller.inner, feedforward_inverse(controller)
     document = {
-        "schema": "smajax.controller/1",
+        "schema": SCHEMA,
         "kind": _KINDS[type(controller)],
         "period_s": pid.period,
         "output": [float(pid.lower), float(pid.upper)],
@@ -86,7 +92,7 @@ def controller_document(owner: AbstractController | ClosedLoop, units: dict[str,
 
 
 def limiter_document(limiter: TemperatureLimiter) -> dict[str, float]:
-    """Return the numbers of a temperature limiter: set temperature (degC), gains, and largest command."""
+    """Return the numbers of a temperature limiter: largest temperature (degC), gains, and largest command, SI."""
     return {
         "limit": float(limiter.limit),
         "kp": float(limiter.pid.kp),
@@ -96,7 +102,7 @@ def limiter_document(limiter: TemperatureLimiter) -> dict[str, float]:
 
 
 def estimator_document(estimator: AbstractTemperatureEstimator) -> dict[str, float]:
-    """Return the numbers of a thermal observer in SI, with the ambient temperature in degC.
+    """Return the numbers of a thermal observer in SI units, with the ambient temperature in degC.
 
     Raises:
         InputError: for another kind of estimator.
@@ -107,10 +113,10 @@ def estimator_document(estimator: AbstractTemperatureEstimator) -> dict[str, flo
 
 
 def inverse_document(inverse: InversePrandtlIshlinskii) -> dict[str, Any]:
-    """Return the numbers of an inverse operator, from the channel's internal unit to the command's.
+    """Return the numbers of an inverse operator, in the internal units of channel and command.
 
-    ``direct`` and ``densities`` are dimensionless, ``thresholds`` are in the channel's unit, as are the envelope's
-    height and middle; its steepness is per unit of the command.
+    ``direct`` and ``densities`` are dimensionless; ``thresholds`` and the envelope's ``height`` and ``middle`` are in
+    the channel's unit; its ``steepness`` is per unit of the command, and its ``shift`` is dimensionless.
     """
     envelope = inverse.envelope
     return {

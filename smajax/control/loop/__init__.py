@@ -2,7 +2,7 @@
 
 ``ClosedLoop`` has the controller, the sensors, the estimator, the temperature limiter and the ``Allocation`` of one
 command to the wires; ``rollout`` simulates it over a ``Scenario``, differentiable in plant, gains and scenario.
-``gains`` names what can be tuned.
+The module ``gains`` has the tunable parameters by name, the module ``references`` steps, staircases and sines.
 """
 
 from smajax.control.loop.allocation import Allocation

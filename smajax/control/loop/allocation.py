@@ -9,11 +9,15 @@ from smajax.parameters import parameter
 
 
 class Allocation(eqx.Module):
-    """Allocation of a command to ``wires`` wires; a single wire takes it as it is.
+    """Allocation of a command to the wires; a single wire gets it unchanged.
 
-    Of an antagonistic pair, the first wire takes the positive part, up to ``upper``, and the second one the negative
-    part, up to ``second_upper`` (``None``: the same); ``co_contraction`` heats both, so that neither is slack when it
-    has to pull.
+    Of an antagonistic pair, the first wire gets the positive part of the command and the second one the negative part.
+
+    Attributes:
+        upper: Largest command of the first wire.
+        co_contraction: Command that both wires of a pair get at least, so that neither is slack when it has to pull.
+        wires: Number of wires, 1 or 2.
+        second_upper: Largest command of the second wire; ``None``: that of the first one.
     """
 
     upper: Float[Array, ""]
@@ -39,6 +43,9 @@ class Allocation(eqx.Module):
 
         Args:
             max_commands: Largest command of each wire at this sample.
+
+        Returns:
+            The smallest command (minus infinity for a single wire) and the largest one.
         """
         if self.wires == 1:
             return jnp.asarray(-jnp.inf), max_commands[0]

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.control.controllers.base import AbstractController
 from smajax.control.estimators.base import AbstractFilter, AbstractTemperatureEstimator, per_wire
@@ -18,10 +19,13 @@ from smajax.numerics.nonsmooth import clip, maximum, minimum
 
 
 class Measurement(NamedTuple):
-    """What a loop measures at a sample.
+    """Measurements of a loop at a sample.
 
-    ``value`` of its channel, a scalar; the wires' ``temperatures`` in degC, shape ``(wires,)``, if the limiter or the
-    estimator needs them; ``states`` of sensor, estimator and instruments after this sample.
+    Attributes:
+        value: Measured value of the controlled channel, a scalar.
+        temperatures: Measured or estimated temperatures of the wires, degC, shape ``(wires,)``; ``None`` without a
+            limiter and an estimator.
+        states: States of sensor, estimator and instruments after this sample.
     """
 
     value: jax.Array
@@ -32,8 +36,11 @@ class Measurement(NamedTuple):
 class LoopState(NamedTuple):
     """State of a closed loop.
 
-    ``controller``; ``measurement`` of sensor, estimator and instruments; ``limiters`` of each wire; ``hold`` of the
-    channel, if dropouts are allowed.
+    Attributes:
+        controller: State of the controller.
+        measurement: States of sensor, estimator and instruments.
+        limiters: State of the temperature limiter of each wire.
+        hold: Hold of the controlled channel, if dropouts are allowed.
     """
 
     controller: Any
@@ -43,14 +50,27 @@ class LoopState(NamedTuple):
 
 
 class ClosedLoop(eqx.Module):
-    """Everything between the reference and the wires; ``channel`` is the controlled one.
+    """Everything between the reference and the wires.
 
-    With ``instruments``, the temperature limiter (or the ``estimator`` from which it takes the temperatures) gets the
-    channels as they are measured. What the limiter allows a wire is the controller's limit at that sample, so that its
-    integral does not wind up. With ``use_estimate`` the controller gets the estimate of the channel by the
-    ``estimator``, a filter of the whole plant, and not that of ``sensor``. With ``allow_dropouts`` the channel may be
-    NaN, as on a rig (in a simulation it is not), and is held at its last value; after ``DROPOUT_TIMEOUT`` the command
-    is 0, or the smallest one, until the controller is reset at the next finite value.
+    The largest allowed commands of the temperature limiter are limits of the controller at that sample, so that its
+    integral does not wind up. With ``allow_dropouts`` the controlled channel may be NaN, as on a rig (in a simulation
+    it never is), and is held at its last value; after ``DROPOUT_TIMEOUT`` the command is 0, or the smallest one, until
+    the controller is reset at the next finite value.
+
+    Attributes:
+        controller: Controller of the channel.
+        allocation: Allocation of its command to the wires.
+        sensor: Sensor of the controlled channel.
+        temperature_limiter: Limiter of each wire's command by its temperature.
+        estimator: Estimator of the temperatures that the limiter gets; ``None``: they are measured.
+        instruments: Sensors of the channels that limiter and estimator get; ``None``: those channels are exact.
+        channel: Name of the controlled channel.
+        use_estimate: Whether the controller gets the estimate of the channel by ``estimator``, a filter of the whole
+            plant, instead of the value of ``sensor``.
+        allow_dropouts: Whether the controlled channel may be NaN.
+
+    Raises:
+        ValueError: if ``use_estimate`` is set without a filter of the whole plant, or with ``allow_dropouts``.
     """
 
     controller: AbstractController
@@ -69,12 +89,12 @@ class ClosedLoop(eqx.Module):
         if self.use_estimate and self.allow_dropouts:
             raise ValueError("a filter skips a measurement that is NaN: leave allow_dropouts out with use_estimate")
 
-    def reset(self, reference: jax.Array, channels: dict[str, jax.Array]) -> LoopState:
-        """Return the state at rest.
+    def reset(self, reference: Float[Array, ""], channels: dict[str, Float[Array, ""]]) -> LoopState:
+        """Return the state of a loop whose reference and channels have been constant.
 
         Args:
-            reference: Constant reference so far, a scalar.
-            channels: The plant's channels by name, scalars.
+            reference: Reference so far, in the channel's unit.
+            channels: The plant's channels by name.
         """
         limiters = (
             ()
@@ -89,18 +109,22 @@ class ClosedLoop(eqx.Module):
         return LoopState(self.controller.reset(reference, value), measurement, limiters, hold)
 
     def step(
-        self, state: LoopState, reference: jax.Array, channels: dict[str, jax.Array], draw: jax.Array
-    ) -> tuple[LoopState, jax.Array]:
+        self,
+        state: LoopState,
+        reference: Float[Array, ""],
+        channels: dict[str, Float[Array, ""]],
+        draw: Float[Array, ""],
+    ) -> tuple[LoopState, Float[Array, " wires"]]:
         """Take one sample.
 
         Args:
             state: State after the previous sample.
-            reference: Reference at this sample, a scalar.
-            channels: The plant's channels at this sample by name, scalars.
+            reference: Reference at this sample, in the channel's unit.
+            channels: The plant's channels at this sample by name.
             draw: Standard normal number of this sample, for the noise of sensor and instruments.
 
         Returns:
-            The state after this sample, and the wires' commands until the next one, shape ``(wires,)``.
+            The state after this sample, and the commands of the wires until the next one.
         """
         controller_state, measurement_states, limiters, last_hold = state
         hold = None if last_hold is None else last_hold.update(channels[self.channel], self.controller.inner.period)
@@ -126,12 +150,12 @@ class ClosedLoop(eqx.Module):
             estimator = self.estimator.apply_command(estimator, commands)
         return LoopState(controller_state, (sensor, estimator, instruments), limiters, hold), commands
 
-    def measure(self, states: Any, channels: dict[str, jax.Array], draw: jax.Array) -> Measurement:
-        """Measure the channels at one sample.
+    def measure(self, states: Any, channels: dict[str, Float[Array, ""]], draw: Float[Array, ""]) -> Measurement:
+        """Measure the channels at one sample, and update the estimator.
 
         Args:
             states: States of sensor, estimator and instruments after the previous sample.
-            channels: The plant's channels by name, scalars.
+            channels: The plant's channels by name.
             draw: Standard normal number of this sample.
         """
         sensor, estimator, instruments = states
@@ -148,17 +172,17 @@ class ClosedLoop(eqx.Module):
         return Measurement(value, temperatures, (sensor, estimator, instruments))
 
     def apply_temperature_limits(
-        self, limiters: Any, temperatures: jax.Array | None
-    ) -> tuple[AbstractController, Any, jax.Array]:
-        """Return the controller within what the temperature limiter allows at one sample.
+        self, limiters: Any, temperatures: Float[Array, " wires"] | None
+    ) -> tuple[AbstractController, Any, Float[Array, " wires"]]:
+        """Return the controller with the limits that the temperature limiter sets at one sample.
 
         Args:
             limiters: States of the limiters after the previous sample.
-            temperatures: Temperatures of the wires, degC, shape ``(wires,)``.
+            temperatures: Temperatures of the wires, degC.
 
         Returns:
-            The controller with its limits, the limiters' states, and the largest command of each wire, shape
-            ``(wires,)``.
+            The controller with these limits, the states of the limiters, and the largest allowed command of each wire
+            (infinite without a limiter).
         """
         if self.temperature_limiter is None or temperatures is None:
             return self.controller, limiters, jnp.full(self.allocation.wires, jnp.inf)

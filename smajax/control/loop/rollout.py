@@ -1,13 +1,13 @@
 """Rollouts of a closed loop: a plant and a sampled controller in one scan, differentiable in both.
 
-At each sample the loop measures and gives commands that are held for a period, during which the plant takes its own
-steps.
+At each sample the loop measures the channels and sets the commands, which are held for a period, during which the plant
+takes its own steps.
 
 What makes the derivatives fast:
 
-- An implicit plant is differentiated after the rollout, with all states and step solutions known (custom JVP): nothing
-  is solved again, in forward and in reverse mode.
-- Each sample's derivative is recomputed where it is used (``jax.checkpoint``), which is faster than to store it.
+- An implicit plant is differentiated after the rollout, with all states and step solutions known (custom JVP): no
+  equation is solved again, neither in forward nor in reverse mode.
+- The derivative of each sample is recomputed where it is used (``jax.checkpoint``), which is faster than storing it.
 - Without an implicit solve, only every ``Scenario.block``-th state is checkpointed; the states in between are
   recomputed in the backward pass.
 """
@@ -20,21 +20,25 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.sampled_plant import AbstractSampledSystem
 from smajax.numerics.implicit_differentiation import jvp
 
-# Channels that follow the command at once; the others change in the course of the period.
+# Channels that follow the command without delay; the others change in the course of the period.
 _ELECTRICAL = ("current", "voltage", "power")
 
 
 class Scenario(eqx.Module):
-    """Course of a rollout of n samples.
+    """Inputs of a rollout of n samples.
 
-    ``reference``, shape ``(n,)``, and ``initial_reference`` before the first sample, in the channel's unit; ``draws``,
-    standard normal numbers of the sensors' noise, shape ``(n,)``; ``changes``, parameters that change with time by
-    name, shape ``(n,)`` each. ``block`` is the number of samples between two checkpoints of an explicit plant.
+    Attributes:
+        reference: Reference at the samples, shape ``(n,)``, in the channel's unit.
+        initial_reference: Reference before the first sample, a scalar.
+        draws: Standard normal numbers of the sensors' noise, shape ``(n,)``.
+        changes: Parameters that change with time by name, shape ``(n,)`` each, internal units.
+        block: Number of samples between two checkpoints of an explicit plant.
     """
 
     reference: jax.Array
@@ -45,7 +49,7 @@ class Scenario(eqx.Module):
 
     @property
     def rows(self) -> tuple:
-        """Reference, draws and changes, whose first axis is that of the samples."""
+        """Reference, draws and changes, the arrays with an axis of samples."""
         return self.reference, self.draws, self.changes
 
     def without_noise(self) -> "Scenario":
@@ -59,21 +63,24 @@ class Scenario(eqx.Module):
         """Build a scenario without noise.
 
         Args:
-            reference: Reference at the samples, shape ``(n,)``.
+            reference: Reference at the samples, shape ``(n,)``, in the channel's unit.
             initial_reference: Reference before the first sample.
-            changes: Parameters that change with time by name, shape ``(n,)`` each.
+            changes: Parameters that change with time by name, shape ``(n,)`` each, internal units.
         """
         reference = jnp.asarray(reference, jnp.float64)
         initial = jnp.asarray(initial_reference, jnp.float64)
-        return cls(reference, initial, jnp.zeros_like(reference), changes or {})
+        arrays = {name: jnp.asarray(values, jnp.float64) for name, values in (changes or {}).items()}
+        return cls(reference, initial, jnp.zeros_like(reference), arrays)
 
 
 class Rollout(NamedTuple):
-    """Result of a rollout.
+    """Result of a rollout of n samples.
 
-    ``channels`` by name at the samples, exact (not as measured), shape ``(n,)``; ``command`` that is held from each
-    sample on, shape ``(n, wires)``; ``unsolved``, the number of the plant's steps that could not be solved;
-    ``final_states`` of plant and loop, and the last command.
+    Attributes:
+        channels: Exact channels (not as measured) at the samples by name, shape ``(n,)`` each, internal units.
+        command: Commands held from each sample on, shape ``(n, wires)``, in the unit of the drive.
+        unsolved: Number of the plant's steps that could not be solved, a scalar.
+        final_states: States of plant and loop after the last period, and the last commands.
     """
 
     channels: dict[str, jax.Array]
@@ -83,7 +90,7 @@ class Rollout(NamedTuple):
 
 
 def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
-    """Simulate a closed loop over a scenario; to be compiled and batched by the caller.
+    """Simulate a closed loop over a scenario; compilation and batching are up to the caller.
 
     Differentiable once, in forward and in reverse mode, in the plant's parameters, the gains, the reference and the
     changes.
@@ -92,6 +99,9 @@ def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario)
         system: The sampled plant.
         loop: The closed loop, of the same period.
         scenario: Reference, noise and changes.
+
+    Returns:
+        Channels and commands at the samples, and the final states.
     """
     if system.is_implicit:
         return _implicit_rollout(system, loop, scenario)
@@ -99,15 +109,20 @@ def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario)
 
 
 def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> tuple[Rollout, Any]:
-    """Simulate a closed loop and keep what its derivative needs.
+    """Simulate a closed loop, and store the states and step solutions that its derivative needs.
+
+    Args:
+        system: The sampled plant.
+        loop: The closed loop, of the same period.
+        scenario: Reference, noise and changes.
 
     Returns:
-        The rollout; and of each sample of an implicit plant the flat carry before it and the step solutions after it
-        (else ``()``).
+        The rollout; and for an implicit plant the flat states before each sample and the step solutions after it, with
+        a leading axis of samples (else ``()``).
     """
 
     def sample(carry: Any, row: tuple) -> tuple[Any, Any]:
-        def step(system: AbstractSampledSystem, state: Any, command: jax.Array) -> tuple[Any, Any]:
+        def step(system: AbstractSampledSystem, state: Any, command: Float[Array, " wires"]) -> tuple[Any, Any]:
             state, step_solutions, unsolved = system.step(state, command)
             return state, (step_solutions, unsolved)
 
@@ -122,13 +137,13 @@ def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scen
 
 
 def _initial_carry(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Any:
-    """States of plant and loop at rest, and no command."""
+    """States of plant and loop at rest, and commands of 0."""
     start, no_command = system.start(), jnp.zeros(system.wires)
     return start, loop.reset(scenario.initial_reference, system.observe(start, no_command)), no_command
 
 
 def _sample(system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tuple, step: Callable) -> tuple[Any, Any]:
-    """One sample and its period: the carry at the end, and channels, command and what ``step`` adds."""
+    """One sample and its period: the carry at the end; channels, command and the second result of ``step``."""
     state, loop_state, command = carry
     reference, draw, changes = row
     changed = system.with_parameters(changes) if changes else system
@@ -137,21 +152,21 @@ def _sample(system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tu
     # Only the electrical channels are taken under the new command, so that the others are not differentiated twice.
     after = changed.observe(state, command)
     channels = {name: after[name] if name.partition("_")[0] in _ELECTRICAL else value for name, value in before.items()}
-    state, added = step(changed, state, command)
-    return (state, loop_state, command), (channels, command, added)
+    state, extra = step(changed, state, command)
+    return (state, loop_state, command), (channels, command, extra)
 
 
 @eqx.filter_custom_jvp
 def _implicit_rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
-    """``rollout_with_solutions``, whose derivative is taken with all states and step solutions known."""
+    """The rollout of an implicit plant, whose derivative uses the stored states and step solutions."""
     return rollout_with_solutions(system, loop, scenario)[0]
 
 
 @_implicit_rollout.def_jvp
 def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
-    """Propagates the tangent from sample to sample; linear in it, so that JAX transposes it for reverse mode."""
+    """Propagate the tangent from sample to sample; linear in the tangent, so that JAX transposes it."""
     (system, loop, scenario), (system_tangent, loop_tangent, scenario_tangent) = primals, tangents
-    done, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
+    result, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
     unflatten = ravel_pytree(_initial_carry(system, loop, scenario))[1]
 
     def propagate(tangent: Any, sample: tuple) -> tuple[Any, Any]:
@@ -181,11 +196,11 @@ def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
     end, (channels, command) = jax.lax.scan(
         jax.checkpoint(propagate, prevent_cse=False), first, (carries, solutions, scenario.rows, row_tangents)
     )
-    # Counts and flags, which some controllers keep, have no tangent.
+    # Counts and flags in the states of some controllers have no tangent.
     final_tangents = jax.tree.map(
-        lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, done.final_states, unflatten(end)
+        lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, result.final_states, unflatten(end)
     )
-    return done, Rollout(channels, command, cast(Any, None), final_tangents)
+    return result, Rollout(channels, command, cast(Any, None), final_tangents)
 
 
 def _is_none(leaf: Any) -> bool:
@@ -193,15 +208,15 @@ def _is_none(leaf: Any) -> bool:
 
 
 def _checkpointed_scan(function: Any, first: Any, rows: Any, block: int) -> tuple[Any, Any]:
-    """``jax.lax.scan`` that stores only the carry at the beginning of each block for reverse mode."""
+    """Scan that stores only the carry at the beginning of each block for reverse mode."""
     count = jax.tree.leaves(rows)[0].shape[0]
     blocks = count // block
     head = jax.tree.map(lambda leaf: leaf[: blocks * block].reshape(blocks, block, *leaf.shape[1:]), rows)
-    carry, of_blocks = jax.lax.scan(
+    carry, block_results = jax.lax.scan(
         jax.checkpoint(lambda c, r: jax.lax.scan(function, c, r), prevent_cse=False), first, head
     )
-    carry, of_rest = jax.lax.scan(function, carry, jax.tree.map(lambda leaf: leaf[blocks * block :], rows))
-    joined = jax.tree.map(
-        lambda a, b: jnp.concatenate([a.reshape(blocks * block, *a.shape[2:]), b]), of_blocks, of_rest
+    carry, last_results = jax.lax.scan(function, carry, jax.tree.map(lambda leaf: leaf[blocks * block :], rows))
+    results = jax.tree.map(
+        lambda a, b: jnp.concatenate([a.reshape(blocks * block, *a.shape[2:]), b]), block_results, last_results
     )
-    return carry, joined
+    return carry, results

@@ -1,6 +1,6 @@
-"""Temperature limiter: a PID of the wire's temperature, whose output is the largest command that the wire may get.
+"""Temperature limiter: a PID of the wire's temperature, whose output is the largest allowed command of the wire.
 
-A wire whose temperature is not known gets no command, see ``DropoutHold``.
+A wire whose temperature is missing for longer than ``DROPOUT_TIMEOUT`` gets no command.
 
 Source: ali2026 (temperature PID that only heats).
 """
@@ -18,14 +18,24 @@ from smajax.numerics.nonsmooth import maximum, minimum
 
 
 class TemperatureLimiterState(NamedTuple):
-    """State of the PID, and the hold of the temperature in degC."""
+    """State of the limiter of one wire.
+
+    Attributes:
+        inner: State of the PID.
+        hold: Hold of the temperature, degC.
+    """
 
     inner: PIDState
     hold: DropoutHold
 
 
 class TemperatureLimiter(eqx.Module):
-    """Limiter with the set temperature ``limit`` in degC: far below it allows the full command, above it none."""
+    """Temperature limiter: far below the limit it allows the full command, above the limit none.
+
+    Attributes:
+        pid: PID of the temperature; its error is the limit minus the temperature, its output the allowed command.
+        limit: Setpoint of the temperature, a scalar, degC.
+    """
 
     pid: PID
     limit: jax.Array
@@ -42,11 +52,11 @@ class TemperatureLimiter(eqx.Module):
 
         Args:
             state: State after the previous sample.
-            temperature: Temperature at this sample, degC; NaN: not known.
-            command: Command that the wire would get.
+            temperature: Temperature at this sample, degC; NaN: not measured.
+            command: Command of the wire without the limiter.
 
         Returns:
-            The state after this sample, and the command cut to what the wire may get.
+            The state after this sample, and the smaller one of ``command`` and the allowed command.
         """
         hold = state.hold.update(temperature, self.pid.period)
         pid_state, allowed = self.pid.step(state.inner, self.limit, hold.value)

@@ -1,7 +1,7 @@
 """Sensors of a simulated rig: what a controller and an estimator measure of the plant.
 
-``SensorModel`` has noise, quantisation and delay; ``Instruments`` is one such sensor per channel and wire, with the lag
-of thermocouples; ``DropoutHold`` holds the last value of a measurement that drops out, for at most ``DROPOUT_TIMEOUT``.
+``SensorModel`` has noise, quantisation and delay; ``Instruments`` has one such sensor per channel and wire, and the lag
+of thermocouples; ``DropoutHold`` holds the last value of a measurement with dropouts, for at most ``DROPOUT_TIMEOUT``.
 """
 
 from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT, DropoutHold

@@ -1,8 +1,8 @@
 """Instruments of a rig: voltage, current and temperature of each wire as measured, with noise, quantisation and delay.
 
 A temperature is measured by a thermocouple, which follows its wire with a first-order lag: T_m' = (T - T_m) / lag. A
-measured power has the errors of voltage and current, P V_m I_m / (V I): where these are means over the pulses of a
-carrier, the product V_m I_m alone is not the mean power.
+measured power has the relative errors of voltage and current, P_m = P V_m I_m / (V I). The product V_m I_m is not used:
+if V and I are means over the pulses of a carrier, their product is not the mean power.
 """
 
 import itertools
@@ -11,21 +11,25 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.channels import channel_of
 from smajax.control.sensors.sensor_model import SensorModel
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
 
-# s; replaces a lag of 0, by which an instantaneous thermocouple would divide.
+# Smallest lag, s: it is a divisor, and 0 for an instantaneous thermocouple. With this one, exp(-period / lag) is 0 in
+# double precision for every period above 1 us.
 _MIN_LAG = 1e-9
 
 
 class InstrumentState(NamedTuple):
-    """State of the instruments by channel name.
+    """State of the instruments.
 
-    ``delayed`` are the values that are still delayed, ``thermocouples`` the temperatures of the thermocouples in degC,
-    ``draws`` the latest standard normal numbers, newest first.
+    Attributes:
+        delayed: Measured values that are still delayed, oldest first, by channel, shape ``(delay,)`` each.
+        thermocouples: Temperatures of the thermocouples by channel, scalars, degC.
+        draws: Latest standard normal numbers, newest first, shape ``(instruments,)``.
     """
 
     delayed: dict[str, jax.Array]
@@ -34,36 +38,36 @@ class InstrumentState(NamedTuple):
 
 
 class Instruments(eqx.Module):
-    """Sensors by kind of channel, such as ``voltage``, ``current`` and ``temperature``, one for each wire.
+    """Sensors of a rig, one for each measured channel and wire; channels without a sensor are exact.
 
-    Channels without a sensor are passed on exactly. ``lag`` in s is that of the thermocouples. The draw of a sample is
-    the noise of the first sensor one sample later, of the second one two samples later, and so on: at each sample the
-    noises are independent of each other and of the noise of the controller's own sensor.
+    The draw of a sample is the noise of the first sensor one sample later, of the second one two samples later, and so
+    on: at each sample the noises are independent of each other and of the noise of the controller's own sensor.
+
+    Attributes:
+        sensors: Sensors by kind of channel, such as ``voltage``, ``current`` and ``temperature``.
+        period: Period of the samples, s.
+        lag: Time constant of the thermocouples, s.
     """
 
     sensors: dict[str, SensorModel]
     period: float = eqx.field(static=True)
     lag: jax.Array = parameter("s", "time constant of the thermocouples", 0.0, default=0.0)
 
-    def reset(self, channels: dict[str, jax.Array]) -> InstrumentState:
-        """Return the state at rest.
-
-        Args:
-            channels: The plant's channels by name, scalars.
-        """
+    def reset(self, channels: dict[str, Float[Array, ""]]) -> InstrumentState:
+        """Return the state for channels that have been constant, given by name."""
         sensors = self._sensors_by_channel(channels)
         delayed = {n: sensor.reset(channels[n]) for n, sensor in sensors.items()}
         thermocouples = {n: channels[n] for n in sensors if channel_of(n) == "temperature"}
         return InstrumentState(delayed, thermocouples, jnp.zeros(len(sensors)))
 
     def step(
-        self, state: InstrumentState, channels: dict[str, jax.Array], draw: jax.Array
-    ) -> tuple[InstrumentState, dict[str, jax.Array]]:
+        self, state: InstrumentState, channels: dict[str, Float[Array, ""]], draw: Float[Array, ""]
+    ) -> tuple[InstrumentState, dict[str, Float[Array, ""]]]:
         """Take one sample.
 
         Args:
             state: State after the previous sample.
-            channels: The plant's channels by name, scalars.
+            channels: The plant's exact channels by name.
             draw: Standard normal number of this sample.
 
         Returns:
@@ -83,7 +87,7 @@ class Instruments(eqx.Module):
         draws = jnp.append(draw, state.draws)[: len(state.draws)]
         return InstrumentState(delayed, thermocouples, draws), measured
 
-    def _sensors_by_channel(self, channels: dict[str, jax.Array]) -> dict[str, SensorModel]:
+    def _sensors_by_channel(self, channels: dict[str, Float[Array, ""]]) -> dict[str, SensorModel]:
         return {
             name: self.sensors[kind]
             for kind, name in itertools.product(sorted(self.sensors), channels)
@@ -91,7 +95,9 @@ class Instruments(eqx.Module):
         }
 
 
-def _measured_power(name: str, channels: dict[str, jax.Array], measured: dict[str, jax.Array]) -> jax.Array:
+def _measured_power(
+    name: str, channels: dict[str, Float[Array, ""]], measured: dict[str, Float[Array, ""]]
+) -> Float[Array, ""]:
     """Power with the relative errors of voltage and current."""
     voltage, current = (f"{kind}{name.removeprefix('power')}" for kind in ("voltage", "current"))
     exact = channels[voltage] * channels[current]
@@ -99,13 +105,15 @@ def _measured_power(name: str, channels: dict[str, jax.Array], measured: dict[st
     return jnp.where(flows, channels[name] / jnp.where(flows, exact, 1.0), 1.0) * measured[voltage] * measured[current]
 
 
-def thermocouple_reading(reading: jax.Array, temperature: jax.Array, lag: jax.Array, period: float) -> jax.Array:
+def thermocouple_reading(
+    reading: Float[Array, "*shape"], temperature: Float[Array, "*shape"], lag: Float[Array, ""], period: float
+) -> Float[Array, "*shape"]:
     """Return the temperature of a thermocouple a period later: the exact step of T_m' = (T - T_m) / lag.
 
     Args:
         reading: Temperature of the thermocouple at the last sample, degC.
-        temperature: Temperature of the wire now, degC, of the same shape.
-        lag: Time constant in s, a scalar.
+        temperature: Temperature of the wire now, degC.
+        lag: Time constant, s.
         period: Time since the last sample, s.
     """
     return reading - jnp.expm1(-period / maximum(lag, _MIN_LAG)) * (temperature - reading)

@@ -6,10 +6,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def quantise(value: jax.Array, quantum: jax.Array) -> jax.Array:
-    """Round to whole multiples of ``quantum`` (0: no rounding).
+def quantise(value: Float[Array, ""], quantum: Float[Array, ""]) -> Float[Array, ""]:
+    """Round a value to a whole multiple of ``quantum``.
 
-    The derivative is 1, as without quantisation: the true one is 0 almost everywhere and says nothing about a loop.
+    The derivative is 1, as without quantisation: the true one is 0 almost everywhere and useless for tuning.
+
+    Args:
+        value: Exact value.
+        quantum: Step of the quantisation, in the same unit; 0: none.
     """
     safe = jnp.where(quantum > 0.0, quantum, 1.0)
     rounded = jnp.where(quantum > 0.0, safe * jnp.round(value / safe), value)
@@ -17,26 +21,31 @@ def quantise(value: jax.Array, quantum: jax.Array) -> jax.Array:
 
 
 class SensorModel(eqx.Module):
-    """Sensor with white ``noise`` (standard deviation) and ``quantum`` (0: none), in the channel's unit, and ``delay``.
+    """Sensor of one channel.
 
-    The delay is a number of samples.
+    Attributes:
+        noise: Standard deviation of the white noise, a scalar in the channel's unit.
+        quantum: Step of the quantisation, a scalar in the channel's unit; 0: none.
+        delay: Delay of the measurement, samples.
     """
 
     noise: jax.Array
     quantum: jax.Array
     delay: int = eqx.field(static=True, default=0)
 
-    def reset(self, value: jax.Array) -> Float[Array, " delay"]:
-        """Return the state of a channel at rest: the delayed values, oldest first."""
+    def reset(self, value: Float[Array, ""]) -> Float[Array, " delay"]:
+        """Return the state of a channel with the constant value ``value``: the delayed values, oldest first."""
         return jnp.full(self.delay, value)
 
-    def step(self, state: jax.Array, value: jax.Array, draw: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def step(
+        self, state: Float[Array, " delay"], value: Float[Array, ""], draw: Float[Array, ""]
+    ) -> tuple[Float[Array, " delay"], Float[Array, ""]]:
         """Take one sample.
 
         Args:
-            state: Delayed values, oldest first, shape ``(delay,)``.
-            value: True value, a scalar.
-            draw: Standard normal number of this sample, a scalar.
+            state: Delayed values, oldest first.
+            value: Exact value, in the channel's unit.
+            draw: Standard normal number of this sample.
 
         Returns:
             The delayed values after this sample, and the measured value.

@@ -1,14 +1,14 @@
 """Identification of a feedforward: a Prandtl-Ishlinskii operator is fitted to one slow cycle and inverted.
 
 The command rises and falls so slowly that the wire is close to its thermal equilibrium; the operator is fitted to the
-second such cycle. The cycle spans the commands between which it has hysteresis, below the limit on temperature. The
-misfit is what the operator cannot reproduce; it is large for the steep cycle of a dead weight.
+second such cycle. The cycle covers the range of commands in which it has hysteresis, below the limit on temperature.
+The misfit is the RMSE of the operator; it is large for the steep cycle of a dead weight.
 
 Source: krejci2001, for the operator and its inverse.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,29 +30,30 @@ from smajax.laws.prandtl_ishlinskii import PrandtlIshlinskii
 from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii, inverse_operator
 from smajax.simulation.step_size import time_constant
 
-# Samples of a cycle, one each time constant of the wire: 200 time constants for each branch. Chosen by
+# Number of samples of a cycle, one per time constant of the wire: 200 time constants for each branch. Chosen by
 # experiments/control/feedforward.py.
 _SAMPLES = 400
-# Distance of the branches of a cycle, as a share of the stroke, above which it counts as hysteresis; chosen by the
-# same.
+# Distance between the branches of a cycle, as a share of the stroke, above which it counts as hysteresis. Chosen by
+# experiments/control/feedforward.py.
 _MIN_DISTANCE = 0.02
-# Samples with hysteresis, or cool enough, at least.
+# Smallest number of samples with hysteresis, and of samples below the limit on temperature.
 _MIN_ROWS = 3
 # Correlation of command and channel above which the channel rises with the command; chosen by trial.
 _MIN_CORRELATION = 0.1
-# Temperature in K by which a simulated cycle may exceed the limit: its command range is found on a coarser cycle.
+# Temperature in K by which a simulated cycle may exceed the limit: its command range comes from a coarser cycle.
 _TEMPERATURE_TOLERANCE = 1.0
-# Starts of the fit of the operator.
+# Number of starts of the fit of the operator.
 _FIT_STARTS = 4
 
 
 class Feedforward(NamedTuple):
-    """What a feedforward is made of.
+    """Settings of a feedforward.
 
-    Args:
+    Attributes:
         operators: Number of play operators.
-        command_range: Least and largest command of the simulated cycle; ``None``: where it has hysteresis.
-        measured: A measured cycle, instead of a simulated one.
+        command_range: Smallest and largest command of the simulated cycle, internal unit; ``None`` for the range in
+            which it has hysteresis.
+        measured: A measured cycle that is used instead of a simulated one.
     """
 
     operators: int
@@ -61,14 +62,14 @@ class Feedforward(NamedTuple):
 
 
 class IdentifiedFeedforward(NamedTuple):
-    """An inverse operator, and how well the operator itself fits its cycle.
+    """Inverse operator, and the quality of the operator's fit to its cycle.
 
-    Args:
+    Attributes:
         inverse: The inverse operator.
-        misfit: RMSE of the operator in the channel's unit.
-        stroke: Range of the channel in the cycle.
-        command_range: Least and largest command of the cycle.
-        seconds: Duration of the cycle.
+        misfit: RMSE of the operator, internal unit of the channel.
+        stroke: Largest minus smallest value of the channel in the cycle, internal unit.
+        command_range: Smallest and largest command of the cycle, internal unit.
+        seconds: Duration of the cycle, s.
     """
 
     inverse: InversePrandtlIshlinskii
@@ -81,12 +82,12 @@ class IdentifiedFeedforward(NamedTuple):
 def identify_feedforward(
     system: SampledPlant, loop: ClosedLoop, settings: Feedforward, max_temperature: float = math.inf
 ) -> IdentifiedFeedforward:
-    """Fit the operator and invert it.
+    """Fit a Prandtl-Ishlinskii operator to a slow cycle and invert it.
 
     Args:
         system: The sampled plant.
-        loop: The closed loop.
-        settings: What the feedforward is made of.
+        loop: The closed loop, for its channel and the limits of its command.
+        settings: Number of play operators, and the cycle.
         max_temperature: Limit of the wires' temperature in a simulated cycle, degC.
 
     Raises:
@@ -104,23 +105,32 @@ def identify_feedforward(
     )
     assert isinstance(fitted.model, PrandtlIshlinskii)
     inverse = inverse_operator(fitted.model)
-    assert isinstance(inverse, InversePrandtlIshlinskii)  # of one envelope
+    assert isinstance(inverse, InversePrandtlIshlinskii)  # since the operator has one envelope
     command_range = (float(series.input.min()), float(series.input.max()))
     return IdentifiedFeedforward(inverse, fitted.rmse, stroke, command_range, float(np.ptp(series.time)))
 
 
 def with_inverse(controller: AbstractController, inverse: InversePrandtlIshlinskii) -> AbstractController:
-    """Return the controller with a feedforward. Raises ``InputError`` for a kind that has none."""
+    """Return the controller with a feedforward.
+
+    Args:
+        controller: A PID or PPID.
+        inverse: The inverse operator, from the channel to the command.
+
+    Raises:
+        InputError: for another kind of controller.
+    """
     if isinstance(controller, PPID):
         return PPID(controller.pid, controller.kp_rest, controller.band, controller.exit_factor, inverse)
     if isinstance(controller, PID):
         return FeedforwardPID(controller, inverse)
-    raise InputError(f"feedforward: a {type(controller).__name__} takes none: make the controller's kind pid or ppid")
+    raise InputError(f"feedforward: a {type(controller).__name__} cannot have one: make the kind pid or ppid")
 
 
 def _simulated_cycle(
     system: SampledPlant, loop: ClosedLoop, command_range: tuple[float, float] | None, max_temperature: float
 ) -> Series:
+    """The second of two slow cycles of the command, simulated."""
     slow = SampledPlant.of(system.plant, float(time_constant(system.plant)))
     pid = loop.controller.inner
     if command_range is None:
@@ -131,7 +141,7 @@ def _simulated_cycle(
         unit = CHANNELS[system.plant.drive.control].unit
         raise InputError(
             f"feedforward: in a slow loop up to {command_range[1]:.4g} {unit} the wire reaches "
-            f"{temperature.max():.4g} degC: give a smaller range"
+            f"{temperature.max():.4g} degC: give a smaller range of commands"
         )
     return Series("slow loop", slow.period * np.arange(len(command)), command, value)
 
@@ -150,7 +160,7 @@ def _second_cycle(
 def _simulate(slow: SampledPlant, loop: ClosedLoop, command: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Channel and highest temperature under a command, shape ``(n,)`` each."""
 
-    def sample(state: tuple, command: jax.Array) -> tuple[tuple, tuple]:
+    def sample(state: Any, command: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
         commands = loop.allocation(command)
         state, _, _ = slow.step(state, commands)
         channels = slow.observe(state, commands)
@@ -163,15 +173,16 @@ def _simulate(slow: SampledPlant, loop: ClosedLoop, command: jax.Array) -> tuple
 def _hysteretic_range(
     command: np.ndarray, value: np.ndarray, temperature: np.ndarray, max_temperature: float
 ) -> tuple[float, float]:
-    """Least and largest command at which a cycle has hysteresis and the wires are cool enough."""
+    """Smallest and largest command at which a cycle has hysteresis and the wires are below their limit."""
     half = _SAMPLES // 2
     values, temperatures = (np.stack([v[: half + 1], v[: half - 1 : -1]]) for v in (value, temperature))
     cool = np.all((temperatures <= max_temperature) & np.isfinite(values), axis=0)
     if np.sum(cool) < _MIN_ROWS:
         raise InputError(
-            "feedforward: a slow loop of the command overheats the wire from its start: raise the limit on temperature"
+            "feedforward: in a slow loop the wire overheats at the smallest commands already: raise the limit on "
+            "temperature"
         )
     distance = np.abs(values[0] - values[1])
-    apart = cool & (distance > _MIN_DISTANCE * np.ptp(values[:, cool]))
-    rows = command[: half + 1][apart if np.sum(apart) >= _MIN_ROWS else cool]
-    return float(rows[0]), float(rows[-1])
+    hysteretic = cool & (distance > _MIN_DISTANCE * np.ptp(values[:, cool]))
+    commands = command[: half + 1][hysteretic if np.sum(hysteretic) >= _MIN_ROWS else cool]
+    return float(commands[0]), float(commands[-1])

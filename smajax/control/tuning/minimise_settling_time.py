@@ -1,9 +1,10 @@
-"""Gains that settle as soon as possible, or soon enough: the discontinuous settling time has its own search."""
+"""Gains with the shortest settling time, or one below a limit: the discontinuous settling time has its own search."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from smajax.control.analysis.step_response import step_responses
 from smajax.control.tuning.objective import LIMITS, Objective, evaluate_objective, make_objective
@@ -12,19 +13,32 @@ from smajax.control.tuning.search import VIOLATION_TOLERANCE, Candidate, GainSea
 from smajax.control.tuning.settling_slp import LinearisedResponse, linearise, settling_slp
 from smajax.control.tuning.unconstrained import COBYQA_ALL_MEMBERS
 
-# Weights of the terms that are minimised before the settling time is: ITAE, since its minimum settles without a long
-# tail.
+# Weights of the terms that are minimised before the settling time: ITAE, since its minimum settles without a slow
+# final approach.
 START_WEIGHTS = {"itae": 1.0}
-# Steps of that search, and the factor of the coordinates, which bounds its first step; chosen by
+# Largest number of steps of that search, and the factor of the coordinates, which bounds its first step; chosen by
 # experiments/papers/hip/hip_gains.py.
 _STEPS = 10
 _COORDINATE_SCALE = 5.0
-# Largest number of evaluations of the settling time; the search ends by itself earlier as a rule.
+# Largest number of evaluations of the settling time; as a rule the search converges earlier.
 _EVALUATIONS = 32
 
 
-def minimise_without_limits(search: GainSearch, points: np.ndarray) -> np.ndarray:
-    """Return the point, ``(p,)``, with the smallest terms without limits, of searches from ``points``, ``(k, p)``."""
+def minimise_without_limits(
+    search: GainSearch, points: Float[np.ndarray, "starts gains"]
+) -> Float[np.ndarray, " gains"]:
+    """Minimise the terms without limits by L-BFGS-B from several starts.
+
+    Args:
+        search: The search.
+        points: Starts in the unit box, shape ``(k, p)``.
+
+    Returns:
+        The best point, shape ``(p,)``.
+
+    Raises:
+        NumericsError: if no point has a finite cost.
+    """
     objective, multipliers = search.objective_without_limits, search.zero_multipliers
     best = min(
         (search.descend_by_lbfgs(p, objective, multipliers, 1.0, _STEPS, _COORDINATE_SCALE) for p in points),
@@ -33,8 +47,16 @@ def minimise_without_limits(search: GainSearch, points: np.ndarray) -> np.ndarra
     return search.require_cost(best).point
 
 
-def minimise_settling_time(search: GainSearch, start: np.ndarray) -> np.ndarray:
-    """Return the point, shape ``(p,)``, with the shortest settling time within the other limits."""
+def minimise_settling_time(search: GainSearch, start: Float[np.ndarray, " gains"]) -> Float[np.ndarray, " gains"]:
+    """Minimise the settling time within the other limits.
+
+    Args:
+        search: The search.
+        start: Start in the unit box, shape ``(p,)``.
+
+    Returns:
+        The best point, shape ``(p,)``.
+    """
     problem = search.problem
     jumps = problem.jumps
     response = _ErrorAndViolations(problem, search.objective)
@@ -53,18 +75,26 @@ def minimise_settling_time(search: GainSearch, start: np.ndarray) -> np.ndarray:
     return settling_slp(linearised_at, start, span, jumps, search.objective, period, report, evaluations=_EVALUATIONS)
 
 
-def meet_settling_limit(search: GainSearch, point: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return a point that settles in time, with small terms, or the one that settles first.
+def meet_settling_limit(
+    search: GainSearch, point: Float[np.ndarray, " gains"], points: Float[np.ndarray, "starts gains"]
+) -> Float[np.ndarray, " gains"]:
+    """Find a point that keeps a limit on the settling time, with small terms.
 
-    The violation of a settling limit says little about how to settle sooner, so that this has a search of its own,
-    within the other limits.
+    The gradient of the settling limit's violation does not lead to shorter settling times, so the settling time is
+    minimised within the other limits.
 
     Args:
         search: The search.
-        point: The point so far, which is returned if it keeps all limits.
-        points: Starts, shape ``(k, p)``.
+        point: The best point so far, shape ``(p,)``; it is returned if it keeps all limits.
+        points: Starts in the unit box, shape ``(k, p)``.
+
+    Returns:
+        A point that keeps all limits, or the one with the shortest settling time, shape ``(p,)``.
+
+    Raises:
+        NumericsError: if no point has a finite cost.
     """
-    place, spent = LIMITS.index("settling"), search.rollouts
+    place, previous_rollouts = LIMITS.index("settling"), search.rollouts
     before = search.candidates(point[None])[0]
     if before.violation == 0.0:
         return point
@@ -74,13 +104,16 @@ def meet_settling_limit(search: GainSearch, point: np.ndarray, points: np.ndarra
         (make_objective(START_WEIGHTS, {}).weights, search.objective.limits.at[place].set(jnp.inf)),
     )
     settling_search = GainSearch(
-        search.problem, without_settling, lambda count, cost: search.progress(spent + count, cost), settle=True
+        search.problem,
+        without_settling,
+        lambda count, cost: search.progress(previous_rollouts + count, cost),
+        settle=True,
     )
-    sooner = minimise_settling_time(settling_search, minimise_without_limits(settling_search, points))
+    fastest_point = minimise_settling_time(settling_search, minimise_without_limits(settling_search, points))
     search.rollouts += settling_search.rollouts
-    after = search.candidates(sooner[None])[0]
+    after = search.candidates(fastest_point[None])[0]
     if after.violation == 0.0:
-        refined = search.search_by_cobyqa(sooner, search.problem, *COBYQA_ALL_MEMBERS)
+        refined = search.search_by_cobyqa(fastest_point, search.problem, *COBYQA_ALL_MEMBERS)
         return min(after, refined, key=rank).point
 
     def settling_rank(candidate: Candidate) -> tuple[float, float]:
@@ -91,12 +124,14 @@ def meet_settling_limit(search: GainSearch, point: np.ndarray, points: np.ndarra
 
 
 class _ErrorAndViolations(eqx.Module):
-    """Maps a point to the error over the jump, shape ``(m, n)``, and the violations, shape ``(m, 5, n)``."""
+    """Function of a point: the error over the jump, shape ``(m, n)``, and the violations, shape ``(m, 5, n)``."""
 
     problem: TuningProblem
     objective: Objective
 
-    def __call__(self, point: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def __call__(
+        self, point: Float[Array, " gains"]
+    ) -> tuple[Float[Array, "members samples"], Float[Array, "members limits samples"]]:
         problem, reference = self.problem, self.problem.reference
         rollouts = problem.simulate(problem.gains(point))._replace(final_states=None)
         after_jump = reference.jump_size != 0.0
@@ -108,8 +143,17 @@ class _ErrorAndViolations(eqx.Module):
         return share, violations(rollouts)
 
 
-def longest_settling(problem: TuningProblem, point: np.ndarray, band: float) -> float:
-    """Return the longest settling time of all jumps and members at a point, s; 0 without any jump."""
+def longest_settling(problem: TuningProblem, point: Float[np.ndarray, " gains"], band: float) -> float:
+    """Compute the longest settling time of all jumps and members at a point.
+
+    Args:
+        problem: The tuning problem.
+        point: A point of the unit box, shape ``(p,)``.
+        band: Settling band as a share of the jump.
+
+    Returns:
+        The settling time in s; infinite if a response does not settle, 0 without any jump.
+    """
     signal, jumps = problem.reference, problem.jumps
     values = np.asarray(simulate_gains(problem, problem.gains(point)).channels[signal.channel])
     reference = np.asarray(signal.values)

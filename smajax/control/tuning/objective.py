@@ -5,13 +5,14 @@ Terms are sums of squares over the n samples of a rollout with error e, time t a
     tracking  e^2 / n                          energy  T sum of the wires' power
     itae      T t |e|                          effort  squared moves of the commands from sample to sample
 
-Each counts relative to its value at the start gains; effort, where the command is bounded, relative to moves of a
-hundredth of its range. A small weight of effort is needed wherever the simulated sensor is better than a real one:
-otherwise the best gains shake the wire.
+Each term is divided by its value at the start gains; effort, if the command is bounded, by that of changes of a
+hundredth of its range at every sample. A small weight of effort is needed if the simulated sensor is better than the
+real one: otherwise the best gains make the command oscillate with the noise.
 
-A limit c <= 0 at every sample is kept by an augmented Lagrangian (nocedal2006, section 17.3): the residual sqrt(mu)
-max(0, c + lambda / mu) next to the terms, where the multiplier lambda grows after each search by what is still
-violated.
+A limit c <= 0 at every sample is kept by an augmented Lagrangian: its residual is sqrt(mu) max(0, c + lambda / mu),
+where mu is the penalty, and the multiplier lambda grows after each search by mu c.
+
+Source: nocedal2006, section 17.3.
 """
 
 from collections.abc import Mapping
@@ -20,8 +21,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from smajax.channels import numbered
+from smajax.control.analysis.closed_loop_checks import RELATIVE_SCALE, TEMPERATURE_SCALE
 from smajax.control.analysis.step_response import SETTLING_BAND
 from smajax.control.loop.rollout import Rollout
 from smajax.numerics.nonsmooth import largest, maximum
@@ -31,19 +34,15 @@ LIMITS = ("overshoot", "settling", "temperature", "stress", "current")
 # Share of the reference's span within which |e| is rounded off in the ITAE term, so that its derivative exists: far
 # below any settling band.
 _CORNER = 1e-4
-# What counts as a violation of order one: for a temperature in K, for a stress or a current as a share of the limit.
-# They put the limits on the scale of the terms, which are near 1.
-_TEMPERATURE_SCALE = 10.0
-_RELATIVE_SCALE = 0.1
 
 
 class Objective(eqx.Module):
     """Weights and limits of a tuning.
 
-    Args:
-        weights: Weights of ``TERMS`` over their values at the start, shape ``(4,)``.
-        limits: Limits of ``LIMITS``, shape ``(5,)``; infinite for none. Overshoot is a share of the jump, settling in
-            s, temperature in degC, stress in Pa, current in A.
+    Attributes:
+        weights: Weights of the terms (``TERMS``) relative to their values at the start, shape ``(4,)``.
+        limits: Limits (``LIMITS``), shape ``(5,)``; infinite where there is none. Overshoot is a share of the jump,
+            settling time in s, temperature in degC, stress in Pa, current in A.
         band: Settling band as a share of the jump.
     """
 
@@ -53,7 +52,13 @@ class Objective(eqx.Module):
 
 
 def make_objective(weights: Mapping[str, float], limits: Mapping[str, float], band: float = SETTLING_BAND) -> Objective:
-    """Return the objective from weights of ``TERMS`` and limits of ``LIMITS`` by name."""
+    """Return the objective with weights and limits that are given by name.
+
+    Args:
+        weights: Weights of ``TERMS`` by name; 0 for those that are missing.
+        limits: Limits of ``LIMITS`` by name, internal units; none for those that are missing.
+        band: Settling band as a share of the jump.
+    """
     return Objective(
         jnp.asarray([float(weights.get(t, 0.0)) for t in TERMS]),
         jnp.asarray([float(limits.get(k, jnp.inf)) for k in LIMITS]),
@@ -62,13 +67,13 @@ def make_objective(weights: Mapping[str, float], limits: Mapping[str, float], ba
 
 
 class ReferenceSignal(eqx.Module):
-    """The reference that a channel has to follow, and its jumps.
+    """Reference of a channel, and its jumps.
 
-    Args:
-        values: Reference at the samples, shape ``(n,)``.
-        since_jump: Time since the last jump, see ``step_response.Jumps``.
-        jump_size: Size of the last jump.
-        span: Largest less smallest value, a scalar.
+    Attributes:
+        values: Reference at the samples, unit of the channel, shape ``(n,)``.
+        since_jump: Time since the last jump in s, shape ``(n,)``; see ``step_response.Jumps``.
+        jump_size: Size of the last jump, shape ``(n,)``.
+        span: Largest minus smallest value, a scalar.
         channel: Name of the channel.
         period: Time between samples, s.
         wires: Number of wires.
@@ -82,8 +87,18 @@ class ReferenceSignal(eqx.Module):
     period: float = eqx.field(static=True)
     wires: int = eqx.field(static=True)
 
-    def wire_channels(self, channels: dict[str, jax.Array], name: str) -> jax.Array | None:
-        """Return a channel of every wire, shape ``(wires, n)``; ``None`` where the plant has none."""
+    def wire_channels(
+        self, channels: dict[str, Float[Array, " samples"]], name: str
+    ) -> Float[Array, "wires samples"] | None:
+        """Return a channel of all wires.
+
+        Args:
+            channels: Channels of a rollout by name, shape ``(n,)`` each.
+            name: Name of the channel without the number of a wire.
+
+        Returns:
+            The channel, shape ``(wires, n)``; ``None`` if the plant does not have it.
+        """
         names = numbered(name, self.wires)
         return jnp.stack([channels[n] for n in names]) if names[0] in channels else None
 
@@ -91,9 +106,9 @@ class ReferenceSignal(eqx.Module):
 class ObjectiveTerms(NamedTuple):
     """Terms and limits of a rollout.
 
-    Args:
-        terms: Residuals whose squares sum to the terms of ``TERMS``, shape ``(4, n)``.
-        violations: c of each limit of ``LIMITS``, shape ``(5, n)``; a limit is kept where c <= 0.
+    Attributes:
+        terms: Residuals whose squares sum to the terms (``TERMS``), shape ``(4, n)``.
+        violations: c of each limit (``LIMITS``), dimensionless, shape ``(5, n)``; a limit is kept where c <= 0.
     """
 
     terms: jax.Array
@@ -101,63 +116,82 @@ class ObjectiveTerms(NamedTuple):
 
 
 def evaluate_objective(rollout: Rollout, reference: ReferenceSignal, objective: Objective) -> ObjectiveTerms:
-    """Return the terms and limits of a rollout."""
-    channels, period = rollout.channels, reference.period
-    error = channels[reference.channel] - reference.values
-    count = error.shape[0]
+    """Compute terms and limits of a single rollout.
+
+    Args:
+        rollout: The rollout of one member.
+        reference: The reference and its jumps.
+        objective: Limits and settling band.
+    """
+    error = rollout.channels[reference.channel] - reference.values
+    return ObjectiveTerms(_terms(rollout, reference, error), _violations(rollout, reference, objective, error))
+
+
+def _terms(rollout: Rollout, reference: ReferenceSignal, error: jax.Array) -> jax.Array:
+    """Residuals of the terms, shape ``(4, n)``."""
+    count, period = error.shape[0], reference.period
     time = period * jnp.arange(count)
     corner = _CORNER * reference.span
     # sign(e) sqrt(t |e|), rounded off where e changes its sign, so that its derivative exists.
     itae = error * jnp.sqrt(period * time) / jnp.sqrt(jnp.sqrt(error**2 + corner**2) + corner)
-    power = reference.wire_channels(channels, "power")
+    power = reference.wire_channels(rollout.channels, "power")
     energy = jnp.zeros(count) if power is None else _safe_sqrt(period * jnp.sum(power, axis=0))
     moves = jnp.diff(rollout.command, axis=0, prepend=rollout.command[:1])
     effort = _safe_sqrt(jnp.sum(moves**2, axis=1))
-    terms = jnp.stack([error / jnp.sqrt(count), itae, energy, effort])
+    return jnp.stack([error / jnp.sqrt(count), itae, energy, effort])
 
+
+def _violations(rollout: Rollout, reference: ReferenceSignal, objective: Objective, error: jax.Array) -> jax.Array:
+    """Violations of the limits, shape ``(5, n)``; -1 where a limit does not apply."""
+    count = error.shape[0]
     after_jump = reference.jump_size != 0.0
     share = jnp.where(after_jump, error / jnp.where(after_jump, reference.jump_size, 1.0), 0.0)
     overshoot, settling, temperature, stress, current = objective.limits
     late = after_jump & (reference.since_jump >= settling)
-    kept = jnp.full(count, -1.0)
+    no_violation = jnp.full(count, -1.0)
     violations = [
         jnp.where(after_jump & jnp.isfinite(overshoot), (share - _finite_or_one(overshoot)) / objective.band, -1.0),
         jnp.where(late, (jnp.abs(share) - objective.band) / objective.band, -1.0),
         *(
-            kept
-            if (values := reference.wire_channels(channels, name)) is None
+            no_violation
+            if (values := reference.wire_channels(rollout.channels, name)) is None
             else _excess(largest(values, axis=0), limit, scale)
             for name, limit, scale in (
-                ("temperature", temperature, _TEMPERATURE_SCALE),
-                ("stress", stress, _RELATIVE_SCALE * _finite_or_one(stress)),
-                ("current", current, _RELATIVE_SCALE * _finite_or_one(current)),
+                ("temperature", temperature, TEMPERATURE_SCALE),
+                ("stress", stress, RELATIVE_SCALE * _finite_or_one(stress)),
+                ("current", current, RELATIVE_SCALE * _finite_or_one(current)),
             )
         ),
     ]
-    return ObjectiveTerms(terms, jnp.stack(violations))
+    return jnp.stack(violations)
 
 
 def residual(
-    evaluated: ObjectiveTerms, scale: jax.Array, objective: Objective, multipliers: jax.Array, mu: jax.Array
-) -> jax.Array:
-    """Return all residuals of the augmented Lagrangian.
+    evaluated: ObjectiveTerms,
+    scale: Float[Array, " terms"],
+    objective: Objective,
+    multipliers: Float[Array, "limits samples"],
+    penalty: Float[Array, ""],
+) -> Float[Array, " residuals"]:
+    """Compute all residuals of the augmented Lagrangian; the cost is the sum of their squares.
 
     Args:
         evaluated: Terms and limits of a rollout.
         scale: Terms at the start, shape ``(4,)``.
         objective: Weights and limits.
         multipliers: Multipliers of the limits at the samples, shape ``(5, n)``.
-        mu: Penalty, a scalar.
+        penalty: Penalty mu.
 
     Returns:
         Residuals, shape ``(9 n,)``.
     """
     terms = evaluated.terms * jnp.sqrt(objective.weights / scale)[:, None]
-    limits = jnp.sqrt(mu) * maximum(evaluated.violations + multipliers / mu, 0.0)
+    limits = jnp.sqrt(penalty) * maximum(evaluated.violations + multipliers / penalty, 0.0)
     return jnp.concatenate([terms.ravel(), limits.ravel()])
 
 
 def _excess(values: jax.Array, limit: jax.Array, scale: Any) -> jax.Array:
+    """Excess of a channel over its limit, over the scale; -1 without a limit."""
     return jnp.where(jnp.isfinite(limit), (values - _finite_or_one(limit)) / maximum(scale, 1e-12), -1.0)
 
 

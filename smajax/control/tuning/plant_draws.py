@@ -1,35 +1,37 @@
-"""Samples of uncertain parameters: from the intervals of a fit, and from ranges of what changes from day to day."""
+"""Samples of uncertain parameters: from the intervals of a fit, and from ranges of parameters that vary in use."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import scipy.stats
+from jaxtyping import Float
 
 from smajax.errors import InputError
 
-# Times that samples beyond a bound are drawn again; what is still beyond then takes the estimate. Chosen by trial.
-_REDRAWS = 50
+# Number of attempts to draw samples within their bounds; samples that are still outside get the estimate. Chosen by
+# trial.
+_ATTEMPTS = 50
 # Half width of a 95 % interval of the normal distribution in standard deviations.
 _HALF_WIDTH_95 = 1.959964
 
 
 def draw_from_fit(
     document: Mapping[str, Any], names: Sequence[str], count: int, rng: np.random.Generator
-) -> dict[str, np.ndarray]:
-    """Draw samples of the fitted parameters.
+) -> dict[str, Float[np.ndarray, " draws"]]:
+    """Draw samples of the fitted parameters from a normal distribution with the fit's intervals and correlations.
 
-    They are normal, with the fit's intervals and correlations, and are drawn again where they leave their bounds.
-    Parameters at a bound or without an interval keep their estimate; those of single recordings are left out.
+    Samples outside the parameters' bounds are drawn again. Parameters at a bound or without an interval keep their
+    estimate; parameters of single recordings are left out.
 
     Args:
-        document: The fit.json of a fit.
-        names: Parameters of the plant; others are left out.
+        document: Content of fit.json.
+        names: Names of the plant's parameters; others in the document are left out.
         count: Number of samples.
-        rng: Random numbers.
+        rng: Random number generator.
 
     Returns:
-        Samples in internal units by name, shape ``(count,)`` each.
+        Samples by name, internal units, shape ``(count,)`` each.
 
     Raises:
         InputError: if no parameter has an interval.
@@ -40,18 +42,18 @@ def draw_from_fit(
     ]
     if not free:
         raise InputError(
-            "the fit gives no parameter an interval, so there is nothing to draw: fit with more data, or vary by ranges"
+            "the fit gives no parameter an interval, so there is nothing to draw: fit with more data, or use ranges"
         )
     estimate = np.array([entries[n]["estimate"] for n in free])
     widths = [entries[n]["upper95"] - entries[n]["lower95"] for n in free]
     deviation = np.array([width / (2.0 * _HALF_WIDTH_95) for width in widths])
     values, vectors = np.linalg.eigh(_correlation_of(document, free))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    lower = _ends(entries, free, 0, -np.inf)
-    upper = _ends(entries, free, 1, np.inf)
+    lower = _bounds_of(entries, free, 0, -np.inf)
+    upper = _bounds_of(entries, free, 1, np.inf)
     samples = np.tile(estimate, (count, 1))
     rows = np.arange(count)
-    for _ in range(_REDRAWS):
+    for _ in range(_ATTEMPTS):
         samples[rows] = estimate + deviation * (rng.standard_normal((len(rows), len(free))) @ root.T)
         rows = np.flatnonzero(np.any((samples < lower) | (samples > upper), axis=1))
         if not len(rows):
@@ -62,7 +64,7 @@ def draw_from_fit(
 
 
 def _correlation_of(document: Mapping[str, Any], names: Sequence[str]) -> np.ndarray:
-    """Correlations of some parameters, shape ``(p, p)``; those that the fit does not know are 0."""
+    """Correlations of some parameters, shape ``(p, p)``; 0 where the fit has none."""
     order, matrix = document["correlations"]["parameters"], np.array(document["correlations"]["matrix"], float)
     rows = [order.index(n) for n in names]
     correlation = np.nan_to_num(matrix[np.ix_(rows, rows)])
@@ -70,16 +72,25 @@ def _correlation_of(document: Mapping[str, Any], names: Sequence[str]) -> np.nda
     return correlation
 
 
-def _ends(entries: Mapping[str, Any], names: Sequence[str], end: int, otherwise: float) -> np.ndarray:
-    """Lower (0) or upper (1) bounds of parameters, shape ``(p,)``."""
-    bounds = [entries[n]["bounds"][end] for n in names]
-    return np.array([otherwise if bound is None else bound for bound in bounds], float)
+def _bounds_of(entries: Mapping[str, Any], names: Sequence[str], side: int, default: float) -> np.ndarray:
+    """Lower (side 0) or upper (side 1) bounds of parameters, shape ``(p,)``."""
+    bounds = [entries[n]["bounds"][side] for n in names]
+    return np.array([default if bound is None else bound for bound in bounds], float)
 
 
 def draw_from_ranges(
     ranges: Mapping[str, tuple[float, float]], count: int, rng: np.random.Generator
-) -> dict[str, np.ndarray]:
-    """Draw samples between the ends of ranges by a Latin hypercube, shape ``(count,)`` each."""
+) -> dict[str, Float[np.ndarray, " draws"]]:
+    """Draw samples from a uniform distribution between the ends of ranges, by Latin hypercube sampling.
+
+    Args:
+        ranges: Smallest and largest value of each parameter by name, internal units.
+        count: Number of samples.
+        rng: Random number generator.
+
+    Returns:
+        Samples by name, internal units, shape ``(count,)`` each.
+    """
     if not ranges:
         return {}
     share = scipy.stats.qmc.LatinHypercube(len(ranges), rng=rng).random(count)

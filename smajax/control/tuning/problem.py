@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.stats
+from jaxtyping import Array, Float
 
 from smajax.control.analysis.members import rollout_members
 from smajax.control.analysis.step_response import Jumps, find_jumps
@@ -23,33 +24,33 @@ from smajax.control.sampled_plant import AbstractSampledSystem
 from smajax.control.tuning.objective import Objective, ObjectiveTerms, ReferenceSignal, evaluate_objective
 from smajax.errors import InputError
 
-# Draws of the sensor's noise that gains are tuned for, so that they do not fit a single draw. Chosen by
+# Number of noise draws that gains are tuned for, so that they do not overfit a single one. Chosen by
 # experiments/papers/rotary/rotary_tracking.py.
 NOISE_DRAWS = 8
-# Relative spread of the gains that several members evaluate, so that gains do not fit the instants at which a single
-# reference jumps. Chosen by experiments/control/wire_position.py.
+# Relative spread of the gains that several members evaluate, so that the gains do not overfit the instants at which a
+# single reference jumps. Chosen by experiments/control/wire_position.py.
 GAIN_SPREAD = 0.1
-# Separates the random numbers of the noise from others of the same seed.
+# Number in the seed of the noise that separates its random numbers from others of the same seed.
 _NOISE_STREAM = 11
 
 
 class TuningProblem(eqx.Module):
-    """A loop over a scenario, around plants that differ and with several draws of the sensor's noise: its members.
+    """Tuning problem: one loop and scenario, simulated for several members (plants, draws of the sensor's noise).
 
-    Each member evaluates gains that are off by its own offsets. A wire's loop that oscillates meets the reference's
-    jumps at better and worse instants; gains that are good at some instants only are not what is wanted.
+    Each member evaluates the gains with its own small offsets. A wire's loop may oscillate, and the phase of the
+    oscillation at a jump of the reference changes the cost; the offsets average over it.
 
-    Args:
+    Attributes:
         system: The sampled plant.
         loop: The closed loop, with the start gains.
-        scenario: The scenario.
+        scenario: The scenario; its noise is replaced by ``draws``.
         reference: The reference and its jumps.
-        members: Parameters in which the members differ, shape ``(m,)`` each.
+        members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
         draws: Standard normal numbers of the noise, shape ``(m, n)``.
         offsets: Offsets of each member in the unit box, shape ``(m, p)``.
-        lower: Lower bounds of the gains, shape ``(p,)``.
-        upper: Upper bounds of the gains, shape ``(p,)``.
-        names: Names of the gains.
+        lower: Lower bounds of the gains, internal units, shape ``(p,)``.
+        upper: Upper bounds of the gains, internal units, shape ``(p,)``.
+        names: Names of the ``p`` free gains.
     """
 
     system: AbstractSampledSystem
@@ -80,10 +81,10 @@ class TuningProblem(eqx.Module):
             system: The sampled plant.
             loop: The closed loop, with the start gains.
             scenario: The scenario.
-            bounds: Positive lower and upper bound of each free gain.
-            members: Parameters in which the members differ, shape ``(m,)`` each.
-            draws: Noise of the members, shape ``(m, n)``; a single row, or the scenario's noise without ``draws``, is
-                that of all.
+            bounds: Positive lower and upper bound of each free gain by name, internal units.
+            members: Parameters in which the members differ, by name, internal units, shape ``(m,)`` each.
+            draws: Noise of the members, shape ``(m, n)`` or ``(1, n)`` for the same noise in all; default: the
+                scenario's noise in all.
             spread: Relative spread of the gains that several members evaluate.
 
         Raises:
@@ -94,7 +95,7 @@ class TuningProblem(eqx.Module):
             if not 0.0 < low <= value <= high:
                 raise InputError(
                     f"{name} starts at {value:.6g} and is to be tuned between {low:.6g} and {high:.6g}: the bounds "
-                    "have to be positive and hold the start value"
+                    "have to be positive and contain the start value"
                 )
         lower, upper = (jnp.asarray([b[k] for b in bounds.values()], jnp.float64) for k in (0, 1))
         values = {k: jnp.asarray(v) for k, v in (members or {}).items()}
@@ -111,7 +112,7 @@ class TuningProblem(eqx.Module):
 
     @property
     def count(self) -> int:
-        """Number of members: rollouts of one evaluation."""
+        """Number of members, which is the number of rollouts of one evaluation."""
         return self.draws.shape[0]
 
     def single_member(self, member: int = 0) -> "TuningProblem":
@@ -120,7 +121,7 @@ class TuningProblem(eqx.Module):
         return dataclasses.replace(single, offsets=0.0 * single.offsets)
 
     def first_members(self, count: int) -> "TuningProblem":
-        """Return the problem of the first members."""
+        """Return the problem with the first ``count`` members."""
         return self._select(slice(count))
 
     def _select(self, rows: slice) -> "TuningProblem":
@@ -134,31 +135,53 @@ class TuningProblem(eqx.Module):
         return find_jumps(np.asarray(self.scenario.reference), initial, self.reference.period)
 
     @property
-    def start(self) -> np.ndarray:
-        """The start gains in the unit box, shape ``(p,)``."""
+    def start(self) -> Float[np.ndarray, " gains"]:
+        """The loop's own gains as a point of the unit box, shape ``(p,)``."""
         values = np.array([float(gain(self.loop, name)) for name in self.names])
         low, high = np.asarray(self.lower), np.asarray(self.upper)
         return np.log(values / low) / np.where(high > low, np.log(high / low), 1.0)
 
     def gains(self, point: Any) -> dict[str, jax.Array]:
-        """Return the gains, internal units, at a point of the unit box, ``(p,)``, or at several, ``(p, k)``."""
+        """Return the gains at a point of the unit box.
+
+        Args:
+            point: A point, shape ``(p,)``, or several, shape ``(p, k)``; a NumPy or JAX array.
+
+        Returns:
+            Gains by name, internal units, scalars or of shape ``(k,)``.
+        """
         values = jnp.asarray(point)
         return {name: self.lower[i] * (self.upper[i] / self.lower[i]) ** values[i] for i, name in enumerate(self.names)}
 
     def loop_with(self, gains: Mapping[str, Any]) -> ClosedLoop:
-        """Return the loop with other gains, in internal units."""
+        """Return the loop with other gains, by name in internal units."""
         return with_gains(self.loop, gains)
 
     def simulate(self, gains: Mapping[str, Any]) -> Rollout:
-        """Return the rollouts of all members with other gains, internal units; leaves have a leading axis of ``m``."""
+        """Simulate all members with other gains, without offsets.
+
+        Args:
+            gains: Gains by name, internal units, scalars.
+
+        Returns:
+            Rollouts whose leaves have a leading axis of ``m``.
+        """
         return self._simulate({name: jnp.broadcast_to(value, self.count) for name, value in gains.items()})
 
     def _simulate(self, gains: dict[str, jax.Array]) -> Rollout:
-        """The rollouts of all members, each with gains of its own, shape ``(m,)`` each."""
+        """The rollouts of all members, each with its own gains, shape ``(m,)`` each."""
         return rollout_members(self.system, self.loop, self.scenario, self.members, self.draws, gains)
 
-    def objective_terms(self, point: jax.Array, objective: Objective) -> ObjectiveTerms:
-        """Return terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``, at a point of the unit box."""
+    def objective_terms(self, point: Float[Array, " gains"], objective: Objective) -> ObjectiveTerms:
+        """Compute terms and violations of all members, each with its offsets.
+
+        Args:
+            point: A point of the unit box, shape ``(p,)``.
+            objective: Weights and limits.
+
+        Returns:
+            Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``.
+        """
         rollouts = self._simulate(self.gains((point[None] + self.offsets).T))._replace(final_states=None)
         return jax.vmap(lambda rollout: evaluate_objective(rollout, self.reference, objective))(rollouts)
 
@@ -177,8 +200,20 @@ def _reference_signal(system: AbstractSampledSystem, loop: ClosedLoop, scenario:
     )
 
 
-def noise_draws(loop: ClosedLoop, scenario: Scenario, count: int = NOISE_DRAWS, seed: int = 0) -> jax.Array:
-    """Return the scenario's noise and ``count - 1`` other draws, ``(count, n)``; only the first without noise."""
+def noise_draws(
+    loop: ClosedLoop, scenario: Scenario, count: int = NOISE_DRAWS, seed: int = 0
+) -> Float[Array, "draws samples"]:
+    """Return draws of the sensors' noise; the first is the scenario's own.
+
+    Args:
+        loop: The closed loop, which says whether any of its sensors has noise.
+        scenario: The scenario.
+        count: Number of draws.
+        seed: Seed of the other draws.
+
+    Returns:
+        Standard normal numbers, shape ``(count, n)``, or ``(1, n)`` if no sensor has noise.
+    """
     used = loop.temperature_limiter is not None or loop.estimator is not None
     sensors = loop.instruments.sensors.values() if loop.instruments is not None and used else ()
     count = count if any(float(sensor.noise) > 0.0 for sensor in (loop.sensor, *sensors)) else 1
@@ -187,12 +222,19 @@ def noise_draws(loop: ClosedLoop, scenario: Scenario, count: int = NOISE_DRAWS, 
 
 
 @eqx.filter_jit
-def evaluate_points(problem: TuningProblem, points: jax.Array, objective: Objective) -> tuple[jax.Array, jax.Array]:
-    """Evaluate points of the unit box, shape ``(k, p)``.
+def evaluate_points(
+    problem: TuningProblem, points: Float[Array, "points gains"], objective: Objective
+) -> tuple[Float[Array, "points terms"], Float[Array, "points limits"]]:
+    """Evaluate terms and limits at several points.
+
+    Args:
+        problem: The tuning problem.
+        points: Points of the unit box, shape ``(k, p)``.
+        objective: Weights and limits.
 
     Returns:
-        Sums of squares of the terms, mean over the members, shape ``(k, 4)``, and the largest violation of each limit,
-        ``(k, 5)``.
+        Terms (sums of squares over the samples, mean over the members), shape ``(k, 4)``, and the largest violation of
+        each limit over samples and members, shape ``(k, 5)``.
     """
 
     def evaluate(point: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -204,7 +246,15 @@ def evaluate_points(problem: TuningProblem, points: jax.Array, objective: Object
 
 
 def simulate_gains(problem: TuningProblem, gains: Mapping[str, Any]) -> Rollout:
-    """Return the rollouts of all members with other gains, internal units; compiled once for all gains."""
+    """Simulate all members with other gains; compiled once for all gains.
+
+    Args:
+        problem: The tuning problem.
+        gains: Gains by name, internal units, scalars.
+
+    Returns:
+        Rollouts whose leaves have a leading axis of ``m``.
+    """
     return _simulate_gains(problem, {name: jnp.asarray(value, jnp.float64) for name, value in gains.items()})
 
 

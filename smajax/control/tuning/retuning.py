@@ -1,7 +1,6 @@
 """Searches that are repeated until the gains keep the limits, follow the reference and are stable, as far as possible.
 
-What is changed from one search to the next: more starts where few were asked for, more weight of the effort, and the
-draws that fail.
+Repeated searches use more starts, a larger weight of the effort, or the draws of parameters that fail.
 """
 
 import math
@@ -10,6 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.control.analysis.closed_loop_checks import (
     DrawChecks,
@@ -26,17 +26,17 @@ from smajax.progress import Progress
 
 # All constants were chosen by trial; tests/unit/control/test_tuning.py holds them.
 
-# Searches for draws that fail.
+# Largest number of searches for draws that fail. Chosen by trial.
 _RETUNINGS = 3
-# Starts of a search where fewer do not keep all limits or do not follow the reference.
+# Number of starts of a search after one with fewer starts whose gains violate a limit or do not follow the reference.
 _MORE_STARTS = 4
-# A limit that the worst draw exceeds is tightened by this factor of the excess.
+# Tightening of a limit that the worst draw exceeds, over the excess.
 _TIGHTENING = 1.5
-# Smallest and largest tightening, as shares of the limit.
+# Smallest tightening in one search, and largest one in all, as shares of the limit.
 _MIN_TIGHTENING = 0.005
 _MAX_TIGHTENING = 0.5
-# Searches with more weight of the effort, the factor of the weight, and the weight that is increased where there is
-# less.
+# Largest number of searches with an increased weight of the effort, the factor of the weight, and the weight that is
+# increased if the given one is smaller.
 _EFFORT_INCREASES = 3
 _EFFORT_FACTOR = 10.0
 _MIN_EFFORT_WEIGHT = 0.01
@@ -45,10 +45,10 @@ _MIN_EFFORT_WEIGHT = 0.01
 class SearchOutcome(NamedTuple):
     """Outcome of a search.
 
-    Args:
+    Attributes:
         result: The best gains.
-        evaluation: How the rig's own plant behaves with them.
-        weights: Weights with which they were found.
+        evaluation: Behaviour of the rig's own plant with these gains.
+        weights: Weights of the objective with which they were found, by name.
     """
 
     result: TuningResult
@@ -59,14 +59,24 @@ class SearchOutcome(NamedTuple):
 def search_gains(
     task: TuningTask, problem: TuningProblem, reachable: ReachableRange, seed: int, progress: Progress
 ) -> SearchOutcome:
-    """Search from the given number of starts, or from more where gains violate a limit or do not follow the reference.
+    """Tune the gains; repeat from more starts, or with a larger weight of the effort, if the gains are not good enough.
+
+    More starts are used if the gains violate a limit or do not follow the reference. The weight of the effort is
+    increased if they are unstable.
 
     Args:
         task: The tuning task.
         problem: The tuning problem.
-        reachable: Range that the rig reaches.
+        reachable: Range of the channel that the rig reaches.
         seed: Seed of the random starts.
-        progress: Where the phases of the search are reported.
+        progress: Receives the phases and steps of the search.
+
+    Returns:
+        The best gains; their number of rollouts is that of all searches.
+
+    Raises:
+        InputError: if there is no objective, or the reference has no jump to settle after.
+        NumericsError: if no point has a finite cost.
     """
     result = _search(task, problem, task.starts, seed, progress)
     evaluation = evaluate_gains(task, result.gains)
@@ -101,7 +111,7 @@ def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, pr
 
 
 def _rank(task: TuningTask, result: TuningResult) -> tuple:
-    """The key by which searches are compared: violated limits first, then the objective."""
+    """Sort key of results: violated limits first, then the objective; smaller is better."""
     if not result.feasible:
         return violation_rank(result)
     cost = sum(weight * result.terms[name] for name, weight in task.weights.items())
@@ -116,16 +126,16 @@ def _increase_effort_weight(
     seed: int,
     progress: Progress,
 ) -> SearchOutcome:
-    """Searches with more and more weight of the effort until the gains are stable, rollout and margins.
+    """Outcome of searches with an increasing weight of the effort, until rollout and margins are stable.
 
-    Gains that do not follow the reference, or violate limits more, do not count; the outcome before is kept if there
-    are no others.
+    Gains that do not follow the reference, or violate limits more than those before, are not used; the previous outcome
+    is returned if there are no others.
     """
     rollouts, weights = before.result.rollouts, task.weights
     # Weights have no influence on the shortest settling time.
     for _ in range(0 if task.settle else _EFFORT_INCREASES):
         weights = {**weights, "effort": _EFFORT_FACTOR * max(weights.get("effort", 0.0), _MIN_EFFORT_WEIGHT)}
-        progress.phase(f"the gains found are unstable, or nearly so: giving effort the weight {weights['effort']:g}")
+        progress.phase(f"the gains are unstable in a rollout or when linearised: effort weight {weights['effort']:g}")
         starts = max(_MORE_STARTS, task.starts)
         result = _search(replace(task, weights=weights), problem, starts, seed, progress)
         rollouts += result.rollouts
@@ -145,60 +155,63 @@ def retune_on_failing_draws(
     problem: TuningProblem,
     result: TuningResult,
     checks: Mapping[str, DrawChecks],
-    draws: Mapping[str, np.ndarray],
+    draws: Mapping[str, Float[np.ndarray, " draws"]],
     seed: int,
     progress: Progress,
 ) -> tuple[TuningResult, DrawChecks]:
-    """Tune again, a few times, for the draws that fail, together with some of those that the gains were tuned for.
+    """Tune again, up to three times, for the draws that fail, together with some of the draws of the previous search.
 
-    A limit that some draws still exceed after that is tightened by the excess, and by half as much more. Gains that
-    follow the reference worse than the start gains are not used.
+    From the second time on, a limit that some draws exceed is tightened by 1.5 times the excess. Gains that follow the
+    reference worse than the start gains are not used.
 
     Args:
         task: The tuning task.
-        problem: The tuning problem so far.
-        result: The gains so far.
+        problem: The tuning problem of the previous search.
+        result: The gains of the previous search.
         checks: Checks of the ``start`` gains and of the ``tuned`` ones.
-        draws: Samples of parameters, internal units, shape ``(count,)`` each.
+        draws: Samples of parameters by name, internal units, shape ``(count,)`` each.
         seed: Seed of the random starts.
-        progress: Where the phases are reported.
+        progress: Receives the phases of the search.
 
     Returns:
         The gains with the fewest failing draws, and their checks.
+
+    Raises:
+        NumericsError: if no point has a finite cost.
     """
-    count, limits, checked = problem.count, dict(task.limits), checks["tuned"]
-    hard: list[int] = []
-    for turn in range(_RETUNINGS):
-        if not checked.failing:
+    count, limits, best_checks = problem.count, dict(task.limits), checks["tuned"]
+    failing: list[int] = []
+    for repeat in range(_RETUNINGS):
+        if not best_checks.failing:
             break
-        progress.phase(f"tuning again for {len(checked.failing)} draws that are unstable or beyond a limit")
-        hard = list(dict.fromkeys([*checked.failing[: max(1, count // 2)], *hard]))
-        rows = list(dict.fromkeys([*hard, *range(count)]))[:count]
+        progress.phase(f"tuning again for {len(best_checks.failing)} draws that are unstable or beyond a limit")
+        failing = list(dict.fromkeys([*best_checks.failing[: max(1, count // 2)], *failing]))
+        rows = list(dict.fromkeys([*failing, *range(count)]))[:count]
         selected = {n: v[np.resize(rows, count)] for n, v in draws.items()}
         loop = problem.loop_with(result.gains)
-        hard_problem = TuningProblem.of(task.system, loop, task.scenario, task.bounds, selected, problem.draws)
-        if turn:
-            limits = _tightened(limits, task.limits, checked.document["worst"])
+        new_problem = TuningProblem.of(task.system, loop, task.scenario, task.bounds, selected, problem.draws)
+        if repeat:
+            limits = _tighten(limits, task.limits, best_checks.document["worst"])
         retuned = tune(
-            hard_problem, task.weights, limits, settle=task.settle, starts=_MORE_STARTS, seed=seed, band=task.band
+            new_problem, task.weights, limits, settle=task.settle, starts=_MORE_STARTS, seed=seed, band=task.band
         )
         result = result._replace(rollouts=result.rollouts + retuned.rollouts)
         new_checks = check_draws(task, retuned.gains, draws)
         follows = task.settle or _median_error(new_checks) <= _median_error(checks["start"])
-        if follows and len(new_checks.failing) < len(checked.failing):
-            result, checked = retuned._replace(rollouts=result.rollouts), new_checks
-    return result, checked
+        if follows and len(new_checks.failing) < len(best_checks.failing):
+            result, best_checks = retuned._replace(rollouts=result.rollouts), new_checks
+    return result, best_checks
 
 
-def _tightened(
+def _tighten(
     limits: Mapping[str, float], original: Mapping[str, float], worst: Mapping[str, float | None]
 ) -> dict[str, float]:
-    """Limits that the worst draw exceeds, tightened; none by more than half of its original value."""
+    """Limits after those that the worst draw exceeds are tightened, by at most half of their original value."""
     excess = {k: (worst.get(k) or worst.get(f"peak_{k}") or 0.0) - v for k, v in original.items()}
     tightened = {
         k: v - (excess[k] > 0.0) * max(_TIGHTENING * excess[k], _MIN_TIGHTENING * abs(v)) for k, v in limits.items()
     }
-    # An overshoot below 0, for one, cannot be kept.
+    # Without this bound a limit could become impossible, such as an overshoot below 0.
     return {k: max(v, original[k] - _MAX_TIGHTENING * abs(original[k])) for k, v in tightened.items()}
 
 

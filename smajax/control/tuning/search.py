@@ -1,8 +1,8 @@
-"""The search for gains: cost and gradient at a point, evaluated points, rollouts, and three local searches.
+"""The search for gains: cost and gradient at a point, evaluated points, number of rollouts, and three local searches.
 
-A point lies in the unit box: the logarithms of the gains between their bounds. Terms and limits (``objective``) make
-one cost, whose gradient by reverse mode costs the same whatever the number of gains. Several members (plants, draws of
-the noise) are simulated as one batch and count equally; a search may use some of them only.
+A point lies in the unit box: the logarithms of the gains, scaled between their bounds. Terms and limits (``objective``)
+are combined to one cost; the work of its reverse-mode gradient does not depend on the number of gains. Several members
+(plants, draws of the noise) are simulated as one batch and have equal weights; a search may use some of them only.
 """
 
 import contextlib
@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+from jaxtyping import Array, Float
 
 from smajax.control.tuning import trust_region
 from smajax.control.tuning.objective import LIMITS, TERMS, Objective, residual
@@ -22,72 +23,86 @@ from smajax.control.tuning.problem import TuningProblem, evaluate_points
 from smajax.control.tuning.trust_region import SearchState
 from smajax.errors import NumericsError
 
-# Points that are evaluated together.
+# Number of points that one call of the compiled program evaluates.
 BATCH = 8
-# A violation that counts as none: limits are sampled, and a search ends at them.
+# Largest violation that counts as none, dimensionless: a search within limits ends at a limit, up to this tolerance.
 VIOLATION_TOLERANCE = 1e-3
-# Rollouts that a gradient by reverse mode counts as: 2.6 to 2.9 were measured.
+# Number of rollouts that a reverse-mode gradient counts as: its measured run time is that of 2.6 to 2.9 rollouts.
 _GRADIENT_ROLLOUTS = 3
-# Largest slope, costs being near 1: steeper ones are of unstable loops, and would end a line search.
-_MAX_SLOPE = 100.0
-# A slope that means nothing, and how many of them end a search; test_slopes_that_tell_nothing_end_the_search of
-# tests/unit/control/test_tuning.py holds them.
-_MEANINGLESS_SLOPE = 1e6
+# Components of a gradient are scaled down to this size, costs being near 1: larger ones belong to unstable loops and
+# would end a line search.
+_MAX_GRADIENT = 100.0
+# Size of a gradient's component above which the gradient is meaningless, and the number of such gradients that ends a
+# search; test_meaningless_gradients_end_the_search of tests/unit/control/test_tuning.py holds them.
+_MEANINGLESS_GRADIENT = 1e6
 _MAX_MEANINGLESS = 3
-# Cost that stands for an overflow.
+# Cost that replaces one that is not finite.
 _OVERFLOW = 1e30
-# A move of the command that counts as one, as a share of its range, and a range that counts as none.
+# Change of the command, as a share of its range, at which the effort term is 1, and the range above which a command
+# counts as unbounded.
 _UNIT_MOVE = 0.01
-_NO_RANGE = 1e6
+_UNBOUNDED_RANGE = 1e6
 # Relative decrease of the cost that ends L-BFGS-B; chosen by trial.
 _COST_TOLERANCE = 1e-4
-# Bounds of violations and of the cost (over the first one) that COBYQA sees, so that a cliff does not distort its
-# quadratic models; test_quadratics_lead_on_where_slopes_tell_nothing of tests/unit/control/test_tuning.py holds them.
+# Largest violation, and largest ratio of a cost to the first one, that COBYQA gets, so that a steep increase does not
+# distort its quadratic models; test_quadratic_models_continue_where_gradients_are_meaningless of
+# tests/unit/control/test_tuning.py holds them.
 _MAX_VIOLATION = 10.0
 _MAX_COST_RATIO = 100.0
 
 
 class _CostArguments(NamedTuple):
-    """What the cost takes next to the point; arrays, so that other values need no other program."""
+    """Arguments of the cost other than the point; arrays, so that new values do not cause a recompilation."""
 
     problem: TuningProblem
     objective: Objective
     scale: jax.Array
     multipliers: jax.Array
-    mu: jax.Array
+    penalty: jax.Array
 
 
 @eqx.filter_jit
 def _cost_and_gradient(point: jax.Array, arguments: _CostArguments) -> tuple[jax.Array, jax.Array]:
     """The sum of squares of all residuals, mean over the members, and its gradient."""
-    objective, scale, mu = arguments.objective, arguments.scale, arguments.mu
+    objective, scale, penalty = arguments.objective, arguments.scale, arguments.penalty
 
     def cost(point: jax.Array) -> jax.Array:
         evaluated = arguments.problem.objective_terms(point, objective)
-        residuals = jax.vmap(lambda e, m: residual(e, scale, objective, m, mu))(evaluated, arguments.multipliers)
+        residuals = jax.vmap(lambda e, m: residual(e, scale, objective, m, penalty))(evaluated, arguments.multipliers)
         return jnp.sum(residuals**2) / residuals.shape[0]
 
     return jax.value_and_grad(cost)(point)
 
 
 @eqx.filter_jit
-def limit_violations(problem: TuningProblem, point: jax.Array, objective: Objective) -> jax.Array:
-    """Return the violations of the limits at a point, shape ``(m, 5, n)``."""
+def limit_violations(
+    problem: TuningProblem, point: Float[Array, " gains"], objective: Objective
+) -> Float[Array, "members limits samples"]:
+    """Compute the violations of the limits at a point.
+
+    Args:
+        problem: The tuning problem.
+        point: A point of the unit box, shape ``(p,)``.
+        objective: The limits.
+
+    Returns:
+        Violations, dimensionless, shape ``(m, 5, n)``; a limit is kept where its violation is at most 0.
+    """
     return problem.objective_terms(point, objective).violations
 
 
-class _MeaninglessSlopes(Exception):
-    """Ends a search among slopes that mean nothing."""
+class _MeaninglessGradients(Exception):
+    """Exception that ends a search whose gradients are meaningless."""
 
 
 class Candidate(NamedTuple):
-    """An evaluated point.
+    """Evaluated point.
 
-    Args:
+    Attributes:
         violation: Total violation of the limits; 0 if all are kept.
-        cost: Weighted terms.
-        point: The point, shape ``(p,)``.
-        violations: Largest violation of each limit, shape ``(5,)``; 0 where it was not evaluated.
+        cost: Sum of the weighted terms.
+        point: The point of the unit box, shape ``(p,)``.
+        violations: Largest violation of each limit, shape ``(5,)``; 0 if it was not evaluated.
     """
 
     violation: float
@@ -97,25 +112,34 @@ class Candidate(NamedTuple):
 
 
 def rank(candidate: Candidate) -> tuple[float, float]:
-    """Return the key by which candidates are compared: violation first, then cost."""
+    """Return the sort key of candidates: violation first, then cost; smaller is better."""
     return candidate.violation, candidate.cost
 
 
-def total_violation(violations: np.ndarray) -> float:
-    """Return the sum of all violations, so that a limit that cannot be kept does not hide others; 0 if all are kept."""
+def total_violation(violations: Float[np.ndarray, " limits"]) -> float:
+    """Return the sum of all violations; 0 if all limits are kept, up to a tolerance.
+
+    The sum, not the maximum: a limit that cannot be kept does not hide violations of the others.
+
+    Args:
+        violations: Largest violation of each limit, shape ``(k,)``.
+    """
     return 0.0 if np.max(violations) <= VIOLATION_TOLERANCE else float(np.sum(np.maximum(violations, 0.0)))
 
 
 class GainSearch:
-    """Evaluates points, counts rollouts and records the points that all members evaluated, the start first.
+    """Evaluator of points that counts rollouts and records the points that all members evaluated, the start first.
 
     Attributes:
+        problem: The tuning problem.
+        objective: Weights and limits.
+        progress: Called with the number of rollouts so far and a cost.
         rollouts: Number of rollouts so far.
         history: A row (rollouts, cost) for each improvement.
-        evaluated: Candidates of all members.
-        scale: Terms at the start, shape ``(4,)``.
-        has_no_limits: Whether the terms are all that counts.
-        zero_multipliers: Multipliers of no limit, shape ``(m, 5, n)``.
+        evaluated: Candidates that all members evaluated.
+        scale: Terms at the start, by which they are divided, shape ``(4,)``.
+        has_no_limits: Whether there are no limits and the settling time is not minimised.
+        zero_multipliers: Multipliers that are 0, shape ``(m, 5, n)``.
         objective_without_limits: The objective without its limits.
     """
 
@@ -131,8 +155,8 @@ class GainSearch:
         Args:
             problem: The tuning problem.
             objective: Weights and limits.
-            progress: Called with the rollouts so far and a cost.
-            settle: Whether the settling time is minimised, not the terms.
+            progress: Called with the number of rollouts so far and a cost.
+            settle: Whether the settling time is minimised instead of the terms.
         """
         self.problem, self.objective, self.progress = problem, objective, progress
         self.rollouts, self.history = 0, []
@@ -143,7 +167,7 @@ class GainSearch:
         pid = problem.loop.controller.inner
         command_range = float(pid.upper) - float(pid.lower)
         count = problem.reference.values.shape[0]
-        if command_range < _NO_RANGE:
+        if command_range < _UNBOUNDED_RANGE:
             self.scale[TERMS.index("effort")] = count * (_UNIT_MOVE * command_range) ** 2
         self.has_no_limits = not (settle or np.any(np.isfinite(np.asarray(objective.limits))))
         self.zero_multipliers = jnp.zeros((problem.count, len(LIMITS), count))
@@ -151,15 +175,33 @@ class GainSearch:
         self.objective_without_limits = eqx.tree_at(lambda o: o.limits, objective, no_limits)
         self.record(self._candidate(problem.start, terms[0], violations[0]))
 
-    def evaluate(self, points: np.ndarray, problem: TuningProblem | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return terms, ``(k, 4)``, and violations, ``(k, 5)``, at points by all members, or by those of a problem."""
+    def evaluate(
+        self, points: Float[np.ndarray, "points gains"], problem: TuningProblem | None = None
+    ) -> tuple[Float[np.ndarray, "points terms"], Float[np.ndarray, "points limits"]]:
+        """Evaluate points and count the rollouts.
+
+        Args:
+            points: Points of the unit box, shape ``(k, p)``.
+            problem: Problem with the members to use; default: all members.
+
+        Returns:
+            Terms, not divided by those at the start, shape ``(k, 4)``, and largest violation of each limit, shape
+            ``(k, 5)``; infinite where it is NaN.
+        """
         problem = problem or self.problem
         self.rollouts += len(points) * problem.count
         terms, violations = evaluate_points(problem, jnp.asarray(points), self.objective)
         return np.asarray(terms), np.nan_to_num(np.asarray(violations), nan=np.inf)
 
-    def candidates(self, points: np.ndarray, problem: TuningProblem | None = None) -> list[Candidate]:
-        """Evaluate points by all members, which records them, or by those of a problem."""
+    def candidates(
+        self, points: Float[np.ndarray, "points gains"], problem: TuningProblem | None = None
+    ) -> list[Candidate]:
+        """Evaluate points; they are recorded if all members evaluate them.
+
+        Args:
+            points: Points of the unit box, shape ``(k, p)``.
+            problem: Problem with the members to use; default: all members.
+        """
         candidates = [self._candidate(*row) for row in zip(points, *self.evaluate(points, problem), strict=True)]
         if problem is None or problem.count == self.problem.count:
             for candidate in candidates:
@@ -171,7 +213,7 @@ class GainSearch:
         return Candidate(total_violation(violations), cost, point, violations)
 
     def record(self, candidate: Candidate) -> None:
-        """Record a candidate of all members; without limits an improvement goes into the history."""
+        """Record a candidate that all members evaluated; without limits, improvements are added to the history."""
         if self.has_no_limits and candidate.cost < min((c.cost for c in self.evaluated), default=math.inf):
             self.history.append((self.rollouts, candidate.cost))
         self.evaluated.append(candidate)
@@ -183,9 +225,12 @@ class GainSearch:
 
         Args:
             state: Start of the search.
-            problem: The members that are used.
-            min_radius: Radius that ends the search.
+            problem: Problem with the members to use.
+            min_radius: Radius of the trust region that ends the search.
             steps: Largest number of steps.
+
+        Returns:
+            The state at the end, with the best point.
         """
         multipliers = self.zero_multipliers[: problem.count]
         arguments = _CostArguments(
@@ -194,9 +239,9 @@ class GainSearch:
         free = np.asarray(self.problem.upper > self.problem.lower)
 
         def log_cost_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:
-            value, slope = _cost_and_gradient(jnp.asarray(point), arguments)
+            value, derivative = _cost_and_gradient(jnp.asarray(point), arguments)
             self.rollouts += _GRADIENT_ROLLOUTS * problem.count
-            cost, gradient = float(value), np.where(free, np.asarray(slope), 0.0)
+            cost, gradient = float(value), np.where(free, np.asarray(derivative), 0.0)
             if not (0.0 < cost < math.inf and np.all(np.isfinite(gradient))):
                 return math.inf, np.zeros_like(point)
             if problem.count == self.problem.count:
@@ -208,10 +253,10 @@ class GainSearch:
 
     def descend_by_lbfgs(
         self,
-        start: np.ndarray,
+        start: Float[np.ndarray, " gains"],
         objective: Objective,
-        multipliers: jax.Array,
-        mu: float,
+        multipliers: Float[Array, "members limits samples"],
+        penalty: float,
         steps: int,
         scale: float,
         max_distance: float = 1.0,
@@ -219,72 +264,80 @@ class GainSearch:
         """Minimise the augmented Lagrangian by SciPy's L-BFGS-B with all members.
 
         Args:
-            start: The start, shape ``(p,)``.
+            start: Start in the unit box, shape ``(p,)``.
             objective: Weights and limits.
             multipliers: Multipliers of the limits, shape ``(m, 5, n)``.
-            mu: Penalty.
+            penalty: Penalty mu.
             steps: Largest number of steps.
-            scale: Factor of the coordinates: the first step has a length of at most one over it.
-            max_distance: Largest distance from the start in each coordinate.
+            scale: Factor of the coordinates; the length of the first step is at most its inverse.
+            max_distance: Largest distance from the start in each coordinate, in sizes of the box.
 
         Returns:
-            The best point with the cost of terms and limits together (infinite if no point gave numbers); its violation
-            is 0.
+            The best point with the augmented Lagrangian as its cost (infinite if no point has a finite one); its
+            violation is set to 0.
         """
-        arguments = _CostArguments(self.problem, objective, jnp.asarray(self.scale), multipliers, jnp.asarray(mu))
+        arguments = _CostArguments(self.problem, objective, jnp.asarray(self.scale), multipliers, jnp.asarray(penalty))
         best = Candidate(0.0, math.inf, start)
         free, meaningless = np.asarray(self.problem.upper > self.problem.lower), 0
 
         def cost_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
             nonlocal best, meaningless
-            value, slope = _cost_and_gradient(jnp.asarray(x / scale), arguments)
+            value, derivative = _cost_and_gradient(jnp.asarray(x / scale), arguments)
             self.rollouts += _GRADIENT_ROLLOUTS * self.problem.count
-            cost, gradient = float(value), np.where(free, np.asarray(slope), 0.0) / scale
+            cost, gradient = float(value), np.where(free, np.asarray(derivative), 0.0) / scale
             if not (math.isfinite(cost) and np.all(np.isfinite(gradient))):
                 return _OVERFLOW, np.zeros_like(x)
             if cost < best.cost:
                 best = Candidate(0.0, cost, x / scale)
                 self.progress(self.rollouts, cost)
             largest = scale * float(np.max(np.abs(gradient)))
-            meaningless += largest > _MEANINGLESS_SLOPE
+            meaningless += largest > _MEANINGLESS_GRADIENT
             if meaningless == _MAX_MEANINGLESS:
-                raise _MeaninglessSlopes
-            return cost, gradient * min(1.0, _MAX_SLOPE / max(1e-300, largest))
+                raise _MeaninglessGradients
+            return cost, gradient * min(1.0, _MAX_GRADIENT / max(1e-300, largest))
 
         low, high = np.maximum(0.0, start - max_distance) * scale, np.minimum(1.0, start + max_distance) * scale
         options = {"maxiter": steps, "maxfun": 2 * steps, "ftol": _COST_TOLERANCE}
         bounds = list(zip(low, high, strict=True))
-        with contextlib.suppress(_MeaninglessSlopes):
+        with contextlib.suppress(_MeaninglessGradients):
             scipy.optimize.minimize(
                 cost_and_gradient, start * scale, jac=True, method="L-BFGS-B", bounds=bounds, options=options
             )
         return best
 
     def search_by_cobyqa(
-        self, start: np.ndarray, problem: TuningProblem, radius: float, min_radius: float, evaluations: int
+        self,
+        start: Float[np.ndarray, " gains"],
+        problem: TuningProblem,
+        radius: float,
+        min_radius: float,
+        evaluations: int,
     ) -> Candidate:
-        """Search without derivatives, within the limits if there are any, by SciPy's COBYQA.
+        """Minimise the cost without derivatives, within the limits if there are any, by SciPy's COBYQA.
 
         Args:
-            start: The start, shape ``(p,)``.
-            problem: The members that are used.
-            radius: First radius of the trust region.
-            min_radius: Last radius.
+            start: Start in the unit box, shape ``(p,)``.
+            problem: Problem with the members to use.
+            radius: First radius of the trust region, in sizes of the box.
+            min_radius: Last radius, in sizes of the box.
             evaluations: Largest number of evaluations.
+
+        Returns:
+            The best candidate, violations first.
         """
         free = np.asarray(problem.upper > problem.lower)
         limited = np.isfinite(np.asarray(self.objective.limits))
         best = self.candidates(start[None], problem)[0]
         max_cost = _MAX_COST_RATIO * min(best.cost, _OVERFLOW)
-        known = {start[free].tobytes(): best}  # COBYQA asks for terms and limits of a point one after the other
+        cache = {start[free].tobytes(): best}  # COBYQA evaluates terms and limits of a point in separate calls
 
         def candidate_at(packed: bytes) -> Candidate:
             nonlocal best
-            if packed in known:
-                return known[packed]
+            if packed in cache:
+                return cache[packed]
             point = start.copy()
             point[free] = np.clip(np.frombuffer(packed), 0.0, 1.0)
-            candidate = known[packed] = self.candidates(point[None], problem)[0]
+            candidate = cache[packed] = self.candidates(point[None], problem)[0]
             if rank(candidate) < rank(best):
                 best = candidate
                 if candidate.violation == 0.0 and not self.has_no_limits and problem.count == self.problem.count:
@@ -306,15 +359,23 @@ class GainSearch:
         return best
 
     def best(self) -> Candidate:
-        """Return the best candidate of all members. Raises ``NumericsError`` if none has a cost."""
+        """Return the best candidate that all members evaluated.
+
+        Raises:
+            NumericsError: if no candidate has a finite cost.
+        """
         return self.require_cost(min(self.evaluated, key=rank))
 
     def require_cost(self, candidate: Candidate) -> Candidate:
-        """Return a candidate that has a finite cost. Raises ``NumericsError`` if it has none."""
+        """Return a candidate if its cost is finite.
+
+        Raises:
+            NumericsError: if the cost is not finite.
+        """
         if not math.isfinite(candidate.cost):
             raise NumericsError(
-                "the closed loop does not give numbers from the start gains, nor from any that was drawn: start from "
-                "smaller gains",
+                "the closed loop has no finite cost with the start gains, nor with any other gains that were tried: "
+                "start from smaller gains",
                 {name: float(v) for name, v in self.problem.gains(candidate.point).items()},
             )
         return candidate

@@ -1,15 +1,15 @@
 """The shortest settling time by sequential linear programming in a trust region.
 
-The settling time is discontinuous: where an overshoot leaves the band, the loop settles one swing later. Two quantities
-are continuous: when the error first enters the band, and by how much each later swing leaves it. Both are linearised in
-the gains, and a linear program gives the best change within a trust region: enter as early as possible while no later
-sample leaves the band and no limit is violated.
+The settling time is discontinuous: if an overshoot leaves the band, the loop settles one swing later. Two quantities
+are continuous: the time at which the error first enters the band, and the distance by which later samples leave it.
+Both are linearised in the gains, and a linear program gives the best change within a trust region: the earliest entry
+for which no later sample leaves the band and no limit is violated.
 
-    minimise  latest + price * slack     over the change d, the latest entry and the slack
-    such that entry_i + entry_slope_i d <= latest,   rows d <= room + slack,   |d| <= region,   0 <= point + d <= 1
+    minimise  latest + penalty * slack   over the change d, the latest entry and the slack
+    such that entry_i + entry_slope_i d <= latest,   rows d <= margins + slack,   |d| <= radius,   0 <= point + d <= 1
 
-What cannot be kept yet is paid for by the slack. A step that does not improve latest + price * violation is taken back,
-and the region shrinks.
+The slack makes the program feasible where not all constraints can be kept yet. A step that does not decrease the merit
+latest + penalty * violation is rejected, and the trust region shrinks.
 """
 
 import math
@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
+from jaxtyping import Float
 
 from smajax.control.analysis.step_response import Jumps
 from smajax.control.tuning.objective import LIMITS, Objective
@@ -28,36 +29,38 @@ from smajax.control.tuning.objective import LIMITS, Objective
 # All constants were chosen by experiments/papers/hip/hip_gains.py; tests/unit/control/test_tuning.py holds settling
 # time and rollouts.
 
-# First, largest and smallest radius of the trust region: changes of the gains' logarithms.
+# First, largest and smallest radius of the trust region, as changes of the gains' logarithms. Chosen by trial.
 _FIRST_RADIUS = 0.25
 _MAX_RADIUS = 0.6
 _MIN_RADIUS = 1e-3
-# Factors of the radius: after a program without a useful step, after a good step, and after one that is taken back.
+# Factors of the radius after a program without a useful step, after an accepted step, and after a rejected one.
+# Chosen by trial.
 _SHRINK_IDLE = 0.3
 _GROW = 1.6
 _SHRINK = 0.35
-# A step below this share of the smallest radius is none.
+# A step below this share of the smallest radius counts as none.
 _MIN_STEP = 0.1
-# Price of the slack, in horizons: a violation of order one costs more than any settling time within the horizon.
-_PRICE = 2.0
-# Improvement, in horizons, that is rounding.
+# Penalty of the slack, in horizons (longest time after a jump): a violation of order one costs more than any settling
+# time within the horizon.
+_PENALTY = 2.0
+# Decrease of the merit, in horizons, up to which it counts as a rounding error.
 _ROUNDING = 1e-6
-# Relative improvement of the settling time that ends the search.
+# Relative decrease of the settling time that ends the search.
 _MIN_IMPROVEMENT = 1e-3
-# Largest number of rows of a program: those nearest to their bounds.
+# Largest number of constraint rows of a program: those with the smallest margins are used.
 _MAX_ROWS = 3000
-# Share of the band and of the overshoot that a program asks for: gains on the very edge would lose it to rounding.
+# Share of the band that a program allows: a response that touches the edge could leave it by a rounding error.
 _BAND_SHARE = 0.98
-# Rate of the error below which its entry into the band cannot be moved, 1/s.
+# Rate of the error in 1/s below which the time of its entry into the band has no useful derivative.
 _MIN_RATE = 1e-12
 
 
 class LinearisedResponse(NamedTuple):
     """Response at a point, and its derivatives with respect to the point.
 
-    Args:
-        share: Error over the jump, shape ``(m, n)``.
-        violations: Violations of the limits, shape ``(m, 5, n)``.
+    Attributes:
+        share: Error over the jump, dimensionless, shape ``(m, n)``.
+        violations: Violations of the limits, dimensionless, shape ``(m, 5, n)``.
         share_slope: Derivatives of ``share``, shape ``(m, n, p)``.
         violations_slope: Derivatives of ``violations``, shape ``(m, 5, n, p)``.
     """
@@ -69,52 +72,62 @@ class LinearisedResponse(NamedTuple):
 
 
 class _Program(NamedTuple):
-    """The linear program at a point, and the point's merit.
+    """Linear program at a point, and the parts of the point's merit.
 
-    ``rows`` times a change of the point is at most ``room`` plus the slack; ``latest`` is the latest entry into the
-    band in s.
+    Attributes:
+        entries: Times of the first entry into the band in s, one for each member and jump.
+        entry_slopes: Their derivatives with respect to the point, shape ``(entries, p)``.
+        rows: Derivatives of the constraints, shape ``(rows, p)``: ``rows`` times a change of the point is at most
+            ``margins`` plus the slack.
+        margins: Distances of the constraints from their bounds, dimensionless, shape ``(rows,)``.
+        latest: Latest entry, s.
+        violation: Largest violation of band and limits, dimensionless.
     """
 
     entries: np.ndarray
     entry_slopes: np.ndarray
     rows: np.ndarray
-    room: np.ndarray
+    margins: np.ndarray
     latest: float
     violation: float
+
+    def merit(self, penalty: float) -> float:
+        """Latest entry plus the penalty of the violation, s."""
+        return self.latest + penalty * self.violation
 
 
 def settling_slp(
     linearised_at: Callable[[np.ndarray], LinearisedResponse],
-    start: np.ndarray,
-    span: np.ndarray,
+    start: Float[np.ndarray, " gains"],
+    span: Float[np.ndarray, " gains"],
     jumps: Jumps,
     objective: Objective,
     period: float,
     report: Callable[[np.ndarray, float, float], None],
     *,
     evaluations: int,
-) -> np.ndarray:
+) -> Float[np.ndarray, " gains"]:
     """Minimise the latest entry into the settling band.
 
     Args:
-        linearised_at: Maps a point to the linearised response.
+        linearised_at: Function that linearises the response at a point.
         start: Start in the unit box, shape ``(p,)``.
-        span: Logarithms of upper over lower bound of the gains, shape ``(p,)``.
+        span: Logarithms of the ratio of upper to lower bound of the gains, shape ``(p,)``.
         jumps: Jumps of the reference.
         objective: Band and limits.
         period: Time between samples, s.
-        report: Called with each improved point, its latest entry (s) and its violation.
-        evaluations: Largest number of evaluations.
+        report: Called with the start and each improved point, its latest entry (s) and its violation.
+        evaluations: Largest number of linearised responses.
 
     Returns:
         The best point, shape ``(p,)``.
     """
     horizon = float(np.max(jumps.since_jump))
-    point, radius, price = start, _FIRST_RADIUS, _PRICE * horizon
+    point, radius, penalty = start, _FIRST_RADIUS, _PENALTY * horizon
     program = _build_program(linearised_at(point), jumps, objective, period)
     report(point, program.latest, program.violation)
     for _ in range(evaluations - 1):
-        change = _solve(program, point, span, radius, price)
+        change = _solve(program, point, span, radius, penalty)
         if change is None or np.max(np.abs(change * span)) < _MIN_STEP * _MIN_RADIUS:
             radius *= _SHRINK_IDLE
             if radius < _MIN_RADIUS:
@@ -122,13 +135,12 @@ def settling_slp(
             continue
         new_point = np.clip(point + change, 0.0, 1.0)
         new = _build_program(linearised_at(new_point), jumps, objective, period)
-        merit, new_merit = (p.latest + price * p.violation for p in (program, new))
+        merit, new_merit = program.merit(penalty), new.merit(penalty)
         if new_merit < merit - _ROUNDING * horizon:
-            improvement = program.latest + price * program.violation - new.latest - price * new.violation
             point, program = new_point, new
             report(point, program.latest, program.violation)
             radius = min(_GROW * radius, _MAX_RADIUS)
-            if program.violation == 0.0 and improvement < _MIN_IMPROVEMENT * program.latest:
+            if program.violation == 0.0 and merit - new_merit < _MIN_IMPROVEMENT * program.latest:
                 break
         else:
             radius *= _SHRINK
@@ -138,9 +150,10 @@ def settling_slp(
 
 
 def _build_program(response: LinearisedResponse, jumps: Jumps, objective: Objective, period: float) -> _Program:
+    """The linear program at a point from its linearised response."""
     band = objective.band
     overshoot = float(objective.limits[LIMITS.index("overshoot")])
-    entries, entry_slopes, rows, room = [], [], [], []
+    entries, entry_slopes, rows, margins = [], [], [], []
     finite = np.all(np.isfinite(response.share)) and np.all(np.isfinite(response.violations))
     violation = 0.0 if finite else math.inf
     members = zip(np.nan_to_num(response.share), np.nan_to_num(response.share_slope), strict=True)
@@ -152,25 +165,25 @@ def _build_program(response: LinearisedResponse, jumps: Jumps, objective: Object
             entries.append(entry)
             entry_slopes.append(entry_slope)
             turn = _first_turn(piece, k)
-            # From the first turn in the band on it must not leave it; a tighter limit on overshoot holds from the jump
-            # on.
+            # The error must stay in the band from its first turning point there; a limit on overshoot holds from the
+            # jump on.
             violation = max(violation, _excess(np.abs(piece[turn:]), band, band))
             for sign in (1.0, -1.0):
                 rows.append(sign * slope[turn:] / band)
-                room.append((_BAND_SHARE * band - sign * piece[turn:]) / band)
+                margins.append((_BAND_SHARE * band - sign * piece[turn:]) / band)
             if math.isfinite(overshoot):
                 violation = max(violation, _excess(piece, overshoot, band))
                 rows.append(slope / band)
-                room.append((overshoot - (1.0 - _BAND_SHARE) * band - piece) / band)
+                margins.append((overshoot - (1.0 - _BAND_SHARE) * band - piece) / band)
     others = [i for i, name in enumerate(LIMITS) if name not in ("overshoot", "settling")]
     limits = np.nan_to_num(response.violations[:, others], posinf=1e9).reshape(-1)
     violation = max(violation, float(np.max(limits, initial=0.0)))
     rows.append(np.nan_to_num(response.violations_slope[:, others]).reshape(len(limits), -1))
-    room.append(-limits)
-    all_rows, all_room = np.concatenate(rows), np.concatenate(room)
-    nearest = np.argsort(all_room)[:_MAX_ROWS]
+    margins.append(-limits)
+    all_rows, all_margins = np.concatenate(rows), np.concatenate(margins)
+    nearest = np.argsort(all_margins)[:_MAX_ROWS]
     return _Program(
-        np.array(entries), np.array(entry_slopes), all_rows[nearest], all_room[nearest], max(entries), violation
+        np.array(entries), np.array(entry_slopes), all_rows[nearest], all_margins[nearest], max(entries), violation
     )
 
 
@@ -184,6 +197,7 @@ def _entry_time(share: np.ndarray, slope: np.ndarray, k: int, band: float, perio
 
 
 def _excess(values: np.ndarray, limit: float, band: float) -> float:
+    """Largest excess of values over a limit, over the band; 0 if there is none."""
     return max(float(np.max(values, initial=-math.inf)) - limit, 0.0) / band
 
 
@@ -194,14 +208,14 @@ def _entry_row(share: np.ndarray, band: float) -> int:
 
 
 def _first_turn(share: np.ndarray, entry: int) -> int:
-    """The row at which the error, on its way into the band at ``entry``, first turns back."""
+    """The row of the error's first turning point after its entry into the band; the last row if there is none."""
     direction = np.sign(share[entry] - share[entry - 1]) if entry else 1.0
     back = np.flatnonzero(np.diff(share[entry:]) * direction < 0.0)
     return entry + int(back[0]) if len(back) else len(share) - 1
 
 
-def _solve(program: _Program, point: np.ndarray, span: np.ndarray, radius: float, price: float) -> np.ndarray | None:
-    """The best change of the point; the unknowns are the change, the latest entry and the slack."""
+def _solve(program: _Program, point: np.ndarray, span: np.ndarray, radius: float, penalty: float) -> np.ndarray | None:
+    """The best change of the point, or ``None``; unknowns of the program: change, latest entry and slack."""
     size, entries, rows = len(point), len(program.entries), len(program.rows)
     entry_rows = np.column_stack([program.entry_slopes, -np.ones(entries), np.zeros(entries)])
     limit_rows = np.column_stack([program.rows, np.zeros(rows), -np.ones(rows)])
@@ -210,9 +224,9 @@ def _solve(program: _Program, point: np.ndarray, span: np.ndarray, radius: float
         (max(-r, -x), min(r, 1.0 - x)) if s > 0.0 else (0.0, 0.0) for r, x, s in zip(radii, point, span, strict=True)
     ]
     result = scipy.optimize.linprog(
-        np.r_[np.zeros(size), 1.0, price],
+        np.r_[np.zeros(size), 1.0, penalty],
         A_ub=np.concatenate([entry_rows, limit_rows]),
-        b_ub=np.concatenate([-program.entries, program.room]),
+        b_ub=np.concatenate([-program.entries, program.margins]),
         bounds=[*bounds, (0.0, None), (0.0, None)],
         method="highs",
     )
@@ -231,11 +245,14 @@ def _values_and_slopes(response: Callable[[jax.Array], tuple[jax.Array, jax.Arra
     return (*values, *slopes)
 
 
-def linearise(response: Callable[[jax.Array], tuple[jax.Array, jax.Array]], point: np.ndarray) -> LinearisedResponse:
-    """Return the linearised response at a point, shape ``(p,)``.
+def linearise(
+    response: Callable[[jax.Array], tuple[jax.Array, jax.Array]], point: Float[np.ndarray, " gains"]
+) -> LinearisedResponse:
+    """Compute values and derivatives of a response at a point, by forward-mode differentiation.
 
     Args:
-        response: Maps a point to the error over the jump and the violations; a pytree, so that it is compiled once.
-        point: The point.
+        response: Function of a point that returns the error over the jump, shape ``(m, n)``, and the violations, shape
+            ``(m, 5, n)``; a pytree, so that it is compiled once.
+        point: A point of the unit box, shape ``(p,)``.
     """
     return LinearisedResponse(*(np.asarray(leaf) for leaf in _values_and_slopes(response, jnp.asarray(point))))

@@ -1,4 +1,4 @@
-"""The task of a tuning: what a loop has to do, which gains are free, and what counts."""
+"""The task of a tuning: a control task, its free gains and its objective."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from smajax.control.analysis.closed_loop_checks import ControlTask
 class TuningTask(ControlTask):
     """A control task whose gains are tuned.
 
-    Args:
-        bounds: Lower and upper bound of the free gains by name, internal units.
+    Attributes:
+        bounds: Lower and upper bound of each free gain by name, internal units.
         weights: Weights of the objective's terms by name (``objective.TERMS``).
-        settle: Whether the settling time is minimised, not the terms.
-        starts: Number of starts of the search.
+        settle: Whether the settling time is minimised instead of the terms.
+        starts: Number of starts of the search, at least 1.
     """
 
     bounds: Mapping[str, tuple[float, float]]

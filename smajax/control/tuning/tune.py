@@ -1,7 +1,7 @@
 """Tuning of gains by gradients through the rollout, from one start or several, within limits or without.
 
-What is asked for decides which search runs: ``unconstrained`` without limits, ``augmented_lagrangian`` within limits,
-and ``minimise_settling_time`` for the shortest settling time, or one below a limit.
+Objective and limits decide which search runs: ``unconstrained`` without limits, ``augmented_lagrangian`` within limits,
+and ``minimise_settling_time`` for the shortest settling time, or for one below a limit.
 """
 
 import math
@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from smajax.control.analysis.step_response import SETTLING_BAND
 from smajax.control.tuning.augmented_lagrangian import augmented_lagrangian
@@ -25,22 +26,22 @@ from smajax.control.tuning.search import BATCH, VIOLATION_TOLERANCE, GainSearch,
 from smajax.control.tuning.unconstrained import unconstrained
 from smajax.errors import InputError
 
-# Points that are drawn and evaluated for several starts, at least; chosen by trial.
-_SCREENED = 16
+# Smallest number of random points that are evaluated to choose several starts; chosen by trial.
+_MIN_SCREENED = 16
 
 
 class TuningResult(NamedTuple):
-    """The best gains of a search.
+    """Best gains of a search.
 
-    Args:
+    Attributes:
         point: The point in the unit box, shape ``(p,)``.
-        gains: Gains in internal units.
-        terms: Terms over those at the start, by name.
-        violations: Largest violation of each limit, by name; at most 0 where it is kept.
+        gains: Gains by name, internal units.
+        terms: Terms by name (``objective.TERMS``), relative to those at the start.
+        violations: Largest violation of each limit by name, dimensionless; at most 0 if the limit is kept.
         feasible: Whether all limits are kept.
         settling: Longest settling time of all jumps and members, s.
         rollouts: Number of rollouts.
-        history: A row (rollouts, settling time or sum of the weighted terms) for each improvement that keeps all
+        history: A row (rollouts; settling time in s, or sum of the weighted terms) for each improvement that keeps all
             limits.
     """
 
@@ -55,16 +56,25 @@ class TuningResult(NamedTuple):
 
 
 def violation_rank(result: TuningResult) -> tuple[bool, float, float]:
-    """Return the key by which results that violate limits are compared.
+    """Return the sort key of results that may violate limits: smaller is better.
 
-    The settling limit counts after the others, and by the settling time, since its violation says little.
+    A settling limit counts after the others, and by the settling time: its violation is the error outside the band,
+    which does not measure how late the loop settles.
     """
-    others = sum(v for name, v in result.violations.items() if name != "settling" and v > VIOLATION_TOLERANCE)
-    return not result.feasible, others, result.settling if "settling" in result.violations else 0.0
+    violations = (v for name, v in result.violations.items() if name != "settling" and v > VIOLATION_TOLERANCE)
+    return not result.feasible, sum(violations, 0.0), result.settling if "settling" in result.violations else 0.0
 
 
 def cost_function(problem: TuningProblem, weights: Mapping[str, float]) -> Callable[[np.ndarray], float]:
-    """Return the weighted terms that ``tune`` minimises, as a function of a point, to compare searches."""
+    """Return the weighted terms that ``tune`` minimises as a function of a point, to compare searches.
+
+    Args:
+        problem: The tuning problem.
+        weights: Weights of ``objective.TERMS`` by name.
+
+    Returns:
+        A function that maps a point of the unit box, shape ``(p,)``, to the cost; infinite where that is NaN.
+    """
     search = GainSearch(problem, make_objective(weights, {}), lambda steps, cost: None)
     return lambda point: search.candidates(np.asarray(point)[None])[0].cost
 
@@ -80,28 +90,33 @@ def tune(
     band: float = SETTLING_BAND,
     progress: Callable[[int, float], None] = lambda steps, cost: None,
 ) -> TuningResult:
-    """Tune from the loop's own gains and, with ``starts`` above 1, from the best of random ones.
+    """Tune the gains from the loop's own ones and, with ``starts`` above 1, from the best of random gains.
 
     Args:
         problem: The tuning problem.
         weights: Weights of ``objective.TERMS`` by name.
         limits: Limits of ``objective.LIMITS`` by name, internal units.
-        settle: Whether the settling time is minimised within the other limits, from where the terms are small.
+        settle: Whether the settling time is minimised within the other limits, after a search that minimises the terms.
         starts: Number of starts.
         seed: Seed of the random starts.
         band: Settling band as a share of the jump.
-        progress: Called with the rollouts so far and a cost.
+        progress: Called with the number of rollouts so far and the cost of the last evaluated point.
+
+    Returns:
+        The best gains of all searches.
 
     Raises:
-        InputError: if there are neither weights nor ``settle``, or nothing settles.
-        NumericsError: if no point gives numbers.
+        InputError: if there are neither weights nor ``settle``, or the reference has no jump to settle after.
+        NumericsError: if no point has a finite cost.
     """
     if not weights and not settle:
         raise InputError(
-            f"there is no objective: give a weight to one of {', '.join(TERMS)}, or ask for the fastest settling"
+            f"there is no objective: give a weight to one of {', '.join(TERMS)}, or minimise the settling time"
         )
     if settle and not np.any(np.asarray(problem.reference.jump_size)):
-        raise InputError("the reference never jumps and holds, so nothing settles: ask for tracking instead")
+        raise InputError(
+            "the reference never jumps and holds, so there is no settling time to minimise: choose tracking instead"
+        )
     search = GainSearch(problem, make_objective(weights or START_WEIGHTS, limits, band), progress, settle)
     points = _starts(search, starts, seed)
     if settle:
@@ -125,14 +140,14 @@ def tune(
     )
 
 
-def _starts(search: GainSearch, starts: int, seed: int) -> np.ndarray:
+def _starts(search: GainSearch, starts: int, seed: int) -> Float[np.ndarray, "starts gains"]:
     """The loop's own gains and the best of many random points, by violations first, then by terms; shape ``(k, p)``."""
     own = search.problem.start[None]
     if starts <= 1:
         return own
-    count = max(_SCREENED, BATCH * -(-starts // 2))
-    drawn = np.random.default_rng(seed).uniform(size=(count, own.shape[1]))
+    count = max(_MIN_SCREENED, BATCH * -(-starts // 2))
+    points = np.random.default_rng(seed).uniform(size=(count, own.shape[1]))
     members = search.problem.single_member() if search.has_no_limits else search.problem
-    batches = [search.candidates(drawn[k : k + BATCH], members) for k in range(0, len(drawn), BATCH)]
+    batches = [search.candidates(points[k : k + BATCH], members) for k in range(0, count, BATCH)]
     candidates = sorted((candidate for batch in batches for candidate in batch), key=rank)
     return np.vstack([own, *(candidate.point for candidate in candidates[: starts - 1])])

@@ -1,10 +1,10 @@
-"""Population searches that people fit with today, to compare the gradient with on the same compiled simulator.
+"""Population searches in common use, to compare the gradient with on the same compiled simulator.
 
-Each takes a problem and gives a ``BaselineResult``. All search the bounds from which the fit draws its starts, all are
-compiled before their clock starts, and all count simulations alike: the cost of a point with ``r`` recordings is ``r``
-simulations, a residual with its Jacobian in ``p`` parameters ``r (1 + p)``. A cost that is not finite counts as a
-failure and is shown to a population as ``meter.UNUSABLE_COST``. pymoo and evosax are extras of the package, imported
-where they are used.
+Each takes a problem and returns a ``BaselineResult``. All search within the bounds from which the fit draws its starts,
+all are compiled before their clock starts, and all count simulations in the same way: the cost of a point with ``r``
+recordings is ``r`` simulations, a residual with its Jacobian in ``p`` parameters ``r (1 + p)``. A cost that is not
+finite counts as a failure and is passed to a population as ``meter.UNUSABLE_COST``. pymoo and evosax are extras of the
+package, imported where they are used.
 """
 
 from smajax.fitting.baselines.differential_evolution import run_differential_evolution

@@ -8,7 +8,7 @@ import scipy.optimize
 from smajax.fitting.abstract_problem import AbstractFitProblem
 from smajax.fitting.baselines.meter import BaselineResult, CostMeter, Progress, no_progress
 
-# SciPy's own tolerance of a population that has converged.
+# SciPy's default tolerance of a population that has converged.
 _TOLERANCE = 0.01
 # No limit to the generations: target, budget or convergence end the search.
 _MAX_GENERATIONS = 10**9
@@ -38,6 +38,12 @@ def run_differential_evolution(
         polish: Run the local search at the end.
         settles: Whether the search ends when SciPy finds the population converged.
         progress: Called with the number of calls of the compiled program and the best cost so far.
+
+    Returns:
+        The best point, its cost, and the effort.
+
+    Raises:
+        InputError: The budget does not allow one evaluation of all recordings.
 
     Source: storn1997.
     """

@@ -19,7 +19,7 @@ _STRATEGIES = ("CMA_ES", "DifferentialEvolution")
 _CMA_ES_POPULATION = 16
 # Members per parameter of differential evolution: SciPy's default.
 _MEMBERS_PER_PARAMETER = 15
-# CMA-ES begins at the middle of the unit cube with this standard deviation: about a third of the range, which is usual.
+# CMA-ES begins at the middle of the unit cube with this standard deviation: about a third of the range, as is usual.
 _INITIAL_DEVIATION = 0.3
 
 
@@ -34,9 +34,9 @@ def run_evosax(
     generations: int = 1000,
     progress: Progress = no_progress,
 ) -> BaselineResult:
-    """Run CMA-ES or differential evolution of evosax with its own settings.
+    """Run CMA-ES or differential evolution of evosax with its default settings.
 
-    The bounds are scaled to the unit cube; members outside are put on its boundary.
+    The bounds are scaled to the unit cube; members outside are moved to its boundary.
 
     Args:
         problem: The problem.
@@ -48,14 +48,19 @@ def run_evosax(
         generations: Most generations.
         progress: Called with the number of calls of the compiled program and the best cost so far.
 
+    Returns:
+        The best point, its cost, and the effort.
+
     Raises:
-        InputError: evosax is not installed, or it has no such strategy.
+        InputError: evosax is not installed, it has no such strategy, or the budget does not allow one evaluation of all
+            recordings.
 
     Source: hansen2001 (CMA-ES), storn1997 (differential evolution).
     """
     if strategy not in _STRATEGIES:
         raise InputError(
-            f"there is no strategy '{strategy}'{suggestion(strategy, _STRATEGIES)}: choose of {', '.join(_STRATEGIES)}"
+            f"there is no strategy '{strategy}'{suggestion(strategy, _STRATEGIES)}: choose one of "
+            f"{', '.join(_STRATEGIES)}"
         )
     try:
         import evosax.algorithms
@@ -70,7 +75,8 @@ def run_evosax(
         _evolve(evolution, strategy, population, size, seed, cost, generations)
 
     meter = CostMeter(problem, population, budget, target, progress)
-    evolve(lambda members: np.sum((members - 0.4) ** 2, axis=1), 2)  # compiles evosax's own programs
+    # Two generations on any cost compile evosax's own programs before the clock starts.
+    evolve(lambda members: np.sum((members - 0.4) ** 2, axis=1), 2)
     meter.start()
     return meter.search(
         f"evosax {strategy}", lambda: evolve(lambda members: meter(lower + members * (upper - lower)), generations)

@@ -1,4 +1,4 @@
-"""The fit's own search, measured like the population searches."""
+"""The fit's own search, with its effort counted like that of the population searches."""
 
 import time
 
@@ -23,6 +23,11 @@ def run_gradient_search(
         starts: Number of starts.
         max_steps: Most steps.
         progress: Called after each step with its number and the best cost so far.
+
+    Returns:
+        The best point, its cost, and the effort.
+
+    Source: marquardt1963.
     """
     created = time.perf_counter()
     warm_up = MultiStartSolver(
@@ -33,21 +38,21 @@ def run_gradient_search(
     points, screened = screen_starts(problem, starts, seed)
     screening_time = time.perf_counter() - began
     solver = MultiStartSolver(residual, problem, points, *problem.bounds, size=problem.size)
-    solved = solver.advance(max_steps, progress).result()
+    result = solver.advance(max_steps, progress).result()
     recordings = problem.data.measured.shape[0]
-    final_costs = np.where(np.isfinite(solved.costs), solved.costs, np.inf)
+    final_costs = np.where(np.isfinite(result.costs), result.costs, np.inf)
     best = int(np.argmin(final_costs))
     history = [
-        (screened + recordings * simulations, screening_time + wall, cost) for simulations, wall, cost in solved.history
+        (screened + recordings * simulations, screening_time + wall, cost) for simulations, wall, cost in result.history
     ]
     return BaselineResult(
         name="gradient" if starts == 1 else f"gradient, {starts} starts",
-        vector=solved.points[best],
+        vector=result.points[best],
         cost=float(final_costs[best]),
-        simulations=screened + recordings * solved.simulations,
-        wall_time=screening_time + solved.wall_time,
+        simulations=screened + recordings * result.simulations,
+        wall_time=screening_time + result.wall_time,
         compile_time=began - created,
         history=tuple(history),
-        failures=recordings * sum(status is SolverStatus.failed for status in solved.statuses),
-        end_reason="interrupted" if SolverStatus.interrupted in solved.statuses else "settled",
+        failures=recordings * sum(status is SolverStatus.failed for status in result.statuses),
+        end_reason="interrupted" if SolverStatus.interrupted in result.statuses else "settled",
     )

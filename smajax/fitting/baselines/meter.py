@@ -1,4 +1,4 @@
-"""The cost function that all population searches share: it counts, measures time, and keeps the best point."""
+"""The cost function of all population searches: it counts simulations, measures time and keeps the best point."""
 
 import dataclasses
 import math
@@ -12,7 +12,8 @@ import numpy as np
 from smajax.errors import InputError
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 
-# Far above any cost of a simulation that ran, and its square is still a float.
+# Cost of a point that cannot be simulated: far above any cost of a successful simulation, and its square is still a
+# float.
 UNUSABLE_COST = 1e30
 
 EndReason = Literal["settled", "target", "budget", "interrupted"]
@@ -47,16 +48,23 @@ class BaselineResult:
     end_reason: EndReason
 
     def effort_to_reach(self, cost: float) -> tuple[int, float] | None:
-        """Return simulations and wall time in s until the best cost was at most ``cost``; ``None`` if it never was."""
+        """Return the effort until the best cost was at most ``cost``.
+
+        Args:
+            cost: A sum of squares.
+
+        Returns:
+            Number of simulations and wall time in s; ``None`` if the search did not reach the cost.
+        """
         return next(((simulations, wall) for simulations, wall, best in self.history if best <= cost), None)
 
 
 class _SearchEnded(Exception):
-    """Ends a search whose target is reached or whose budget is spent; its argument is the reason."""
+    """End of a search whose target is reached or whose budget is used up; its argument is the reason."""
 
 
 class CostMeter:
-    """The costs of up to ``size`` points at once."""
+    """A cost function of up to ``size`` points at once that counts simulations and keeps the best point."""
 
     def __init__(
         self, problem: AbstractFitProblem, size: int, budget: int | None, target: float | None, progress: Progress
@@ -68,7 +76,7 @@ class CostMeter:
             size: Most points that are simulated as one batch.
             budget: Most simulations; no limit if not given.
             target: Cost at which the search ends; none if not given.
-            progress: Called after each batch.
+            progress: Called after each batch with the number of batches and the best cost so far.
 
         Raises:
             InputError: The budget does not allow one evaluation of all recordings.
@@ -89,16 +97,23 @@ class CostMeter:
         self.start()
 
     def start(self) -> None:
-        """Start the clock; all before it was compiling."""
+        """Start the clock; the time before counts as compiling."""
         self._began = time.perf_counter()
 
     def _run(self, vectors: np.ndarray) -> np.ndarray:
-        # Repeated points fill up the batch: one program serves every number of points.
+        # Repeated points fill up the batch, so that one compiled program serves every number of points.
         filled = np.resize(vectors, (self._size, vectors.shape[1]))
         return np.array(costs(self._problem, jnp.asarray(filled)))[: len(vectors)]
 
     def __call__(self, vectors: np.ndarray) -> np.ndarray:
-        """Return the costs (m,) of points (m, p); raises ``_SearchEnded`` at the target or the end of the budget."""
+        """Compute the costs of points; raises ``_SearchEnded`` at the target or the end of the budget.
+
+        Args:
+            vectors: Points (m, p), in the problem's scaled units.
+
+        Returns:
+            The costs (m,); ``UNUSABLE_COST`` where a cost is not finite.
+        """
         allowed = int(min(len(vectors), (self._budget - self._simulations) // self._recordings))
         if allowed == 0:
             raise _SearchEnded("budget")
@@ -123,7 +138,15 @@ class CostMeter:
         self._history.append((self._simulations, time.perf_counter() - self._began, self._cost))
 
     def search(self, name: str, run: Callable[[], Any]) -> BaselineResult:
-        """Run a search that calls this meter, to its end. Ctrl-C ends it and keeps the best point."""
+        """Run a search that calls this meter, to its end. Ctrl-C ends it and keeps the best point.
+
+        Args:
+            name: Name of the method.
+            run: The search.
+
+        Returns:
+            The best point, its cost, and the effort.
+        """
         end_reason: EndReason = "settled"
         try:
             run()
@@ -146,4 +169,9 @@ class CostMeter:
 
 
 def no_progress(calls: int, cost: float) -> None:
-    """Report no progress."""
+    """Ignore the progress of a search.
+
+    Args:
+        calls: Number of calls of the compiled program.
+        cost: The best cost so far.
+    """

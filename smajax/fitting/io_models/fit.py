@@ -1,7 +1,7 @@
 """Fit an input-output model to recordings.
 
-Here is the search for models of few parameters, and the result of any fit: the model, its parameters and their
-intervals. The search for networks is in ``smajax.fitting.io_models.networks``.
+The search for models of few parameters, and the result of any fit: the model, its parameters and their intervals. The
+search for networks is in ``smajax.fitting.io_models.networks``.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from smajax.errors import NumericsError
-from smajax.fitting import intervals
 from smajax.fitting.abstract_problem import costs, residual
+from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.io_models.networks import fit_network
 from smajax.fitting.io_models.problem import (
     IOModelProblem,
@@ -33,12 +33,12 @@ from smajax.laws import response
 from smajax.laws.base import AbstractInputOutputModel
 
 # All constants of the search were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py,
-# which holds its ends.
-# A parameter whose bounds differ by more than this factor may be of any size and is drawn by its logarithm.
+# which holds the errors of the fits.
+# A parameter whose bounds differ by more than this factor has an unknown order of magnitude: its logarithm is drawn.
 _LOGARITHMIC_FACTOR = 30.0
 # Random points per start.
 _POINTS_PER_START = 8
-# Share of their entries that are the first guess's.
+# Share of the entries of a random point that are taken from the first guess.
 _FIRST_GUESS_SHARE = 0.5
 # Most rounds of starts.
 _MAX_ROUNDS = 5
@@ -46,7 +46,7 @@ _MAX_ROUNDS = 5
 _POINTS_PER_ROUND = 3
 # Standard deviation of these points, as a share of the distance between the bounds.
 _ROUND_SPREAD = 0.01
-# A round that lowers the cost by less than this share is the last.
+# The last round is the first that lowers the cost by less than this share.
 _MIN_DECREASE = 1e-3
 # A parameter at most this share of the distance between its bounds away from one is at the bound.
 _BOUND_MARGIN = 1e-6
@@ -65,11 +65,11 @@ class IOModelFit:
         simulations: Simulations that the search took.
         wall_time: Time including compiling, s.
         step: Time between the rows that it was fitted to, s.
-        ridge: Strength of the ridge that held a network's weights; 0 for other models.
+        ridge: Strength of the ridge on a network's weights; 0 for other models.
         divergence_rate: Share of reordered inputs on which a network diverges; 0 for other models.
         half_widths: Half-widths of the parameters' 95 % intervals, a pytree: infinite where the recording does not
-            determine the parameter, NaN for those held or at a bound. ``None`` for networks, whose weights have no
-            intervals.
+            determine the parameter, NaN for fixed parameters and for those at a bound. ``None`` for networks, whose
+            weights have no intervals.
     """
 
     spec: ModelSpec
@@ -101,14 +101,14 @@ class IOModelFit:
     def values(self) -> dict[str, dict[str, Any]]:
         """The parameters by name, as lists, with the ends of their 95 % intervals; ``None`` where there are none."""
 
-        def shown(values: Any) -> Any:
+        def finite_or_none(values: Any) -> Any:
             return np.asarray(np.where(np.isfinite(values), values, None)).tolist()
 
         return {
             name: {
-                "value": shown(value),
-                "lower95": shown(value - half),
-                "upper95": shown(value + half),
+                "value": finite_or_none(value),
+                "lower95": finite_or_none(value - half),
+                "upper95": finite_or_none(value + half),
                 "free": bool(np.any(low < high)),
             }
             for name, value, low, high, half in self._leaves()
@@ -116,7 +116,7 @@ class IOModelFit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The free parameters whose interval is wider than their bounds; of an array, how many of its entries."""
+        """The free parameters whose interval is wider than their bounds; for an array, with the number of entries."""
         names = []
         for name, value, low, high, half in self._leaves():
             wider = 2.0 * half > high - low
@@ -126,20 +126,26 @@ class IOModelFit:
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """The free parameters that ended at a bound, each with that bound; of an array, how many of its entries."""
+        """The free parameters that ended at a bound, with that bound; for an array, with the number of entries."""
         names = []
         for name, value, low, high, _ in self._leaves():
-            held = _at_bound(value, low, high)
-            if np.any(held):
+            mask = _at_bound(value, low, high)
+            if np.any(mask):
                 end = low if np.all(value - low < high - value) else high
-                names.append(f"{name} ({f'{np.sum(held)} of {held.size}' if held.ndim else f'{float(end):.4g}'})")
+                names.append(f"{name} ({f'{np.sum(mask)} of {mask.size}' if mask.ndim else f'{float(end):.4g}'})")
         return tuple(names)
 
     def respond(self, series: Series) -> np.ndarray:
-        """Return the model's output on a series, shape ``(n,)``.
+        """Compute the model's output on a series.
+
+        Args:
+            series: A series; only its times and inputs are used.
+
+        Returns:
+            The output (n,), in the unit of the training outputs.
 
         Raises:
-            InputError: The model needs rows of the step that it was fitted to, and these are others.
+            InputError: The model needs rows of the step that it was fitted to, and these have another step.
         """
         check_sampling(self.spec, series, self.step)
         return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input)))
@@ -150,7 +156,7 @@ _weighted_residual = eqx.filter_jit(residual)
 
 
 def _at_bound(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which free parameters are at a bound."""
+    """Mask of the free parameters that are at a bound."""
     return np.asarray((np.minimum(value - low, high - value) <= _BOUND_MARGIN * (high - low)) & (low < high))
 
 
@@ -177,9 +183,13 @@ def fit_io_model(
         seed: Seed of the random starts.
         max_steps: Most steps of each search.
 
+    Returns:
+        The fitted model, its parameters and their 95 % intervals.
+
     Raises:
-        InputError: No more rows are measured than the model has parameters.
-        NumericsError: No start gives finite numbers.
+        InputError: There are not more measured rows than parameters, or the rows are not evenly sampled where the model
+            needs that.
+        NumericsError: The residual is not finite at any start.
     """
     began = time.perf_counter()
     problem = build_io_problem(spec, series)
@@ -199,14 +209,17 @@ def fit_io_model(
         network = fit_network(problem, mask, starts, seed, max_steps)
         end = _SearchEnd(network.vector, network.simulations, network.ridge, network.divergence_rate)
     if end.vector is None:
-        raise NumericsError(f"{spec.name}: no point between its bounds gives numbers: check the recordings' units")
-    fitted = _fit_at(problem, spec, series, samples, end)
+        raise NumericsError(
+            f"{spec.name}: its residual is not finite at any point between its bounds: check the recordings' units"
+        )
+    result = _fit_at(problem, spec, series, samples, end)
     if spec.prefers_simpler:
         simpler = nested[-1][0]
-        gain = 2.0 * samples * math.log(simpler.rmse / fitted.rmse)
+        # Difference of Schwarz's criterion (BIC): 2 ln of the likelihoods' ratio against ln n per parameter.
+        gain = 2.0 * samples * math.log(simpler.rmse / result.rmse)
         if gain < (spec.size - simpler.spec.size) * math.log(samples):
-            fitted = dataclasses.replace(simpler, simulations=end.simulations)
-    return dataclasses.replace(fitted, wall_time=time.perf_counter() - began)
+            result = dataclasses.replace(simpler, simulations=end.simulations)
+    return dataclasses.replace(result, wall_time=time.perf_counter() - began)
 
 
 def _fit_at(
@@ -236,18 +249,18 @@ def _fit_at(
 
 
 def _half_widths(problem: IOModelProblem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Half-widths of the parameters' 95 % intervals at a fit's end, shape ``(p,)``: see ``IOModelFit``."""
+    """Half-widths (p,) of the parameters' 95 % intervals at the end of a fit, as in ``IOModelFit``."""
     low, high = problem.bounds
     free = np.flatnonzero((low < high) & ~_at_bound(vector, low, high))
     measured = np.asarray(problem.data.weight) > 0
     residuals, columns = (v.reshape(*measured.shape, *v.shape[1:]) for v in (residual, jacobian))
-    spread = intervals.estimate_covariance(
+    covariance = covariance_under_autocorrelation(
         [columns[k][rows][:, free] for k, rows in enumerate(measured)],
         [residuals[k][rows] for k, rows in enumerate(measured)],
         len(free),
     )
     half = np.full(len(vector), np.nan)
-    half[free] = intervals.student_quantile(int(np.sum(measured)), len(free)) * np.sqrt(np.diag(spread))
+    half[free] = confidence_half_widths(covariance, int(np.sum(measured)), len(free))
     return half * np.asarray(problem.width)
 
 
@@ -272,11 +285,11 @@ def _least_squares(
         before = least
         for point in points:
             solver = MultiStartSolver(residual, problem, point[None], lower, upper, size=problem.size)
-            solved = solver.advance(max_steps).result()
-            simulations += solved.simulations
-            if solved.costs[0] < least:
-                least = float(solved.costs[0])
-                best = _SearchEnd(solved.points[0], 0, residual=solved.residuals[0], jacobian=solved.jacobians[0])
+            result = solver.advance(max_steps).result()
+            simulations += result.simulations
+            if result.costs[0] < least:
+                least = float(result.costs[0])
+                best = _SearchEnd(result.points[0], 0, residual=result.residuals[0], jacobian=result.jacobians[0])
         if best.vector is None or not spec.nonsmooth or not least < (1.0 - _MIN_DECREASE) * before:
             break
         points = best.vector + _ROUND_SPREAD * rng.standard_normal((_POINTS_PER_ROUND, len(best.vector)))
@@ -284,9 +297,9 @@ def _least_squares(
 
 
 def _random_points(problem: IOModelProblem, count: int, seed: int) -> np.ndarray:
-    """Random points between the bounds, shape ``(count, p)``; half of their entries are the first guess's.
+    """Random points (count, p) between the bounds; half of their entries are taken from the first guess.
 
-    Parameters that may be of any size, such as time constants, are drawn by their logarithm.
+    Of parameters whose order of magnitude is unknown, such as time constants, the logarithm is drawn.
     """
     low, width = np.asarray(problem.lower), np.asarray(problem.width)
     rng = np.random.default_rng(seed)

@@ -1,17 +1,16 @@
 """The fit of networks, which have more weights than a recording can determine.
 
-A ridge holds the weights, and training goes from open to closed loop.
+A ridge regularises the weights, and training goes from open to closed loop.
 
-The cost, the mean square over the output's variance, is increased by ``ridge**2`` times the sum of squares of the
-weights' changes from the first guess. Ridges are tried from the strongest on. Under the strongest, which leaves a
-network little more than a linear model, each start is trained in open loop, over longer and longer stretches, and in
-closed loop; under each further one in closed loop alone, from the ends so far and from points near them. Most starts
-become one on the way, and where neurons that were alike differ, the points near them find the other ways. Networks that
-begin anywhere under a weak ridge often diverge in closed loop; these seldom do.
+The cost is the mean square of the residual over the output's variance, plus ``ridge**2`` times the sum of squares of
+the weights' changes from the first guess. Ridges are tried from the strongest to the weakest. Under the strongest, with
+which a network is nearly a linear model, each start is trained in open loop, over longer and longer stretches, and then
+in closed loop; under each weaker one in closed loop only, from the ends so far and from points near them. Most starts
+end at the same point; where neurons with equal weights become different, the points near it lead to different ends.
+Networks that start at random under a weak ridge often diverge in closed loop; networks trained in this way seldom do.
 
-The network that fits one order of inputs best may still diverge on another. So each end is tried on the training
-recordings' inputs in other orders, and those ends are taken that leave the outputs' range far behind on the fewest
-(``divergence_rate``).
+The network that fits one order of inputs best may still diverge on another. Each end is therefore simulated on the
+training inputs in other orders, and the ends that diverge on the fewest of them are preferred (``divergence_rate``).
 """
 
 import dataclasses
@@ -25,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+from jaxtyping import Array, Float
 
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
@@ -33,35 +33,35 @@ from smajax.numerics.nonsmooth import clip
 
 # All constants were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py, which holds the
 # fits.
-# Ridges, from what leaves a network little more than a linear model to what hardly holds its weights.
+# Ridges, from one with which a network is nearly a linear model to one that hardly affects its weights.
 _RIDGES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)
 # Distance from the first guess at which a search begins, as a share of the range between the bounds.
 _START_SPREAD = 0.05
 # The same from the end of a search.
 _NEARBY_SPREAD = 0.005
-# Stretches of the measured rows that are held out in turn.
+# Number of stretches of the measured rows that are held out in turn.
 _FOLDS = 4
 # Ridges whose prediction errors are within this factor are equally good.
 _EQUAL_ERROR = 1.1
-# Rows that a network runs on its own before its past outputs are reset to the measured ones; then all rows.
+# Numbers of rows after which a network's past outputs are reset to the measured ones; after these stages, never.
 _RESET_INTERVALS = (1, 5, 25, 125)
-# Relative decrease of the cost at which a search on the way ends.
-_RTOL_ON_THE_WAY = 1e-3
-# The same of the last search.
-_RTOL_AT_THE_END = 1e-6
-# On the way a search has so many times fewer steps.
+# Relative decrease of the cost at which an intermediate search ends.
+_INTERMEDIATE_RTOL = 1e-3
+# The same for the last search.
+_FINAL_RTOL = 1e-6
+# An intermediate search has the number of steps of the last one divided by this.
 _FEWER_STEPS = 4
-# Ends within this factor of each other's cost are one.
+# Ends whose costs agree within this factor count as the same.
 _SAME_COST = 1.001
 # Ends beyond this factor of the least cost are dropped.
 _MAX_COST_RATIO = 1.25
 # Most ends that are kept.
 _MAX_ENDS = 3
-# A network diverges on reordered inputs if its output leaves the measured range by more than this share of it.
+# A network diverges on reordered inputs if its output is outside the measured range by more than this share of it.
 _DIVERGENCE_MARGIN = 0.5
 # Pieces into which the inputs are cut to be reordered.
 _PIECES = 12
-# Number of orders, each of them forwards and backwards.
+# Number of random orders; each is simulated forwards and backwards.
 _ORDERS = 8
 # Relative tolerance of BFGS.
 _BFGS_RTOL = 1e-6
@@ -74,22 +74,22 @@ _SIMULATIONS_PER_GRADIENT = 3
 
 
 class RidgeProblem(AbstractFitProblem):
-    """A problem whose parameters are held near the first guess.
+    """A problem with a ridge, a penalty on changes from the first guess.
 
     Attributes:
         data: The series.
         problem: The problem without the ridge.
-        pull: Weight of each parameter's change (p,).
+        penalty: Weight of each parameter's change (p,).
     """
 
     data: SeriesData
     problem: IOModelProblem
-    pull: jax.Array
+    penalty: jax.Array
 
     @property
     def size(self) -> int:
         """Length of the residual."""
-        return self.problem.size + self.pull.shape[0]
+        return self.problem.size + self.penalty.shape[0]
 
     @property
     def nominal(self) -> np.ndarray:
@@ -98,20 +98,20 @@ class RidgeProblem(AbstractFitProblem):
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the problem without the ridge."""
+        """Lower and upper bounds of the problem without the ridge, each of shape ``(p,)``."""
         return self.problem.bounds
 
-    def residual(self, vector: jax.Array) -> jax.Array:
+    def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
         """Return the problem's residual, followed by the weighted changes from the first guess, ``(r * n + p,)``."""
-        return jnp.append(self.problem.residual(vector), self.pull * (vector - self.problem.first_guess))
+        return jnp.append(self.problem.residual(vector), self.penalty * (vector - self.problem.first_guess))
 
 
 class NetworkFit(NamedTuple):
     """The end of a network's fit.
 
     Attributes:
-        vector: The problem's vector (p,); ``None`` where no start gives finite numbers.
-        simulations: Simulations that it took.
+        vector: The problem's vector (p,); ``None`` where the cost is not finite at any start.
+        simulations: Number of simulations.
         ridge: Strength of the ridge.
         divergence_rate: Share of the reordered inputs on which the network diverges.
     """
@@ -125,24 +125,28 @@ class NetworkFit(NamedTuple):
 def fit_network(problem: IOModelProblem, weight_mask: jax.Array, starts: int, seed: int, max_steps: int) -> NetworkFit:
     """Fit a network under weaker and weaker ridges, and choose the ridge by cross-validation.
 
-    Each ridge is fitted to all rows and to all but one stretch of them, each stretch in turn. A ridge is as good as its
-    fits predict the stretches that they do not see, by the worst of their ends: a ridge under which networks diverge
-    may still be lucky once. The strongest ridge is taken that is as good as the best, since another recording is never
-    quite like this one; two in a row that are no better than those before are the last. Of a ridge's ends, and of the
-    ridges, those with the lowest divergence rate come first.
+    With each ridge the network is fitted to all rows and to all but one stretch of them, each stretch in turn. The
+    prediction error of a ridge is that on the stretches that were left out, of the worst of the ends: under a ridge
+    with which networks diverge, a single end may still predict well by chance. The strongest ridge is chosen whose
+    error is within 10 % of the least, since other recordings differ from the training recordings; the search stops
+    after two ridges in a row that are not better than those before. Among the ends of a ridge, and among the ridges,
+    those with the lowest divergence rate are preferred.
 
     Args:
         problem: The problem.
-        weight_mask: 1 for parameters that a ridge holds (p,).
+        weight_mask: 1 for parameters that the ridge penalises, 0 for the others (p,).
         starts: Number of starts.
         seed: Seed of the random starts.
         max_steps: Most steps of each search.
+
+    Returns:
+        The end of the fit under the chosen ridge.
     """
     path = _fit_ridges(problem, weight_mask, starts, seed, max_steps // _FEWER_STEPS)
     lowest_rate, least = min(path.errors)
     chosen = next(k for k, error in enumerate(path.errors) if error <= (lowest_rate, _EQUAL_ERROR * least))
     ridge_problem, rows = _with_ridge(problem, weight_mask, _RIDGES[chosen]), problem.data.time.shape[1]
-    last = _train(ridge_problem, path.best[chosen], (rows,), max_steps, _RTOL_AT_THE_END)
+    last = _train(ridge_problem, path.best[chosen], (rows,), max_steps, _FINAL_RTOL)
     candidates = np.vstack([last.vectors, path.best[chosen]])
     rates = divergence_rate(problem, candidates)
     vector = candidates[np.argmin(rates)] if last.costs[0] < math.inf else None
@@ -154,9 +158,9 @@ class _RidgePath(NamedTuple):
     """The fits under each ridge.
 
     Attributes:
-        errors: Divergence rate and prediction error on the unseen stretches, one pair a ridge.
-        best: The end of lowest divergence rate, shape ``(1, p)``, one a ridge.
-        simulations: Simulations per recording.
+        errors: Divergence rate and prediction error on the stretches that were left out, for each ridge.
+        best: The end of lowest divergence rate, shape ``(1, p)``, for each ridge.
+        simulations: Number of simulations per recording.
     """
 
     errors: list[tuple[float, float]]
@@ -165,7 +169,7 @@ class _RidgePath(NamedTuple):
 
 
 def _fit_ridges(problem: IOModelProblem, weight_mask: jax.Array, starts: int, seed: int, max_steps: int) -> _RidgePath:
-    """Fit the problem and its folds under each ridge, from the strongest on."""
+    """Fit the problem and its folds under each ridge, from the strongest to the weakest."""
     (lower, upper), rng = problem.bounds, np.random.default_rng(seed)
     width = upper > lower
 
@@ -173,10 +177,10 @@ def _fit_ridges(problem: IOModelProblem, weight_mask: jax.Array, starts: int, se
         return np.clip(point + spread * width * rng.standard_normal((count, len(lower))), lower, upper)
 
     def train(part: IOModelProblem, ridge: float, points: np.ndarray, intervals: tuple[int, ...]) -> _TrainingEnds:
-        return _train(_with_ridge(part, weight_mask, ridge), points, intervals, max_steps, _RTOL_ON_THE_WAY)
+        return _train(_with_ridge(part, weight_mask, ridge), points, intervals, max_steps, _INTERMEDIATE_RTOL)
 
     folds, rows = blocked_k_fold(problem), problem.data.time.shape[1]
-    problems = [problem, *(seen for seen, _ in folds)]
+    problems = [problem, *(training for training, _ in folds)]
     first = train(problem, _RIDGES[0], near(problem.nominal, _START_SPREAD, starts), (*_RESET_INTERVALS, rows))
     ends, simulations, errors, best = [first] * len(problems), first.simulations, [], []
     for ridge in _RIDGES:
@@ -187,9 +191,9 @@ def _fit_ridges(problem: IOModelProblem, weight_mask: jax.Array, starts: int, se
             task = lambda part, starting, ridge=ridge: train(part, ridge, starting, (rows,))  # noqa: E731
             ends = list(pool.map(task, problems, points))
         simulations += sum(end.simulations for end in ends)
-        unseen = [np.max(_rms(hidden, end.vectors)) for (_, hidden), end in zip(folds, ends[1:], strict=True)]
+        fold_errors = [np.max(_rms(holdout, end.vectors)) for (_, holdout), end in zip(folds, ends[1:], strict=True)]
         rates = divergence_rate(problem, ends[0].vectors)
-        errors.append((float(np.min(rates)), float(np.sqrt(np.mean(np.square(unseen))))))
+        errors.append((float(np.min(rates)), float(np.sqrt(np.mean(np.square(fold_errors))))))
         best.append(ends[0].vectors[[np.argmin(rates)]])
         if len(errors) > 2 and min(errors[-2:]) >= min(errors[:-2]) and min(errors)[0] == 0.0:
             break
@@ -200,14 +204,14 @@ def divergence_rate(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
     """Compute the share of reordered inputs on which each network diverges.
 
     The training inputs are cut into pieces and joined in random orders, forwards and backwards. A network diverges
-    where its output leaves the measured range by more than half of it.
+    where its output is outside the measured range by more than half of it, or not finite.
 
     Args:
         problem: The problem.
-        vectors: Networks (s, p).
+        vectors: The problem's vectors (s, p), one for each network.
 
     Returns:
-        Shape ``(s,)``.
+        The shares (s,), from 0 to 1.
     """
     data, rng = problem.data, np.random.default_rng(0)
     pieces = np.array_split(np.arange(data.input.shape[1]), _PIECES)
@@ -218,7 +222,7 @@ def divergence_rate(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
         rows = np.concatenate([pieces[k] for k in rng.permutation(_PIECES)])[::direction]
         reordered = dataclasses.replace(problem, data=dataclasses.replace(data, input=data.input[:, rows]))
         outputs = np.asarray(_outputs(reordered, jnp.asarray(vectors)))
-        # NaN counts as divergence.
+        # NaN counts as divergence, since comparisons with it are false.
         inside = (measured.min() - margin <= outputs) & (outputs <= measured.max() + margin)
         bounded.append(np.all(inside, axis=(1, 2)))
     return 1.0 - np.mean(bounded, axis=0)
@@ -240,8 +244,11 @@ def _rms(problem: IOModelProblem, vectors: np.ndarray) -> np.ndarray:
 def blocked_k_fold(problem: IOModelProblem) -> list[tuple[IOModelProblem, IOModelProblem]]:
     """Split the measured rows into stretches for cross-validation.
 
+    Args:
+        problem: The problem.
+
     Returns:
-        For each stretch the problem that sees all the others only, and the one that sees this one only.
+        For each stretch the problem with the rows of all others, and the problem with its own rows.
     """
     measured = np.cumsum(np.asarray(problem.data.weight) > 0, axis=1)
     stretch = np.minimum(_FOLDS * (measured - 1) // np.maximum(measured[:, -1:], 1), _FOLDS - 1)
@@ -254,17 +261,17 @@ def blocked_k_fold(problem: IOModelProblem) -> list[tuple[IOModelProblem, IOMode
 
 
 def _with_ridge(problem: IOModelProblem, weight_mask: jax.Array, ridge: float) -> RidgeProblem:
-    pull = ridge * jnp.sqrt(jnp.sum(problem.data.weight > 0)) * weight_mask * problem.width
-    return RidgeProblem(problem.data, problem, pull)
+    penalty = ridge * jnp.sqrt(jnp.sum(problem.data.weight > 0)) * weight_mask * problem.width
+    return RidgeProblem(problem.data, problem, penalty)
 
 
 class _TrainingEnds(NamedTuple):
     """The few best ends that differ, best first.
 
     Attributes:
-        vectors: Shape ``(s, p)``.
-        costs: Shape ``(s,)``; infinite where not finite.
-        simulations: Simulations per recording.
+        vectors: The problem's vectors (s, p).
+        costs: Sums of squares (s,); infinite where not finite.
+        simulations: Number of simulations per recording.
     """
 
     vectors: np.ndarray
@@ -277,7 +284,7 @@ def _train(
 ) -> _TrainingEnds:
     """Train from each point over longer and longer stretches by Levenberg-Marquardt, then in closed loop by BFGS.
 
-    Points are trained one after another: a batch takes as long per start, and continues until the last has ended.
+    Points are trained one after another: a batch takes as long per start, and runs until its last search has ended.
     """
     ends, end_costs, simulations = [], [], 0
     lower, upper = ridge_problem.bounds
@@ -288,9 +295,9 @@ def _train(
             )
             stage = dataclasses.replace(ridge_problem, problem=problem)
             solver = MultiStartSolver(residual, stage, point[None], lower, upper, size=stage.size, rtol=rtol)
-            solved = solver.advance(max_steps).result()
-            simulations += solved.simulations
-            point = solved.points[0]
+            result = solver.advance(max_steps).result()
+            simulations += result.simulations
+            point = result.points[0]
         vector, steps = _minimise_closed_loop(
             jnp.asarray(point), ridge_problem, (jnp.asarray(lower), jnp.asarray(upper))
         )
@@ -319,7 +326,7 @@ def _distinct_ends(end_costs: list[float]) -> list[int]:
 def _minimise_closed_loop(
     point: jax.Array, ridge_problem: RidgeProblem, bounds: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """The end of BFGS (p,) and its steps. It knows no bounds: a point outside stands for the nearest inside."""
+    """The end of BFGS (p,) and its number of steps; outside the bounds the cost is that of the nearest point inside."""
 
     def cost(vector: jax.Array, ridge_problem: RidgeProblem) -> jax.Array:
         return jnp.mean(ridge_problem.residual(clip(vector, *bounds)) ** 2)

@@ -1,8 +1,8 @@
-"""The fit of an input-output model: recordings as it sees them, a kind of model with its bounds, and the residual.
+"""The fit problem of an input-output model: series, a kind of model with its bounds, and the residual.
 
-A ``ModelSpec`` says how a model is made of its parameters and between which bounds these lie; both are pytrees of one
-structure. A search runs in the unit box between the bounds. Recordings of different length are filled up, unobserved,
-and run as one batch.
+A ``ModelSpec`` has the function that makes a model of its parameters, and their bounds; parameters and bounds are
+pytrees of one structure. A search runs in the unit box between the bounds. Series of different length are filled up
+with rows of weight 0 and run as one batch.
 """
 
 import dataclasses
@@ -15,18 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from smajax.errors import InputError
 from smajax.fitting.abstract_problem import AbstractFitProblem
 from smajax.laws.base import AbstractInputOutputModel
 from smajax.laws.response import compute_response
 
-# Rows may be this share of a step off and still count as evenly sampled; chosen by trial, for clocks that jitter.
+# Rows count as evenly sampled up to this deviation, as a share of the step; chosen by trial, for clocks that jitter.
 _STEP_TOLERANCE = 0.01
 
 
 class Series(NamedTuple):
-    """One recording as an input-output model sees it.
+    """Times, input and output of one recording.
 
     Attributes:
         name: Name for messages.
@@ -47,20 +48,20 @@ class ModelSpec:
 
     Attributes:
         name: Name of the model.
-        make: Makes the model of its parameters, a pytree of arrays.
+        make: Function that makes the model of its parameters, a pytree of arrays.
         lower: Lower bounds of the parameters, a pytree of the same structure.
-        upper: Upper bounds; parameters whose bounds are equal are held.
+        upper: Upper bounds; parameters whose bounds are equal are fixed.
         start: A first guess.
-        needs_even_rows: Whether the model needs rows that are equally far apart.
-        nonsmooth: Whether the cost has kinks, as where plays begin to move, with shallow minima next to them. The
-            search then continues from random points near its best end for as long as that lowers the cost.
-        prefers_simpler: Whether the last of ``nested`` is taken instead where this model lowers the error by no more
-            than Schwarz's criterion (BIC) asks of its additional parameters.
+        needs_even_rows: Whether the model needs evenly sampled rows.
+        nonsmooth: Whether the cost has kinks, as where plays begin to move, with shallow minima near them. The search
+            then continues from random points near its best end for as long as that lowers the cost.
+        prefers_simpler: Whether the fit of the last of ``nested`` is returned instead where its Schwarz criterion (BIC,
+            schwarz1978) is lower.
         weight_mask: 1 for the weights of a network and 0 for its other parameters; ``None`` for models without weights.
             Networks are fitted by ``smajax.fitting.io_models.networks``.
         extra_starts: Further first guesses.
-        nested: Simpler specs, each with the function that writes its parameters as parameters of this model with the
-            same output. A search starts at their fits, too.
+        nested: Simpler specs, each with the function that converts its parameters to parameters of this model with the
+            same output. A search also starts at their fits.
     """
 
     name: str
@@ -99,8 +100,8 @@ class IOModelProblem(AbstractFitProblem):
         lower: Lower bounds of the flat parameters (p,).
         width: Distances of the bounds (p,).
         first_guess: First guess in the unit box (p,).
-        reset_interval: Rows after which the past outputs are reset, where ``resets_outputs`` is set.
-        make: Makes the model of the flat parameters.
+        reset_interval: Number of rows after which the past outputs are reset, where ``resets_outputs`` is set.
+        make: Function that makes the model of the flat parameters.
         resets_outputs: Whether the model's past outputs are set to the measured ones every ``reset_interval`` rows: 1
             is open loop, the number of rows closed loop.
     """
@@ -120,19 +121,19 @@ class IOModelProblem(AbstractFitProblem):
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the vector; equal for parameters that are held."""
+        """Lower and upper bounds of the vector, each of shape ``(p,)``; equal for fixed parameters."""
         return np.zeros(len(self.lower)), np.where(np.asarray(self.width) > 0, 1.0, 0.0)
 
-    def model(self, vector: jax.Array) -> AbstractInputOutputModel:
+    def model(self, vector: Float[Array, " p"]) -> AbstractInputOutputModel:
         """Return the model at a vector."""
         return self.make(self.lower + vector * self.width)
 
     def scaled_vector(self, parameters: Any) -> np.ndarray:
-        """Return the place of parameters, a pytree, in the unit box, shape ``(p,)``."""
+        """Return the position (p,) of parameters, a pytree, in the unit box."""
         return np.asarray(_scale(ravel_pytree(parameters)[0], self.lower, self.width))
 
-    def predict(self, vector: jax.Array) -> jax.Array:
-        """Return the outputs, shape ``(r, n)``."""
+    def predict(self, vector: Float[Array, " p"]) -> Float[Array, "r n"]:
+        """Compute the outputs (r, n) of all series at a vector."""
         model: Any = self.model(vector)
         if self.resets_outputs:
             return jax.vmap(lambda t, u, y: model.predict_ahead(t, u, y, self.reset_interval))(
@@ -140,7 +141,7 @@ class IOModelProblem(AbstractFitProblem):
             )
         return jax.vmap(lambda t, u: compute_response(model, t, u))(self.data.time, self.data.input)
 
-    def residual(self, vector: jax.Array) -> jax.Array:
+    def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
         """Return model minus measurement, weighted, shape ``(r * n,)``."""
         weighted = (self.predict(vector) - self.data.measured) * self.data.weight
         return jnp.where(self.data.weight > 0, weighted, 0.0).ravel()
@@ -154,8 +155,11 @@ def build_io_problem(spec: ModelSpec, series: Sequence[Series], weight: float | 
         series: The recordings.
         weight: One over the noise; by default one over the standard deviation of the output.
 
+    Returns:
+        The problem, with weight 0 where the output was not measured.
+
     Raises:
-        InputError: The rows of a series are not as far apart as the model needs them.
+        InputError: The model needs evenly sampled rows, and those of a series are not.
     """
     steps = [float(np.median(np.diff(s.time))) for s in series]
     for s in series:
@@ -172,7 +176,7 @@ def build_io_problem(spec: ModelSpec, series: Sequence[Series], weight: float | 
 def _series_data(series: Sequence[Series], steps: Sequence[float], count: int, weight: float) -> SeriesData:
     """The series filled up to ``count`` rows; gaps in the output are interpolated, with weight 0."""
 
-    def filled(values: np.ndarray, last: float = math.nan) -> np.ndarray:
+    def fill_up(values: np.ndarray, last: float = math.nan) -> np.ndarray:
         end = values[-1] if math.isnan(last) else last
         return np.append(values, np.full(count - len(values), end))
 
@@ -183,40 +187,50 @@ def _series_data(series: Sequence[Series], steps: Sequence[float], count: int, w
             jnp.asarray(np.stack(rows))
             for rows in (
                 [np.append(s.time, more) for s, more in zip(series, further, strict=True)],
-                [filled(s.input) for s in series],
-                [filled(o) for o in outputs],
-                [filled(np.where(np.isfinite(s.output), weight, 0.0), 0.0) for s in series],
+                [fill_up(s.input) for s in series],
+                [fill_up(o) for o in outputs],
+                [fill_up(np.where(np.isfinite(s.output), weight, 0.0), 0.0) for s in series],
             )
         )
     )
 
 
 def is_evenly_sampled(time: np.ndarray, step: float) -> bool:
-    """Tell whether all rows are ``step`` s apart."""
+    """Return whether rows are evenly sampled.
+
+    Args:
+        time: Times (n,), s.
+        step: Time between two rows, s.
+    """
     return bool(np.max(np.abs(np.diff(time) - step)) <= _STEP_TOLERANCE * step)
 
 
 def check_sampling(spec: ModelSpec, series: Series, step: float) -> None:
-    """Check that the rows of a series are ``step`` s apart where the model needs that.
+    """Check that a series is evenly sampled where the model needs that.
+
+    Args:
+        spec: The kind of model.
+        series: The series.
+        step: Time between two rows, s.
 
     Raises:
-        InputError: They are not.
+        InputError: It is not.
     """
     if spec.needs_even_rows and not is_evenly_sampled(series.time, step):
         gaps = np.diff(series.time)
         raise InputError(
             f"{series.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {spec.name} needs rows "
-            f"every {step:.4g} s as it was fitted with: resample it (Recording.resample)"
+            f"every {step:.4g} s, the step that it was fitted with: resample it (Recording.resample)"
         )
 
 
 def _scale(flat: jax.Array, lower: jax.Array, width: jax.Array) -> jax.Array:
-    """Flat parameters in the unit box; 0 for those that are held."""
+    """Position of flat parameters in the unit box; 0 for fixed parameters."""
     return jnp.where(width > 0, (flat - lower) / jnp.where(width > 0, width, 1.0), 0.0)
 
 
 class _Maker(NamedTuple):
-    """Makes a model of a flat vector."""
+    """Function that makes a model of a flat vector."""
 
     make: Callable[[Any], AbstractInputOutputModel]
     unravel: Callable[[jax.Array], Any]
@@ -226,10 +240,16 @@ class _Maker(NamedTuple):
 
 
 def check_rows(names: str, rows: int, count: int, model: str) -> None:
-    """Check that more rows are measured than a model has parameters; otherwise it can go through all of them.
+    """Check that a model has fewer parameters than there are measured rows; otherwise it may fit all of them exactly.
+
+    Args:
+        names: Names of the series, for the message.
+        rows: Number of measured rows.
+        count: Number of parameters.
+        model: Name of the model, for the message.
 
     Raises:
-        InputError: They are not.
+        InputError: It has not.
     """
     if rows <= count:
         raise InputError(

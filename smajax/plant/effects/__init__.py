@@ -1,8 +1,8 @@
-"""Physical effects that a plant may have in addition to its five stages; diagnosis searches among them.
+"""Physical effects that a plant may have in addition to its five stages; the diagnosis searches among them.
 
-Every module here that defines an effect is found by itself: a new effect is a new file, and nothing else. ``base``
-holds the base classes with their hooks, ``memory`` dynamics that several effects share, ``skip_at_zero`` a compile-time
-measure. README.md shows how to write an effect; ``catalogue`` lists all effects by key.
+``catalogue`` lists all effects by key. It collects them from the modules of this folder: a new effect is a new file
+with a subclass of the base class of its stage. ``base`` has the base classes with their hooks, ``memory`` dynamics that
+several effects share, and ``skip_at_zero`` compile-time machinery.
 """
 
 import importlib

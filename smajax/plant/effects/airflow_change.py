@@ -1,4 +1,4 @@
-"""Change of the airflow: a draught that begins or ends during the recording."""
+"""Change of the airflow during the recording: a draught that begins or ends."""
 
 import jax
 import jax.numpy as jnp
@@ -25,13 +25,13 @@ class AirflowChange(HeatEffect):
         return jnp.where(state.time < self.instant, 0.0, 1.0)
 
     def begin_step(self, memory: Float[Array, ""], time: Float[Array, ""], step: Float[Array, ""]) -> Float[Array, ""]:
-        """Return the share of the step with changed airflow; so a step need not end at the change."""
+        """Return the share of the step with changed airflow, since a step may extend over the change."""
         return jnp.where(
             step > 0.0, clip((time + step - self.instant) / jnp.where(step > 0.0, step, 1.0), 0.0, 1.0), memory
         )
 
     def power(self, state: WireState, memory: Float[Array, ""], context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         cooling = context.heat.conductance(state.temperature, context.wire) * (
             state.temperature - context.environment.ambient
         )

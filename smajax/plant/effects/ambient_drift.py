@@ -17,5 +17,5 @@ class AmbientDrift(HeatEffect):
     confused_with = ("end-conduction", "airflow-change")
 
     def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         return context.heat.conductance(state.temperature, context.wire) * self.strength * state.time

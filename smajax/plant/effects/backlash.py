@@ -8,9 +8,11 @@ from smajax.numerics.nonsmooth import clip, maximum
 from smajax.parameters import parameter
 from smajax.plant.effects.base import MechanismEffect
 
-# Smallest play that is simulated, as a share of the motion's range: below it the output is proportional to the
+# Smallest play that is simulated, as a share of the motion's range: below it the effect is proportional to the
 # strength, so that the derivative at 0 exists. Chosen by trial; tests/unit/plant/test_effects.py holds it.
 _SMALLEST_GAP = 0.005
+# Keeps the gap positive where nothing moves; near the smallest double-precision number, so it changes no other value.
+_TINY = 1e-300
 
 
 class Backlash(MechanismEffect):
@@ -33,10 +35,8 @@ class Backlash(MechanismEffect):
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the motion to add, in m at the wire."""
-        gap = maximum(
-            self.strength, jax.lax.stop_gradient(_SMALLEST_GAP * (jnp.max(motion) - jnp.min(motion))) + 1e-300
-        )
+        """Compute the added motion, in m at the wire."""
+        gap = maximum(self.strength, jax.lax.stop_gradient(_SMALLEST_GAP * (jnp.max(motion) - jnp.min(motion))) + _TINY)
 
         def move_plate(z: jax.Array, change: jax.Array) -> tuple[jax.Array, jax.Array]:
             z = clip(z + change / gap, -1.0, 1.0)

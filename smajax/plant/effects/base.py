@@ -1,11 +1,11 @@
 """Base classes of the effects: one for each stage of the plant, with the hooks that an effect may override.
 
 An effect is a nested extension of the plant: with strength 0 it is absent. It derives from the base class of its stage
-and overrides the hooks that it needs. Hooks are pure functions; what a hook returns is added to what the stage does
-without it, so effects can be combined. State of its own is an array in the plant's memory (``initial_memory``,
+and overrides the hooks that it needs. Hooks are pure functions. The value of a hook is added to that of the stage, so
+effects can be combined. An effect may have a state of its own in the plant's memory (``initial_memory``,
 ``update_memory``).
 
-The derivative with respect to the strength has to exist at 0, to be finite, and not to be 0. A dead zone or a
+The derivative with respect to the strength has to exist at 0, and to be finite and different from 0. A dead zone or a
 saturation is therefore written with the sign of the motion, not with a threshold.
 """
 
@@ -24,11 +24,16 @@ from smajax.plant.wire import AbstractWire, Environment
 
 
 class WireState(NamedTuple):
-    """State of the wires that effects see at one instant: arrays of shape ``(wires,)`` except for two scalars.
+    """State of the wires at one instant, as effects use it.
 
-    ``time`` (s) and ``contraction`` (a strain, positive as the wire shortens) are scalars. Temperatures are in degC,
-    stresses in Pa. ``accumulated_transformation`` sums the changes of the martensite fraction in either direction: a
-    full cycle counts 2.
+    Attributes:
+        time: Time since the first row, s, a scalar.
+        temperature: Temperatures, shape ``(wires,)``, degC.
+        fractions: Martensite fractions, shape ``(wires,)`` each.
+        stress: Stresses, shape ``(wires,)``, Pa.
+        contraction: Contraction, a strain that is positive as the wire shortens, a scalar.
+        accumulated_transformation: Sum of the changes of the martensite fraction in both directions, shape
+            ``(wires,)``; a full cycle counts 2.
     """
 
     time: jax.Array
@@ -40,7 +45,14 @@ class WireState(NamedTuple):
 
 
 class StageContext(NamedTuple):
-    """Parts of the plant that an effect may read."""
+    """Parts of the plant that an effect may use.
+
+    Attributes:
+        wire: The wire.
+        environment: Its surroundings.
+        material: The material law, with the moduli of the wire's geometry.
+        heat: The heat stage.
+    """
 
     wire: AbstractWire
     environment: Environment
@@ -51,19 +63,21 @@ class StageContext(NamedTuple):
 class AbstractEffect(eqx.Module):
     """Base class of all effects.
 
-    ``strength`` is declared by the effect with ``parameter``; its bounds are the plausible range. The class attributes
-    are
-
-    - ``key``: name in rig files (``[effects.KEY]``) and in reports;
-    - ``typical`` and ``source``: a usual strength, and where that size comes from;
-    - ``confused_with``: keys of effects that explain similar residuals;
-    - ``needs``: capabilities (words of ``Plant.capabilities``) without which a rig cannot have or show the effect;
-    - ``other_channels``: channels that ``displacement`` or ``reading`` uses in addition to the one that it changes;
-    - ``shapes``: further declared fields, such as a time constant, with the values that a search tries (an ``instant``
-      as a share of the recording's length);
-    - ``no_mean_effect``: for an effect that only scatters, why it cannot be found in a residual's mean;
-    - ``absorbed_from``: the share of its influence that free parameters have to compensate for it to count as absorbed.
-      It is lower where the remaining share rests on nominal values that are not measured.
+    Attributes:
+        strength: Strength, declared by the effect with ``parameter``; its bounds are the plausible range.
+        key: Name in rig files (``[effects.KEY]``) and in reports.
+        stage: Stage of the plant on which it acts.
+        typical: A usual strength.
+        source: Origin of the usual strength.
+        confused_with: Keys of effects that explain similar residuals.
+        needs: Capabilities (``Plant.capabilities``) without which a rig cannot have or show the effect.
+        other_channels: Channels that ``displacement`` or ``reading`` uses in addition to the one that it changes.
+        shapes: Further declared fields, such as a time constant, with the values that a search tries (an ``instant`` as
+            a share of the recording's length).
+        no_mean_effect: For an effect that only adds scatter, the reason why it cannot be detected in the mean of a
+            residual.
+        absorbed_from: Share of its influence that free parameters have to compensate for it to count as absorbed. It is
+            lower if the remaining share depends on nominal values that are not measured.
     """
 
     key: ClassVar[str]
@@ -92,18 +106,41 @@ class AbstractEffect(eqx.Module):
 
     @classmethod
     def unavailable_reason(cls, capabilities: frozenset[str]) -> str:
-        """Say why a rig with these capabilities cannot have or show the effect; empty if it can."""
+        """Return the reason why a rig cannot have or show the effect.
+
+        Args:
+            capabilities: Capabilities of the rig (``Plant.capabilities``).
+
+        Returns:
+            The reason; empty if there is none.
+        """
         missing = sorted(set(cls.needs) - capabilities)
         return cls.no_mean_effect or (f"it needs {', '.join(missing)}" if missing else "")
 
     def initial_memory(self, state: WireState, context: StageContext) -> Any:
-        """Return the effect's memory at the first row; by default none."""
+        """Return the effect's memory at the first row; by default none.
+
+        Args:
+            state: The wires at the first row.
+            context: Other parts of the plant.
+
+        Returns:
+            The memory, a pytree.
+        """
         return ()
 
     def update_memory(
         self, memory: Any, before: WireState, after: WireState, step: Float[Array, ""], context: StageContext
     ) -> Any:
-        """Return the memory after a step of ``step`` seconds from the state ``before`` to the state ``after``."""
+        """Return the memory at the end of a step.
+
+        Args:
+            memory: The memory at the start.
+            before: The wires at the start.
+            after: The wires at the end.
+            step: Duration, s.
+            context: Other parts of the plant.
+        """
         return memory
 
 
@@ -113,16 +150,20 @@ class DriveEffect(AbstractEffect):
     stage = "drive"
 
     def signal(self, signal: Float[Array, " wires"], resistance: Float[Array, " wires"]) -> Float[Array, " wires"]:
-        """Return what is added to the recorded inputs.
+        """Compute the addition to the recorded inputs.
 
         Args:
-            signal: The recorded inputs, in the drive's unit.
+            signal: The recorded inputs, in the unit of the drive.
             resistance: Resistance of the wires over that of austenite.
         """
         return jnp.zeros_like(signal)
 
-    def voltage(self, current: jax.Array) -> jax.Array:
-        """Return what is added to the measured voltage, V, for the wires' currents in A."""
+    def voltage(self, current: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the addition to the measured voltages in V.
+
+        Args:
+            current: Currents in the wires, A.
+        """
         return jnp.zeros_like(current)
 
 
@@ -132,19 +173,40 @@ class HeatEffect(AbstractEffect):
     stage = "heat"
 
     def begin_step(self, memory: Any, time: Float[Array, ""], step: Float[Array, ""]) -> Any:
-        """Return the memory that holds throughout the step from ``time`` to ``time + step``."""
+        """Return the memory that is constant during a step.
+
+        Args:
+            memory: The memory at the start of the step.
+            time: Time at the start, s.
+            step: Duration, s.
+        """
         return memory
 
     def power(self, state: WireState, memory: Any, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires in W/m^3.
+
+        Args:
+            state: The wires.
+            memory: The effect's memory.
+            context: Other parts of the plant.
+        """
         return jnp.zeros_like(state.temperature)
 
     def capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
-        """Return the added heat capacity as a share of the capacity."""
+        """Compute the added heat capacity, as a share of the capacity.
+
+        Args:
+            martensite: Martensite fractions.
+        """
         return jnp.zeros_like(martensite)
 
     def enthalpy(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat stored in addition to capacity times temperature, J/m^3: a function of the state alone."""
+        """Compute the heat stored in addition to capacity times temperature, in J/m^3: a function of the state only.
+
+        Args:
+            state: The wires.
+            context: Other parts of the plant.
+        """
         return jnp.zeros_like(state.temperature)
 
 
@@ -179,7 +241,7 @@ class ThermalNode(HeatEffect):
         return first_order_lag(memory, first, last, step, self.time_constant)
 
     def power(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat flow from the node into the wires, W/m^3."""
+        """Compute the heat flow from the node into the wires, W/m^3."""
         per_kelvin = context.heat.conductance(context.environment.ambient, context.wire)
         return -self.strength * per_kelvin * (state.temperature - context.environment.ambient - memory)
 
@@ -190,28 +252,57 @@ class MaterialEffect(AbstractEffect):
     stage = "material"
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return what is added to all four transformation temperatures, K."""
+        """Compute the shift of all four transformation temperatures in K.
+
+        Args:
+            state: The wires at the start of a step.
+            context: Other parts of the plant.
+        """
         return jnp.zeros_like(state.temperature)
 
     def modify_material(self, material: AbstractMaterial) -> AbstractMaterial:
-        """Return the material law with changed parameters."""
+        """Return the material law with changed parameters.
+
+        Args:
+            material: The material law.
+        """
         return material
 
     def modify_fractions(self, before: Fractions, after: Fractions) -> Fractions:
-        """Return the fractions after a step, in place of those that the material law gives (``after``)."""
+        """Return the fractions at the end of a step, in place of those of the material law.
+
+        Args:
+            before: Fractions at the start.
+            after: Fractions at the end by the material law.
+        """
         return after
 
     def strain(self, state: WireState, memory: Any, context: StageContext) -> Float[Array, " wires"]:
-        """Return what is added to the strain."""
+        """Compute the added strain.
+
+        Args:
+            state: The wires.
+            memory: The effect's memory.
+            context: Other parts of the plant.
+        """
         return jnp.zeros_like(state.temperature)
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added resistivity as a share of the resistivity."""
+        """Compute the added resistivity, as a share of the resistivity.
+
+        Args:
+            state: The wires.
+            context: Other parts of the plant.
+        """
         return jnp.zeros_like(state.temperature)
 
 
 class MechanismEffect(AbstractEffect):
-    """Effect on the forces, or on the transmission of the motion to the place where it is measured."""
+    """Effect on the forces, or on the transmission of the motion to its sensor.
+
+    Attributes:
+        has_drag: Whether it has a stress that opposes the contraction (``drag``).
+    """
 
     stage = "mechanism"
     has_drag: ClassVar[bool] = False
@@ -219,27 +310,38 @@ class MechanismEffect(AbstractEffect):
     def drag(
         self, before: WireState, after: WireState, memory: Any, step: Float[Array, ""], context: StageContext
     ) -> Float[Array, ""]:
-        """Return the stress that opposes contraction, Pa; called only if ``has_drag`` is set.
+        """Compute the stress in Pa that opposes the contraction; called only if ``has_drag`` is set.
 
         With two wires it acts on wire 1 against wire 2.
+
+        Args:
+            before: The wires at the start of a step.
+            after: The wires at the end.
+            memory: The effect's memory at the end.
+            step: Duration, s.
+            context: Other parts of the plant.
         """
         return jnp.zeros(())
 
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return what is added to the series of the mechanism's coordinate, in m at the wire.
+        """Compute the addition to the series of the mechanism's coordinate, in m at the wire.
 
         Args:
             motion: The coordinate at the recorded rows, in m at the wire.
-            channels: Series of the channels named in ``other_channels``.
+            channels: Series by channel, with those of ``other_channels`` among them.
             time: Times of the rows, s.
         """
         return jnp.zeros_like(motion)
 
 
 class SensorEffect(AbstractEffect):
-    """Effect on the recorded series of one channel: ``channel``, or the mechanism's coordinate if that is empty."""
+    """Effect on the recorded series of one channel.
+
+    Attributes:
+        channel: Name of the channel; empty for the mechanism's coordinate.
+    """
 
     stage = "sensor"
     channel: ClassVar[str] = ""
@@ -247,11 +349,11 @@ class SensorEffect(AbstractEffect):
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return what is added to a channel's series; the coordinate's is in m at the wire.
+        """Compute the addition to the series of the channel; that of the coordinate is in m at the wire.
 
         Args:
             series: The channel at the recorded rows.
-            channels: Series of the channels named in ``other_channels``.
+            channels: Series by channel, with those of ``other_channels`` among them.
             time: Times of the rows, s.
         """
         return jnp.zeros_like(series)

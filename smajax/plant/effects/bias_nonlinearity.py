@@ -30,6 +30,6 @@ class BiasNonlinearity(MechanismEffect):
         step: Float[Array, ""],
         context: StageContext,
     ) -> Float[Array, ""]:
-        """Return the stress against contraction, Pa."""
+        """Compute the stress against contraction, Pa."""
         motion = context.wire.motion_per_strain * (after.contraction - memory)
         return self.strength * motion**3 / context.wire.force_per_stress

@@ -27,9 +27,9 @@ class ClausiusCurvature(MaterialEffect):
         "(experiments/measured/isobaric.py)"
     )
     confused_with = ("stress-dependent-strain", "gradual-transformation")
-    # On other rigs the stress hardly varies independently of the transformation.
+    # On other rigs the stress varies with the transformation only.
     needs = ("prescribed strain or stress",)
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the shift of the transformation temperatures, K."""
+        """Compute the shift of the transformation temperatures, K."""
         return self.strength * (state.stress / _REFERENCE) ** 2

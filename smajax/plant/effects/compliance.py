@@ -21,5 +21,5 @@ class Compliance(MechanismEffect):
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the motion to add, in m at the wire."""
+        """Compute the added motion, in m at the wire."""
         return -self.strength * (channels["force"] - channels["force"][0])

@@ -1,4 +1,4 @@
-"""Convection that depends on the wire's diameter; visible only across wires."""
+"""Convection that depends on the wire's diameter; visible only in wires of several diameters."""
 
 import jax
 import jax.numpy as jnp
@@ -6,6 +6,9 @@ from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 from smajax.plant.effects.base import HeatEffect, StageContext, WireState
+
+# Diameter in m to which the strength refers.
+_REFERENCE_DIAMETER = 0.25e-3
 
 
 class ConvectionDiameter(HeatEffect):
@@ -18,8 +21,8 @@ class ConvectionDiameter(HeatEffect):
     confused_with = ()
 
     def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         cooling = context.heat.conductance(state.temperature, context.wire) * (
             state.temperature - context.environment.ambient
         )
-        return self.strength * jnp.log(context.wire.diameter / 0.25e-3) * cooling
+        return self.strength * jnp.log(context.wire.diameter / _REFERENCE_DIAMETER) * cooling

@@ -6,6 +6,9 @@ from jaxtyping import Array, Float
 from smajax.parameters import parameter
 from smajax.plant.effects.base import HeatEffect, StageContext, WireState
 
+# Excess temperature in K to which the strength refers.
+_REFERENCE_EXCESS = 50.0
+
 
 class ConvectionTemperature(HeatEffect):
     """Convection coefficient h (1 + s (T - T_ambient) / 50 K)."""
@@ -17,6 +20,12 @@ class ConvectionTemperature(HeatEffect):
     confused_with = ("radiation", "current-limit")
 
     def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         excess = state.temperature - context.environment.ambient
-        return -self.strength * context.heat.conductance(state.temperature, context.wire) * excess * excess / 50.0
+        return (
+            -self.strength
+            * context.heat.conductance(state.temperature, context.wire)
+            * excess
+            * excess
+            / _REFERENCE_EXCESS
+        )

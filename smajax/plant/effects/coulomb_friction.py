@@ -10,9 +10,9 @@ from smajax.plant.effects.memory import presliding_state
 
 
 class CoulombFriction(MechanismEffect):
-    """Stress s z against the motion; the presliding state z in -1..1 reverses over a small motion.
+    """Stress s z against the motion; the presliding state z reverses over a small motion.
 
-    dz = d(contraction) / reversal, limited to -1..1.
+    dz = d(contraction) / reversal, with z limited to -1..1.
     """
 
     strength: jax.Array = parameter("Pa", "friction as stress in the wire", 0.0, 1.5e8, 0.0)
@@ -50,5 +50,5 @@ class CoulombFriction(MechanismEffect):
         step: Float[Array, ""],
         context: StageContext,
     ) -> Float[Array, ""]:
-        """Return the stress against contraction, Pa."""
+        """Compute the stress against contraction, Pa."""
         return self.strength * memory

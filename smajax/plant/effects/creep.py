@@ -42,5 +42,5 @@ class Creep(MaterialEffect):
         )
 
     def strain(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return -self.strength * (state.fractions.martensite - memory)

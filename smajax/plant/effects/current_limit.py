@@ -1,4 +1,4 @@
-"""Current or voltage limit of the driver: large currents are smaller than recorded."""
+"""Current or voltage limit of the driver: large currents are lower than recorded."""
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +15,8 @@ class CurrentLimit(DriveEffect):
         i_wire = i (1 + ((1 - s)^-n - 1) x^n)^(-1/n)        x = i / reference (1 + m (R / R_austenite - 1))
 
     With n = 2 large currents are compressed, i (1 - s x^2) for small s; with a large n the driver is linear up to its
-    limit and saturates there. The limit is one of current (m = 0) or of voltage (m = 1). With a single level of current
-    the heat coefficients absorb it.
+    limit and saturates there. The limit is one of current (m = 0) or of voltage (m = 1). If the current has a single
+    level, the heat coefficients absorb the effect.
     """
 
     strength: jax.Array = parameter(
@@ -34,10 +34,10 @@ class CurrentLimit(DriveEffect):
 
     @skip_at_zero
     def signal(self, signal: Float[Array, " wires"], resistance: Float[Array, " wires"]) -> Float[Array, " wires"]:
-        """Return what is added to the current, A."""
+        """Compute the addition to the current, A."""
         load = jnp.abs(signal) / self.reference * (1.0 + self.by_voltage * (resistance - 1.0))
         positive = load > 0.0
-        # exp and log share their evaluations with their derivatives; a power would need further ones.
+        # exp and log share their evaluations with their derivatives; a power would need additional ones.
         power = jnp.where(positive, jnp.exp(self.sharpness * jnp.log(jnp.where(positive, load, 1.0))), 0.0)
         saturation = jnp.expm1(-self.sharpness * jnp.log1p(-self.strength)) * power
         return signal * jnp.expm1(-jnp.log1p(saturation) / self.sharpness)

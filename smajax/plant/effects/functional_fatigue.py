@@ -17,7 +17,7 @@ class FunctionalFatigue(MaterialEffect):
     confused_with = ("ratcheting",)
 
     def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return (
             -self.strength
             * 0.5

@@ -27,7 +27,7 @@ class GradualTransformation(MaterialEffect):
     typical = 0.3
     source = "isobaric cycles of actuator wire, rounded at all four corners (experiments/measured/isobaric.py)"
     confused_with = ("temperature-distribution", "minor-loop-shape", "stress-dependent-strain")
-    # The grains make every step expensive, and a free motion shows them badly.
+    # The grains make every step expensive, and a free motion hardly identifies them.
     needs = ("prescribed strain or stress",)
     shapes = (("width", (5.0, 12.0)),)
 
@@ -46,6 +46,6 @@ class GradualTransformation(MaterialEffect):
         return context.material.evolve(memory, temperatures, stresses)
 
     def strain(self, state: WireState, memory: Fractions, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         gradual = jnp.mean(context.material.transformation_strain(memory), axis=0)
         return self.strength * (gradual - context.material.transformation_strain(state.fractions))

@@ -17,5 +17,5 @@ class HeatCapacity(HeatEffect):
     confused_with = ("latent-heat",)
 
     def capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
-        """Return the added heat capacity as a share of the capacity."""
+        """Compute the added heat capacity, as a share of the capacity."""
         return self.strength * (1.0 - martensite)

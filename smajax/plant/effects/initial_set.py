@@ -40,5 +40,5 @@ class InitialSet(MaterialEffect):
         return memory * jnp.where(heating, last / jnp.where(heating, first, 1.0), 1.0)
 
     def strain(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return self.strength * memory

@@ -1,4 +1,4 @@
-"""Latent heat of the transformation."""
+"""Latent heat of the transformation: C dT/dt = ... + s dxi/dt."""
 
 import jax
 from jaxtyping import Array, Float
@@ -8,7 +8,10 @@ from smajax.plant.effects.base import HeatEffect, StageContext, WireState
 
 
 class LatentHeat(HeatEffect):
-    """Latent heat s per volume: C dT/dt = ... + s dxi/dt, with xi the martensite fraction."""
+    """Latent heat s per volume: C dT/dt = ... + s dxi/dt, with xi the martensite fraction.
+
+    The forward transformation releases heat, the reverse one absorbs it.
+    """
 
     strength: jax.Array = parameter("J/m^3", "latent heat per volume of wire", 0.0, 4e8, 0.0)
     key = "latent-heat"
@@ -17,5 +20,5 @@ class LatentHeat(HeatEffect):
     confused_with = ("coating", "heat-capacity")
 
     def enthalpy(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the stored heat -s xi, J/m^3."""
+        """Compute the stored heat -s xi, J/m^3."""
         return -self.strength * state.fractions.martensite

@@ -1,6 +1,7 @@
 """Resistance of leads and contacts in the measured voltage."""
 
 import jax
+from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 from smajax.plant.effects.base import DriveEffect
@@ -18,6 +19,6 @@ class LeadResistance(DriveEffect):
     confused_with = ("resistivity-temperature",)
     needs = ("voltage observed",)
 
-    def voltage(self, current: jax.Array) -> jax.Array:
-        """Return what is added to the measured voltage, V."""
+    def voltage(self, current: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the addition to the measured voltage, V: s i."""
         return self.strength * current

@@ -35,5 +35,5 @@ class LoadChange(MechanismEffect):
         step: Float[Array, ""],
         context: StageContext,
     ) -> Float[Array, ""]:
-        """Return the stress against contraction, Pa."""
+        """Compute the stress against contraction, Pa."""
         return self.strength * (after.contraction - memory) / _STROKE

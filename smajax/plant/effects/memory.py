@@ -1,17 +1,19 @@
 """Dynamics that several effects share: the presliding state of dry friction, and a first-order lag over one step."""
 
-import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-# At least this large, the presliding state counts as fully engaged. At rest with full engagement, rounding would
-# otherwise choose the branch of ``presliding_state``, possibly another one for the derivative by the step's start than
-# for that by its end; such a tangent grows from step to step. Far above rounding (1e-16) and far below any effect on a
-# force; tests/unit/plant/test_effects.py holds it.
+# From this magnitude on, the presliding state counts as fully engaged. At rest with full engagement, rounding would
+# otherwise select the branch of ``presliding_state``, possibly another one for the derivative with respect to the start
+# of the step than for that with respect to its end; such a tangent grows from step to step. Far above rounding (1e-16)
+# and far below any effect on a force; tests/unit/plant/test_effects.py holds it.
 _FULL_ENGAGEMENT = 1.0 - 1e-9
 
 
-def presliding_state(z: jax.Array, contraction_change: jax.Array, reversal: jax.Array | float = 5e-5) -> jax.Array:
-    """Return the presliding state of dry friction after a change of the contraction.
+def presliding_state(
+    z: Float[Array, "..."], contraction_change: Float[Array, "..."], reversal: Float[Array, ""] | float = 5e-5
+) -> Float[Array, "..."]:
+    """Compute the presliding state of dry friction after a change of the contraction.
 
     Args:
         z: Presliding state before: -1 (full friction while the wire extends) to 1 (while it contracts).
@@ -26,12 +28,25 @@ def presliding_state(z: jax.Array, contraction_change: jax.Array, reversal: jax.
 
 
 def first_order_lag(
-    value: jax.Array, before: jax.Array, after: jax.Array, step: jax.Array, time_constant: jax.Array
-) -> jax.Array:
-    """Return the output of a first-order lag after a step in which its input changes linearly in time.
+    value: Float[Array, "..."],
+    before: Float[Array, "..."],
+    after: Float[Array, "..."],
+    step: Float[Array, ""],
+    time_constant: Float[Array, ""],
+) -> Float[Array, "..."]:
+    """Compute the output y of a first-order lag, time_constant dy/dt = u - y, after a step with a linear input u.
 
-    Solves time_constant dy/dt = u - y exactly, with u linear from ``before`` to ``after`` over ``step`` seconds and y =
-    ``value`` at the start. A step of length 0 changes nothing.
+    The solution is exact. A step of 0 s changes nothing.
+
+    Args:
+        value: Output y at the start of the step.
+        before: Input u at the start.
+        after: Input u at the end.
+        step: Duration, s.
+        time_constant: Time constant, s.
+
+    Returns:
+        Output y at the end.
     """
     ratio = step / time_constant
     decayed = -jnp.expm1(-ratio)

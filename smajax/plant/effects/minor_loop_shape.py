@@ -9,15 +9,20 @@ from smajax.plant.effects.base import MaterialEffect
 from smajax.plant.effects.skip_at_zero import skip_at_zero
 from smajax.plant.materials.base import Fractions
 
-# Shares below it count as none, so that rounding is not scaled up.
+# Shares below it count as 0, so that rounding is not amplified.
 _SMALLEST = 1e-6
-# A step that leaves a smaller share of what was there completes the transformation, as the material law does at a
-# temperature; the power law alone would never end. Chosen by trial; tests/unit/plant/test_effects.py holds it.
+# A step after which a smaller part of the remaining share is left completes the transformation, as the material law
+# does at the finish; the power law alone would never complete it. Chosen by trial; tests/unit/plant/test_effects.py
+# holds it.
 _COMPLETE = 1e-3
 # Below it the series of log1p(u) / u to third order is exact to rounding.
 _SERIES_BELOW = 1e-4
-# A step may end a little below a fraction of 0; such a fraction is left as it is.
+# A step may end slightly below a fraction of 0, by rounding; such a fraction is not changed.
 _ZERO_FRACTION = 1e-12
+# Keeps the logarithm of a share finite; no share that is not 0 is that small.
+_TINY = 1e-30
+# Smallest argument of log1p, just above -1, where nothing remains to transform: the logarithm is finite there.
+_SMALLEST_ARGUMENT = -1.0 + 1e-12
 
 
 def _remaining_share(before: jax.Array, after: jax.Array, exponent: jax.Array) -> jax.Array:
@@ -29,10 +34,10 @@ def _remaining_share(before: jax.Array, after: jax.Array, exponent: jax.Array) -
     falling = (after < before) & (before > _SMALLEST)
     first = jnp.where(falling, before, 1.0)
     log = jnp.log(first)
-    growth = jnp.exp(exponent * log) * (log - jnp.log(jnp.where(falling, maximum(after, 1e-30), 1.0)))
+    growth = jnp.exp(exponent * log) * (log - jnp.log(jnp.where(falling, maximum(after, _TINY), 1.0)))
     u = exponent * growth
     small = jnp.abs(u) < _SERIES_BELOW
-    regular = jnp.where(small, 1.0, maximum(u, -1.0 + 1e-12))
+    regular = jnp.where(small, 1.0, maximum(u, _SMALLEST_ARGUMENT))
     mean = jnp.where(small, 1.0 - u / 2.0 + u * u / 3.0 - u**3 / 4.0, jnp.log1p(regular) / regular)
     return jnp.where(falling & (after > _COMPLETE * before), first * jnp.exp(-growth * mean), after)
 

@@ -17,9 +17,9 @@ _REFERENCE_STRAIN = 0.01
 class RPhase(MaterialEffect):
     """Strain s and a hump of the resistivity below the R-phase's start temperature.
 
-    The R-phase forms along half a cosine of the temperature, as the martensite does. In the martensitic share of the
-    wire only the share ``kept`` of its strain remains: martensite that formed from R-phase loses it, while regions that
-    stay R-phase keep it.
+    The R-phase forms along half a cosine of the temperature, as the martensite does. In the martensitic part of the
+    wire only the share ``kept`` of its strain remains: martensite that formed from R-phase loses the strain, while
+    regions of R-phase retain it.
     """
 
     strength: jax.Array = parameter("1", "strain of the R-phase", 0.0, 0.015, 0.0)
@@ -41,9 +41,9 @@ class RPhase(MaterialEffect):
         return (1.0 - (1.0 - self.kept) * state.fractions.martensite) * cold
 
     def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return self.strength * self._share(state, context)
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added resistivity as a share of the resistivity."""
+        """Compute the added resistivity, as a share of the resistivity."""
         return self.hump / _REFERENCE_STRAIN * self.strength * self._share(state, context)

@@ -22,6 +22,6 @@ class Radiation(HeatEffect):
     confused_with = ("convection-temperature",)
 
     def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         hot, cold = state.temperature + _ZERO_CELSIUS, context.environment.ambient + _ZERO_CELSIUS
         return -self.strength * _STEFAN_BOLTZMANN * 4.0 / context.wire.diameter * (hot**4 - cold**4)

@@ -24,7 +24,7 @@ class Ratcheting(MaterialEffect):
     confused_with = ("encoder-drift", "creep")
 
     def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return (
             self.strength * jnp.expm1(self.exponent * jnp.log1p(0.5 * state.accumulated_transformation)) / self.exponent
         )

@@ -19,5 +19,5 @@ class ResistivityStrain(MaterialEffect):
     confused_with = ("resistivity-temperature",)
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added resistivity as a share of the resistivity."""
+        """Compute the added resistivity, as a share of the resistivity."""
         return 2.0 * self.strength * context.material.transformation_strain(state.fractions)

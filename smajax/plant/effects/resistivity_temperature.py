@@ -17,5 +17,5 @@ class ResistivityTemperature(MaterialEffect):
     confused_with = ("convection-temperature", "current-limit", "lead-resistance")
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added resistivity as a share of the resistivity."""
+        """Compute the added resistivity, as a share of the resistivity."""
         return self.strength * (state.temperature - context.environment.ambient)

@@ -9,7 +9,7 @@ from smajax.plant.sensor import lag_series
 
 
 class SensorLag(SensorEffect):
-    """First-order lag of the reading: s dy/dt = x - y."""
+    """First-order lag of the reading y: s dy/dt = x - y."""
 
     strength: jax.Array = parameter("s", "time constant of the sensor", 0.0, 2.0, 0.0)
     key = "sensor-lag"
@@ -21,5 +21,5 @@ class SensorLag(SensorEffect):
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the change of the reading."""
+        """Compute the change of the reading."""
         return lag_series(series, time, self.strength) - series

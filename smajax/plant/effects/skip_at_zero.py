@@ -1,8 +1,8 @@
-"""A compile-time measure: skip the hook of an absent effect.
+"""Compile-time machinery: skip the hook of an absent effect.
 
-A solver that only needs the end of a step should not pay for the powers and logarithms of an effect of strength 0. A
-hook marked with ``@skip_at_zero`` is not evaluated while the strength is 0 and no derivative with respect to it is
-requested. What it buys: a diagnosis carries dozens of absent effects in one program.
+The search for the end of a step should not evaluate the powers and logarithms of an effect of strength 0. A hook marked
+with ``@skip_at_zero`` is not evaluated while the strength is 0 and no derivative with respect to it is requested. What
+this buys: a diagnosis has dozens of absent effects in one program at little cost.
 """
 
 import functools
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 def skip_at_zero(hook: Callable) -> Callable:
     """Decorate a hook so that it is evaluated only if the strength is not 0 or is differentiated.
 
-    Otherwise the base class's hook takes its place. The hook has to be defined by the concrete class itself.
+    Otherwise the hook of the base class is evaluated.
+
+    Args:
+        hook: The hook, defined in the body of the concrete class.
     """
     name = hook.__name__
 
@@ -49,7 +52,7 @@ def skip_at_zero(hook: Callable) -> Callable:
 
 
 def _dense_jvp(function: Callable, shapes: Any, primals: tuple, tangents: tuple) -> Callable:
-    """A function without arguments that gives value and tangent, with zeros in place of tangents that are ``None``."""
+    """A function without arguments that returns value and tangent, with zeros in place of tangents of ``None``."""
 
     def jvp() -> tuple:
         result, tangent = eqx.filter_jvp(function, primals, tangents)

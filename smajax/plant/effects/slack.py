@@ -1,4 +1,4 @@
-"""Slack: motion that is lost until the tendon is taut."""
+"""Slack: motion that is lost before the tendon is taut."""
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ class Slack(MechanismEffect):
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the motion to add, in m at the wire.
+        """Compute the added motion, in m at the wire.
 
         The span is at least the slack, so that the motion never reverses.
         """

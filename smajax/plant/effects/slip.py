@@ -44,5 +44,5 @@ class Slip(MaterialEffect):
         return maximum(memory, after.stress / _REFERENCE)
 
     def strain(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return self.strength * jnp.exp(self.exponent * jnp.log(maximum(memory, _SMALLEST)))

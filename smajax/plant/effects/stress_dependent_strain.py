@@ -25,6 +25,6 @@ class StressDependentStrain(MaterialEffect):
     shapes = (("saturation", (50e6, 200e6)),)
 
     def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         ratio = jnp.expm1(-state.stress / self.saturation) / jnp.expm1(-_REFERENCE / self.saturation)
         return self.strength * (ratio - 1.0) * context.material.transformation_strain(state.fractions)

@@ -9,7 +9,7 @@ from smajax.plant.materials.base import Fractions
 
 
 class TemperatureDistribution(MaterialEffect):
-    """Share s of the wire whose excess over ambient is half of the rest's."""
+    """Share s of the wire whose excess temperature over ambient is half that of the rest."""
 
     strength: jax.Array = parameter("1", "share of the wire that belongs to its cold ends", 0.0, 0.5, 0.0)
     key = "temperature-distribution"
@@ -30,7 +30,7 @@ class TemperatureDistribution(MaterialEffect):
         return context.material.evolve(memory, ends, (before.stress, after.stress))
 
     def strain(self, state: WireState, memory: Fractions, context: StageContext) -> Float[Array, " wires"]:
-        """Return the added strain."""
+        """Compute the added strain."""
         return self.strength * (
             context.material.transformation_strain(memory) - context.material.transformation_strain(state.fractions)
         )

@@ -22,5 +22,5 @@ class ThermocoupleAttachment(SensorEffect):
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the change of the reading."""
+        """Compute the change of the reading."""
         return -self.strength * (series - series[0])

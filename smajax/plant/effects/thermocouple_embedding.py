@@ -1,4 +1,4 @@
-"""Thermocouple embedded next to the wire, which heat reaches through glue, sleeve or body."""
+"""Thermocouple embedded next to the wire, which the heat reaches through glue, sleeve or body."""
 
 import jax
 from jaxtyping import Array, Float
@@ -11,8 +11,8 @@ from smajax.plant.sensor import lag_series
 class ThermocoupleEmbedding(SensorEffect):
     """Two first-order lags in series: s dT_b/dt = T - T_b for the layer, s dy/dt = T_b - y for the thermocouple.
 
-    Diffusion through a layer delays a pulse, which a single lag does not. Both lags are equal, since the arrival of a
-    heating pulse determines little more than their sum.
+    Diffusion through a layer delays a pulse, which a single lag does not. Both lags are equal, since a heating pulse
+    determines little more than their sum.
     """
 
     strength: jax.Array = parameter("s", "time constant of each of the two lags", 0.0, 10.0, 0.0)
@@ -29,5 +29,5 @@ class ThermocoupleEmbedding(SensorEffect):
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the change of the reading."""
+        """Compute the change of the reading."""
         return lag_series(lag_series(series, time, self.strength), time, self.strength) - series

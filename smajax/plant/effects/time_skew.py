@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from smajax.numerics.nonsmooth import clip, maximum
 from smajax.parameters import parameter
 from smajax.plant.effects.base import SensorEffect
-from smajax.plant.sensor import time_derivative
+from smajax.plant.sensor import SAME_INSTANT, time_derivative
 
 
 class TimeSkew(SensorEffect):
@@ -23,7 +23,7 @@ class TimeSkew(SensorEffect):
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]
     ) -> Float[Array, " rows"]:
-        """Return the change of the reading."""
+        """Compute the change of the reading."""
         return _interpolated(time - self.strength, time, series) - series
 
 
@@ -32,7 +32,7 @@ def _interpolated(instants: jax.Array, time: jax.Array, series: jax.Array) -> ja
     slope = time_derivative(series, time)
     instants = clip(instants, time[0], time[-1])
     i = jnp.clip(jnp.searchsorted(time, jax.lax.stop_gradient(instants), side="right") - 1, 0, len(time) - 2)
-    gap = maximum(time[i + 1] - time[i], 1e-9)
+    gap = maximum(time[i + 1] - time[i], SAME_INSTANT)
     u = (instants - time[i]) / gap
     start = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * series[i] + u * (1.0 - u) ** 2 * gap * slope[i]
     return start + u**2 * (3.0 - 2.0 * u) * series[i + 1] - u**2 * (1.0 - u) * gap * slope[i + 1]

@@ -17,5 +17,5 @@ class TransformationShift(MaterialEffect):
     confused_with = ("ambient-drift",)
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
-        """Return the shift of the transformation temperatures, K."""
+        """Compute the shift of the transformation temperatures, K."""
         return self.strength * 0.5 * state.accumulated_transformation

@@ -20,9 +20,9 @@ class ViscousFriction(MechanismEffect):
     has_drag = True
 
     def initial_memory(self, state: WireState, context: StageContext) -> tuple[jax.Array, ...]:
-        """Return contraction and length of the last two steps: no step yet, so of length 0."""
-        nothing = jnp.zeros_like(state.contraction)
-        return state.contraction, nothing, state.contraction, nothing
+        """Return contraction and duration of the last two steps: no steps yet, so their durations are 0."""
+        zero = jnp.zeros_like(state.contraction)
+        return state.contraction, zero, state.contraction, zero
 
     def update_memory(
         self,
@@ -32,7 +32,7 @@ class ViscousFriction(MechanismEffect):
         step: Float[Array, ""],
         context: StageContext,
     ) -> tuple[jax.Array, ...]:
-        """Return the contraction at the start of each of the last two steps, followed by the step's length."""
+        """Return the contraction at the start of each of the last two steps, followed by the duration of the step."""
         return *memory[2:], before.contraction, step * jnp.ones_like(before.contraction)
 
     def drag(
@@ -43,9 +43,9 @@ class ViscousFriction(MechanismEffect):
         step: Float[Array, ""],
         context: StageContext,
     ) -> Float[Array, ""]:
-        """Return the stress against contraction, Pa.
+        """Compute the stress against contraction, Pa.
 
-        The rate at the end of the step is that of the parabola through the last three ends of steps.
+        The rate of contraction at the end of the step is that of the parabola through the last three ends of steps.
         """
         previous, gap, *_ = memory
         advances, has_previous = step > 0, gap > 0

@@ -18,6 +18,6 @@ class WireCrosstalk(HeatEffect):
     needs = ("two wires",)
 
     def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
-        """Return the heat added to the wires, W/m^3."""
+        """Compute the heat added to the wires, W/m^3."""
         per_kelvin = context.heat.conductance(context.environment.ambient, context.wire)
         return -self.strength * per_kelvin * (state.temperature - state.temperature[::-1])

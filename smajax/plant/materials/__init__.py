@@ -1,9 +1,10 @@
 """Constitutive laws: phase fractions, strain and resistivity of a material point.
 
-``base`` has what all laws share. The laws are those of Brinson (``brinson``), Tanaka (``tanaka``), Liang and Rogers
-(``liang_rogers``) and Lagoudas (``lagoudas``, with its hardening in ``hardening``). ``cosine_kinetics`` is shared by
-Brinson's law and that of Liang and Rogers, ``one_fraction`` by those with one martensite fraction. ``dissipation``
-warns where Lagoudas' law would violate the second law.
+``base`` has the common parameters, such as the Clausius-Clapeyron slopes, the strain and the resistivity. The laws are
+those of Brinson (``brinson``), Tanaka (``tanaka``), Liang and Rogers (``liang_rogers``) and Lagoudas (``lagoudas``,
+with its hardening in ``hardening``). ``cosine_kinetics`` has the kinetics of Brinson's law and of that of Liang and
+Rogers, ``one_fraction`` the base class of the laws with one martensite fraction. ``dissipation`` warns if Lagoudas' law
+would violate the second law of thermodynamics.
 """
 
 from smajax.plant.materials.base import AbstractMaterial, Fractions

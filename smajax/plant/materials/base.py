@@ -1,9 +1,14 @@
 """Base class of the constitutive laws: their common parameters, strain and resistivity.
 
-A law is written in increments: from the fractions at the start of a step, and temperature and stress at both ends, it
-gives the fractions at the end. Stress is the argument and strain the result, so that a wire under a given load needs no
-solving, and the mechanism's balance is a monotone equation in the stress. Temperatures are in degC, stresses in Pa
-(tension positive), strains and fractions are pure numbers. All methods work elementwise on arrays of any shape.
+    strain                eps = sigma / E(xi) + eps_L xi_s + alpha(xi) (T - T_ref)
+    Clausius-Clapeyron    A_s + sigma / C_A,  A_f + sigma / C_A,  M_s + sigma / C_M,  M_f + sigma / C_M
+    resistivity           rho_e(xi) = rho_A + xi (rho_M - rho_A)
+
+A law is written in increments: it maps the martensite fractions at the start of a step, and temperature and stress at
+both ends, to the fractions at the end. Stress is the argument and strain the result: the state of a wire under a
+prescribed load is explicit, and the balance of a mechanism is a monotone equation in the stress. Temperatures are in
+degC, stresses in Pa (tension positive); strains and fractions are dimensionless. All methods work elementwise on arrays
+of any shape.
 """
 
 import dataclasses
@@ -16,26 +21,37 @@ from jaxtyping import Array, Float
 from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
 
+# Share of a transformation's band. If its progress over a step is less, it counts as constant: where nothing changes
+# over a step, rounding would otherwise select the branch, possibly another one for the derivative than for the value.
+# Far above rounding (1e-16), far below any effect on a fraction.
+NO_PROGRESS = 1e-12
+
 
 class Fractions(NamedTuple):
-    """Detwinned (stress-induced) and twinned (temperature-induced) martensite fractions; the rest is austenite."""
+    """Martensite fractions; the rest is austenite.
+
+    Attributes:
+        detwinned: Detwinned (stress-induced) martensite xi_s, which carries transformation strain.
+        twinned: Twinned (temperature-induced) martensite xi_t, without strain.
+    """
 
     detwinned: jax.Array
     twinned: jax.Array
 
     @property
     def martensite(self) -> jax.Array:
-        """The whole martensite fraction xi."""
+        """Total martensite fraction xi = xi_s + xi_t."""
         return self.detwinned + self.twinned
 
 
 class AbstractMaterial(eqx.Module):
-    """Base class of the constitutive laws: the parameters that all of them have, and what follows from these alone.
+    """Base class of the constitutive laws: their common parameters, and the quantities that follow from these alone.
 
-    A law adds how the fractions evolve (``evolve``), the transformation strain of martensite that grows under a stress
-    (``current_transformation_strain``), and how the phases share the modulus (``modulus``). The Clausius-Clapeyron
-    slopes C_A and C_M say by how much stress raises the transformation temperatures: by sigma / C_A those of austenite,
-    by sigma / C_M those of martensite.
+    A law adds the evolution of the fractions (``evolve``), the transformation strain of martensite that grows under a
+    stress (``current_transformation_strain``), and the mixing rule of Young's modulus (``modulus``).
+
+    The Clausius-Clapeyron slopes are ``clausius_clapeyron_austenite`` C_A and ``clausius_clapeyron_martensite`` C_M:
+    a stress raises the transformation temperatures of austenite by sigma / C_A, those of martensite by sigma / C_M.
     """
 
     martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
@@ -59,7 +75,7 @@ class AbstractMaterial(eqx.Module):
     martensite_shift: jax.Array = parameter("K", "shift of martensite start and finish together", -200.0, 200.0, 0.0)
 
     def with_scaled_moduli(self, factor: Float[Array, "..."] | float) -> "AbstractMaterial":
-        """Return the law with both phases' moduli multiplied by a factor.
+        """Return the law with the moduli of both phases multiplied by a factor.
 
         Args:
             factor: The factor, such as ``AbstractWire.modulus_factor``.
@@ -75,22 +91,40 @@ class AbstractMaterial(eqx.Module):
 
         Args:
             fractions: Fractions at the start.
-            temperature: Temperatures in degC at start and end.
-            stress: Stresses in Pa at start and end.
+            temperature: Temperatures at start and end, degC.
+            stress: Stresses at start and end, Pa.
+
+        Returns:
+            Fractions at the end.
         """
         raise NotImplementedError
 
     def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Compute the transformation strain H_cur of martensite that grows under a stress in Pa."""
+        """Compute the transformation strain H_cur of martensite that grows under a stress.
+
+        Args:
+            stress: Stress, Pa.
+        """
         raise NotImplementedError
 
     @property
     def forward_start(self) -> Float[Array, "..."]:
-        """Temperature at which the forward transformation starts at zero stress, in degC."""
+        """Temperature M_s at which the forward transformation starts at zero stress, in degC."""
         return self.martensite_start + self.martensite_shift
 
+    def _reverse_progress(self, temperature: Float[Array, "..."], stress: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Progress of the reverse transformation through its band: (T - A_s - sigma / C_A) / (A_f - A_s)."""
+        # The compiler moves reciprocals of parameters out of the loop over time steps, but not quotients by them.
+        above = (
+            temperature
+            - self.austenite_start
+            - self.austenite_shift
+            - stress * (1.0 / self.clausius_clapeyron_austenite)
+        )
+        return above * (1.0 / (self.austenite_finish - self.austenite_start))
+
     def transformation_strain(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute the transformation strain of fractions: eps_L xi_s."""
+        """Compute the transformation strain eps_L xi_s of martensite fractions."""
         return self.max_transformation_strain * fractions.detwinned
 
     def strain(
@@ -104,27 +138,27 @@ class AbstractMaterial(eqx.Module):
 
         Args:
             fractions: Martensite fractions.
-            temperature: Temperature T in degC.
-            stress: Stress sigma in Pa.
-            reference: Temperature T_ref without thermal strain, in degC.
+            temperature: Temperature T, degC.
+            stress: Stress sigma, Pa.
+            reference: Temperature T_ref without thermal strain, degC.
         """
         expansion = mix(fractions.martensite, self.thermal_expansion_austenite, self.thermal_expansion_martensite)
         elastic = stress / self.modulus(fractions)
         return elastic + self.transformation_strain(fractions) + expansion * (temperature - reference)
 
     def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute Young's modulus in Pa."""
+        """Compute Young's modulus E(xi) in Pa."""
         raise NotImplementedError
 
     def resistivity(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute the electrical resistivity in ohm m, linear in the martensite fraction."""
+        """Compute the electrical resistivity rho_e(xi) in ohm m, linear in the martensite fraction."""
         return mix(fractions.martensite, self.resistivity_austenite, self.resistivity_martensite)
 
     def installed_fractions(self, strain: Float[Array, "..."]) -> Fractions:
-        """Compute the fractions of a cold, stress-free wire that was stretched to a strain.
+        """Compute the fractions of a cold, stress-free wire that was stretched to a strain: xi_s = strain / eps_L.
 
         Args:
-            strain: The strain; detwinned martensite makes it as far as it can, the rest is twinned.
+            strain: The strain; above eps_L all martensite is detwinned.
         """
         detwinned = clip(strain / self.max_transformation_strain, 0.0, 1.0)
         return Fractions(detwinned, 1.0 - detwinned)

@@ -2,12 +2,12 @@
 
     f(p) = cos^2(pi/2 p)        p = progress through the transformation's band, limited to 0..1
 
-f falls from 1 at the start of the band to 0 at the finish. It is kept above ``smoothing``: a share of that size never
-transforms, and the ratios of f that the laws take, and their derivatives, stay finite at the finish.
+f falls from 1 at the start of the band to 0 at the finish. The laws use f limited to at least ``smoothing``: a share of
+that size never transforms, so that ratios of f and their derivatives are finite at the finish.
 
-Compiler tricks, all in this file: the cosine is a polynomial, since the library's does not vectorise on a CPU (batches
-would take six times as long), and its derivative is written by hand, since that of the polynomial would cost twice as
-much.
+Measures for speed, all in this file: the cosine is a polynomial, since the cosine of the library is not vectorised on a
+CPU (batches would take six times as long), and its derivative is written out, since that of the polynomial would cost
+twice as much.
 """
 
 import math
@@ -19,8 +19,7 @@ from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip
 
-# Share that never transforms, for laws without a setting of their own: far below what a measurement resolves, far above
-# rounding.
+# Share that never transforms, by default: far below the resolution of a measurement, far above rounding (1e-16).
 DEFAULT_SMOOTHING = 1e-9
 
 # sin(pi/2 m) = m * P(m^2) on [0, 1], interpolated at the Chebyshev points of m^2, with a relative error below 5e-16.
@@ -47,7 +46,7 @@ def _sine(share: jax.Array) -> jax.Array:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def cosine_remainder(progress: Float[Array, "..."], smoothing: float) -> Float[Array, "..."]:
-    """Compute the share that remains to transform, cos^2(pi/2 progress), at least ``smoothing``.
+    """Compute the share that remains to transform: cos^2(pi/2 progress), scaled to at least ``smoothing``.
 
     Args:
         progress: Progress through the band, 0 at the start and 1 at the finish; limited to 0..1.

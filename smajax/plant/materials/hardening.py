@@ -1,12 +1,12 @@
-"""The smooth hardening of Lagoudas' law, and its inverse.
+"""Smooth hardening of Lagoudas' law, and its inverse.
 
     h(xi; n, m) = (1 + xi^n - (1 - xi)^m) / 2
 
-rises from 0 to 1 with the martensite fraction xi. Exponents of 1 make it a straight line (the polynomial hardening of
-boyd1996); smaller ones let a transformation start and finish gradually. A law needs the inverse: the fraction at which
-the hardening has a given value.
+h rises from 0 to 1 with the martensite fraction xi. Exponents of 1 make it linear (the polynomial hardening of
+boyd1996); with smaller ones a transformation starts and finishes gradually. The law uses the inverse: the fraction at
+which the hardening has a given value.
 
-Source: lagoudas2012, whose hardening function this is without its constants.
+Source: lagoudas2012, the hardening function without its constants.
 """
 
 import jax
@@ -15,17 +15,16 @@ from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum, minimum
 
-# Enough for an error below 2e-9 at exponents down to 0.01; tests/unit/plant/test_lagoudas.py holds it.
+# Gives an error below 2e-9 at exponents down to 0.01; tests/unit/plant/test_lagoudas.py holds it.
 _MAX_ITERATIONS = 6
-# Of log x. Newton's method converges quadratically, so that after a step of this size the error is its square, 1e-16.
+# Tolerance of log x. Newton's method converges quadratically: after a step of this size the error is its square, 1e-16.
 _TOLERANCE = 1e-8
-# Keeps logarithms and quotients finite at 0; near the smallest double-precision number, so that it changes no other
-# value.
+# Keeps logarithms and quotients finite at 0; near the smallest double-precision number, so it changes no other value.
 _TINY = 1e-300
 
 
 def hardening(fraction: Float[Array, "..."], n: Float[Array, "..."], m: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Compute the hardening h(xi; n, m), 0 to 1.
+    """Compute the hardening h(xi; n, m) = (1 + xi^n - (1 - xi)^m) / 2, from 0 to 1.
 
     Args:
         fraction: Martensite fraction xi, 0 to 1.
@@ -44,12 +43,15 @@ def _power(base: jax.Array, exponent: jax.Array) -> jax.Array:
 def inverse_hardening(
     share: Float[Array, "..."], n: Float[Array, "..."], m: Float[Array, "..."]
 ) -> Float[Array, "..."]:
-    """Compute the martensite fraction at which the hardening is ``share``, elementwise; 0 below 0 and 1 above 1.
+    """Compute the martensite fraction xi at which the hardening h(xi; n, m) is ``share``, elementwise.
 
     Args:
         share: Value of the hardening.
         n: Exponent at xi = 0, 0.01 to 1.
         m: Exponent at xi = 1, 0.01 to 1.
+
+    Returns:
+        The fraction: 0 for a share below 0, 1 for a share above 1.
     """
     lower_half, inside, distance = _solve(share, n, m)
     return jnp.where(lower_half, distance, 1.0 - distance) * inside + jnp.where(share >= 1.0, 1.0, 0.0)
@@ -57,7 +59,7 @@ def inverse_hardening(
 
 @inverse_hardening.defjvp
 def _inverse_hardening_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
-    """By the implicit function theorem."""
+    """Tangent by the implicit function theorem."""
     share, n, m = primals
     share_dot, n_dot, m_dot = tangents
     lower_half, inside, distance = _solve(share, n, m)
@@ -75,8 +77,8 @@ def _inverse_hardening_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, 
 def _solve(share: jax.Array, n: jax.Array, m: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Whether the fraction is below a half, whether it is between 0 and 1, and its distance from the nearer of these.
 
-    The upper half mirrors the lower one: 1 - h(xi; n, m) = h(1 - xi; m, n). In u = log x the function is convex and
-    rising, so that Newton's method from above, x^n <= 2 share, descends to the root and never passes it.
+    The upper half mirrors the lower one: 1 - h(xi; n, m) = h(1 - xi; m, n). As a function of u = log x, h is convex and
+    increasing, so Newton's method from above, x^n <= 2 share, descends monotonically to the root.
     """
     inside = (share > 0.0) & (share < 1.0)
     share = jnp.where(inside, share, 0.5)
@@ -93,7 +95,7 @@ def _solve(share: jax.Array, n: jax.Array, m: jax.Array) -> tuple[jax.Array, jax
         new = minimum(u - (0.5 * (1.0 + x_power - rest_power) - target) / maximum(slope, _TINY), top)
         return new, inside & (jnp.abs(new - u) > _TOLERANCE), count + 1
 
-    # Most steps of a wire are outside its transformations: there the loop has no iterations.
+    # Most steps of a wire are outside its transformations, where the loop has no iterations.
     start = minimum(jnp.log(2.0 * target) / a, top), inside, 0
     u, *_ = jax.lax.while_loop(lambda carry: jnp.any(carry[1]) & (carry[2] < _MAX_ITERATIONS), iterate, start)
     return lower_half, inside, jnp.exp(u)

@@ -1,36 +1,35 @@
 """Lagoudas' law in one dimension: thermodynamic driving forces with smooth hardening.
 
-Martensite grows while the forward driving force reaches its threshold and shrinks while the reverse one does. In one
+Martensite grows while the forward driving force reaches its threshold, and shrinks while the reverse one does. In one
 dimension, calibrated to transformation temperatures and Clausius-Clapeyron slopes, the two conditions are
 
     forward   h(xi; n1, n2) = [ (1 - D) sigma H(sigma) + dS sigma^2 / 2 + ds (T - M_s) ] / ( ds (M_f - M_s) )
     reverse   h(xi; n3, n4) = [ (1 + D) sigma L        + dS sigma^2 / 2 + ds (T - A_f) ] / ( ds (A_s - A_f) )
 
-with the hardening h of ``hardening.py``, the difference dS of the phases' compliances, and ds < 0 of their entropies
-per volume. Martensite that grows brings the strain of its stress, d(eps_t) = H(sigma) d(xi), and martensite that
-shrinks takes its share along, L = eps_t / xi. So the state is the fraction and the transformation strain; it needs no
-memory of reversals, and partial loops stay inside the full one.
+with the hardening h (``smajax.plant.materials.hardening``), the difference dS of the compliances of the phases, and the
+difference ds < 0 of their entropies per volume. Growing martensite has the transformation strain of the present stress,
+d(eps_t) = H(sigma) d(xi); shrinking martensite loses its share of the strain, L = eps_t / xi. So the state consists of
+the fraction and the transformation strain. It needs no memory of reversals, and partial loops stay inside the full one.
 
-The state is stored as fractions: eps_t = H_sat xi_s defines the detwinned share. The expansions of the phases may
-differ in the strain; in the driving forces their difference, small next to the entropy's part, is left out.
+The state is stored as fractions: eps_t = H_sat xi_s defines the detwinned share. The thermal expansions of the phases
+may differ in the strain; their difference is left out of the driving forces, where it is small compared with ds.
 
-With the default values this is the older law: exponents of 1, H_min = H_sat and a calibration at zero stress make the
-polynomial hardening of boyd1996. So a rig with ``model = "lagoudas"`` that gives temperatures, slopes, moduli and the
-largest strain alone has that law. hybrid_knee_ankle_orthosis takes it and mixes the moduli, which is ``voigt_share =
-1``.
+With the default values, exponents of 1, H_min = H_sat and a calibration at zero stress, this is the law with polynomial
+hardening of boyd1996. A rig with ``model = "lagoudas"`` that gives only temperatures, slopes, moduli and the largest
+strain has that law. hybrid_knee_ankle_orthosis uses it with mixed moduli, ``voigt_share = 1``.
 
-How the phases share the modulus is a choice. Lagoudas mixes compliances (Reuss), E_R = 1 / (S_A + xi dS);
-hybrid_knee_ankle_orthosis mixes moduli (Voigt), E_V = E_A + xi (E_M - E_A); ``voigt_share`` w weighs them, E = (1 - w)
-E_R + w E_V, a half being Hill's mean. The free energy's elastic part, -sigma^2 / (2 E(xi)), puts sigma^2 / 2 times
-d(1/E)/d(xi) into the driving forces. With Reuss that is dS; with Voigt it is (E_A - E_M) / E_V^2, which makes the
-conditions implicit in xi and, under large stresses, of more than one root. Its mean over a whole transformation is dS
-for every w, since at the ends there is one phase alone, and this mean is used here: strains follow the choice, the
-transformation lines do not. With w > 0 a loop that transforms forward under one stress and back under another one
-dissipates more or less than the thresholds say, by half the difference of the squared stresses times that of 1/E_R -
-1/E at its ends: nothing for a whole transformation, little for a partial one.
+The mixing rule of Young's modulus is a choice. Lagoudas mixes compliances (Reuss), E_R = 1 / (S_A + xi dS);
+hybrid_knee_ankle_orthosis mixes moduli (Voigt), E_V = E_A + xi (E_M - E_A). Their weight is ``voigt_share`` w, E =
+(1 - w) E_R + w E_V; w = 1/2 is Hill's mean. The elastic part of the free energy, -sigma^2 / (2 E(xi)), contributes
+sigma^2 / 2 d(1/E)/d(xi) to the driving forces. With Reuss the derivative is dS. With Voigt it is (E_A - E_M) / E_V^2,
+which would make the conditions implicit in xi, with several roots under large stresses. Its mean over a complete
+transformation is dS for every w, since both ends have a single phase. This mean is used here: the strain depends on w,
+the transformation lines do not. With w > 0, a loop with different stresses in both directions dissipates more or less
+than the thresholds, by half the difference of the squared stresses times that of 1/E_R - 1/E at its ends. That is zero
+for a complete transformation and small for a partial one.
 
-The thresholds depend on the stress so that the transformation lines have the slopes C_A and C_M. With C_A above C_M the
-lines approach each other, and beyond the stress at which they meet (``crossing_stress``) a threshold is negative, which
+The thresholds depend on the stress (D) so that the transformation lines have the slopes C_A and C_M. With C_A above C_M
+the lines approach each other. Beyond the stress at which they meet (``crossing_stress``) a threshold is negative, which
 the second law forbids: heating and cooling would transform at one temperature, without hysteresis.
 
 Source: lagoudas2012; boyd1996 for the polynomial hardening.
@@ -48,19 +47,25 @@ from smajax.parameters import parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions, mix
 from smajax.plant.materials.hardening import hardening, inverse_hardening
 
-# A martensite fraction below this counts as none: far above rounding (1e-16), far below what a strain shows.
+# A martensite fraction below this counts as 0: far above rounding (1e-16), far below any effect on a strain.
 _NO_MARTENSITE = 1e-12
-# A martensite fraction below which its detwinned share does not matter: its strain, 1e-6 of the largest, is below any
-# measurement.
+# Martensite fraction below which its detwinned share is irrelevant: its strain, 1e-6 of the largest, is below the
+# resolution of any measurement.
 _LITTLE_MARTENSITE = 1e-6
-# Pa. No stress above this is of interest: rig files take stresses up to 2e9 Pa.
+# Pa. Upper end of the search for the crossing stress: rig files take stresses up to 2e9 Pa.
 _HIGHEST_STRESS = 1e10
 # Value of the hardening that no fraction reaches; its inverse takes no iterations.
 _OUT_OF_REACH = 2.0
 
 
 class Lagoudas(AbstractMaterial):
-    """Lagoudas' law: smooth hardening, a transformation strain that grows with the stress (see the module's text)."""
+    """Lagoudas' law: smooth hardening, and a transformation strain that increases with the stress.
+
+    The equations are in the text of the module, ``smajax.plant.materials.lagoudas``, those of the hardening in
+    ``smajax.plant.materials.hardening``.
+
+    Source: lagoudas2012; boyd1996 for the default values.
+    """
 
     min_strain_share: jax.Array = parameter(
         "1", "share of the largest strain that low stress makes, H_min / H_sat", 0.0, 1.0, 1.0
@@ -81,18 +86,21 @@ class Lagoudas(AbstractMaterial):
     )
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
-        """Advance the fractions over a step, to where the driving forces at its end lead, forward or reverse.
+        """Advance the fractions over a step, by the driving forces at its end.
 
         Args:
             fractions: Fractions at the start.
-            temperature: Temperatures in degC at start and end.
-            stress: Stresses in Pa at start and end.
+            temperature: Temperatures at start and end, degC.
+            stress: Stresses at start and end, Pa.
+
+        Returns:
+            Fractions at the end.
         """
-        (_, hot), (before, after) = temperature, stress
+        (_, temperature_end), (before, after) = temperature, stress
         old = fractions.martensite
         nonzero_old = jnp.where(old > _NO_MARTENSITE, old, 1.0)
         strain_share = self.max_transformation_strain * fractions.detwinned / nonzero_old
-        forward, reverse, slope = self._reached_hardening(hot, after, strain_share)
+        forward, reverse, slope = self._reached_hardening(temperature_end, after, strain_share)
         fixed_old = clip(jax.lax.stop_gradient(old), 0.0, 1.0)
         grows = forward > hardening(fixed_old, self.n1, self.n2)
         shrinks = (reverse < hardening(fixed_old, self.n3, self.n4)) & (old > _NO_MARTENSITE)
@@ -101,45 +109,45 @@ class Lagoudas(AbstractMaterial):
         growth = jnp.where(grows, maximum(forward_fraction - old, 0.0), 0.0)
         strain = self.current_transformation_strain(0.5 * (before + after))
         detwinned_growth = strain * (1.0 / self.max_transformation_strain) * growth
-        # Where the reverse transformation would pass the forward line, the martensite that it consumes grows again at
-        # once, under this stress: the strain per martensite rises until both lines hold it in equilibrium, or is all
-        # that the stress can make.
+        # If the reverse transformation would cross the forward line, the martensite that it consumes grows again at
+        # once, under this stress: the strain per martensite rises until both conditions hold, or to its limit under the
+        # stress.
         grown = old + growth
         nonzero_grown = jnp.where(grown > _NO_MARTENSITE, grown, 1.0)
         equilibrium = jnp.where(grows, grown, minimum(forward_fraction, old))
         grown_share = self.max_transformation_strain * (fractions.detwinned + detwinned_growth) / nonzero_grown
         reverse = reverse + slope * (grown_share - strain_share)
-        missing = hardening(equilibrium, self.n3, self.n4) - reverse
-        regrows = shrinks & (missing > 0.0)
-        risen_share = clip(
-            grown_share + missing / jnp.where(slope > 0.0, slope, 1.0), grown_share, maximum(grown_share, strain)
+        deficit = hardening(equilibrium, self.n3, self.n4) - reverse
+        retransforms = shrinks & (deficit > 0.0)
+        raised_share = clip(
+            grown_share + deficit / jnp.where(slope > 0.0, slope, 1.0), grown_share, maximum(grown_share, strain)
         ) * (1.0 / self.max_transformation_strain)
-        reverse_share = jnp.where(shrinks & ~regrows, reverse, _OUT_OF_REACH)
+        reverse_share = jnp.where(shrinks & ~retransforms, reverse, _OUT_OF_REACH)
         reverse_fraction = minimum(inverse_hardening(reverse_share, self.n3, self.n4), grown)
         remaining_share = jnp.where(shrinks, reverse_fraction / nonzero_grown, 1.0)
         detwinned = (fractions.detwinned + detwinned_growth) * remaining_share
         twinned = (fractions.twinned + growth - detwinned_growth) * remaining_share
         return Fractions(
-            jnp.where(regrows, risen_share * equilibrium, detwinned),
-            jnp.where(regrows, (1.0 - risen_share) * equilibrium, twinned),
+            jnp.where(retransforms, raised_share * equilibrium, detwinned),
+            jnp.where(retransforms, (1.0 - raised_share) * equilibrium, twinned),
         )
 
     def equilibrium_increment(
         self, fractions: Fractions, temperature: Float[Array, "..."], stress: Float[Array, "..."]
     ) -> Fractions:
-        """Compute the change that brings fractions to the law at a temperature and a stress, for kinetics with a rate.
+        """Compute the difference between the fractions of the law and present fractions, for kinetics with a rate.
 
-        Continuous in all arguments. A stress raises the forward line, of martensite that grows detwinned, more than the
-        reverse one of martensite that is partly twinned. Past both lines, some of it grows while some shrinks, until it
-        is detwinned enough.
+        It is continuous in all arguments. Stress raises the forward line, of martensite that grows detwinned, more than
+        the reverse line of martensite that is partly twinned. Between the two, martensite grows and shrinks at the same
+        time, until enough of it is detwinned.
 
         Args:
-            fractions: The fractions.
-            temperature: Temperature in degC.
-            stress: Stress in Pa.
+            fractions: The present fractions.
+            temperature: Temperature, degC.
+            stress: Stress, Pa.
 
         Returns:
-            The changes of both fractions.
+            The differences of both fractions.
         """
         old = fractions.martensite
         nonzero_old = maximum(old, _LITTLE_MARTENSITE)
@@ -157,7 +165,7 @@ class Lagoudas(AbstractMaterial):
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """The right-hand sides of the forward and the reverse condition, and the derivative of the latter by L.
 
-        ``strain_share`` is L, the transformation strain per martensite fraction that vanishing martensite takes along.
+        ``strain_share`` is L, the transformation strain per martensite fraction.
         """
         entropy, threshold_share = self.calibration()
         elastic = 0.5 * self._compliance_difference * stress**2
@@ -178,8 +186,9 @@ class Lagoudas(AbstractMaterial):
     def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
         """Compute the transformation strain of martensite that grows under a stress, H_cur.
 
-        H_cur = H_min + (H_sat - H_min) (1 - exp(-k (sigma - sigma_crit))), H_min below sigma_crit. Source:
-        lagoudas2012.
+        H_cur = H_min + (H_sat - H_min) (1 - exp(-k (sigma - sigma_crit))), and H_min below sigma_crit.
+
+        Source: lagoudas2012.
         """
         above = maximum(stress - self.critical_stress, 0.0)
         return self.max_transformation_strain * (
@@ -187,10 +196,13 @@ class Lagoudas(AbstractMaterial):
         )
 
     def crossing_stress(self) -> float:
-        """Compute the stress in Pa above which part of the transformation dissipates nothing, or infinity.
+        """Compute the stress above which part of the transformation has no hysteresis.
 
-        The temperatures at which a fraction of detwinned martensite grows and shrinks differ as at zero stress, plus
-        2 D sigma H(sigma) / (-ds), which is negative with C_A above C_M.
+        The temperatures at which a fraction of detwinned martensite grows and shrinks differ by their difference at
+        zero stress plus 2 D sigma H(sigma) / (-ds), which is negative with C_A above C_M.
+
+        Returns:
+            Stress in Pa, or infinity.
         """
         entropy, threshold_share = map(float, self.calibration())
         if threshold_share >= 0.0:
@@ -212,24 +224,30 @@ class Lagoudas(AbstractMaterial):
         return float(root_scalar(excess_work, bracket=(0.0, _HIGHEST_STRESS)).root)
 
     def calibration(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Compute what the Clausius-Clapeyron slopes at the calibration stress determine.
+        """Compute the constants ds and D from the Clausius-Clapeyron slopes at the calibration stress.
+
+            ds = -2 C_A C_M / (C_A + C_M) W        D = (C_M - C_A) / (C_M + C_A) W / (H + sigma H')
+
+        with W = H + sigma H' + sigma dS, and H = H_cur(sigma).
 
         Returns:
             The entropy difference ds per volume in Pa/K, negative, and the share D by which the thresholds depend on
             the stress.
+
+        Source: lagoudas2012.
         """
-        at, warm, cold = self.calibration_stress, self.clausius_clapeyron_austenite, self.clausius_clapeyron_martensite
-        strain, slope = jax.jvp(self.current_transformation_strain, (at,), (jnp.ones_like(at),))
-        strain_work = strain + at * slope
-        work = strain_work + at * self._compliance_difference
-        return -2.0 * cold * warm / (cold + warm) * work, (cold - warm) / (cold + warm) * work / strain_work
+        sigma, c_a, c_m = self.calibration_stress, self.clausius_clapeyron_austenite, self.clausius_clapeyron_martensite
+        strain, slope = jax.jvp(self.current_transformation_strain, (sigma,), (jnp.ones_like(sigma),))
+        strain_work = strain + sigma * slope
+        work = strain_work + sigma * self._compliance_difference
+        return -2.0 * c_m * c_a / (c_m + c_a) * work, (c_m - c_a) / (c_m + c_a) * work / strain_work
 
     @property
     def _compliance_difference(self) -> jax.Array:
         return 1.0 / self.modulus_martensite - 1.0 / self.modulus_austenite
 
     def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute Young's modulus in Pa between Reuss' (compliances mixed) and Voigt's (moduli mixed)."""
-        soft = 1.0 / mix(fractions.martensite, 1.0 / self.modulus_austenite, 1.0 / self.modulus_martensite)
-        stiff = mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
-        return soft + self.voigt_share * (stiff - soft)
+        """Compute Young's modulus in Pa: (1 - w) E_R + w E_V, with mixed compliances (Reuss) and moduli (Voigt)."""
+        reuss = 1.0 / mix(fractions.martensite, 1.0 / self.modulus_austenite, 1.0 / self.modulus_martensite)
+        voigt = mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
+        return reuss + self.voigt_share * (voigt - reuss)

@@ -1,9 +1,9 @@
-"""Mechanisms: what the wires pull on, and the balance that their stresses satisfy.
+"""Mechanisms: the loads of the wires, and the force balance that the stresses satisfy.
 
-``base`` has what all mechanisms share. One wire: a hanging weight (``dead_weight``), a spring (``bias_spring``), a
-prescribed strain (``testing_machine``) or a prescribed stress (``stress_path``). A limb turned by a tendon (``limb``),
-with a Bowden cable (``sheath``). Two antagonistic wires on a pulley, or on a link (``rotary``). ``pulley`` has the
-inertia and damping of all that turns.
+``base`` has the base class, ``single_wire`` those of mechanisms with one wire: a hanging weight (``dead_weight``), a
+spring (``bias_spring``), a prescribed strain (``testing_machine``) or a prescribed stress (``stress_path``). A limb is
+turned by a tendon (``limb``), optionally in a Bowden cable with capstan friction (``sheath``). Two antagonistic wires
+turn a pulley or a link (``rotary``). ``pulley`` has the rotational inertia and damping.
 """
 
 from smajax.plant.mechanisms.base import AbstractMechanism

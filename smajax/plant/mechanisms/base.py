@@ -1,10 +1,10 @@
-"""Base class of the mechanisms: what the wires pull on, and the balance that their stresses satisfy.
+"""Base class of the mechanisms: the load of the wires, and the force balance that their stresses satisfy.
 
-A mechanism states its balance as equations in a few unknowns at the end of a step, all in Pa, each increasing in its
-unknown; ``stress`` converts the unknowns into the wires' stresses. A wire cannot push. An unknown stress may
-nevertheless be negative: the wire's own stress is then zero, and the negative part measures how slack the wire is, as
-the stress that would take the slack up elastically. So one equation holds for slack and taut wires. Contraction is
-positive displacement; strains and stresses are positive in tension.
+A mechanism states its balance as a few equations in as many unknowns at the end of a step. All are in Pa, and each
+equation increases with its unknown; ``stress`` converts the unknowns into the stresses of the wires. A wire cannot
+push. An unknown stress may still be negative: the stress of the wire is then zero, and the negative part measures its
+slack, as the stress that would stretch the wire elastically by that length. So one equation holds for slack and taut
+wires. Contraction is positive displacement; strains and stresses are positive in tension.
 """
 
 import math
@@ -20,17 +20,17 @@ from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.wire import AbstractWire, Environment
 
-# degC. Below every transformation temperature that a rig file takes (-200 degC), also at the largest stress.
+# degC. Below every transformation temperature that a rig file accepts (-200 degC), also at the largest stress.
 _COLD = -1e4
 
 
 class MechanismContext(NamedTuple):
-    """What a mechanism needs of the other parts of the plant.
+    """Other parts of the plant that a mechanism uses.
 
     Attributes:
         wire: The wire.
         environment: Its surroundings.
-        modulus: Young's modulus of austenite in Pa, which scales the mechanism's equations.
+        modulus: Young's modulus of austenite, Pa, which scales the equations of the mechanism.
     """
 
     wire: AbstractWire
@@ -41,9 +41,12 @@ class MechanismContext(NamedTuple):
 class AbstractMechanism(eqx.Module):
     """Base class of the mechanisms.
 
-    ``wires`` and ``unknowns`` are the numbers of wires and unknowns, ``prescribed`` the recorded channels that the
-    mechanism follows. ``coordinate`` names the channel of its motion, ``extra_channels`` further ones that it adds to
-    those of the plant.
+    Attributes:
+        wires: Number of wires.
+        unknowns: Number of unknowns.
+        prescribed: Names of the recorded channels that the mechanism follows.
+        coordinate: Name of the channel of its motion.
+        extra_channels: Names of further channels that it adds to those of the plant.
     """
 
     wires: eqx.AbstractClassVar[int]
@@ -59,7 +62,7 @@ class AbstractMechanism(eqx.Module):
 
     @property
     def has_dry_friction(self) -> bool:
-        """Whether it has dry friction of its own: its last equation then turns from flat to steep and back."""
+        """Whether the mechanism itself has dry friction: its last equation then changes from flat to steep and back."""
         return False
 
     @property
@@ -69,23 +72,40 @@ class AbstractMechanism(eqx.Module):
 
     @property
     def parallel_wires(self) -> Float[Array, "..."] | float:
-        """Number of wires, each like the one of the plant, that pull in parallel; channels are those of one."""
+        """Number of equal wires that pull in parallel; channels are those of one of them."""
         return 1.0
 
     def longest_step(self, context: MechanismContext) -> Float[Array, "..."] | float:
-        """Compute the longest step in s that resolves the mechanism's own motion; infinite where it has no inertia."""
+        """Compute the longest step that resolves the mechanism's own motion.
+
+        Args:
+            context: Wire, environment and scale.
+
+        Returns:
+            Step in s; infinite for a mechanism without inertia.
+        """
         return math.inf
 
     def contraction(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
-        """Compute the motion that a drag opposes, as a strain: of wire 1, or of wire 1 against wire 2."""
+        """Compute the motion that a drag opposes: the contraction of wire 1, or of wire 1 against wire 2.
+
+        Args:
+            strain: Strains of the wires.
+
+        Returns:
+            Contraction, as a strain.
+        """
         return -strain[0] if self.wires == 1 else 0.5 * (strain[1] - strain[0])
 
     def with_drag(self, stress: Float[Array, " wires"], drag: Float[Array, ""]) -> Float[Array, " wires"]:
-        """Compute the wires' stresses in Pa where a drag opposes the contraction; a wire cannot push.
+        """Compute the stresses of the wires with a drag that opposes the contraction; a wire cannot push.
 
         Args:
-            stress: Stresses without the drag.
-            drag: The drag in Pa.
+            stress: Stresses without the drag, Pa.
+            drag: The drag, Pa.
+
+        Returns:
+            Stresses in Pa, at least 0.
         """
         share = jnp.ones(1) if self.wires == 1 else jnp.array([0.5, -0.5])
         return maximum(stress + share * drag, 0.0)
@@ -100,8 +120,8 @@ class AbstractMechanism(eqx.Module):
         """Compute the fractions of the wires as installed.
 
         Args:
-            material: The law.
-            temperature: Temperatures of the wires at the start in degC.
+            material: The material law.
+            temperature: Temperatures of the wires at the start, degC.
             prescribed: Prescribed channels at the start.
             context: Wire, environment and scale.
         """
@@ -110,10 +130,10 @@ class AbstractMechanism(eqx.Module):
     def stress(
         self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
     ) -> Float[Array, " wires"]:
-        """Compute the stress of each wire in Pa.
+        """Compute the stresses of the wires in Pa.
 
         Args:
-            unknown: The unknowns in Pa.
+            unknown: The unknowns, Pa.
             prescribed: Prescribed channels at the same instant.
             context: Wire, environment and scale.
         """
@@ -128,15 +148,15 @@ class AbstractMechanism(eqx.Module):
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
-        """Evaluate the residual of the equilibrium at the end of a step in Pa.
+        """Evaluate the residual of the force balance at the end of a step in Pa.
 
         Args:
-            unknown: The unknowns at the end in Pa.
+            unknown: The unknowns at the end, Pa.
             strain: Strains of the wires at the end.
-            motion: What the mechanism remembers, at the start.
+            motion: State of the mechanism at the start.
             prescribed: Prescribed channels at the end.
             context: Wire, environment and scale.
-            step: Duration in s.
+            step: Duration, s.
         """
         raise NotImplementedError
 
@@ -150,7 +170,7 @@ class AbstractMechanism(eqx.Module):
         raise NotImplementedError
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> Any:
-        """Make what the mechanism remembers from step to step, a pytree.
+        """Return the state of the mechanism at the start, a pytree.
 
         Args:
             strain: Strains of the wires at the start.
@@ -165,7 +185,15 @@ class AbstractMechanism(eqx.Module):
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Any:
-        """Compute what the mechanism remembers at the end of a step; arguments as of ``balance``."""
+        """Compute the state of the mechanism at the end of a step.
+
+        Args:
+            unknown: The unknowns at the end, Pa.
+            strain: Strains of the wires at the end.
+            motion: State of the mechanism at the start.
+            context: Wire, environment and scale.
+            step: Duration, s.
+        """
         raise NotImplementedError
 
     def channels(
@@ -175,13 +203,16 @@ class AbstractMechanism(eqx.Module):
         motion: Any,
         context: MechanismContext,
     ) -> dict[str, Float[Array, ""]]:
-        """Compute what can be measured at the mechanism, by channel; its ``coordinate`` is among them.
+        """Compute the channels of the mechanism.
 
         Args:
             strain: Strains of the wires.
-            stress: Stresses of the wires in Pa.
-            motion: What the mechanism remembers.
+            stress: Stresses of the wires, Pa.
+            motion: State of the mechanism.
             context: Wire, environment and scale.
+
+        Returns:
+            ``coordinate`` and ``extra_channels`` by name, SI.
         """
         raise NotImplementedError
 
@@ -192,8 +223,8 @@ def detwinned_fractions(
     """Compute the fractions of a wire that was stretched while cold and stress-free, and then brought to a temperature.
 
     Args:
-        material: The law.
-        temperature: Temperatures in degC.
+        material: The material law.
+        temperature: Temperatures, degC.
         strain: Strains to which the wires were stretched.
     """
     cold, zero_stress = jnp.full_like(temperature, _COLD), jnp.zeros_like(temperature)

@@ -1,4 +1,4 @@
-"""A wire that lifts a weight."""
+"""Dead weight: a wire that lifts a hanging mass."""
 
 from typing import Any
 
@@ -9,23 +9,24 @@ from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions
-from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.base import MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.single_wire import AbstractDisplacement
 
 
 class Load(eqx.Module):
-    """A mass that hangs on the wire."""
+    """Mass that hangs on the wire."""
 
     mass: jax.Array = parameter("kg", "hanging mass", 0.0, 1e4)
 
 
-class DeadWeight(AbstractMechanism):
+class DeadWeight(AbstractDisplacement):
     """One vertical wire that lifts a hanging mass: sigma = m g / A.
 
     It starts as detwinned martensite, where the displacement is 0. There is no unknown.
     """
 
     load: Load
-    wires, unknowns, prescribed, coordinate = 1, 0, (), "displacement"
+    unknowns = 0
 
     def fractions(
         self,
@@ -62,28 +63,3 @@ class DeadWeight(AbstractMechanism):
     ) -> Float[Array, " unknowns"]:
         """Return no residual: the stress follows from the load."""
         return jnp.zeros((0,))
-
-    def initial_motion(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
-        """Return the strain at zero displacement."""
-        return strain[0]
-
-    def update_motion(
-        self,
-        unknown: Float[Array, " unknowns"],
-        strain: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-        step: Float[Array, ""],
-    ) -> Float[Array, ""]:
-        """Return the strain at zero displacement unchanged."""
-        return motion
-
-    def channels(
-        self,
-        strain: Float[Array, " wires"],
-        stress: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-    ) -> dict[str, Float[Array, ""]]:
-        """Compute the displacement, the contraction in m."""
-        return {"displacement": context.wire.motion_per_strain * (motion - strain[0])}

@@ -1,14 +1,14 @@
-"""A limb turned by wires through a tendon and a pulley: an elbow, a wrist, a finger.
+"""Limb turned by wires through a tendon and a pulley: an elbow, a wrist, a finger.
 
-``count`` alike wires pull in parallel. A transmission multiplies their contraction by ``ratio`` (2 behind a pulley that
+``count`` equal wires pull in parallel. A transmission multiplies their contraction by ``ratio`` (2 with a pulley that
 doubles it) and divides their force by it:
 
     theta = ratio l (eps_0 - eps) / r        count A sigma_joint r / ratio = I theta'' + c theta' + M(theta)
 
-sigma_joint is the stress that the sheath's friction passes on from the wires (``smajax.plant.mechanisms.sheath``),
-eps_0 the strain at angle 0, and M the moment of gravity and spring. Above the height where gravity's moment is largest,
-the load falls as the wires contract, and faster than they relax: the limb then runs ahead of the equilibrium, held by
-inertia and damping alone. Such a rig needs one of the two.
+sigma_joint is the stress of the wires less the friction of the sheath (``smajax.plant.mechanisms.sheath``), eps_0 the
+strain at angle 0, and M the moment of gravity and spring. Above the angle at which the moment of gravity is largest,
+the load decreases as the wires contract, faster than their stress relaxes. The limb then moves ahead of the
+equilibrium, and only inertia and damping limit its speed: such a rig needs one of the two.
 
 Source: copaci2020 for the actuator and the elbow.
 """
@@ -31,7 +31,7 @@ from smajax.plant.mechanisms.sheath import Liner, Sheath
 
 
 class Limb(eqx.Module):
-    """What the wires lift: M(theta) = m g a sin(theta + tilt) + stiffness theta + preload.
+    """Limb that the wires lift: M(theta) = m g a sin(theta + tilt) + stiffness theta + preload.
 
     The moment M is positive where it stretches the wires.
     """
@@ -43,18 +43,21 @@ class Limb(eqx.Module):
     preload: jax.Array = parameter("N m", "moment of the return spring at angle 0", 0.0, 1e4, 0.0)
 
     def moment(self, angle: Float[Array, ""], gravity: Float[Array, ""]) -> Float[Array, ""]:
-        """Compute the moment against the wires in N m.
+        """Compute the moment M(theta) against the wires.
 
         Args:
-            angle: Angle in rad.
-            gravity: Gravitational acceleration in m/s^2.
+            angle: Angle theta, rad.
+            gravity: Gravitational acceleration, m/s^2.
+
+        Returns:
+            Moment in N m.
         """
         weight = self.mass * gravity * self.lever * jnp.sin(angle + self.tilt)
         return weight + self.stiffness * angle + self.preload
 
 
 class Transmission(eqx.Module):
-    """How many wires pull, and how their motion reaches the pulley."""
+    """Number of wires, and transmission of their motion to the pulley."""
 
     count: jax.Array = parameter(
         "1", "number of wires that pull in parallel, each driven as the recording says", 1e-2, 1e4, 1.0, whole=True
@@ -65,9 +68,9 @@ class Transmission(eqx.Module):
 class TendonLimb(AbstractMechanism):
     """Wires that turn a limb.
 
-    It starts at rest at angle 0, its wires stretched to the prestrain and then loaded. The unknown is the wires'
-    stress. It remembers the strain at angle 0, the strain, the friction's presliding state, and the angle, its rate and
-    the integration rule's acceleration.
+    It starts at rest at angle 0, with wires that were stretched to the prestrain and then loaded. The unknown is the
+    stress of the wires. The state of the mechanism consists of the strain at angle 0, the strain, the presliding state
+    of the friction, and the angle, its rate and the acceleration of the integration rule.
     """
 
     limb: Limb
@@ -83,7 +86,7 @@ class TendonLimb(AbstractMechanism):
 
     @property
     def has_dry_friction(self) -> bool:
-        """Whether there is a sheath, in which the wires rub."""
+        """Whether there is a sheath, which has friction."""
         return self.sheath is not None
 
     @property
@@ -129,7 +132,7 @@ class TendonLimb(AbstractMechanism):
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
-        """Evaluate the wires' pull at the joint less the limb's moments; without duration the limb does not move."""
+        """Evaluate the pull of the wires at the joint less the limb's moments; in a step of 0 s the limb is at rest."""
         after = self.update_motion(unknown, strain, motion, context, step)
         moment = self.pulley.moment(motion[3:], after[3:], self.pulley.inertia) + self.limb.moment(
             after[3], context.environment.gravity

@@ -1,4 +1,4 @@
-"""A pulley with inertia and damping, and the time integration of its rotation."""
+"""Pulley with inertia and damping, and the time integration of its rotation."""
 
 import equinox as eqx
 import jax
@@ -9,22 +9,27 @@ from smajax.parameters import parameter
 
 
 class Pulley(eqx.Module):
-    """A pulley that wires turn."""
+    """Pulley that wires turn."""
 
     radius: jax.Array = parameter("m", "radius at which the wires act", 1e-5, 1.0)
     inertia: jax.Array = parameter("kg m^2", "moment of inertia of all that turns", 0.0, 100.0, 0.0)
     damping: jax.Array = parameter("N m s/rad", "viscous damping of the rotation", 0.0, 1e4, 0.0)
 
     def step(self, motion: tuple, angle: Float[Array, ""], step: Float[Array, ""]) -> tuple:
-        """Compute angle, rate and the rule's acceleration after a step by the generalised-alpha rule.
+        """Compute angle, rate and acceleration after a step by the generalised-alpha rule.
 
         The rule has alpha_m = -1, alpha_f = 0, beta = 1 and gamma = 3/2: second order, with spectral radius 0 at
-        infinite frequency. Source: chung1993.
+        infinite frequency.
 
         Args:
-            motion: Angle in rad, rate in rad/s and acceleration in rad/s^2 at the start.
-            angle: Angle at the end.
-            step: Duration in s; in no time nothing accelerates.
+            motion: Angle in rad, rate in rad/s and acceleration of the rule in rad/s^2 at the start.
+            angle: Angle at the end, rad.
+            step: Duration, s; a step of 0 s leaves rate and acceleration unchanged.
+
+        Returns:
+            Angle, rate and acceleration at the end.
+
+        Source: chung1993.
         """
         before, rate, acceleration = motion
         moving = step > 0
@@ -34,11 +39,14 @@ class Pulley(eqx.Module):
         return angle, rate + step * (1.5 * new - 0.5 * acceleration), new
 
     def moment(self, before: tuple, after: tuple, inertia: Float[Array, ""]) -> Float[Array, ""]:
-        """Compute I theta'' + c theta' in N m at the end of a step, by the same rule.
+        """Compute I theta'' + c theta' at the end of a step, by the same rule.
 
         Args:
             before: Angle, rate and acceleration at the start.
             after: Angle, rate and acceleration at the end.
-            inertia: Moment of inertia I of all that turns in kg m^2.
+            inertia: Moment of inertia I of all rotating parts, kg m^2.
+
+        Returns:
+            Moment in N m.
         """
         return inertia * (2.0 * after[2] - before[2]) + self.damping * after[1]

@@ -1,11 +1,17 @@
 """Two antagonistic wires on a pulley: heating wire 1 turns the angle positive.
 
-Strains follow the angle: eps_1 = prestrain - r theta / l, eps_2 = prestrain + r theta / l. Both wires are stress-free
-at angle 0. A massless pulley follows the force balance at once: both wires then carry the same force, and the angle
-between two slack wires stays where it is. With inertia or damping the rotation obeys I theta'' + c theta' + M(theta) =
-r (F_1 - F_2), integrated by the generalised-alpha rule that damps what the step cannot resolve (chung1993, spectral
-radius 0 at infinity): of second order, and equal to the massless pulley as I and c go to 0. M is 0 for a pulley and m g
-l sin(theta) for a link.
+The strains follow the angle, and both wires are stress-free at angle 0:
+
+    eps_1 = prestrain - r theta / l        eps_2 = prestrain + r theta / l
+
+A massless pulley is always in equilibrium: both wires carry the same force, and between two slack wires the angle does
+not change. With inertia or damping the rotation obeys
+
+    I theta'' + c theta' + M(theta) = r (F_1 - F_2)
+
+M is 0 for a pulley and m g l sin(theta) for a link. The equation is integrated by the generalised-alpha rule
+(chung1993) with spectral radius 0 at infinite frequency, which damps motions that the step does not resolve. It is of
+second order, and becomes the massless pulley as I and c go to 0.
 
 Source: fast_rotary_actuator, equations 9 (integrated) and 10.
 """
@@ -25,29 +31,28 @@ from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, de
 from smajax.plant.mechanisms.pulley import Pulley
 from smajax.plant.wire import Environment
 
-# s. An oscillation faster than this resolves is so small that its damping by the integration rule does not show. Chosen
-# by trial.
+# s. Oscillations that this step does not resolve are so small that their damping by the integration rule is irrelevant.
+# Chosen by trial.
 _SHORTEST_LIMIT = 0.01
 # Steps per period of the link's free oscillation. Chosen by trial.
 _STEPS_PER_PERIOD = 12.0
 
 
 class Link(eqx.Module):
-    """A limb that hangs down from the pulley's axis at angle 0."""
+    """Limb that hangs down from the axis of the pulley at angle 0."""
 
     mass: jax.Array = parameter("kg", "mass of the link", 0.0, 500.0)
     centre: jax.Array = parameter("m", "distance from the axis to the link's centre of mass", 0.0, 10.0)
 
 
-class MasslessRotary(AbstractMechanism):
-    """Two wires on a pulley without inertia or damping. The unknown is their common stress; the motion is the angle."""
+class AbstractRotary(AbstractMechanism):
+    """Base class of two antagonistic wires on a pulley, stretched to the prestrain at angle 0."""
 
-    pulley: Pulley
-    wires, unknowns, prescribed, coordinate, extra_channels = 2, 1, (), "angle", ("torque",)
+    pulley: eqx.AbstractVar[Pulley]
 
     @property
     def wire_motion_per_coordinate(self) -> Float[Array, "..."]:
-        """Motion of the wire's end in m per rad: the pulley's radius."""
+        """Motion of the wire's end in m per rad: the radius of the pulley."""
         return self.pulley.radius
 
     def fractions(
@@ -60,6 +65,25 @@ class MasslessRotary(AbstractMechanism):
         """Compute the fractions of wires stretched to the prestrain: detwinned by it, the rest twinned."""
         prestrain = jnp.broadcast_to(context.wire.prestrain, temperature.shape)
         return detwinned_fractions(material, temperature, prestrain)
+
+    def torque(self, stress: Float[Array, "2"], context: MechanismContext) -> Float[Array, ""]:
+        """Compute the moment of the wires on the pulley, r (F_1 - F_2).
+
+        Args:
+            stress: Stresses of the wires, Pa.
+            context: Wire, environment and scale.
+
+        Returns:
+            Moment in N m.
+        """
+        return (stress[0] - stress[1]) * context.wire.force_per_stress * self.pulley.radius
+
+
+class MasslessRotary(AbstractRotary):
+    """Two wires on a pulley without inertia or damping. The unknown is their common stress; the motion is the angle."""
+
+    pulley: Pulley
+    wires, unknowns, prescribed, coordinate, extra_channels = 2, 1, (), "angle", ("torque",)
 
     def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stress."""
@@ -95,7 +119,7 @@ class MasslessRotary(AbstractMechanism):
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, ""]:
-        """Compute the angle: common to both wires while they are taut, else between those at which each is."""
+        """Compute the angle: that of both wires if they are taut, else limited to the range in which both are slack."""
         per_strain = context.wire.motion_per_strain / self.pulley.radius
         first = (context.wire.prestrain - strain[0]) * per_strain
         second = (strain[1] - context.wire.prestrain) * per_strain
@@ -110,49 +134,31 @@ class MasslessRotary(AbstractMechanism):
         context: MechanismContext,
     ) -> dict[str, Float[Array, ""]]:
         """Compute the angle in rad, and the moment of the wires in N m."""
-        torque = (stress[0] - stress[1]) * context.wire.force_per_stress * self.pulley.radius
-        return {"angle": motion, "torque": torque}
+        return {"angle": motion, "torque": self.torque(stress, context)}
 
 
-class AbstractInertialRotary(AbstractMechanism):
+class AbstractInertialRotary(AbstractRotary):
     """Base class of pulleys with inertia, damping, or a moment that acts on them.
 
-    The unknowns are the wires' stresses, and the angle as the stress that it makes in a wire. The motion is the angle,
-    its rate, and the integration rule's acceleration.
+    The unknowns are the stresses of the wires, and the angle as an elastic stress in a wire. The motion consists of the
+    angle, its rate, and the acceleration of the integration rule.
     """
 
-    pulley: eqx.AbstractVar[Pulley]
     wires, unknowns, prescribed, coordinate, extra_channels = 2, 3, (), "angle", ("torque", "rate")
 
     @property
-    def wire_motion_per_coordinate(self) -> Float[Array, "..."]:
-        """Motion of the wire's end in m per rad: the pulley's radius."""
-        return self.pulley.radius
-
-    @property
     def inertia(self) -> Float[Array, "..."]:
-        """Moment of inertia of all that turns, in kg m^2."""
+        """Moment of inertia of all rotating parts, in kg m^2."""
         return self.pulley.inertia
 
     def moment(self, angle: Float[Array, ""], environment: Environment) -> Float[Array, ""] | float:
-        """Compute the moment in N m that opposes the angle, in addition to inertia and damping; by default none.
+        """Compute the moment M(theta) in N m that opposes the angle; by default 0.
 
         Args:
-            angle: Angle in rad.
+            angle: Angle theta, rad.
             environment: Gravity and air.
         """
         return 0.0
-
-    def fractions(
-        self,
-        material: AbstractMaterial,
-        temperature: Float[Array, " wires"],
-        prescribed: dict,
-        context: MechanismContext,
-    ) -> Fractions:
-        """Compute the fractions of wires stretched to the prestrain: detwinned by it, the rest twinned."""
-        prestrain = jnp.broadcast_to(context.wire.prestrain, temperature.shape)
-        return detwinned_fractions(material, temperature, prestrain)
 
     def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stresses and angle 0."""
@@ -205,8 +211,7 @@ class AbstractInertialRotary(AbstractMechanism):
         context: MechanismContext,
     ) -> dict[str, Float[Array, ""]]:
         """Compute the angle in rad, its rate in rad/s, and the moment of the wires in N m."""
-        torque = (stress[0] - stress[1]) * context.wire.force_per_stress * self.pulley.radius
-        return {"angle": motion[0], "torque": torque, "rate": motion[1]}
+        return {"angle": motion[0], "torque": self.torque(stress, context), "rate": motion[1]}
 
 
 class Rotary(AbstractInertialRotary):
@@ -218,7 +223,7 @@ class Rotary(AbstractInertialRotary):
 class Joint(AbstractInertialRotary):
     """Two wires, or bundles of springs, that turn a hanging link.
 
-    I theta'' + c theta' + m g l sin(theta) = r (F_1 - F_2), where I includes m l^2.
+    I theta'' + c theta' + m g l sin(theta) = r (F_1 - F_2), where I includes m l^2 of the link.
     """
 
     pulley: Pulley

@@ -1,16 +1,19 @@
-"""A sheath around a wire: a Bowden cable with a PTFE liner, in which the wire rubs and which it heats.
+"""Sheath around a wire: a Bowden cable with a PTFE liner, with capstan friction and heat exchange.
 
-Capstan friction: where the sheath is bent through the angle phi in all, the tension at the joint over that at the far
-end of the wire is exp(-mu phi) while the wire contracts, and exp(mu phi) while it is stretched. At a reversal it passes
-from one to the other over a small motion, with the presliding state z in -1..1 of all dry friction here: exp(-mu phi
-z).
+Capstan friction: with the total wrap angle phi of the bent sheath and the friction coefficient mu, the tension at the
+joint over that at the far end of the wire is
+
+    F_joint / F_far = exp(-mu phi z)
+
+where z = 1 while the wire contracts and z = -1 while it is stretched. At a reversal the presliding state z changes from
+one to the other over a small motion (``smajax.plant.effects.memory.presliding_state``).
 
 Heat flows wire -> liner -> air. With conductances g_w and g_a from wire to liner and from liner to air, and the liner's
 capacity C_p,
 
     C dT/dt = joule - g_w (T - T_p)        C_p dT_p/dt = g_w (T - T_p) - g_a (T_p - T_ambient)
 
-In terms of the steady conductance G = g_w g_a / (g_w + g_a), which h(T) of the heat stage stands for, this is
+In terms of the steady conductance G = g_w g_a / (g_w + g_a), which is that of h(T) in the heat stage, this is
 
     C dT/dt = joule - G (T - T_ambient) - s G (T - T_ambient - u)        tau du/dt = T - T_ambient - u
 
@@ -30,7 +33,7 @@ from smajax.plant.effects.base import ThermalNode
 
 
 class Sheath(eqx.Module):
-    """Friction and heat of a sheath; without friction and conduction the wire hangs free in air."""
+    """Friction and heat of a sheath; with the default values the wire is free in air."""
 
     friction: jax.Array = parameter("1", "coefficient of friction between wire and sheath", 0.0, 2.0, 0.0)
     wrap_angle: jax.Array = parameter(
@@ -45,13 +48,13 @@ class Sheath(eqx.Module):
         """Compute the tension at the joint over that at the far end by the capstan equation, exp(-mu phi z).
 
         Args:
-            z: Presliding state of the friction, -1..1.
+            z: Presliding state of the friction, -1 (the wire is stretched) to 1 (it contracts).
         """
         return jnp.exp(-self.friction * self.wrap_angle * z)
 
 
 class Liner(ThermalNode):
-    """The PTFE tube as a second thermal node."""
+    """PTFE tube as a second thermal node."""
 
     strength: jax.Array = parameter("1", "conductance from wire to liner over that from liner to air", 0.0, 1e3, 0.0)
     time_constant: jax.Array = parameter("s", "time in which the liner follows a steady wire", 1e-3, 1e4, 5.0)

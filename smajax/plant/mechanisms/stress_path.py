@@ -1,4 +1,4 @@
-"""A path through prescribed temperatures and stresses."""
+"""Stress path: a material point under prescribed temperatures and stresses."""
 
 from typing import Any
 
@@ -6,16 +6,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.plant.materials.base import AbstractMaterial, Fractions
-from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
+from smajax.plant.mechanisms.base import MechanismContext
+from smajax.plant.mechanisms.single_wire import AbstractMaterialPoint
 
-# degC. Above every transformation temperature that a rig file takes (600 degC), also at the largest stress.
+# degC. Above every transformation temperature that a rig file accepts (600 degC), also at the largest stress.
 _HOT = 1e4
 
 
-class StressPath(AbstractMechanism):
-    """A material point under a prescribed stress; it starts as if cooled from austenite under its first stress."""
+class StressPath(AbstractMaterialPoint):
+    """Material point under a prescribed stress; it starts as if cooled from austenite under its first stress."""
 
-    wires, unknowns, prescribed, coordinate = 1, 0, ("stress",), "strain"
+    unknowns, prescribed = 0, ("stress",)
 
     def fractions(
         self,
@@ -50,28 +51,3 @@ class StressPath(AbstractMechanism):
     ) -> Float[Array, " unknowns"]:
         """Return no residual: the stress is prescribed."""
         return jnp.zeros((0,))
-
-    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
-        """Return nothing to remember."""
-        return ()
-
-    def update_motion(
-        self,
-        unknown: Float[Array, " unknowns"],
-        strain: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-        step: Float[Array, ""],
-    ) -> tuple:
-        """Return nothing to remember."""
-        return ()
-
-    def channels(
-        self,
-        strain: Float[Array, " wires"],
-        stress: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-    ) -> dict[str, Float[Array, ""]]:
-        """Compute the strain, counted from ``wire.prestrain``."""
-        return {"strain": strain[0] - context.wire.prestrain}

@@ -1,4 +1,4 @@
-"""A testing machine that prescribes the strain."""
+"""Testing machine that prescribes the strain of a wire."""
 
 from typing import Any
 
@@ -7,17 +7,18 @@ from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum, minimum
 from smajax.plant.materials.base import AbstractMaterial, Fractions
-from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.base import MechanismContext, detwinned_fractions
+from smajax.plant.mechanisms.single_wire import AbstractMaterialPoint
 
 
-class TestingMachine(AbstractMechanism):
+class TestingMachine(AbstractMaterialPoint):
     """One wire whose strain is prescribed, counted from ``wire.prestrain``.
 
     It starts stress-free, stretched to its first strain. The unknown is the wire's stress.
     """
 
     __test__ = False
-    wires, unknowns, prescribed, coordinate = 1, 1, ("strain",), "strain"
+    unknowns, prescribed = 1, ("strain",)
 
     def fractions(
         self,
@@ -50,28 +51,3 @@ class TestingMachine(AbstractMechanism):
     ) -> Float[Array, " unknowns"]:
         """Evaluate the wire's strain less the prescribed one, times the modulus."""
         return context.modulus * (strain - context.wire.prestrain - prescribed["strain"]) + minimum(unknown, 0.0)
-
-    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
-        """Return nothing to remember."""
-        return ()
-
-    def update_motion(
-        self,
-        unknown: Float[Array, " unknowns"],
-        strain: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-        step: Float[Array, ""],
-    ) -> tuple:
-        """Return nothing to remember."""
-        return ()
-
-    def channels(
-        self,
-        strain: Float[Array, " wires"],
-        stress: Float[Array, " wires"],
-        motion: Any,
-        context: MechanismContext,
-    ) -> dict[str, Float[Array, ""]]:
-        """Compute the strain, counted from ``wire.prestrain``; that of a slack wire may exceed the prescribed one."""
-        return {"strain": strain[0] - context.wire.prestrain}

@@ -1,12 +1,13 @@
-"""Readers of files as tables of numbers, chosen by the ending: CSV and text, MATLAB .mat, Parquet, Excel .xlsx.
+"""Readers of files as tables of numbers, by file name extension: CSV and text, MATLAB .mat, Parquet, Excel .xlsx.
 
-Each format has one file with a subclass of ``Table``; it is loaded when a file of that format is opened.
+Each format has one module with a subclass of ``Table``; it is imported when a file of that format is opened.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from smajax.errors import InputError, suggestion
+from smajax.errors import InputError
+from smajax.recordings.paths import similar_name, unreadable
 from smajax.recordings.readers.base import Table
 
 SUFFIXES = (".csv", ".txt", ".mat", ".parquet", ".xlsx")
@@ -21,7 +22,7 @@ def open_table(
     sheet: str | None = None,
     headers: Sequence[str] | None = None,
 ) -> Table:
-    """Open a file as a table: its headers are read, its numbers not yet.
+    """Open a file as a table: read its headers, but not yet its numbers.
 
     Args:
         path: The file.
@@ -32,7 +33,7 @@ def open_table(
         headers: Headers of a text file without a header row.
 
     Raises:
-        InputError: one sentence with the file and the cure.
+        InputError: If the file is missing, or cannot be read as a table.
     """
     suffix = path.suffix.lower()
     try:
@@ -57,8 +58,7 @@ def open_table(
 
             return XlsxTable(path, skip_rows, decimal, sheet)
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{path}: the file cannot be read ({reason}): check its permissions") from None
+        raise unreadable(path, error) from None
     cure = f"save the recording as {', '.join(SUFFIXES)}"
     raise InputError(f"{path}: files ending in '{path.suffix}' are not read: {cure}")
 
@@ -66,11 +66,10 @@ def open_table(
 def _refuse_other_than_file(path: Path) -> None:
     """Refuse a path without a file, and an empty file."""
     if not path.exists():
-        there = [other.name for other in path.parent.iterdir()] if path.parent.is_dir() else []
-        raise InputError(f"{path}: there is no such file{suggestion(path.name, there)}: check the path")
+        raise InputError(f"{path}: there is no such file{similar_name(path)}: check the path")
     if not path.is_file():
-        what = "a folder" if path.is_dir() else "not a regular file"
-        raise InputError(f"{path}: this is {what}: name a recording, a file ending in {', '.join(SUFFIXES)}")
+        kind = "a folder" if path.is_dir() else "not a regular file"
+        raise InputError(f"{path}: this is {kind}: name a recording, a file ending in {', '.join(SUFFIXES)}")
     if path.stat().st_size == 0:
         cure = "record a header like 'time [s],current [A]' and rows of numbers"
         raise InputError(f"{path}: the file is empty: {cure}")

@@ -1,7 +1,7 @@
-"""A file as a table: named columns of numbers whose meaning is not known yet.
+"""Tables: files as named columns of numbers that are not yet assigned to channels.
 
-Every format gives its headers first, so that the caller can choose columns, and then the numbers of these columns. What
-cannot be read as a finite number is refused with its row and column, or, if the caller is ``lenient``, becomes NaN.
+A table first reads its headers, so that the caller can choose columns, and then the numbers of these columns. A cell
+that is not a finite number is an error with its row and column, or NaN if the caller is ``lenient``.
 """
 
 import abc
@@ -16,15 +16,15 @@ from smajax.errors import InputError
 
 # Bytes that reading a file may take; tests/unit/recordings/test_recording.py reads ten million rows within it.
 MEMORY_LIMIT = 2 * 2**30
-# Columns of float64 that exist at once, in addition to those that are read, while these are gathered and checked.
+# Columns of float64 that are in memory in addition to those that are read, while these are joined and checked.
 _WORKING_COLUMNS = 6
 _PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
-# Texts of cells by which programs mark what is missing or not finite.
+# Texts of cells by which programs mark missing values and values that are not finite.
 _NOT_FINITE = ("nan", "inf", "infinity", "na", "n/a", "#n/a", "null", "none")
-# Characters of a cell that a message shows.
+# Characters of a cell that a message shows; chosen to keep it on one line.
 _SHOWN_CHARACTERS = 30
-# Characters of another package's message that a sentence shows.
+# Characters of the message of another package that a sentence shows; chosen to keep it on one line.
 _MESSAGE_CHARACTERS = 120
 REPAIR_HINT = "correct it, or leave such rows out with --drop-bad-rows"
 
@@ -34,8 +34,8 @@ class Table(abc.ABC):
 
     Attributes:
         path: The file.
-        headers: Stripped texts, one a column.
-        first_row: Number of the first row of data as the file's own program shows it.
+        headers: Header of each column, without white space at its ends.
+        first_row: Number of the first row of data, counted as in the program that the format belongs to.
     """
 
     path: Path
@@ -48,22 +48,34 @@ class Table(abc.ABC):
 
         Args:
             indices: Numbers of the columns, from 0.
-            lenient: Whether a bad cell becomes NaN instead of an error.
+            lenient: Whether a bad cell is NaN instead of an error.
+
+        Raises:
+            InputError: If a cell is bad, or the columns do not fit into the memory limit.
         """
 
     @abc.abstractmethod
     def sha256(self) -> str:
-        """Return the SHA-256 of the file's bytes in hexadecimal; call it after ``load``."""
+        """Return the SHA-256 of the file in hexadecimal; valid after ``load``."""
 
 
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes in hexadecimal."""
+    """Return the SHA-256 of a file in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def refuse_if_too_large(path: Path, rows: float, columns: int) -> None:
-    """Refuse, before or while reading, what would not fit into the memory limit."""
+    """Check that a table fits into the memory limit, before or while it is read.
+
+    Args:
+        path: The file, for the message.
+        rows: Number of rows, or an estimate.
+        columns: Number of columns that are read.
+
+    Raises:
+        InputError: If it does not fit.
+    """
     need = rows * 8 * (columns + _WORKING_COLUMNS)
     if need > MEMORY_LIMIT:
         size = f"{rows:.3g} rows of {columns} columns need {need / 2**30:.1f} GiB to read"
@@ -72,7 +84,12 @@ def refuse_if_too_large(path: Path, rows: float, columns: int) -> None:
 
 
 def parse_number(text: str, decimal: str) -> float | None:
-    """Return the finite number of a cell, made of digits, sign, decimal sign and exponent, or ``None``."""
+    """Return the finite number in a cell, or ``None``.
+
+    Args:
+        text: Text of the cell: digits with an optional sign, decimal sign and exponent.
+        decimal: Decimal sign, ``.`` or ``,``.
+    """
     if decimal == ",":
         text = text.replace(".", "?").replace(",", ".")
     if not _PLAIN_NUMBER.fullmatch(text):
@@ -82,7 +99,15 @@ def parse_number(text: str, decimal: str) -> float | None:
 
 
 def number_error(text: str, decimal: str) -> str:
-    """Return what is wrong with a cell that ``parse_number`` refuses, and the cure, to follow the cell's place."""
+    """Return the error and the cure for a cell that ``parse_number`` refuses.
+
+    Args:
+        text: Text of the cell.
+        decimal: Decimal sign, ``.`` or ``,``.
+
+    Returns:
+        The end of a sentence that begins with the place of the cell.
+    """
     shown = text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
     if not text:
         return f"the cell is blank: {REPAIR_HINT}"
@@ -98,5 +123,5 @@ def number_error(text: str, decimal: str) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """Return the beginning of another package's error message, for a sentence."""
+    """Return the beginning of the message of another package's error, for a sentence."""
     return (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_CHARACTERS]

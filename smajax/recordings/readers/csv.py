@@ -1,8 +1,8 @@
-"""CSV and text files: strict, exact, and quick on files of ten million rows.
+"""Reader of CSV and text files: strict, exact, and fast on files with ten million rows.
 
-The file is read in blocks. A block of nothing but plain numbers is parsed by NumPy's C reader as a whole. Any other
-block is halved until few rows are left, and only these are read cell by cell, which handles quotes and finds the row
-and column of a bad cell.
+The file is read in blocks. A block of plain numbers only is parsed as a whole by NumPy's C reader. Any other block is
+halved until it has few rows; these are read cell by cell, which handles quotes and finds the row and column of a bad
+cell.
 """
 
 import csv
@@ -17,15 +17,18 @@ import numpy as np
 from smajax.errors import InputError
 from smajax.recordings.readers.base import REPAIR_HINT, Table, number_error, parse_number, refuse_if_too_large
 
-# Bytes that are read at a time: without effect on the numbers, large enough that the overhead of a block does not
-# matter.
+# Bytes that are read at a time: no effect on the numbers; large enough that the overhead of a block is negligible.
 BLOCK = 4 * 2**20
-# Bytes of the longest row that is a row: beyond it the file is no table.
+# Bytes of the longest row: a file with longer ones is not a table.
 _LONGEST_ROW = 2**20
-# Rows of a block with other than plain numbers from which it is no longer halved; chosen for speed.
+# Number of rows up to which a block with other cells than plain numbers is read cell by cell; chosen for speed.
 _ROWS_READ_SINGLY = 32
-# Bytes at the beginning of the file in which UTF-16 is looked for.
+# Bytes at the beginning of the file that are tested for UTF-16.
 _ENCODING_SAMPLE = 2000
+# Latin text in UTF-16 has a zero in every other byte, all in even or all in odd places. Half as many zeros are enough,
+# and this number has to be more than five times that of the zeros in the other places. Chosen by trial.
+_BYTES_PER_ZERO = 4
+_ZERO_RATIO = 5
 _UTF8_MARK = b"\xef\xbb\xbf"
 _DELIMITER_TEXTS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
 
@@ -51,18 +54,18 @@ class CsvTable(Table):
             file.seek(len(_UTF8_MARK) if self._marked else 0)
             for skipped in range(skip_rows):
                 if not file.readline():
-                    nothing = f"the file has {skipped} rows, and skip_rows = {skip_rows} leaves nothing"
-                    raise InputError(f"{path}: {nothing}: lower skip_rows")
-            begins = file.tell()
+                    problem = f"the file has only {skipped} rows, fewer than skip_rows = {skip_rows}"
+                    raise InputError(f"{path}: {problem}: lower skip_rows")
+            start = file.tell()
             line = file.readline(_LONGEST_ROW)
-            self._data_begins = file.tell() if headers is None else begins
+            self._data_start = file.tell() if headers is None else start
             next_line = file.readline(_LONGEST_ROW)
         self._header_row = skip_rows + 1
         self.first_row = skip_rows + (2 if headers is None else 1)
         self.headers = self._read_headers(line, next_line) if headers is None else self._check_headers(headers, line)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
-        """Return columns of numbers, read block by block."""
+        """Return columns of numbers, which are read block by block."""
         refuse_if_too_large(self.path, self._estimate_rows(), len(indices))
         parts: list[list[np.ndarray]] = [[] for _ in indices]
         rows = 0
@@ -73,8 +76,8 @@ class CsvTable(Table):
             for part, column in zip(parts, numbers.T, strict=True):
                 part.append(column.copy())
         if not rows:
-            end = f"the file ends after the header in row {self._header_row}"
-            raise InputError(f"{self.path}: {end}: record at least two rows of data")
+            problem = f"the file ends after the header in row {self._header_row}"
+            raise InputError(f"{self.path}: {problem}: record at least two rows of data")
         columns = []
         for part in parts:
             columns.append(np.concatenate(part))
@@ -82,7 +85,7 @@ class CsvTable(Table):
         return columns
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the bytes that ``load`` has read."""
+        """Return the SHA-256 of the bytes that ``load`` read."""
         return self._digest.hexdigest()
 
     def _check_dialect(self, skip_rows: int) -> None:
@@ -96,16 +99,16 @@ class CsvTable(Table):
             cure = 'give one such as ",", ";" or "\\t"'
             raise InputError(f"{self.path}: delimiter = {self.delimiter!r} is not possible: {cure}")
         if self.delimiter == self.decimal:
-            both = f'delimiter and decimal are both "{self.decimal}"'
-            raise InputError(f'{self.path}: {both}: set delimiter = ";" or "\\t"')
+            problem = f'delimiter and decimal are both "{self.decimal}"'
+            raise InputError(f'{self.path}: {problem}: set delimiter = ";" or "\\t"')
 
     def _refuse_other_than_text(self, head: bytes) -> None:
-        """Check the beginning of the file: text in UTF-8, with or without its mark, rows that end with a line feed."""
+        """Check that the file begins as text in UTF-8, with or without a byte order mark, in rows with a line feed."""
         self._marked = head.startswith(_UTF8_MARK)
         sample = head[:_ENCODING_SAMPLE]
-        # Latin text in UTF-16 has a zero in every other byte.
+        min_zeros = len(sample) // _BYTES_PER_ZERO
         fewer, more = sorted((sample[0::2].count(0), sample[1::2].count(0)))
-        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or more > len(sample) // 4 > 5 * fewer:
+        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or more > min_zeros > _ZERO_RATIO * fewer:
             raise InputError(f"{self.path}: row 1: the text is encoded in UTF-16: save the file as UTF-8")
         if head.startswith(b"PK\x03\x04"):
             cure = "save it as CSV in UTF-8, or name it .xlsx"
@@ -113,9 +116,9 @@ class CsvTable(Table):
         control = head.translate(None, bytes(range(32, 256)) + b"\t\n\r\f")
         if control:
             row = head[: head.index(control[:1])].count(b"\n") + 1
-            binary = f"the file is binary (byte 0x{control[0]:02x}), not text"
-            raise InputError(f"{self.path}: row {row}: {binary}: save it as CSV in UTF-8")
-        if not head[3 * self._marked :].strip():
+            problem = f"the file is binary (byte 0x{control[0]:02x}), not text"
+            raise InputError(f"{self.path}: row {row}: {problem}: save it as CSV in UTF-8")
+        if not head[len(_UTF8_MARK) * self._marked :].strip():
             cure = "record a header like 'time [s],current [A]' and rows of numbers"
             raise InputError(f"{self.path}: the file is empty: {cure}")
         if b"\n" not in head and b"\r" in head:
@@ -125,8 +128,8 @@ class CsvTable(Table):
     def _read_headers(self, line: bytes, next_line: bytes) -> tuple[str, ...]:
         place = f"{self.path}: row {self._header_row}"
         if len(line) >= _LONGEST_ROW:
-            long = f"the row is longer than {_LONGEST_ROW} bytes, so this is no table"
-            raise InputError(f"{place}: {long}: end every row with a line feed")
+            problem = f"the row is longer than {_LONGEST_ROW} bytes, so this is not a table"
+            raise InputError(f"{place}: {problem}: end every row with a line feed")
         cells = self._cells(line, self._header_row)
         if not any(cells):
             cure = "give names and units, or set skip_rows"
@@ -139,7 +142,7 @@ class CsvTable(Table):
         return tuple(cells)
 
     def _refuse_other_delimiter(self, place: str, cells: Sequence[str], next_line: bytes) -> None:
-        """Refuse a header of one cell that another delimiter would divide."""
+        """Refuse a header of one cell that another delimiter divides."""
         others = [other for other in _DELIMITER_TEXTS if other != self.delimiter and other in cells[0]]
         if len(cells) == 1 and not others and self.delimiter != " " and self._is_spaced(next_line):
             cure = 'set delimiter = " " under [channels] in the rig'
@@ -152,12 +155,12 @@ class CsvTable(Table):
             )
 
     def _is_spaced(self, line: bytes) -> bool:
-        """Whether a row is several numbers with spaces between (a header may have a space before its unit)."""
+        """Return whether a row is several numbers with spaces between (a header may have a space before its unit)."""
         texts = [part.strip() for part in line.decode("utf-8", "replace").split(" ") if part.strip()]
         return len(texts) > 1 and all(parse_number(text, self.decimal) is not None for text in texts)
 
     def _check_headers(self, headers: Sequence[str], line: bytes) -> tuple[str, ...]:
-        """Return the headers that the caller gives, if they fit the first row of data."""
+        """Return the headers of the caller, if they fit the first row of data."""
         place = f"{self.path}: row {self.first_row}"
         cells = self._cells(line, self.first_row)
         others = [text for c, text in _DELIMITER_TEXTS.items() if c != self.delimiter and c in cells[0]]
@@ -165,22 +168,23 @@ class CsvTable(Table):
             raise InputError(f"{place}: the columns are separated by {others[0]}: set delimiter = {others[0]}")
         if len(cells) != len(headers):
             count = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
-            raise InputError(f"{place}: {count}: name every column, those that are not wanted by -")
+            raise InputError(f"{place}: {count}: name every column, with - for one to ignore")
         if parse_number(cells[0], self.decimal) is None:
             raise InputError(f"{place}: '{cells[0]}' is not a number: if this is a header, name no columns")
         return tuple(headers)
 
     def _estimate_rows(self) -> float:
+        """Return the number of rows, estimated from the first block."""
         with self.path.open("rb") as file:
-            size = file.seek(0, io.SEEK_END) - self._data_begins
-            file.seek(self._data_begins)
+            size = file.seek(0, io.SEEK_END) - self._data_start
+            file.seek(self._data_start)
             sample = file.read(BLOCK)
         return size * max(sample.count(b"\n"), 1) / max(len(sample), 1)
 
     def _blocks(self) -> Iterator[bytes]:
-        """Yield whole rows, about BLOCK bytes at a time; blank rows at the end of the file are no rows."""
+        """Yield whole rows, about BLOCK bytes at a time, without blank rows at the end of the file."""
         with self.path.open("rb") as file:
-            self._digest.update(file.read(self._data_begins))
+            self._digest.update(file.read(self._data_start))
             pending = b""
             while piece := file.read(BLOCK):
                 self._digest.update(piece)
@@ -197,7 +201,7 @@ class CsvTable(Table):
                 yield pending.rstrip(b"\r\n").replace(b"\r\n", b"\n") + b"\n"
 
     def _numbers(self, block: bytes, row: int, indices: Sequence[int], lenient: bool) -> np.ndarray:
-        """Return columns (rows, indices) of a block whose first row has the number ``row``."""
+        """Return an array (rows, len(indices)) of a block whose first row has the number ``row``."""
         plain = self._plain_numbers(block)
         if plain is not None:
             return plain[:, indices]
@@ -212,7 +216,7 @@ class CsvTable(Table):
         return numbers.reshape(rows, len(indices))
 
     def _plain_numbers(self, block: bytes) -> np.ndarray | None:
-        """Return all columns of a block that holds nothing but finite numbers in full rows, else ``None``."""
+        """Return all columns of a block that has only finite numbers in full rows, else ``None``."""
         allowed = b"0123456789+-eE \n" + self.decimal.encode() + self.delimiter.encode()
         if block.translate(None, allowed) or not block.strip():
             return None
@@ -222,11 +226,11 @@ class CsvTable(Table):
             numbers = np.loadtxt(io.BytesIO(block), delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
             return None
-        whole = numbers.shape == (block.count(b"\n"), len(self.headers)) and bool(np.isfinite(numbers).all())
-        return numbers if whole else None
+        is_full = numbers.shape == (block.count(b"\n"), len(self.headers)) and bool(np.isfinite(numbers).all())
+        return numbers if is_full else None
 
     def _row(self, line: bytes, row: int, indices: Sequence[int], lenient: bool) -> list[float]:
-        """Read one row, cell by cell; if ``lenient``, what is not a number becomes NaN."""
+        """Read one row cell by cell; if ``lenient``, a cell that is not a number is NaN."""
         place = f"{self.path}: row {row}"
         if len(line) > _LONGEST_ROW:
             raise InputError(f"{place}: the row is longer than {_LONGEST_ROW} bytes: end every row with a line feed")
@@ -261,7 +265,7 @@ class CsvTable(Table):
             text = line.decode("utf-8").rstrip("\r\n")
             return [cell.strip() for cell in next(csv.reader([text], delimiter=self.delimiter), [""])]
         except UnicodeDecodeError as error:
-            byte = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"
-            raise InputError(f"{self.path}: row {row}: {byte}: save the file as UTF-8") from None
+            problem = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"
+            raise InputError(f"{self.path}: row {row}: {problem}: save the file as UTF-8") from None
         except csv.Error:
             raise InputError(f"{self.path}: row {row}: the row cannot be divided into cells: {REPAIR_HINT}") from None

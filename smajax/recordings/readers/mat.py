@@ -1,6 +1,7 @@
-"""MATLAB .mat files (up to version 7.2): one vector per channel, named like the channel.
+"""Reader of MATLAB .mat files (up to version 7.2) with one vector per channel, named like the channel.
 
-The units come from the rig, or from a struct ``units`` in the file with one text per channel: ``units.current = 'A'``.
+The units are those in the rig file, or in a struct ``units`` of the file with one text per channel:
+``units.current = 'A'``.
 """
 
 import mmap
@@ -14,17 +15,17 @@ import numpy as np
 from smajax.errors import InputError
 from smajax.recordings.readers.base import REPAIR_HINT, Table, file_sha256, first_line, refuse_if_too_large
 
-# Types of the elements of a version 5 file (MATLAB's "MAT-File Format").
+# Types of the data elements of a version 5 file (MATLAB's "MAT-File Format").
 _MATRIX = 14
 _COMPRESSED = 15
 _ELEMENTS = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, _MATRIX, _COMPRESSED, 16, 17, 18}
-# Bytes of the header of such a file, with its version and byte order at the end.
+# Bytes of the header of such a file, which ends with its version and byte order.
 _HEADER_BYTES = 128
 
 
 @final
 class MatTable(Table):
-    """The vectors of a MATLAB file; the first sample is row 1."""
+    """Vectors of a MATLAB file; the first sample is row 1."""
 
     first_row = 1
 
@@ -61,7 +62,7 @@ class MatTable(Table):
         return columns
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the file's bytes."""
+        """Return the SHA-256 of the file in hexadecimal."""
         return file_sha256(self.path)
 
     def _call_scipy(self, function: str, **options: Any) -> Any:
@@ -71,26 +72,26 @@ class MatTable(Table):
             return getattr(scipy.io, function)(str(self.path), **options)
         except NotImplementedError:
             raise InputError(f"{self.path}: the file is of MATLAB version 7.3: save it with save(..., '-v7')") from None
-        except Exception as error:  # a broken file ends in any of a dozen kinds, from struct.error to zlib.error
-            unreadable = f"the file is not readable as MATLAB data ({first_line(error)})"
-            raise InputError(f"{self.path}: {unreadable}: save it again with '-v7'") from None
+        except Exception as error:  # a damaged file raises one of a dozen types, from struct.error to zlib.error
+            problem = f"the file is not readable as MATLAB data ({first_line(error)})"
+            raise InputError(f"{self.path}: {problem}: save it again with '-v7'") from None
 
     def _units(self) -> dict[str, str]:
         texts = np.asarray(self._call_scipy("loadmat", variable_names=["units"], squeeze_me=True)["units"])
         names = texts.dtype.names
         if names is None or texts.shape != ():
-            wrong = "variable 'units' is not a struct with one text per channel"
-            raise InputError(f"{self.path}: {wrong}: set units.time = 's' and so on")
+            problem = "variable 'units' is not a struct with one text per channel"
+            raise InputError(f"{self.path}: {problem}: set units.time = 's' and so on")
         return {name: str(texts[name]).strip() for name in names}
 
     def _column(self, name: str, values: np.ndarray, lenient: bool) -> np.ndarray:
         place = f"{self.path}: variable '{name}'"
         if values.dtype.kind not in "iuf":
-            wrong = f"the values are not real numbers (type {values.dtype.name})"
-            raise InputError(f"{place}: {wrong}: save a vector of doubles")
+            problem = f"the values are not real numbers (type {values.dtype.name})"
+            raise InputError(f"{place}: {problem}: save a vector of doubles")
         if values.ndim > 1:
-            wrong = f"the array of shape {values.shape} is not a vector"
-            raise InputError(f"{place}: {wrong}: save one vector per channel")
+            problem = f"the array of shape {values.shape} is not a vector"
+            raise InputError(f"{place}: {problem}: save one vector per channel")
         numbers = np.array(values, float, ndmin=1)
         if not numbers.size:
             raise InputError(f"{place}: the vector is empty: record at least two samples")
@@ -102,14 +103,14 @@ class MatTable(Table):
 
 
 def _is_intact(data: bytes | mmap.mmap) -> bool:
-    """Whether the elements of a version 5 file nest and have types that exist; scipy's reader crashes where not.
+    """Return whether the data elements of a version 5 file have valid types and nest; scipy's reader may crash if not.
 
-    Elements have 4 + 4 bytes of type and length, or 2 + 2 for the small ones, and are filled up to 8 bytes (MATLAB's
-    "MAT-File Format", level 5).
+    A data element has 4 + 4 bytes for type and length, or 2 + 2 for a small one, and is padded to a multiple of 8 bytes
+    (MATLAB's "MAT-File Format", level 5).
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None or data[124:126] not in (b"\0\1", b"\1\0"):
-        return True  # another version, which scipy refuses or reads in another way
+        return True  # another version: scipy refuses it, or reads it in another way
     spans = [(_HEADER_BYTES, len(data))]
     while spans:
         at, end = spans.pop()

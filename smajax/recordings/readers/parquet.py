@@ -1,4 +1,4 @@
-"""Parquet files: columns named like the headers of a CSV file. Needs pyarrow, the extra ``io``."""
+"""Reader of Parquet files, whose columns are named like the headers of a CSV file; needs pyarrow, the extra ``io``."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,10 +15,10 @@ def pyarrow_parquet(path: Path, instead: str = ", or use CSV") -> Any:
 
     Args:
         path: The file, for the message.
-        instead: What else the user can do, as the end of the sentence.
+        instead: Alternative for the user, as the end of the sentence.
 
     Raises:
-        InputError: where pyarrow is not installed.
+        InputError: If pyarrow is not installed.
     """
     try:
         import pyarrow.parquet
@@ -29,7 +29,7 @@ def pyarrow_parquet(path: Path, instead: str = ", or use CSV") -> Any:
 
 @final
 class ParquetTable(Table):
-    """The columns of a Parquet file; the first record is row 1."""
+    """Columns of a Parquet file; the first record is row 1."""
 
     first_row = 1
 
@@ -38,7 +38,7 @@ class ParquetTable(Table):
         parquet = pyarrow_parquet(path)
         try:
             self._file = parquet.ParquetFile(path)
-        except Exception as error:  # pyarrow raises a kind of its own for each way in which a file can be broken
+        except Exception as error:  # pyarrow raises many types of errors for damaged files
             raise InputError(
                 f"{path}: the file is not readable as Parquet ({first_line(error)}): write it again, or use CSV"
             ) from None
@@ -53,7 +53,7 @@ class ParquetTable(Table):
         return [self._column(index, lenient) for index in indices]
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the file's bytes."""
+        """Return the SHA-256 of the file in hexadecimal."""
         return file_sha256(self.path)
 
     def _column(self, index: int, lenient: bool) -> np.ndarray:
@@ -69,7 +69,7 @@ class ParquetTable(Table):
                 .column(0)
                 .cast(pyarrow.float64(), safe=False)
             )
-        except Exception as error:  # as above: the damage may lie in the column's pages
+        except Exception as error:  # as above: the damage may be in the pages of the column
             raise InputError(
                 f"{place}: the values cannot be read ({first_line(error)}): write the file again, or use CSV"
             ) from None

@@ -1,6 +1,6 @@
-"""Excel .xlsx files: one sheet with one header row.
+"""Reader of Excel .xlsx files, a sheet with one header row; needs openpyxl, the extra ``io``.
 
-Needs openpyxl, the extra ``io``. Formulas count with their stored results.
+Cells with a formula have the stored result.
 """
 
 import io
@@ -62,12 +62,12 @@ class XlsxTable(Table):
             blank_rows = 0
             refuse_if_too_large(self.path, rows, len(indices))
         if not rows:
-            end = f"the sheet ends after the header in row {self.first_row - 1}"
-            raise InputError(f"{self.path}: {end}: record at least two rows of data")
+            problem = f"the sheet ends after the header in row {self.first_row - 1}"
+            raise InputError(f"{self.path}: {problem}: record at least two rows of data")
         return [np.array(column) for column in columns]
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the file's bytes."""
+        """Return the SHA-256 of the file in hexadecimal."""
         return file_sha256(self.path)
 
     def _open(self) -> Any:
@@ -82,16 +82,16 @@ class XlsxTable(Table):
             with zipfile.ZipFile(path) as archive:
                 unpacked = sum(entry.file_size for entry in archive.infolist())
             fits = unpacked <= MEMORY_LIMIT
-            # A copy in memory, since openpyxl leaves a file open that it fails on.
+            # A copy in memory, since openpyxl does not close a file that it cannot read.
             packed = io.BytesIO(path.read_bytes() if fits else b"")
-            with warnings.catch_warnings(action="ignore"):  # openpyxl's remarks on styles do not matter here
+            with warnings.catch_warnings(action="ignore"):  # openpyxl warns about styles
                 book = openpyxl.load_workbook(packed, read_only=True, data_only=True) if fits else None
-        except Exception as error:  # zip, XML and workbook damage raise different kinds
+        except Exception as error:  # damaged archives, XML and workbooks raise different types
             raise self._unreadable(error) from None
         if book is None:
             size, limit = unpacked / 2**30, MEMORY_LIMIT / 2**30
-            large = f"the workbook unpacks to {size:.1f} GiB, above the limit of {limit:.3g} GiB"
-            raise InputError(f"{path}: {large}: save the sheet as CSV")
+            problem = f"the workbook unpacks to {size:.1f} GiB, above the limit of {limit:.3g} GiB"
+            raise InputError(f"{path}: {problem}: save the sheet as CSV")
         return book
 
     def _read_headers(self, row: int) -> tuple[str, ...]:
@@ -116,16 +116,16 @@ class XlsxTable(Table):
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: Exception) -> InputError:
-        unreadable = f"the file is not readable as a workbook ({first_line(error)})"
-        return InputError(f"{self.path}: {unreadable}: save it again, or as CSV")
+        problem = f"the file is not readable as a workbook ({first_line(error)})"
+        return InputError(f"{self.path}: {problem}: save it again, or as CSV")
 
     def _numbers(self, cells: Sequence[Any], row: int, indices: Sequence[int], lenient: bool) -> list[float]:
         numbers = []
         for index in indices:
             cell = cells[index] if index < len(cells) else None
             text = "" if cell is None else str(cell).strip()
-            plain = isinstance(cell, int | float) and not isinstance(cell, bool)
-            number = parse_number(repr(cell) if plain else text, "." if plain else self._decimal)
+            is_number = isinstance(cell, int | float) and not isinstance(cell, bool)
+            number = parse_number(repr(cell) if is_number else text, "." if is_number else self._decimal)
             if number is None and not lenient:
                 place = f"{self.path}: row {row}, column '{self.headers[index]}'"
                 raise InputError(f"{place}: {number_error(text, self._decimal)}")

@@ -1,4 +1,4 @@
-"""A wire that yields as it is bent, against adaptive quadrature of its fibres; and the cantilever that measures its work."""
+"""Bending of a wire that yields, against adaptive quadrature over its fibres; and the cantilever that measures its work."""
 
 import itertools
 
@@ -68,12 +68,12 @@ def test_moment_and_work_are_those_of_the_fibres():
     cases = [(d, k, law) for d, k, law in itertools.product((1e-4, 2.3e-4, 3e-4, 5e-4), (20.0, 60.0, -120.0), laws)]
     law = BilinearStressStrain(*(jnp.array([case[2][key] for case in cases]) for key in LAW))
     diameter, curvature = (jnp.array([case[i] for case in cases]) for i in (0, 1))
-    wanted = np.array([by_fibres(*case) for case in cases])
-    found = np.array([f(diameter, curvature) for f in (law.moment, law.elastic_moment, law.plastic_moment)]).T
-    np.testing.assert_allclose(found, wanted[:, :3], rtol=1e-12, atol=1e-18)
-    # The work of a wire that hardly yields is a small difference of large numbers in the fibres' sum.
-    np.testing.assert_allclose(law.plastic_work(diameter, curvature), wanted[:, 3], rtol=1e-8, atol=1e-13)
-    assert np.sum(wanted[:, 2] == 0.0) > 5 and np.sum(wanted[:, 2] > 0.0) > 5
+    expected = np.array([by_fibres(*case) for case in cases])
+    computed = np.array([f(diameter, curvature) for f in (law.moment, law.elastic_moment, law.plastic_moment)]).T
+    np.testing.assert_allclose(computed, expected[:, :3], rtol=1e-12, atol=1e-18)
+    # The work of a wire that hardly yields is a small difference of large numbers in the sum over the fibres.
+    np.testing.assert_allclose(law.plastic_work(diameter, curvature), expected[:, 3], rtol=1e-8, atol=1e-13)
+    assert np.sum(expected[:, 2] == 0.0) > 5 and np.sum(expected[:, 2] > 0.0) > 5
 
 
 def test_table_of_diameters():
@@ -140,19 +140,19 @@ def test_gradients_are_finite_everywhere_and_right():
         for i, step in enumerate(1e-5 * np.array(at)):
             ends = [np.array(figures(*(x + s * step * (j == i) for j, x in enumerate(at)))) for s in (1, -1)]
             # At the edge of yield the slopes of the two shares are continuous, but not those of the slopes.
-            kept = [0, 3] if 2.2e-4 < diameter < 2.4e-4 else [0, 1, 2, 3]
+            components = [0, 3] if 2.2e-4 < diameter < 2.4e-4 else [0, 1, 2, 3]
             np.testing.assert_allclose(
-                (slopes[i] * step)[kept],
-                ((ends[0] - ends[1]) / 2)[kept],
+                (slopes[i] * step)[components],
+                ((ends[0] - ends[1]) / 2)[components],
                 rtol=1e-6,
-                atol=2e-14 if len(kept) == 2 else 1e-17,
+                atol=2e-14 if len(components) == 2 else 1e-17,
             )
     assert np.all(np.isfinite(forward(2e-4, 0.0, *LAW.values())))
     assert float(jax.grad(lambda u: cap_moment(2, u))(1.0)) == 0.0
 
 
 def test_cantilever_and_its_published_work():
-    """The tip and the load of one force, and the flexural paper's Table 2, whose beam length is not printed: 0.296 m gives its rows."""
+    """Deflections of tip and force, and Table 2 of dauksher2021; its beam length is not printed, and 0.296 m gives its rows."""
     bench = Cantilever(0.991e-3, 0.296, 0.1092)
     assert float(bench.rigidity) == pytest.approx(9.942e-3, rel=1e-4)
     tip = bench.tip_deflection(0.1)

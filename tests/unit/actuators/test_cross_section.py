@@ -27,7 +27,7 @@ def section(
     materials=(TAPE, SILICONE),
     **cooling: float,
 ) -> CrossSection:
-    """The flexural paper's section (Table 1); ``materials`` are (density, heat capacity, conductivity) of tape, silicone and, if given, wire."""
+    """The section of dauksher2021 (Table 1); ``materials`` are (density, heat capacity, conductivity) of tape, silicone and, if given, wire."""
     tape, silicone, *wire = materials
     return CrossSection(
         Layer(0.5e-3, *tape), Layer(0.6e-3, *silicone), SectionWire(diameter, *(wire[0] if wire else (6450.0, 837.4, 18.0)), offset),
@@ -42,7 +42,7 @@ def _cool(section: CrossSection, duration: jax.Array) -> tuple[CoolingCurve, jax
 
 
 def cool(section: CrossSection, duration: float = 5.0) -> tuple[CoolingCurve, float, float]:
-    """The curve, when it is down at 55 degC, and the temperature at 0.4 of the duration."""
+    """The curve, the time at which it reaches 55 degC, and the temperature at 0.4 of the duration."""
     curve, cooled, later = _cool(section, jnp.asarray(duration))
     return curve, float(cooled), float(later)
 
@@ -111,32 +111,32 @@ def test_a_hot_cylinder_spreads_as_gauss_says():
 
 
 def test_heat_is_neither_made_nor_lost():
-    for one in (
+    for variant in (
         section(),
         section(convection=500.0, offset=1e-4),
         section(convection=0.0),
         section(placement=SpacedWires(3, 0.8e-3), width=6e-3, cells=6),
     ):
-        curve, *_ = cool(one)
+        curve, *_ = cool(variant)
         held = np.array(curve.stored + curve.lost)
         assert np.max(np.abs(held / held[0] - 1.0)) < 1e-11
-        assert np.all(np.diff(curve.lost) >= 0.0) and (float(one.cooling.convection) == 0.0) == (
+        assert np.all(np.diff(curve.lost) >= 0.0) and (float(variant.cooling.convection) == 0.0) == (
             float(curve.lost[-1]) == 0.0
         )
         wire, pitch = np.pi / 4 * 9e-8, 22e-3 / 2
-        if isinstance(one.placement, EvenWires):
+        if isinstance(variant.placement, EvenWires):
             whole = wire * 6450 * 837.4 * 60 + ((pitch * 0.6e-3 - wire) * 1070 * 1050 + pitch * 1e-3 * 2430 * 1000) * 30
             assert held[0] == pytest.approx(whole / 2, rel=1e-12)
 
 
 def test_narrow_gaps_keep_the_heat():
-    """Wires that nearly touch each other or the tape: no cell is so small that rounding makes heat of it, and what the wires do goes on."""
+    """Wires that nearly touch each other or the tape: no cell is so small that rounding adds heat, and results stay continuous."""
     times = []
-    for one in [section(placement=SpacedWires(5, pitch)) for pitch in (0.33e-3, 0.31e-3, 0.3001e-3)] + [
+    for variant in [section(placement=SpacedWires(5, pitch)) for pitch in (0.33e-3, 0.31e-3, 0.3001e-3)] + [
         section(diameter=5.5e-4, placement=EvenWires(39.0)),
         section(diameter=5.99e-4),
     ]:
-        curve, cooled, _ = cool(one, 60.0)
+        curve, cooled, _ = cool(variant, 60.0)
         held = np.array(curve.stored + curve.lost)
         assert np.max(np.abs(held / held[0] - 1.0)) < 1e-7
         times.append(cooled)
@@ -237,7 +237,7 @@ def test_gradients_forward_and_reverse():
     @jax.jit
     @jax.vmap
     def moved(point: jax.Array, direction: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The figures, how they move in a direction, and the gradient of what lies ``along`` them."""
+        """The results, their derivative in a direction, and the gradient of their weighted sum."""
         value, push = jax.linearize(figures, point)
         return value, push(direction), jax.linear_transpose(push, point)(jnp.asarray(along))[0]
 
@@ -285,14 +285,14 @@ def test_ends_of_the_course():
 
 @pytest.mark.parametrize("count", [3, 20])
 def test_many_right_hand_sides_are_solved_as_each_alone(count: int):
-    """A few go one by one, many as a product of matrices: both are the dense solution."""
+    """Few vectors are multiplied one by one, many as a product of matrices: both agree with the dense solution."""
     rng = np.random.default_rng(count)
     matrix = FivePointMatrix(*map(jnp.asarray, (5.0 + rng.random((4, 6)), rng.random((4, 5)), rng.random((3, 6)))))
     right = rng.standard_normal((count, 4, 6))
     dense = np.stack([np.asarray(matrix.apply(jnp.asarray(e.reshape(4, 6)))).ravel() for e in np.eye(24)], axis=1)
-    found = jax.vmap(lambda b: matrix.solve(matrix.factor(), b))(jnp.asarray(right))
+    solution = jax.vmap(lambda b: matrix.solve(matrix.factor(), b))(jnp.asarray(right))
     np.testing.assert_allclose(
-        np.asarray(found).reshape(count, 24),
+        np.asarray(solution).reshape(count, 24),
         np.linalg.solve(dense, right.reshape(count, 24).T).T,
         rtol=1e-12,
         atol=1e-14,
@@ -300,7 +300,7 @@ def test_many_right_hand_sides_are_solved_as_each_alone(count: int):
 
 
 def test_an_inverse_by_sweeps_calls_no_lapack():
-    """LAPACK's threads wait for each other where a machine is busy: a section with twelve wires took minutes for a second's work."""
+    """LAPACK's threads wait for each other on a busy machine: a section with twelve wires took minutes instead of a second."""
     root = np.random.default_rng(1).standard_normal((40, 40))
     positive = root @ root.T + 40.0 * np.eye(40)
     np.testing.assert_allclose(

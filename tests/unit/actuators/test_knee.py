@@ -1,4 +1,4 @@
-"""The knee of springs, motor and clutch against an integration by SciPy, and against what its parts say alone."""
+"""The knee of springs, motor and clutch against an integration by SciPy, and against closed forms of its parts."""
 
 import math
 
@@ -29,9 +29,9 @@ SHARE = jnp.linspace(0.0, 1.0, 81)
 
 @pytest.fixture(scope="module")
 def knee() -> Knee:
-    found = actuator_file.read_actuator(data_path("actuators", "knee", "rig.toml"))
-    assert isinstance(found, Knee)
-    return found
+    result = actuator_file.read_actuator(data_path("actuators", "knee", "rig.toml"))
+    assert isinstance(result, Knee)
+    return result
 
 
 def commanded(knee: Knee, state: str) -> Knee:
@@ -54,14 +54,14 @@ def roll(knee: Knee):
 
 @pytest.mark.parametrize("state", STATES)
 def test_agrees_with_scipy(knee, state):
-    found = roll(commanded(knee, state))
+    result = roll(commanded(knee, state))
     time = np.asarray(SHARE) * STATES[state]["duration"]
     true = exact(knee).roll(STATES[state], time)
     assert np.ptp(true[4]) > 0.5
-    assert np.asarray(found.angle) == pytest.approx(true[4], abs=2e-4 * np.ptp(true[4]))
-    assert np.asarray(found.temperature) == pytest.approx(true[:2].T, abs=1e-2)
-    assert np.asarray(found.fractions.martensite) == pytest.approx(true[2:4].T, abs=1e-3)
-    assert np.asarray(found.shaft_rate) == pytest.approx(true[6], abs=2e-3 * max(np.ptp(true[6]), 0.1))
+    assert np.asarray(result.angle) == pytest.approx(true[4], abs=2e-4 * np.ptp(true[4]))
+    assert np.asarray(result.temperature) == pytest.approx(true[:2].T, abs=1e-2)
+    assert np.asarray(result.fractions.martensite) == pytest.approx(true[2:4].T, abs=1e-3)
+    assert np.asarray(result.shaft_rate) == pytest.approx(true[6], abs=2e-3 * max(np.ptp(true[6]), 0.1))
     if state == "springs":
         # The time in which the fractions follow the law is too short to matter.
         quicker = exact(knee, follows=0.005).roll(STATES[state], time)
@@ -74,7 +74,7 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
     assert np.asarray(roll(motor).angle) == pytest.approx(locked, abs=5e-3 * np.ptp(locked))
     assert float(figures(motor)["clutch_sticks"]) == 1.0 and abs(float(figures(motor)["slip"])) < 0.02
     assert float(figures(hybrid)["clutch_sticks"]) == 0.0 and float(figures(hybrid)["slip"]) > 1.0
-    # The hybrid drive with a clutch that holds: the joint keeps to the motor's pace, which a hot spring helps.
+    # The hybrid drive with a clutch that sticks: the joint moves with the motor, and a hot spring helps.
     both = parameters.replace(hybrid, {"command.clutch": 0.5, "command.motor": 0.05})
     way, alone = roll(both), roll(parameters.replace(both, {"command.second": 0.0}))
     assert float(figures(both)["clutch_sticks"]) == 1.0
@@ -88,7 +88,7 @@ def test_the_clutch_sticks_below_its_torque_and_slips_above(knee):
 
 
 def test_figures_of_a_command(knee):
-    """Pull, stroke, temperature and energy by the way that the knee goes."""
+    """Force, stroke, temperature and energy from the trajectory of the knee."""
     springs, motor = (
         {n: float(v) for n, v in figures(commanded(knee, state)).items()} for state in ("springs", "motor")
     )
@@ -103,8 +103,8 @@ def test_figures_of_a_command(knee):
         for rho in (law.resistivity_austenite, law.resistivity_martensite)
     ]
     assert ends[0] < springs["energy_per_cycle"] < ends[1]
-    # Once more finely: what the springs pull over what they shorten; and the cooling, by steps of the heat balance.
-    fine = eqx.filter_jit(lambda one: one.trajectory(jnp.linspace(0.0, 1.0, 2001)))(knee)
+    # On a finer grid: the work of the springs as they shorten; and the cooling, by steps of the heat balance.
+    fine = eqx.filter_jit(lambda variant: variant.trajectory(jnp.linspace(0.0, 1.0, 2001)))(knee)
     pull, turned = np.asarray(jax.vmap(knee.forces)(fine)), np.diff(np.asarray(fine.angle))
     shortened = float(knee.joint.radius) * np.stack([-turned, turned], axis=1)
     work = np.sum(np.maximum(0.5 * (pull[1:] + pull[:-1]) * shortened, 0.0))
@@ -114,9 +114,9 @@ def test_figures_of_a_command(knee):
     assert springs["time_to_cool"] == pytest.approx(tau * np.log(10.0), rel=1e-9)
     assert springs["bandwidth"] == pytest.approx(1.0 / (20.0 + springs["time_to_cool"]), rel=1e-12)
     rising = parameters.replace(knee, {"heat.h0": 40.0, "heat.h2": 6e-3})
-    hot = eqx.filter_jit(lambda one: one.time_to_cool(jax.tree.map(lambda leaf: leaf[-1], one.trajectory(SHARE))))(
-        rising
-    )
+    hot = eqx.filter_jit(
+        lambda variant: variant.time_to_cool(jax.tree.map(lambda leaf: leaf[-1], variant.trajectory(SHARE)))
+    )(rising)
     top = float(np.asarray(roll(rising).temperature)[-1].max())
     cooling = solve_ivp(
         lambda _, t: -4.0 / 1e-3 / 5.4e6 * (40.0 + 6e-3 * t**2) * (t - 22.0),
@@ -142,7 +142,7 @@ def test_figures_of_the_parts(knee):
     printed = parameters.replace(knee, {"wire.diameter": 2e-3, "wire.coil_diameter": 12e-3})
     assert float(printed.stiffness(jnp.zeros(()))) == pytest.approx(596.2, abs=0.05)
     assert float(printed.stiffness(jnp.ones(()))) == pytest.approx(238.5, abs=0.05)
-    # The heating time in closed form is that of the motion, but for the resistance, which rises on the way.
+    # The heating time in closed form is that of the simulation, except for the resistance, which changes during heating.
     time = float(knee.heating_time(jnp.asarray(5.0)))
     temperature = np.asarray(roll(knee).temperature)[:, 1]
     assert np.interp(62.0, temperature, 20.0 * np.asarray(SHARE)) == pytest.approx(time, rel=0.1)
@@ -152,7 +152,7 @@ def test_figures_of_the_parts(knee):
 
 
 def test_ordinary_designs_all_arrive(knee):
-    """Springs thinner than the shipped ones stay partly twinned, so that under stress both lines of the law are passed at once."""
+    """Springs thinner than the shipped ones stay partly twinned, so that under stress both lines of the law are crossed."""
     box = {"wire.diameter": (0.8e-3, 1.2e-3), "joint.radius": (15e-3, 40e-3), "command.second": (3.0, 5.5)}
     shares = np.vstack([qmc.Sobol(3, scramble=False).random(8), [[0.18, 0.19044, 0.901485]]])
     for share in shares:
@@ -172,14 +172,14 @@ def test_what_the_law_asks_is_continuous_where_both_lines_are_passed(knee):
     assert np.any(both)
     for part in due:
         assert np.max(np.abs(np.diff(np.asarray(part)))) < 1e-4
-    # Where one line alone is passed on the whole way, it is what the law's own step says.
+    # If only one line is crossed, the increment is that of the law's own step.
     detwinned = Fractions(jnp.asarray(0.39), jnp.asarray(0.0))
     for at, t in ((twinned, 65.0), (detwinned, 76.0)):
         step = law.evolve(at, (jnp.asarray(t),) * 2, (jnp.asarray(110e6),) * 2)
-        asked = law.equilibrium_increment(at, jnp.asarray(t), jnp.asarray(110e6))
-        assert np.asarray(asked) == pytest.approx(np.asarray(step) - np.asarray(at), abs=1e-12)
-        assert 0.05 < abs(float(asked.martensite)) < 0.34
-    # Where the other is reached on the way, the step goes as far as both are at rest.
+        increment = law.equilibrium_increment(at, jnp.asarray(t), jnp.asarray(110e6))
+        assert np.asarray(increment) == pytest.approx(np.asarray(step) - np.asarray(at), abs=1e-12)
+        assert 0.05 < abs(float(increment.martensite)) < 0.34
+    # If the other line is reached as well, the step ends where both conditions hold.
     for t in (70.0, 76.0):
         step = law.evolve(twinned, (jnp.asarray(t),) * 2, (jnp.asarray(110e6),) * 2)
         assert abs(float(step.martensite) - 0.39) > 0.05
@@ -207,12 +207,12 @@ def test_derivatives_and_batches(knee):
     directions = jnp.asarray(np.tile(basis, (3, 1)))
     for state in ("springs", "hybrid"):
         # While the springs still transform.
-        one = parameters.replace(commanded(knee, state), {"command.duration": 7.0})
-        found, slopes = map(np.asarray, moved(points, directions, one))
-        slope, differences = slopes[-count:], (found[:count] - found[count:-count]) / (2 * step)
+        variant = parameters.replace(commanded(knee, state), {"command.duration": 7.0})
+        result, slopes = map(np.asarray, moved(points, directions, variant))
+        slope, differences = slopes[-count:], (result[:count] - result[count:-count]) / (2 * step)
         assert slope == pytest.approx(differences, rel=2e-3, abs=5e-4 * np.max(np.abs(slope)))
         assert np.all(slope[[0, 4, *((1, 2) if state == "springs" else (3,))]] != 0.0)
-        assert found[-1] == pytest.approx(float(roll(one).angle[-1]), rel=1e-4)
+        assert result[-1] == pytest.approx(float(roll(variant).angle[-1]), rel=1e-4)
 
 
 def test_bands_that_run_backwards_are_refused():

@@ -1,4 +1,4 @@
-"""``smajax compare``: laws and input-output laws on one recording, by the command as a user types it."""
+"""``smajax compare``: material laws and input-output models on one recording, by the command line."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ FOLDER = ROOT / "data" / "recordings" / "dead-weight"
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory):
-    """The shipped dead weight, a row in eight of its first 90 s, so that it fits fast."""
+    """The shipped dead-weight rig with every eighth row of the first 90 s, for fast fits."""
     folder = tmp_path_factory.mktemp("short")
     text = (FOLDER / "rig.toml").read_text().replace("starts = 4", "starts = 1")
     (folder / "rig.toml").write_text(text)
@@ -34,6 +34,7 @@ def short(tmp_path_factory):
 
 
 def run(folder, models, out, *more, rig="rig.toml"):
+    """Run ``smajax compare`` on the recordings of a folder."""
     words = [
         "compare",
         str(folder / rig),
@@ -46,32 +47,32 @@ def run(folder, models, out, *more, rig="rig.toml"):
     return CliRunner().invoke(app, [*words, "--out", str(out), *more])
 
 
-def test_models_are_ranked_by_what_they_predict(short, tmp_path):
-    done = run(short, "brinson,transfer-function-one-pole,bouc-wen", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    found = json.loads((tmp_path / "out" / "compare.json").read_text())
-    names = [m["name"] for m in found["models"]]
+def test_models_are_ranked_by_their_predictions(short, tmp_path):
+    result = run(short, "brinson,transfer-function-one-pole,bouc-wen", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "out" / "compare.json").read_text())
+    names = [m["name"] for m in document["models"]]
     assert names[0] == "brinson" and set(names) == {"brinson", "transfer-function-one-pole", "bouc-wen"}
-    errors = [m["rmse_holdout"] for m in found["models"]]
-    assert errors == sorted(errors) and found["unit"] == "mm" and errors[0] < 0.3 * errors[1]
-    for m in found["models"]:
+    errors = [m["rmse_holdout"] for m in document["models"]]
+    assert errors == sorted(errors) and document["unit"] == "mm" and errors[0] < 0.3 * errors[1]
+    for m in document["models"]:
         assert m["fit_percent_holdout"] < 100.0 and m["parameters"] > 3 and np.isfinite(m["bic"]) and m["wall_s"] > 0.0
         free = [p for p in m["fitted"].values() if p["free"]]
         assert (
             len(free) == m["parameters"]
             and sum(p["lower95"] is not None and p["lower95"] < p["value"] for p in free) > 3
         )
-        told = f"{m['name']}: at its bound: {', '.join(m['at_bound'])}"
-        assert (told in done.output) is bool(m["at_bound"])
-    assert "brinson predicts the holdout best" in done.output
+        line = f"{m['name']}: at its bound: {', '.join(m['at_bound'])}"
+        assert (line in result.output) is bool(m["at_bound"])
+    assert "brinson predicts the holdout best" in result.output
     page = (tmp_path / "out" / "report.html").read_text()
     assert "transfer-function-one-pole" in page and "Fitted parameters" in page and "<td>delay</td>" in page
     again = CliRunner().invoke(app, ["report", str(tmp_path / "out")])
     assert again.exit_code == 0 and (tmp_path / "out" / "report.html").read_text() == page
 
 
-def test_what_ends_at_its_bound_is_said_of_laws_and_of_operators(short, tmp_path):
-    """A law that has no room for the truth, and a displacement that answers before it is asked."""
+def test_parameters_at_a_bound_are_listed(short, tmp_path):
+    """A law with bounds that exclude the true value, and a displacement that precedes its input."""
     text = (
         (short / "rig.toml")
         .read_text()
@@ -84,39 +85,41 @@ def test_what_ends_at_its_bound_is_said_of_laws_and_of_operators(short, tmp_path
         Recording.from_arrays(part, r.time, {**r.channels, "displacement": early}, {"displacement": "mm"}).write(
             tmp_path / f"{part}.csv"
         )
-    done = run(tmp_path, "brinson,transfer-function-one-pole", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    found = {m["name"]: m["at_bound"] for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]}
-    assert {"heat.h0 (100 W/m^2/K)", "heat.h0 (101 W/m^2/K)"} & set(found["brinson"])
-    assert "delay (0)" in found["transfer-function-one-pole"]
+    result = run(tmp_path, "brinson,transfer-function-one-pole", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    at_bounds = {
+        m["name"]: m["at_bound"] for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
+    }
+    assert {"heat.h0 (100 W/m^2/K)", "heat.h0 (101 W/m^2/K)"} & set(at_bounds["brinson"])
+    assert "delay (0)" in at_bounds["transfer-function-one-pole"]
     page = (tmp_path / "out" / "report.html").read_text()
-    for name, told in found.items():
-        assert f"{name}: at its bound: {', '.join(told)}" in done.output and f"{name}: at its bound: " in page
+    for name, at_bound in at_bounds.items():
+        assert f"{name}: at its bound: {', '.join(at_bound)}" in result.output and f"{name}: at its bound: " in page
 
 
-def test_a_model_that_runs_away_is_left_out_and_the_others_are_ranked(short, tmp_path, monkeypatch):
-    honest = IOModelFit.respond
+def test_model_that_diverges_is_left_out(short, tmp_path, monkeypatch):
+    respond = IOModelFit.respond
 
-    def runs_away(self, series):
-        found = honest(self, series)
+    def diverge(self, series):
+        values = respond(self, series)
         return (
-            np.where(series.time > 50.0, np.nan, found)
+            np.where(series.time > 50.0, np.nan, values)
             if self.spec.name == "bouc-wen" and "holdout" in series.name
-            else found
+            else values
         )
 
-    monkeypatch.setattr(IOModelFit, "respond", runs_away)
-    done = run(short, "bouc-wen,transfer-function-one-pole", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    found = {m["name"]: m for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]}
-    assert "holdout.csv: its prediction of displacement is not finite at" in found["bouc-wen"]["why"]
-    assert found["bouc-wen"]["rmse_holdout"] is None and found["transfer-function-one-pole"]["rmse_holdout"] > 0.0
-    assert "Left out: bouc-wen" in done.output
+    monkeypatch.setattr(IOModelFit, "respond", diverge)
+    result = run(short, "bouc-wen,transfer-function-one-pole", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    models = {m["name"]: m for m in json.loads((tmp_path / "out" / "compare.json").read_text())["models"]}
+    assert "holdout.csv: its prediction of displacement is not finite at" in models["bouc-wen"]["why"]
+    assert models["bouc-wen"]["rmse_holdout"] is None and models["transfer-function-one-pole"]["rmse_holdout"] > 0.0
+    assert "Left out: bouc-wen" in result.output
 
 
 @pytest.mark.parametrize("law", ["transfer-function-two-poles", "hammerstein-wiener"])
-def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, tmp_path, law):
-    """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, and told."""
+def test_rows_of_another_step_are_resampled_for_discrete_models(short, tmp_path, law):
+    """Every other row of the holdout, with stamps that jitter by a tenth of a row: scored as with all rows, with a note."""
     rig, rng = read_rig(short / "rig.toml"), np.random.default_rng(0)
     r = rig.read(short / "holdout.csv")
     time = (r.time + 0.1 * np.median(np.diff(r.time)) * rng.uniform(-1.0, 1.0, len(r)))[::2]
@@ -126,32 +129,32 @@ def test_rows_of_another_step_are_resampled_for_laws_that_go_row_by_row(short, t
         (tmp_path / name).write_bytes((short / name).read_bytes())
     errors = []
     for folder in (short, tmp_path):
-        done = run(folder, law, tmp_path / f"out{len(errors)}")
-        assert done.exit_code == 0, done.output
+        result = run(folder, law, tmp_path / f"out{len(errors)}")
+        assert result.exit_code == 0, result.output
         (model,) = json.loads((tmp_path / f"out{len(errors)}" / "compare.json").read_text())["models"]
         errors.append(model["rmse_holdout"])
         assert bool(model["note"]) is (folder is tmp_path)
-    assert "holdout.csv resampled for it" in done.output
+    assert "holdout.csv resampled for it" in result.output
     assert errors[1] == pytest.approx(errors[0], rel=0.1)
 
 
-def test_what_few_rows_do_not_tell_is_said(short, tmp_path):
-    """Twelve rows, in which the wire is heated only, and fewer than there are parameters."""
+def test_parameters_that_few_rows_do_not_determine_are_listed(short, tmp_path):
+    """Twelve rows in which the wire is only heated, and fewer rows than there are parameters."""
     for name in ("rig.toml", "holdout.csv"):
         shutil.copy(short / name, tmp_path)
     rows = (short / "train.csv").read_text().splitlines()
     (tmp_path / "train.csv").write_text("\n".join(rows[:13]))
-    done = run(tmp_path, "brinson", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    assert "brinson: not determined by the training recording: material.martensite_shift" in done.output
+    result = run(tmp_path, "brinson", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "brinson: not determined by the training recording: material.martensite_shift" in result.output
     (tmp_path / "train.csv").write_text("\n".join(rows[:6]))
-    done = run(tmp_path, "brinson", tmp_path / "more")
-    assert done.exit_code == 2
-    assert "train.csv: 5 measured rows do not determine the 6 parameters of brinson: record more rows" in done.output
+    result = run(tmp_path, "brinson", tmp_path / "more")
+    assert result.exit_code == 2
+    assert "train.csv: 5 measured rows do not determine the 6 parameters of brinson: record more rows" in result.output
 
 
-def test_a_sensor_that_reads_from_elsewhere_costs_a_law_nothing(short, tmp_path):
-    """Bouc-Wen's law for the distance to the weight, which gets less as the wire contracts: the fit to the contraction, turned over."""
+def test_fit_does_not_depend_on_the_sign_of_the_sensor(short, tmp_path):
+    """Bouc-Wen's law for the distance to the weight, which falls as the wire contracts: the same fit with another sign."""
     for part in ("train", "holdout"):
         r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
         away = 0.012 - r.channels["displacement"]
@@ -159,19 +162,19 @@ def test_a_sensor_that_reads_from_elsewhere_costs_a_law_nothing(short, tmp_path)
             tmp_path / f"{part}.csv"
         )
     (tmp_path / "rig.toml").write_text((short / "rig.toml").read_text())
-    ends = []
+    models = []
     for folder in (short, tmp_path):
         out = tmp_path / f"out-{folder.name}"
         assert run(folder, "bouc-wen", out).exit_code == 0
-        ends.append(json.loads((out / "compare.json").read_text())["models"][0])
-    assert ends[1]["rmse_train"] == pytest.approx(ends[0]["rmse_train"], rel=1e-3)
-    one, other = (e["fitted"] for e in ends)
-    assert other["rest"]["value"] == pytest.approx(0.012 - one["rest"]["value"], abs=2e-5)
-    assert other["kw"]["value"] == pytest.approx(-one["kw"]["value"], rel=2e-2)
+        models.append(json.loads((out / "compare.json").read_text())["models"][0])
+    assert models[1]["rmse_train"] == pytest.approx(models[0]["rmse_train"], rel=1e-3)
+    contraction, distance = (model["fitted"] for model in models)
+    assert distance["rest"]["value"] == pytest.approx(0.012 - contraction["rest"]["value"], abs=2e-5)
+    assert distance["kw"]["value"] == pytest.approx(-contraction["kw"]["value"], rel=2e-2)
 
 
-def test_a_law_without_the_constant_of_the_others_says_so(short, tmp_path):
-    """A displacement that reads 0.4 mm too much: what a law whose offset is held cannot know, it can where the offset is free."""
+def test_law_without_a_free_offset_has_a_note(short, tmp_path):
+    """A displacement with an offset of 0.4 mm, fitted with the sensor's offset held and free."""
     for part in ("train", "holdout"):
         r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
         shifted = r.channels["displacement"] + 4e-4
@@ -182,24 +185,25 @@ def test_a_law_without_the_constant_of_the_others_says_so(short, tmp_path):
     errors = []
     for name, changed in (("held", text), ("free", text.replace("free = [", 'free = ["sensor.displacement_offset", '))):
         (tmp_path / "rig.toml").write_text(changed)
-        done = run(tmp_path, "brinson,transfer-function-one-pole", tmp_path / name)
-        assert done.exit_code == 0, done.output
-        assert ("and brinson none: free sensor.displacement_offset" in done.output) is (name == "held")
-        found = {m["name"]: m for m in json.loads((tmp_path / name / "compare.json").read_text())["models"]}["brinson"]
-        errors.append(found["rmse_holdout"])
-    assert errors[1] < errors[0] and found["fitted"]["sensor.displacement_offset"]["value"] > 0.0
+        result = run(tmp_path, "brinson,transfer-function-one-pole", tmp_path / name)
+        assert result.exit_code == 0, result.output
+        assert ("and brinson none: free sensor.displacement_offset" in result.output) is (name == "held")
+        model = {m["name"]: m for m in json.loads((tmp_path / name / "compare.json").read_text())["models"]}["brinson"]
+        errors.append(model["rmse_holdout"])
+    assert errors[1] < errors[0] and model["fitted"]["sensor.displacement_offset"]["value"] > 0.0
 
 
-def test_what_holds_a_network_is_said(short, tmp_path):
-    done = run(short, "narx", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    assert "chosen by cross-validation on quarters of train.csv, holds its weights" in done.output
-    (found,) = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
-    assert found["fit_percent_holdout"] > 0.0  # better than the mean
+def test_ridge_penalty_of_a_network_is_noted(short, tmp_path):
+    result = run(short, "narx", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "its weights have a ridge penalty of " in result.output
+    assert "chosen by cross-validation on quarters of train.csv" in result.output
+    (model,) = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
+    assert model["fit_percent_holdout"] > 0.0  # better than the mean
 
 
-def test_where_no_model_is_better_than_the_mean_none_is_called_best(short, tmp_path):
-    """A sensor that reads ten times less in the holdout, about another level."""
+def test_no_model_is_best_if_none_is_better_than_the_mean(short, tmp_path):
+    """A sensor with a tenth of the gain and another offset in the holdout."""
     for name in ("rig.toml", "train.csv"):
         shutil.copy(short / name, tmp_path)
     r = read_rig(short / "rig.toml").read(short / "holdout.csv")
@@ -207,11 +211,14 @@ def test_where_no_model_is_better_than_the_mean_none_is_called_best(short, tmp_p
     Recording.from_arrays("holdout", r.time, {**r.channels, "displacement": read}, {"displacement": "mm"}).write(
         tmp_path / "holdout.csv"
     )
-    done = run(tmp_path, "transfer-function-one-pole,bouc-wen", tmp_path / "out")
-    told = " ".join(done.output.split())
-    assert done.exit_code == 0, done.output
-    assert "No model predicts the holdout better than the mean of the holdout does; the smallest error has" in told
-    assert "holdout best" not in told and "By BIC" not in told
+    result = run(tmp_path, "transfer-function-one-pole,bouc-wen", tmp_path / "out")
+    output = " ".join(result.output.split())
+    assert result.exit_code == 0, result.output
+    assert (
+        "No model predicts the holdout better than the mean of the holdout does; the smallest error is that of"
+        in output
+    )
+    assert "holdout best" not in output and "By BIC" not in output
 
 
 @pytest.mark.parametrize(
@@ -222,15 +229,15 @@ def test_where_no_model_is_better_than_the_mean_none_is_called_best(short, tmp_p
         ("", "--models names no model"),
     ],
 )
-def test_what_cannot_be_compared_is_said(short, tmp_path, models, sentence):
-    done = run(short, models, tmp_path / "out")
-    assert done.exit_code == 2 and sentence in done.output and not (tmp_path / "out").exists()
+def test_unknown_models_are_rejected(short, tmp_path, models, sentence):
+    result = run(short, models, tmp_path / "out")
+    assert result.exit_code == 2 and sentence in result.output and not (tmp_path / "out").exists()
 
 
-def test_the_same_recording_twice_tests_nothing(short, tmp_path):
+def test_same_recording_twice_is_rejected(short, tmp_path):
     words = [str(short / name) for name in ("rig.toml", "train.csv")]
     (tmp_path / "copy.csv").write_text((short / "train.csv").read_text() + "\n")
-    done = CliRunner().invoke(
+    result = CliRunner().invoke(
         app,
         [
             "compare",
@@ -243,21 +250,21 @@ def test_the_same_recording_twice_tests_nothing(short, tmp_path):
             str(tmp_path / "out"),
         ],
     )
-    assert done.exit_code == 2 and "tests nothing" in done.output
+    assert result.exit_code == 2 and "not an independent test" in result.output
 
 
-def test_a_training_recording_that_is_never_driven_tells_nothing(short, tmp_path):
+def test_training_recording_without_input_is_rejected(short, tmp_path):
     (tmp_path / "rig.toml").write_bytes((short / "rig.toml").read_bytes())
     (tmp_path / "holdout.csv").write_bytes((short / "holdout.csv").read_bytes())
     r = read_rig(short / "rig.toml").read(short / "train.csv")
     still = r.channels | {"current": np.zeros(len(r))}
     Recording.from_arrays("train", r.time, still, {"displacement": "mm"}).write(tmp_path / "train.csv")
-    done = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
-    assert done.exit_code == 2 and "current is 0 in all rows of train.csv" in done.output
+    result = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
+    assert result.exit_code == 2 and "current is 0 in all rows of train.csv" in result.output
 
 
 def rotary(folder, overlap: float) -> None:
-    """The shipped pair of wires, some rows of it; for ``overlap`` s of each pulse of the first wire the second one is on, too."""
+    """Write rows of the shipped rotary rig; the second wire is on as well for ``overlap`` s of each first wire's pulse."""
     rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
     recording = rig.read(ROOT / "data" / "recordings" / "rotary" / "train.csv")
     for name, rows in (("train", slice(0, 1200, 4)), ("holdout", slice(1200, 2400, 4))):
@@ -271,30 +278,30 @@ def rotary(folder, overlap: float) -> None:
     (folder / "rig.toml").write_text((ROOT / "data" / "recordings" / "rotary" / "rig.toml").read_text())
 
 
-def test_two_wires_that_pull_by_turns_are_one_input(tmp_path):
+def test_two_alternating_wires_are_one_input(tmp_path):
     rotary(tmp_path, 0.0)
-    done = run(tmp_path, "bouc-wen,transfer-function-one-pole,heating-cooling", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    found = json.loads((tmp_path / "out" / "compare.json").read_text())
-    assert len(found["models"]) == 3 and "heating-cooling takes one wire" in found["models"].pop()["why"]
-    for m in found["models"]:
+    result = run(tmp_path, "bouc-wen,transfer-function-one-pole,heating-cooling", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "out" / "compare.json").read_text())
+    assert len(document["models"]) == 3 and "heating-cooling takes one wire" in document["models"].pop()["why"]
+    for m in document["models"]:
         assert (
             not m["why"] and "its input is current_1 less current_2" in m["note"] and m["fit_percent_train"] > 10.0
         ), m
 
 
-def test_two_wires_that_pull_together_leave_operators_out_and_it_says_why(tmp_path):
+def test_two_wires_that_pull_together_are_rejected(tmp_path):
     rotary(tmp_path, 1.0)
-    done = run(tmp_path, "bouc-wen", tmp_path / "out")
-    told = " ".join(done.output.split())
+    result = run(tmp_path, "bouc-wen", tmp_path / "out")
+    output = " ".join(result.output.split())
     assert (
-        done.exit_code == 2
-        and "current_1 and current_2 change: both are on at" in told
-        and "let the wires pull by turns" in told
+        result.exit_code == 2
+        and "current_1 and current_2 change: both are on at" in output
+        and "let the wires pull by turns" in output
     )
 
 
-def test_what_is_observed_and_not_compared_is_said(short, tmp_path):
+def test_observed_channels_that_are_not_compared_are_noted(short, tmp_path):
     for part in ("train", "holdout"):
         r = read_rig(short / "rig.toml").read(short / f"{part}.csv")
         warm = 20.0 + 60.0 * (r.channels["current"] > 0.1)
@@ -306,15 +313,15 @@ def test_what_is_observed_and_not_compared_is_said(short, tmp_path):
     (tmp_path / "rig.toml").write_text(
         text.replace('observe = ["displacement"]', 'observe = ["displacement", "temperature"]')
     )
-    done = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
-    told = " ".join(done.output.split())
+    result = run(tmp_path, "transfer-function-one-pole", tmp_path / "out")
+    output = " ".join(result.output.split())
     assert (
-        done.exit_code == 0
-        and "Compared is displacement alone: the material laws are fitted to temperature as well" in told
+        result.exit_code == 0
+        and "Only displacement is compared: the material laws are fitted to temperature as well" in output
     )
 
 
-def test_an_input_that_only_scatters_is_held_still():
+def test_input_that_varies_by_noise_only_is_constant():
     rng, time = np.random.default_rng(0), np.arange(500) * 0.1
     noise, turns = rng.standard_normal(500), np.where(np.sin(time) > 0.0, 0.5, 0.0)
     channels = {
@@ -330,7 +337,7 @@ def test_an_input_that_only_scatters_is_held_still():
     assert changing_inputs(["current_1", "temperature"], [recording]) == ["current_1", "temperature"]
 
 
-def test_a_law_takes_over_what_another_knows():
+def test_material_law_keeps_common_parameters():
     rig = read_rig(FOLDER / "rig.toml")
     changed = with_material_law(rig, "lagoudas")
     assert float(changed.plant.material.max_transformation_strain) == float(
@@ -342,7 +349,7 @@ def test_a_law_takes_over_what_another_knows():
     assert with_material_law(rig, "brinson") is rig
 
 
-def test_fit_percent_is_matlabs():
+def test_fit_percent_is_that_of_matlab():
     y = np.array([0.0, 1.0, 2.0, 3.0])
     assert fit_percent(y, y) == 100.0
     assert fit_percent(y, np.full(4, 1.5)) == pytest.approx(0.0)

@@ -1,4 +1,4 @@
-"""Controller files with the section and key names of before version 0.2, and examples that are written under the current ones."""
+"""Controller files with section and key names from before version 0.2, and the example file with current names."""
 
 import equinox as eqx
 import pytest
@@ -66,7 +66,7 @@ def read(rig, tmp_path):
     return of
 
 
-def test_a_file_with_old_names_is_read_as_one_with_the_current_names(read):
+def test_old_and_current_names_give_the_same_content(read):
     current, old = read(CURRENT), read(with_old_names(CURRENT))
     assert eqx.tree_equal(current.loop, old.loop) and eqx.tree_equal(current.scenario, old.scenario)
     assert current.robust is not None and current.robust == old.robust
@@ -93,7 +93,7 @@ def test_the_old_name_of_a_thermal_observers_gain_is_read(read):
         ),
     ],
 )
-def test_a_section_under_both_names_is_refused(read, added, sentence):
+def test_a_section_under_both_names_raises(read, added, sentence):
     with pytest.raises(InputError, match=sentence):
         read(CURRENT + added)
 
@@ -113,7 +113,7 @@ def test_a_section_under_both_names_is_refused(read, added, sentence):
         ),
     ],
 )
-def test_a_key_under_both_names_is_refused(read, name, old, sentence):
+def test_a_key_under_both_names_raises(read, name, old, sentence):
     joint = ", " if "{" not in name and '" = ' in name else "\n"
     with pytest.raises(InputError, match=sentence):
         read(CURRENT.replace(name, name + joint + old))

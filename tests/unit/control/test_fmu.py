@@ -1,4 +1,4 @@
-"""FMUs: the text written for NumPy does what JAX does, and the packed units do what a rollout does, by fmpy and without JAX."""
+"""FMUs: the NumPy text agrees with JAX, and the packed FMUs, run by fmpy without JAX, agree with a rollout."""
 
 import dataclasses
 import subprocess
@@ -15,7 +15,7 @@ import pytest
 from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.export.fmu.controller_model import controller_model
 from smajax.control.export.fmu.numpy_source import HEADER, numpy_source
-from smajax.control.export.fmu.pack import fmu, write_fmu
+from smajax.control.export.fmu.pack import pack_fmu
 from smajax.control.export.fmu.plant_model import plant_model
 from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop
@@ -36,8 +36,8 @@ from tests.unit.control.test_control import CONTROLLERS, RNG, guarded, lost, pid
 PERIOD = 0.02
 
 
-def written(name, function, **arguments):
-    """The function as NumPy's source text makes it: flat arguments, flat results."""
+def evaluate_text(name, function, **arguments):
+    """Flat results of a function's NumPy text with flat arguments."""
     spaces: dict = {}
     exec(HEADER + numpy_source(name, function, arguments), spaces)
     flat = [
@@ -98,20 +98,20 @@ FUNCTIONS = {
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_numpy_does_what_jax_does(name):
+def test_numpy_text_agrees_with_jax(name):
     x = jnp.asarray([-1.3, 0.4, 2.7])
     expected = jax.tree.leaves(FUNCTIONS[name](x))
-    found = written("f", FUNCTIONS[name], x=x)
-    assert len(found) == len(expected)
-    for a, b in zip(found, expected, strict=True):
+    results = evaluate_text("f", FUNCTIONS[name], x=x)
+    assert len(results) == len(expected)
+    for a, b in zip(results, expected, strict=True):
         assert np.shape(a) == np.shape(b) and np.asarray(a).dtype.kind == np.asarray(b).dtype.kind
         np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15)
 
 
-def test_what_has_no_text_is_refused_by_its_name():
+def test_an_operation_without_text_raises_with_its_name():
     with pytest.raises(InputError, match="the operation 'sort' cannot be written with NumPy yet"):
         numpy_source("f", jnp.sort, {"x": jnp.zeros(3)})
-    with pytest.raises(InputError, match="the operation 'div'"):  # of whole numbers: cut in JAX, not in NumPy
+    with pytest.raises(InputError, match="the operation 'div'"):  # integer division truncates in JAX and not in NumPy
         numpy_source("f", lambda x: jax.lax.div(x, 2), {"x": jnp.zeros(3, int)})
 
 
@@ -125,8 +125,8 @@ EFFECTS = {"latent-heat": 1e8, "backlash": 1e-4, "coulomb-friction": 2e7}
 
 
 @pytest.mark.parametrize("name", ["bias-spring", "rotary"])
-def test_a_plant_in_numpy_takes_the_plants_steps(name):
-    """Those that search for their ends; a wire with effects remembers."""
+def test_a_plant_in_numpy_takes_the_same_steps(name):
+    """Plants with implicit steps, one of them with effects that have states."""
     plant = read_rig(ROOT / "data" / "recordings" / name / "rig.toml").plant
     if name == "bias-spring":
         plant = dataclasses.replace(
@@ -134,7 +134,7 @@ def test_a_plant_in_numpy_takes_the_plants_steps(name):
         )
     model = plant_model(plant, name)
     text, wires = module(model), plant.mechanism.wires
-    given = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    values = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     high = {"voltage": 8.0, "current": 1.0}[plant.drive.control]
     signals = np.random.default_rng(0).uniform(0.0, high, (12, wires)).repeat(5, axis=0)
     step = np.float64(model.timing["longest"])
@@ -147,13 +147,13 @@ def test_a_plant_in_numpy_takes_the_plants_steps(name):
         return jax.lax.scan(single, plant.start(row[0]), row)[1]
 
     expected, unsolved = jax.jit(march)(jnp.asarray(signals))
-    state = list(text["start"](given, list(signals[0])))
+    state = list(text["start"](values, list(signals[0])))
     rows = []
-    with np.errstate(invalid="ignore"):  # inf * 0 in what np.where does not take, as in JAX
+    with np.errstate(invalid="ignore"):  # inf * 0 in the branch that np.where discards, as in JAX
         for row in signals:
-            *state, failed = text["advance"](given, state, list(row), step)
+            *state, failed = text["advance"](values, state, list(row), step)
             assert not failed
-            rows.append(text["outputs"](given, state, list(row)))
+            rows.append(text["outputs"](values, state, list(row)))
     assert not np.any(unsolved)
     for i, channel in enumerate(plant.observable):
         np.testing.assert_allclose([r[i] for r in rows], expected[channel], rtol=1e-9, atol=1e-12, err_msg=channel)
@@ -161,46 +161,46 @@ def test_a_plant_in_numpy_takes_the_plants_steps(name):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_a_controller_in_numpy_does_the_same(name):
+def test_a_controller_in_numpy_gives_the_same_commands(name):
     controller = CONTROLLERS[name]
     loop = ClosedLoop(
         controller, Allocation(jnp.asarray(1e9), jnp.zeros(()), 1), ideal_sensor(), channel="displacement"
     )
     model = controller_model(loop, ("A", "m"), {n: unit_of(n, loop, "A", "m") for n in gains(loop)}, name)
     text = module(model)
-    given = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    values = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     r, y = (np.cumsum(RNG.standard_normal(80)) * 0.2 for _ in range(2))
     y[40], r[60] = y[39], r[59]
-    state, found = list(text["start"](given, [r[0], y[0]])), []
-    gone = [
+    state, results = list(text["start"](values, [r[0], y[0]])), []
+    with_dropouts = [
         np.where(np.arange(80) == k, np.nan, v) for k, v in ((60, r), (40, y))
-    ]  # what falls out counts as where it was
-    for row in zip(*gone, strict=True):
-        *state, _ = text["advance"](given, state, row, np.float64(0.05))
-        found += text["outputs"](given, state, row)
-    np.testing.assert_allclose(found, series(controller, r, y), rtol=1e-12, atol=1e-12)
-    rows, expected = lost(controller)  # what stays away for a second
-    state, found = list(text["start"](given, list(rows[0]))), []
+    ]  # a dropout is replaced by the last value
+    for row in zip(*with_dropouts, strict=True):
+        *state, _ = text["advance"](values, state, row, np.float64(0.05))
+        results += text["outputs"](values, state, row)
+    np.testing.assert_allclose(results, series(controller, r, y), rtol=1e-12, atol=1e-12)
+    rows, expected = lost(controller)  # dropouts of more than a second
+    state, results = list(text["start"](values, list(rows[0]))), []
     for row in rows:
-        *state, _ = text["advance"](given, state, list(row), np.float64(0.05))
-        found += text["outputs"](given, state, list(row))
-        assert all(np.all(np.isfinite(leaf)) for leaf in state)  # or the unit would tell that its step failed
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+        *state, _ = text["advance"](values, state, list(row), np.float64(0.05))
+        results += text["outputs"](values, state, list(row))
+        assert all(np.all(np.isfinite(leaf)) for leaf in state)  # otherwise the FMU reports a failed step
+    np.testing.assert_allclose(results, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("wires", [1, 2])
-def test_a_controller_in_numpy_has_its_temperature_limiter(wires):
+def test_a_controller_in_numpy_with_a_temperature_limiter(wires):
     loop, rows = watched(CONTROLLERS["pid, feedforward"], wires)
     model = controller_model(loop, ("A", "m"), dict.fromkeys(gains(loop), "A/m"), "guarded")
-    text, given = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
-    state, found = list(text["start"](given, list(rows[0]))), []
+    text, values = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    state, results = list(text["start"](values, list(rows[0]))), []
     for row in rows:
-        *state, _ = text["advance"](given, state, list(row), np.float64(0.05))
-        found.append(text["outputs"](given, state, list(row)))
-    np.testing.assert_allclose(found, guarded(loop, rows), rtol=1e-12, atol=1e-12)
+        *state, _ = text["advance"](values, state, list(row), np.float64(0.05))
+        results.append(text["outputs"](values, state, list(row)))
+    np.testing.assert_allclose(results, guarded(loop, rows), rtol=1e-12, atol=1e-12)
 
 
-def test_two_wires_and_a_temperature_limiter_have_their_variables():
+def test_variables_of_two_wires_and_a_temperature_limiter():
     limiter = TemperatureLimiter(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
     loop = ClosedLoop(
         pid(dt=PERIOD), Allocation(jnp.asarray(0.5), jnp.asarray(0.1), 2), ideal_sensor(), limiter, channel="angle"
@@ -209,25 +209,25 @@ def test_two_wires_and_a_temperature_limiter_have_their_variables():
     names = [v.name for v in model.variables if v.causality != "parameter"]
     assert names == ["reference", "measurement", "temperature_1", "temperature_2", "command_1", "command_2"]
     text = module(model)
-    given = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    values = [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     for warm, expected in ((20.0, [0.5, 0.1]), (99.0, [0.0, 0.1])):
         inputs = [np.float64(v) for v in (0.0, 0.0, warm, 20.0)]
         *state, _ = text["advance"](
-            given, list(text["start"](given, inputs)), [np.float64(9.0), *inputs[1:]], np.float64(0.02)
+            values, list(text["start"](values, inputs)), [np.float64(9.0), *inputs[1:]], np.float64(0.02)
         )
-        np.testing.assert_allclose(text["outputs"](given, state, inputs), expected)
-    # The first wire's thermometer falls out: after a second that wire is no more heated, and the other one is.
+        np.testing.assert_allclose(text["outputs"](values, state, inputs), expected)
+    # The first wire's temperature is missing: after a second only the other wire is heated.
     inputs, commands = [np.float64(v) for v in (9.0, 0.0, 20.0, 20.0)], []
-    state = list(text["start"](given, inputs))
+    state = list(text["start"](values, inputs))
     for k in range(90):
         warm = np.float64(np.nan if 10 <= k < 80 else 20.0)
-        *state, _ = text["advance"](given, state, [*inputs[:2], warm, inputs[3]], np.float64(0.02))
-        commands.append(text["outputs"](given, state, inputs))
+        *state, _ = text["advance"](values, state, [*inputs[:2], warm, inputs[3]], np.float64(0.02))
+        commands.append(text["outputs"](values, state, inputs))
     np.testing.assert_allclose(commands, [[0.0 if 59 <= k < 80 else 0.5, 0.1] for k in range(90)])
 
 
 def test_a_temperature_limiter_by_an_observer_measures_the_power():
-    """Its temperatures are the observer's, which does without a thermocouple that is NaN; it begins with its first finite values."""
+    """It uses the observer's temperatures, also while the thermocouple is NaN, and starts with the first finite values."""
     limiter = TemperatureLimiter(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(84.0))
     observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.9, 1.0, 20.0, 0.2)), period=PERIOD)
     instruments = Instruments(
@@ -249,7 +249,7 @@ def test_a_temperature_limiter_by_an_observer_measures_the_power():
         "temperature",
         "power",
     ]
-    text, given = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
+    text, values = module(model), [np.float64(v.start) for v in model.variables if v.causality == "parameter"]
     rows = [[np.float64(v) for v in (9.0, 0.0, 60.0 + k % 7, 6.0 + k % 5)] for k in range(200)]
     names = ("angle", "temperature", "power")
     seen = [dict(zip(names, map(jnp.asarray, row[1:]), strict=True)) for row in rows]
@@ -261,11 +261,11 @@ def test_a_temperature_limiter_by_an_observer_measures_the_power():
         expected.append(float(each[0]))
 
     def run(rows, text=text):
-        state, commands = list(text["start"](given, rows[0])), []
+        state, commands = list(text["start"](values, rows[0])), []
         for row in rows:
-            *state, _ = text["advance"](given, state, row, np.float64(PERIOD))
+            *state, _ = text["advance"](values, state, row, np.float64(PERIOD))
             assert all(np.all(np.isfinite(leaf)) for leaf in state)
-            commands.append(float(text["outputs"](given, state, row)[0]))
+            commands.append(float(text["outputs"](values, state, row)[0]))
         return np.array(commands)
 
     commands = run(rows)
@@ -287,74 +287,74 @@ def test_a_temperature_limiter_by_an_observer_measures_the_power():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Plant and controller of the shipped wire, run by fmpy in another process; what was wanted and what was found."""
+    """FMUs of the dead-weight rig, run by fmpy in another process: folder, plant, loop, inputs and results."""
     where = tmp_path_factory.mktemp("fmu")
     plant = read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").plant
     controller = pid(60.0, 20.0, 0.5, tf=0.05, low=0.0, high=0.5, dt=PERIOD)
     loop = ClosedLoop(
         controller, Allocation(jnp.asarray(0.5), jnp.zeros(()), 1), ideal_sensor(), channel="displacement"
     )
-    write_fmu(where / "plant.fmu", plant_model(plant, "wire"))
-    write_fmu(
-        where / "controller.fmu",
-        controller_model(loop, ("A", "m"), {n: unit_of(n, loop, "A", "m") for n in gains(loop)}, "pid"),
-    )
+    model = controller_model(loop, ("A", "m"), {n: unit_of(n, loop, "A", "m") for n in gains(loop)}, "pid")
+    (where / "plant.fmu").write_bytes(pack_fmu(plant_model(plant, "wire")))
+    (where / "controller.fmu").write_bytes(pack_fmu(model))
     time = PERIOD * np.arange(201)
-    wanted = {
+    signals = {
         "period": PERIOD,
         "time": time,
         "current": 0.2 + 0.2 * (np.arange(201) // 50 % 2),
         "reference": np.where(time[:-1] < 2.5, 3e-3, 1e-3),
         "samples": 3e-3 * np.random.default_rng(0).standard_normal((200, 2)),
     }
-    np.savez(where / "wanted.npz", **wanted)
-    done = subprocess.run(
+    np.savez(where / "wanted.npz", **signals)
+    process = subprocess.run(
         [sys.executable, str(ROOT / "tests" / "support" / "fmu_master.py"), str(where)], capture_output=True, text=True
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return where, plant, loop, wanted, np.load(where / "found.npz")
+    assert process.returncode == 0, process.stdout + process.stderr
+    return where, plant, loop, signals, np.load(where / "found.npz")
 
 
-def test_the_plants_unit_does_what_a_simulation_does(folder):
-    _, plant, _, wanted, found = folder
-    recording = Recording.from_arrays("own", wanted["time"], {"current": wanted["current"]}, {"current": "A"})
+def test_the_plant_fmu_agrees_with_a_simulation(folder):
+    _, plant, _, signals, results = folder
+    recording = Recording.from_arrays("own", signals["time"], {"current": signals["current"]}, {"current": "A"})
     expected = simulate(plant, recording).channels
     for i, channel in enumerate(("displacement", "temperature", "resistance")):
-        np.testing.assert_allclose(found["alone"][:, i], expected[channel], rtol=1e-9, atol=1e-12)
-    assert np.ptp(found["alone"][:, 0]) > 1e-3
+        np.testing.assert_allclose(results["alone"][:, i], expected[channel], rtol=1e-9, atol=1e-12)
+    assert np.ptp(results["alone"][:, 0]) > 1e-3
 
 
-def test_the_controllers_unit_does_what_the_controller_does(folder):
-    _, _, loop, wanted, found = folder
-    samples = np.vstack([[0.0, 0.0], wanted["samples"]])
+def test_the_controller_fmu_agrees_with_the_controller(folder):
+    _, _, loop, signals, results = folder
+    samples = np.vstack([[0.0, 0.0], signals["samples"]])
     expected = series(loop.controller, *samples.T)[1:]
-    np.testing.assert_allclose(found["commands"], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(results["commands"], expected, rtol=1e-9, atol=1e-12)
     assert np.ptp(expected) > 0.3
-    # Gains may be set; in 2.5 periods three samples are due, each of which adds to the integral.
-    np.testing.assert_allclose(found["gains"], 3.0 * 2e-3 + 3 * 10.0 * 2e-3 * PERIOD)
+    # Gains can be set; in 2.5 periods there are three samples, each of which adds to the integral.
+    np.testing.assert_allclose(results["gains"], 3.0 * 2e-3 + 3 * 10.0 * 2e-3 * PERIOD)
 
 
-def test_both_units_close_the_loop_as_a_rollout_does(folder):
-    _, plant, loop, wanted, found = folder
+def test_both_fmus_agree_with_a_rollout(folder):
+    _, plant, loop, signals, results = folder
     run = eqx.filter_jit(rollout)
-    scenario = Scenario.noiseless(wanted["reference"])
+    scenario = Scenario.noiseless(signals["reference"])
     for name, driven in (
         ("closed", SampledPlant.of(plant, PERIOD)),
         ("other", SampledPlant.of(plant, PERIOD).with_parameters({"environment.ambient": 30.0, "load.mass": 0.3})),
     ):
-        done = run(driven, loop, scenario)
-        expected = np.column_stack([done.channels["displacement"], done.channels["temperature"], done.command[:, 0]])
-        np.testing.assert_allclose(found[name], expected, rtol=1e-9, atol=1e-12)
-    assert np.ptp(found["closed"][:, 0]) > 1e-3 and np.abs(found["other"] - found["closed"])[:, 0].max() > 1e-4
-    # A finer communication leaves the controller's period as it is: what differs is the plant's step.
-    assert 0.0 < np.abs(found["fine"] - found["closed"])[:, 0].max() < 2e-5
-    np.testing.assert_array_equal(*found["twice"])
+        loop_run = run(driven, loop, scenario)
+        expected = np.column_stack(
+            [loop_run.channels["displacement"], loop_run.channels["temperature"], loop_run.command[:, 0]]
+        )
+        np.testing.assert_allclose(results[name], expected, rtol=1e-9, atol=1e-12)
+    assert np.ptp(results["closed"][:, 0]) > 1e-3 and np.abs(results["other"] - results["closed"])[:, 0].max() > 1e-4
+    # A shorter communication step does not change the controller's period, only the plant's step.
+    assert 0.0 < np.abs(results["fine"] - results["closed"])[:, 0].max() < 2e-5
+    np.testing.assert_array_equal(*results["twice"])
 
 
-def test_what_a_unit_says_of_itself(folder):
-    where, plant, _, _, found = folder
+def test_model_description_and_documentation(folder):
+    where, plant, _, _, results = folder
     np.testing.assert_allclose(
-        found["start"], [float(plant.environment.ambient), float(plant.mechanism.load.mass), 0.0, 0.0], atol=1e-3
+        results["start"], [float(plant.environment.ambient), float(plant.mechanism.load.mass), 0.0, 0.0], atol=1e-3
     )
     root = ElementTree.fromstring(zipfile.ZipFile(where / "plant.fmu").read("modelDescription.xml"))
     variables = {v.get("name"): v for v in root.find("ModelVariables")}
@@ -362,14 +362,14 @@ def test_what_a_unit_says_of_itself(folder):
     assert variables["load.mass"].get("variability") == "tunable" and variables["load.mass"][0].get("min") == "0.0"
     units = {u.get("name"): u[0].attrib for u in root.find("UnitDefinitions")}
     assert units["Pa"] == {"kg": "1", "m": "-1", "s": "-2"} and units["degC"] == {"K": "1", "offset": "273.15"}
-    assert fmu(plant_model(plant, "wire")) == (where / "plant.fmu").read_bytes()
+    assert pack_fmu(plant_model(plant, "wire")) == (where / "plant.fmu").read_bytes()
     page = zipfile.ZipFile(where / "controller.fmu").read("documentation/index.html").decode()
     assert "a controller of displacement" in page and "every 0.02 s" in page and "LD_PRELOAD" in page
     names = zipfile.ZipFile(where / "controller.fmu").namelist()
     assert any(n.endswith("_equations.py") for n in names) and not any(n.endswith((".pkl", ".pyc")) for n in names)
 
 
-def test_without_pythonfmu_there_is_a_cure(monkeypatch, folder):
+def test_a_missing_pythonfmu_raises_with_its_cure(monkeypatch, folder):
     monkeypatch.setitem(sys.modules, "pythonfmu", None)
     with pytest.raises(InputError, match="pip install 'smajax.fmu.'"):
-        fmu(controller_model(folder[2], ("A", "m"), dict.fromkeys(gains(folder[2].controller), "A/m"), "pid"))
+        pack_fmu(controller_model(folder[2], ("A", "m"), dict.fromkeys(gains(folder[2].controller), "A/m"), "pid"))

@@ -1,11 +1,10 @@
-"""``smajax tune``: gains from gradients, by the command as a user types it, and the searches behind it."""
+"""Tuning of gains: the searches, the reader of controller files, and the command ``smajax tune``."""
 
 import dataclasses
 import json
 import math
 import re
 import zipfile
-from typing import Any, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,7 +32,7 @@ from smajax.control.tuning.objective import make_objective
 from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
 from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
-from smajax.control.tuning.search import Candidate
+from smajax.control.tuning.search import Candidate, GainSearch
 from smajax.control.tuning.tune import TuningResult, cost_function, tune
 from smajax.errors import InputError, NumericsError
 from smajax.files.rig_file import read_rig
@@ -81,24 +80,24 @@ def hip_problem(dt=0.05, seconds=100.0, gains=(0.00518, 1.178e-4, 0.05697), **li
 
 def test_the_hip_settles_sooner_than_by_a_population():
     """Differential evolution needs 3,660 rollouts (experiments/hip_gains.py); published are 56.8 s and 6.9 %."""
-    found = tune(hip_problem(), {}, {"overshoot": 0.02}, settle=True)
-    assert found.feasible and found.settling < 21.2 and found.rollouts <= 183
-    assert found.violations["overshoot"] <= 0.0
-    assert [s for _, s in found.history] == sorted((s for _, s in found.history), reverse=True)
+    result = tune(hip_problem(), {}, {"overshoot": 0.02}, settle=True)
+    assert result.feasible and result.settling < 21.2 and result.rollouts <= 183
+    assert result.violations["overshoot"] <= 0.0
+    assert [s for _, s in result.history] == sorted((s for _, s in result.history), reverse=True)
 
 
-def test_what_cannot_settle_in_time_settles_as_soon_as_it_can():
-    found = tune(hip_problem(), {"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02})
-    assert not found.feasible and found.settling < 21.5 and found.violations["overshoot"] <= 1e-3
+def test_a_settling_limit_that_cannot_be_kept_gives_the_shortest_settling_time():
+    result = tune(hip_problem(), {"itae": 1.0}, {"settling": 5.0, "overshoot": 0.02})
+    assert not result.feasible and result.settling < 21.5 and result.violations["overshoot"] <= 1e-3
 
 
-def test_a_limit_costs_and_is_kept():
-    tuning = hip_problem()
-    free, kept = (tune(tuning, {"itae": 1.0}, limits) for limits in ({}, {"overshoot": 0.01}))
+def test_a_limit_is_kept_at_a_higher_cost():
+    problem = hip_problem()
+    free, kept = (tune(problem, {"itae": 1.0}, limits) for limits in ({}, {"overshoot": 0.01}))
     assert free.terms["itae"] < 0.65 and free.terms["itae"] < kept.terms["itae"] < 1.0
     assert kept.feasible and kept.violations["overshoot"] <= 1e-3
-    violated = evaluate_points(tuning, jnp.asarray(free.point)[None], _wanted(0.01))[1]
-    assert float(violated.max()) > 0.5  # it would not have been kept by itself
+    violated = evaluate_points(problem, jnp.asarray(free.point)[None], _wanted(0.01))[1]
+    assert float(violated.max()) > 0.5  # the limit binds
 
 
 @pytest.mark.parametrize(
@@ -106,38 +105,40 @@ def test_a_limit_costs_and_is_kept():
     [
         ("3 mm", (20.0, 8.0), {"current": 0.3}),
         ("6 mm", (300.0, 100.0), {"temperature": 85.0}),
-    ],  # the second start breaks its limit
+    ],  # the second start violates its limit
 )
 def test_within_a_limit_nothing_on_a_grid_is_better(tmp_path, high, gains, limits):
-    """The terms are small only beyond the limit, and a loop that does nothing keeps it."""
+    """The terms without limits are smallest beyond the limit, and a loop that does not move keeps it."""
     text = (
         FILE.replace(STAIRS, STEP.replace("3 mm", high))
         .replace('"30 A/m"', f'"{gains[0]} A/m"')
         .replace('"10 A/m/s"', f'"{gains[1]} A/m/s"')
     )
     (tmp_path / "c.toml").write_text(text)
-    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
-    tuning = TuningProblem.of(given.system, given.loop, given.scenario, given.bounds)
-    found = tune(tuning, {"tracking": 1.0}, limits)
-    wanted = make_objective({"tracking": 1.0}, limits)
+    task = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    problem = TuningProblem.of(task.system, task.loop, task.scenario, task.bounds)
+    result = tune(problem, {"tracking": 1.0}, limits)
+    objective = make_objective({"tracking": 1.0}, limits)
     grid = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 17)] * 2), axis=-1).reshape(-1, 2)
     terms, violated = (
-        np.concatenate(each)
-        for each in zip(*(evaluate_points(tuning, jnp.asarray(p), wanted) for p in np.split(grid, 17)), strict=True)
+        np.concatenate(parts)
+        for parts in zip(
+            *(evaluate_points(problem, jnp.asarray(p), objective) for p in np.split(grid, 17)), strict=True
+        )
     )
-    own, _ = evaluate_points(tuning, jnp.asarray(tuning.start)[None], wanted)
+    own, _ = evaluate_points(problem, jnp.asarray(problem.start)[None], objective)
     best = terms[np.max(violated, axis=1) <= 0.0, 0].min()
-    assert found.feasible and found.terms["tracking"] * float(own[0, 0]) < 1.005 * best
+    assert result.feasible and result.terms["tracking"] * float(own[0, 0]) < 1.005 * best
     assert (
-        tune(tuning, {"tracking": 1.0}, {}).terms["tracking"] < 0.98 * found.terms["tracking"]
+        tune(problem, {"tracking": 1.0}, {}).terms["tracking"] < 0.98 * result.terms["tracking"]
     )  # the limit costs something
 
 
-def test_several_starts_look_elsewhere_though_limits_are_kept(monkeypatch):
-    """Where the search without limits ended badly, and within them."""
+def test_several_starts_escape_a_poor_point_within_limits(monkeypatch):
+    """The search without limits is replaced by one that stays at its start, which keeps the limits."""
     monkeypatch.setattr("smajax.control.tuning.augmented_lagrangian.unconstrained", lambda search, points: points[0])
-    one, four = (tune(hip_problem(), {"itae": 1.0}, {"overshoot": 0.5}, starts=starts) for starts in (1, 4))
-    assert one.terms["itae"] == 1.0 and four.terms["itae"] < 0.66 and four.feasible
+    single, four = (tune(hip_problem(), {"itae": 1.0}, {"overshoot": 0.5}, starts=starts) for starts in (1, 4))
+    assert single.terms["itae"] == 1.0 and four.terms["itae"] < 0.66 and four.feasible
 
 
 def _wanted(overshoot):
@@ -145,45 +146,45 @@ def _wanted(overshoot):
 
 
 def test_weights_trade_one_term_for_another():
-    tuning = hip_problem(seconds=60.0)
-    wild, calm = (tune(tuning, {"tracking": 1.0, "effort": w}, {}) for w in (0.0, 0.2))
+    problem = hip_problem(seconds=60.0)
+    wild, calm = (tune(problem, {"tracking": 1.0, "effort": w}, {}) for w in (0.0, 0.2))
     assert calm.terms["effort"] < 0.7 * wild.terms["effort"] and calm.terms["tracking"] > wild.terms["tracking"]
 
 
 def test_the_same_minimum_from_other_starts():
     tunings = [hip_problem(gains=g) for g in ((0.00518, 1.178e-4, 0.05697), (0.003, 6e-5, 0.03), (0.004, 2e-4, 0.09))]
-    found = [tune(t, {"itae": 1.0}, {}) for t in tunings]
+    result = [tune(t, {"itae": 1.0}, {}) for t in tunings]
     costs = [
         float(evaluate_points(t, jnp.asarray(f.point)[None], _wanted(np.inf))[0][0, 1])
-        for t, f in zip(tunings, found, strict=True)
+        for t, f in zip(tunings, result, strict=True)
     ]
     assert max(costs) < 1.01 * min(costs)
     for name in ("kp", "ki", "kd"):
-        values = [f.gains[name] for f in found]
+        values = [f.gains[name] for f in result]
         assert max(values) / min(values) < 1.1, name
 
 
-def test_members_count_alike():
-    """Tuned for slower and faster plants at once, gains do better on the worst of them than those tuned for the middle."""
-    tuning, middle = hip_problem(seconds=60.0), 18.676
+def test_members_have_equal_weights():
+    """Gains that are tuned for slow and fast plants have a smaller cost over all of them than gains for the middle one."""
+    problem, middle = hip_problem(seconds=60.0), 18.676
     several = TuningProblem.of(
-        tuning.system,
-        tuning.loop,
-        tuning.scenario,
-        dict(zip(tuning.names, zip(tuning.lower.tolist(), tuning.upper.tolist(), strict=True), strict=True)),
+        problem.system,
+        problem.loop,
+        problem.scenario,
+        dict(zip(problem.names, zip(problem.lower.tolist(), problem.upper.tolist(), strict=True), strict=True)),
         {"first": jnp.asarray([0.8, 1.0, 1.25]) * middle},
     )
-    alone, together = tune(tuning, {"itae": 1.0}, {}), tune(several, {"itae": 1.0}, {})
+    alone, together = tune(problem, {"itae": 1.0}, {}), tune(several, {"itae": 1.0}, {})
     worst = [
         float(evaluate_points(several, jnp.asarray(f.point)[None], _wanted(np.inf))[0][0, 1]) for f in (alone, together)
     ]
     assert together.rollouts % 3 == 0 and worst[1] < worst[0]
 
 
-def test_gains_suit_more_than_one_draw_of_the_noise():
-    """Tuned for several draws of the noise, among them the scenario's own; a sensor without noise has none to draw."""
+def test_gains_do_not_overfit_one_draw_of_the_noise():
+    """Gains are tuned for several draws of the noise, the scenario's own first; a sensor without noise has a single one."""
     quiet = hip_problem(dt=0.2, seconds=40.0)
-    loop = eqx.tree_at(lambda one: one.sensor.noise, quiet.loop, jnp.asarray(0.02))
+    loop = eqx.tree_at(lambda closed_loop: closed_loop.sensor.noise, quiet.loop, jnp.asarray(0.02))
     scenario = dataclasses.replace(quiet.scenario, draws=jnp.asarray(np.random.default_rng(3).standard_normal(200)))
     bounds = {n: (float(low), float(high)) for n, low, high in zip(quiet.names, quiet.lower, quiet.upper, strict=True)}
     draws = noise_draws(loop, scenario, 6, seed=1)
@@ -193,68 +194,72 @@ def test_gains_suit_more_than_one_draw_of_the_noise():
     assert several.count == 6 and quiet.count == 1
     weights = {"tracking": 1.0, "effort": 0.05}
     fresh = TuningProblem.of(quiet.system, loop, scenario, bounds, draws=noise_draws(loop, scenario, 40, seed=2)[1:])
-    found, alone = (
+    result, alone = (
         tune(several, weights, {}, starts=2),
         tune(TuningProblem.of(quiet.system, loop, scenario, bounds), weights, {}),
     )
-    assert found.rollouts % 6 and found.rollouts <= 260  # one draw leads, and six follow
+    assert result.rollouts % 6 and result.rollouts <= 260  # first with one draw, then with all six
     judge = cost_function(fresh, weights)
-    assert judge(found.point) < 0.99 * judge(fresh.start) and judge(found.point) <= 1.001 * judge(alone.point)
+    assert judge(result.point) < 0.99 * judge(fresh.start) and judge(result.point) <= 1.001 * judge(alone.point)
 
 
-def test_quadratics_lead_on_where_slopes_tell_nothing(monkeypatch):
-    """A bowl as rough as a wire's loop that hunts, slopes of any sign and size, and a cliff beside the least point."""
+def test_quadratic_models_continue_where_gradients_are_meaningless(monkeypatch):
+    """A rough quadratic with random gradients, like that of an oscillating loop, and a cliff next to its minimum."""
     least, draws = np.array([0.75, 0.3, 0.6]), np.random.default_rng(0)
 
     def rough(point):
         bowl = 1.0 + 20.0 * np.sum((point - least) ** 2) + 0.02 * np.sin(1e5 * np.sum(point))
         return bowl if point[2] < 0.65 else 1e9
 
-    def looked(tuning, points, wanted):
+    def evaluate_stub(problem, points, objective):
         terms = np.zeros((len(points), 4))
         terms[:, 0] = [rough(p) for p in np.asarray(points)]
         return terms, np.full((len(points), 5), -1.0)
 
-    monkeypatch.setattr("smajax.control.tuning.search.evaluate_points", looked)
+    monkeypatch.setattr("smajax.control.tuning.search.evaluate_points", evaluate_stub)
     monkeypatch.setattr(
         "smajax.control.tuning.search._cost_and_gradient",
         lambda point, aim: (rough(point), 1e20 * draws.standard_normal(3)),
     )
-    tuning = hip_problem(dt=0.2, seconds=4.0)
-    found = tune(tuning, {"tracking": 1.0}, {}, starts=2)
-    assert rough(found.point) < 1.1 and found.rollouts < 250
-    assert rough(tune(tuning, {"tracking": 1.0}, {}).point) > 2.0
+    problem = hip_problem(dt=0.2, seconds=4.0)
+    result = tune(problem, {"tracking": 1.0}, {}, starts=2)
+    assert rough(result.point) < 1.1 and result.rollouts < 250
+    assert rough(tune(problem, {"tracking": 1.0}, {}).point) > 2.0
 
 
-def test_slopes_that_tell_nothing_end_the_search(monkeypatch):
-    """A loop that chatters has slopes without end: three of them, of three rollouts each, end a descent where something is limited."""
-    asked = []
+def test_meaningless_gradients_end_the_search(monkeypatch):
+    """Three huge gradients, of three rollouts each, end a descent within limits, as a chattering loop has them."""
+    calls = []
 
     def slope(point, aim):
-        asked.append(point)
-        return jnp.asarray(1.0 - 0.01 * len(asked)), jnp.full(3, 1e9 * (-1.0) ** len(asked))
+        calls.append(point)
+        return jnp.asarray(1.0 - 0.01 * len(calls)), jnp.full(3, 1e9 * (-1.0) ** len(calls))
 
     monkeypatch.setattr("smajax.control.tuning.search._cost_and_gradient", slope)
-    found = tune(hip_problem(dt=0.2, seconds=20.0), {"tracking": 1.0}, {"overshoot": 5.0})
-    # As many by the search without limits that leads the way.
-    assert len(asked) == 3 + 3 and found.rollouts == 3 * (3 + 3) + 6
-    asked.clear()
+    result = tune(hip_problem(dt=0.2, seconds=20.0), {"tracking": 1.0}, {"overshoot": 5.0})
+    # The same number in the search without limits, which comes first.
+    assert len(calls) == 3 + 3 and result.rollouts == 3 * (3 + 3) + 6
+    calls.clear()
     tune(hip_problem(dt=0.2, seconds=20.0), {"tracking": 1.0}, {})
-    assert len(asked) < 10
+    assert len(calls) < 10
 
 
-def test_nothing_wanted_and_nothing_possible():
-    tuning = hip_problem(seconds=20.0)
+def test_impossible_tuning_problems_raise():
+    problem = hip_problem(seconds=20.0)
     with pytest.raises(InputError, match="there is no objective"):
-        tune(tuning, {}, {})
-    ramp = TuningProblem.of(tuning.system, tuning.loop, Scenario.noiseless(np.linspace(0, 1, 400)), {"kp": (1e-4, 1.0)})
+        tune(problem, {}, {})
+    ramp = TuningProblem.of(
+        problem.system, problem.loop, Scenario.noiseless(np.linspace(0, 1, 400)), {"kp": (1e-4, 1.0)}
+    )
     with pytest.raises(InputError, match="never jumps and holds"):
         tune(ramp, {}, {}, settle=True)
-    broken = TuningProblem.of(tuning.system, tuning.loop, Scenario.noiseless(np.full(400, np.nan)), {"kp": (1e-4, 1.0)})
-    with pytest.raises(NumericsError, match="does not give numbers"):
+    broken = TuningProblem.of(
+        problem.system, problem.loop, Scenario.noiseless(np.full(400, np.nan)), {"kp": (1e-4, 1.0)}
+    )
+    with pytest.raises(NumericsError, match="has no finite cost with the start gains"):
         tune(broken, {"tracking": 1.0}, {})
     with pytest.raises(InputError, match="kp starts at 0.00518 and is to be tuned between 1 and 2"):
-        TuningProblem.of(tuning.system, tuning.loop, tuning.scenario, {"kp": (1.0, 2.0)})
+        TuningProblem.of(problem.system, problem.loop, problem.scenario, {"kp": (1.0, 2.0)})
 
 
 def test_draws_of_a_fit_have_its_intervals_and_correlations():
@@ -285,10 +290,10 @@ def test_draws_of_a_fit_have_its_intervals_and_correlations():
     document = {"parameters": entries, "correlations": {"parameters": list(entries), "matrix": np.eye(4).tolist()}}
     document["correlations"]["matrix"][0][1] = document["correlations"]["matrix"][1][0] = -0.6
     names = ["heat.h0", "heat.h2", "material.max_transformation_strain"]
-    drawn = draw_from_fit(document, names, 20_000, np.random.default_rng(0))
-    assert set(drawn) == set(names) and np.all(drawn["material.max_transformation_strain"] == 0.04)
-    assert drawn["heat.h2"].min() >= 0.0009
-    assert np.corrcoef(drawn["heat.h0"], drawn["heat.h2"])[0, 1] == pytest.approx(-0.6, abs=0.1)
+    draws = draw_from_fit(document, names, 20_000, np.random.default_rng(0))
+    assert set(draws) == set(names) and np.all(draws["material.max_transformation_strain"] == 0.04)
+    assert draws["heat.h2"].min() >= 0.0009
+    assert np.corrcoef(draws["heat.h0"], draws["heat.h2"])[0, 1] == pytest.approx(-0.6, abs=0.1)
     document["parameters"]["heat.h2"]["bounds"] = [None, None]
     assert draw_from_fit(document, names, 20_000, np.random.default_rng(0))["heat.h0"].std() == pytest.approx(
         5.0, rel=0.03
@@ -308,7 +313,7 @@ def run(tmp_path, content, *more, rig=RIG, out="out"):
     )
 
 
-def test_the_command_leaves_a_whole_folder(tmp_path, monkeypatch):
+def test_the_command_writes_all_files(tmp_path, monkeypatch):
     robust = '[robust]\ndraws = 3\ncheck = 8\nvary = { "environment.ambient" = ["15 degC", "25 degC"] }\n'
     limits = '[limits]\ntemperature = "110 degC"\n[sensor]\nnoise = "5 um"\n'
     done = run(tmp_path, FILE + limits + robust)
@@ -339,11 +344,11 @@ def test_the_command_leaves_a_whole_folder(tmp_path, monkeypatch):
     start = read_model(folder / "controller.fmu")["kp"]
     assert start == doc["gains"]["kp"]["tuned"] and read_model(folder / "plant.fmu")["load.mass"] == 0.2
     cure = "pip install 'smajax[fmu]'"
-    told = text(
+    output = text(
         {**doc, "left_out": dict.fromkeys(("plant.fmu", "controller.fmu"), f"an FMU needs pythonfmu: run {cure}")},
         "again",
     )
-    assert cure in told and "plant.fmu and controller.fmu in" not in " ".join(told.split())
+    assert cure in output and "plant.fmu and controller.fmu in" not in " ".join(output.split())
 
 
 def read_model(path):
@@ -359,7 +364,7 @@ def read_model(path):
             ('levels = ["4 mm", "2 mm"]', 'levels = ["14 mm", "2 mm"]'),
             "the reference goes from 2 mm to 14 mm, and with its largest command the rig reaches",
         ),
-        (('levels = ["4 mm", "2 mm"]', 'levels = ["50 mm", "20 mm"]'), "tuned for the reference cut to that"),
+        (('levels = ["4 mm", "2 mm"]', 'levels = ["50 mm", "20 mm"]'), "tuned for the reference clipped to that range"),
         (('kp = "30 A/m"', 'kp = "3000 A/m"'), "the start gains are unstable"),
         (
             ("[tune]", '[limits]\ntemperature = "78 degC"\n[tune]'),
@@ -368,7 +373,7 @@ def read_model(path):
         (("[tune]", '[limits]\nstress = "1 MPa"\n[tune]'), "the limit on stress is not met: it is 1 MPa"),
         (
             ("[tune]", '[limits]\nstress = "100 MPa"\n[tune]'),
-            "the rig reaches 0 mm to 0 mm within the limits: at rest the stress is 111 MPa already, and its limit is 100 MPa",
+            "the rig reaches 0 mm to 0 mm within the limits: the stress at rest is already 111 MPa, and its limit is 100 MPa",
         ),
         (
             ("[tune]", '[limits]\novershoot = "0 %"\nsettling = "50 ms"\n[tune]'),
@@ -383,7 +388,7 @@ def read_model(path):
         ),
     ],
 )
-def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
+def test_an_impossible_task_ends_with_the_best_gains_and_a_problem(tmp_path, change, sentence):
     done = run(tmp_path, FILE.replace(*change))
     assert done.exit_code == 3 and sentence in done.output.replace("\n", ""), done.output
     doc = json.loads((tmp_path / "out" / "tune.json").read_text())
@@ -391,17 +396,17 @@ def test_what_cannot_be_ends_with_the_best_there_is(tmp_path, change, sentence):
 
 
 @pytest.mark.parametrize("enough", [0.1, math.inf])
-def test_gains_that_do_not_come_to_rest_are_looked_for_again(tmp_path, monkeypatch, enough):
-    """With ever more weight of the effort, and the file says so; what does not help is left as it was asked."""
+def test_unstable_gains_are_tuned_again_with_more_weight_of_effort(tmp_path, monkeypatch, enough):
+    """The weight of the effort increases until the gains are stable; if that never happens, the given weights remain."""
     search = retuning.tune
 
-    def hunting(tuning, weights, limits, **options):
-        found = search(tuning, weights, limits, **{**options, "starts": 1})
-        return found if weights.get("effort", 0.0) >= enough else found._replace(gains={"kp": 3000.0, "ki": 10.0})
+    def hunting(problem, weights, limits, **options):
+        result = search(problem, weights, limits, **{**options, "starts": 1})
+        return result if weights.get("effort", 0.0) >= enough else result._replace(gains={"kp": 3000.0, "ki": 10.0})
 
     monkeypatch.setattr(retuning, "tune", hunting)
     done = run(tmp_path, FILE.replace("[tune]", "[tune]\nobjective = { tracking = 1 }"))
-    doc, told = json.loads((tmp_path / "out" / "tune.json").read_text()), " ".join(done.output.split())
+    doc, output = json.loads((tmp_path / "out" / "tune.json").read_text()), " ".join(done.output.split())
     assert doc["stable"] == {"start": True, "tuned": enough < math.inf} and done.exit_code == (
         0 if enough < math.inf else 3
     ), done.output
@@ -411,11 +416,11 @@ def test_gains_that_do_not_come_to_rest_are_looked_for_again(tmp_path, monkeypat
             "weights": {"tracking": 1.0, "effort": 0.1},
             "asked": {"tracking": 1.0},
         }
-        assert "effort counts 0.1 here" in told and not doc["problems"]
+        assert "the effort weight was raised to 0.1" in output and not doc["problems"]
     else:
         assert (
             doc["objective"] == {"settle": False, "weights": {"tracking": 1.0}}
-            and "the best gains found are unstable" in told
+            and "the best gains are unstable" in output
         )
 
 
@@ -423,108 +428,108 @@ def test_gains_that_do_not_come_to_rest_are_looked_for_again(tmp_path, monkeypat
     ("change", "most"),
     [
         ((), 6.0e-3),
-        (('"50 ms"', '"200 ms"'), 6.0e-3),  # within a period the full command goes far beyond the limit
+        (('"50 ms"', '"200 ms"'), 6.0e-3),  # within a period the full command exceeds the limit by far
         (('"0.5 A"', '"500 A"'), 6.0e-3),
         (("110 degC", "92 degC"), 6.0e-3),
         (("110 degC", "75 degC"), 0.0),
         (("[limits]", '[temperature_limiter]\nlimit = "75 degC"\nkp = "0.1 A/K"\n[limits]'), 0.0),
         (("[limits]", '[limits]\ncurrent = "0.2 A"'), 0.0),
-        (("[limits]", '[limits]\nstress = "100 MPa"'), 0.0),  # the load alone makes 111 MPa
+        (("[limits]", '[limits]\nstress = "100 MPa"'), 0.0),  # the load alone gives 111 MPa
     ],
 )
-def test_what_a_rig_reaches_within_the_limits(tmp_path, change, most):
+def test_reachable_range_within_the_limits(tmp_path, change, most):
     text = FILE + '[limits]\ntemperature = "110 degC"\n'
     assert not change or change[0] in text
     (tmp_path / "c.toml").write_text(text.replace(*change) if change else text)
-    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
-    found = reachable_range(given.system, given.loop, given.scenario, given.limits)
-    assert found.lower <= 0.0 and (found.upper > most if most else found.upper < 0.5e-3)
+    task = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    result = reachable_range(task.system, task.loop, task.scenario, task.limits)
+    assert result.lower <= 0.0 and (result.upper > most if most else result.upper < 0.5e-3)
 
 
-def test_a_reference_far_beyond_the_stroke_is_cut_where_the_rig_can_move():
-    far, wanted = ReachableRange(0.0, 4e-3), np.repeat([50e-3, 20e-3], 10)
+def test_a_reference_beyond_the_reachable_range_is_clipped():
+    reachable, reference = ReachableRange(0.0, 4e-3), np.repeat([50e-3, 20e-3], 10)
     ends = {}
     for factor in (1.0, 0.1, -1.0, 0.02):
-        scenario = Scenario.noiseless(factor * wanted)
-        left = clip_reference(scenario, far)
-        ends[factor] = left is not scenario, float(left.reference.min()), float(left.reference.max())
+        scenario = Scenario.noiseless(factor * reference)
+        clipped = clip_reference(scenario, reachable)
+        ends[factor] = clipped is not scenario, float(clipped.reference.min()), float(clipped.reference.max())
     assert ends[1.0] == (True, 4e-3, 4e-3) and ends[0.1] == (True, 2e-3, 4e-3)
-    assert ends[-1.0][0] is False  # nothing of it is left
-    assert ends[0.02][1:] == (0.4e-3, 1e-3)  # within it, nothing is
+    assert ends[-1.0][0] is False  # the clipped reference would be constant
+    assert ends[0.02][1:] == (0.4e-3, 1e-3)  # inside of the range, nothing is clipped
     both = clip_reference(
-        Scenario.noiseless(wanted), ReachableRange(-4e-3, 4e-3)
-    )  # of two wires that pull by turns, one side is half of the reach
+        Scenario.noiseless(reference), ReachableRange(-4e-3, 4e-3)
+    )  # with two antagonistic wires, one side is half of the range
     assert float(both.reference.min()) == float(both.reference.max()) == 4e-3
 
 
-def test_draws_that_fail_are_tuned_for(tmp_path, monkeypatch):
-    """The first that fail take the places of half of those that gains were tuned for; what fails less is kept, and the rollouts count."""
+def test_failing_draws_are_tuned_for(tmp_path, monkeypatch):
+    """Failing draws replace half of the members; gains with fewer failing draws are used, and all rollouts are counted."""
     (tmp_path / "c.toml").write_text(
         FILE + '[limits]\novershoot = "20 %"\n[robust]\nvary = { "load.mass" = ["150 g", "250 g"] }\n'
     )
-    given = read_controller(tmp_path / "c.toml", read_rig(RIG))
-    drawn = {"load.mass": np.linspace(0.15, 0.25, 20)}
-    tuning = TuningProblem.of(
-        given.system, given.loop, given.scenario, given.bounds, {"load.mass": drawn["load.mass"][:4]}
+    task = read_controller(tmp_path / "c.toml", read_rig(RIG))
+    draws = {"load.mass": np.linspace(0.15, 0.25, 20)}
+    problem = TuningProblem.of(
+        task.system, task.loop, task.scenario, task.bounds, {"load.mass": draws["load.mass"][:4]}
     )
     first = TuningResult(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, 0.0, 100, ())
-    asked: list[list[float]] = []
-    sought: list[float] = []
+    calls: list[list[float]] = []
+    limits_used: list[float] = []
 
-    def tuned(on, weights, limits, **_):
-        asked.append(on.members["load.mass"].tolist())
-        sought.append(limits["overshoot"])
-        return first._replace(gains={"kp": 30.0 + len(asked), "ki": 10.0}, rollouts=10)
+    def tune_stub(on, weights, limits, **_):
+        calls.append(on.members["load.mass"].tolist())
+        limits_used.append(limits["overshoot"])
+        return first._replace(gains={"kp": 30.0 + len(calls), "ki": 10.0}, rollouts=10)
 
     failing = {30.0: (7, 9, 11), 31.0: (5, 6), 32.0: (5, 6), 33.0: (5, 6)}
-    monkeypatch.setattr(retuning, "tune", tuned)
+    monkeypatch.setattr(retuning, "tune", tune_stub)
 
     def checked_at(kp: float, error: float = 1e-3, worst: float = 0.23) -> DrawChecks:
         return DrawChecks({"spread": {"rmse": [error] * 3}, "worst": {"overshoot": worst}}, failing[kp])
 
-    start, mass = checked_at(30.0), drawn["load.mass"]
-    monkeypatch.setattr(retuning, "check_draws", lambda given, gains, drawn: checked_at(gains["kp"]))
-    found, checked = retuning.retune_on_failing_draws(
-        given, tuning, first, {"start": start, "tuned": start}, drawn, 0, Progress(True)
+    start, mass = checked_at(30.0), draws["load.mass"]
+    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"]))
+    result, checked = retuning.retune_on_failing_draws(
+        task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True)
     )
-    assert asked == [mass[[7, 9, 0, 1]].tolist(), *2 * [mass[[5, 6, 7, 9]].tolist()]]
-    assert found.gains["kp"] == 31.0 and checked.failing == (5, 6) and found.rollouts == 130
-    # A limit that draws pass once they have been tuned for is sought further inside, the more so the longer they pass it.
-    assert sought == [0.2, pytest.approx(0.2 - 1.5 * 0.03), pytest.approx(0.2 - 3.0 * 0.03)]
-    # But not by more than half of it, lest it be one that nothing keeps.
-    sought.clear()
-    asked.clear()
+    assert calls == [mass[[7, 9, 0, 1]].tolist(), *2 * [mass[[5, 6, 7, 9]].tolist()]]
+    assert result.gains["kp"] == 31.0 and checked.failing == (5, 6) and result.rollouts == 130
+    # A limit that draws exceed after a retuning is tightened, and more so in each further retuning.
+    assert limits_used == [0.2, pytest.approx(0.2 - 1.5 * 0.03), pytest.approx(0.2 - 3.0 * 0.03)]
+    # It is tightened by at most half of its value.
+    limits_used.clear()
+    calls.clear()
     start = checked_at(30.0, worst=0.9)
-    monkeypatch.setattr(retuning, "check_draws", lambda given, gains, drawn: checked_at(gains["kp"], worst=0.9))
-    retuning.retune_on_failing_draws(given, tuning, first, {"start": start, "tuned": start}, drawn, 0, Progress(True))
-    assert sought == [0.2, 0.1, 0.1]
-    # What keeps everything by following worse than the start gains do is no help.
-    asked.clear()
-    monkeypatch.setattr(retuning, "check_draws", lambda given, gains, drawn: checked_at(gains["kp"], error=2e-3))
-    found, checked = retuning.retune_on_failing_draws(
-        given, tuning, first, {"start": start, "tuned": start}, drawn, 0, Progress(True)
+    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"], worst=0.9))
+    retuning.retune_on_failing_draws(task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True))
+    assert limits_used == [0.2, 0.1, 0.1]
+    # Gains that follow the reference worse than the start gains are not used.
+    calls.clear()
+    monkeypatch.setattr(retuning, "check_draws", lambda task, gains, draws: checked_at(gains["kp"], error=2e-3))
+    result, checked = retuning.retune_on_failing_draws(
+        task, problem, first, {"start": start, "tuned": start}, draws, 0, Progress(True)
     )
-    assert found.gains["kp"] == 30.0 and checked.failing == (7, 9, 11) and found.rollouts == 130
+    assert result.gains["kp"] == 30.0 and checked.failing == (7, 9, 11) and result.rollouts == 130
 
 
-def test_a_population_finds_what_keeps_the_limits_of_all():
-    """In a fiftieth of the box, which the points known do not lie in, and there the least cost."""
+def test_a_population_finds_gains_that_keep_all_limits():
+    """The feasible region is a fiftieth of the box and contains none of the evaluated points."""
 
-    class Known:
+    class SearchStub(GainSearch):
         def __init__(self):
             self.evaluated: list[Candidate] = []
 
-        def candidates(self, points):
-            found = [
+        def candidates(self, points, problem=None):
+            result = [
                 Candidate(max(0.0, float(np.hypot(*(p - (0.7, 0.3)))) - 0.08), 1.0 + float(p[0]), p) for p in points
             ]
-            self.evaluated += found
-            return found
+            self.evaluated += result
+            return result
 
-    tuner = Known()
-    tuner.candidates(np.array([[0.1, 0.9], [0.5, 0.5]]))
-    found = evolve_population(cast(Any, tuner), np.array([0.2, 0.8]))
-    assert found.violation == 0.0 and 1.62 <= found.cost < 1.65 and len(tuner.evaluated) < 600
+    search = SearchStub()
+    search.candidates(np.array([[0.1, 0.9], [0.5, 0.5]]))
+    result = evolve_population(search, np.array([0.2, 0.8]))
+    assert result.violation == 0.0 and 1.62 <= result.cost < 1.65 and len(search.evaluated) < 600
 
 
 def test_a_channel_that_falls_with_heat_is_refused(tmp_path):
@@ -534,15 +539,15 @@ def test_a_channel_that_falls_with_heat_is_refused(tmp_path):
         .replace('"10 A/m/s"', '"10 A/1/s"')
     )
     done = run(tmp_path, text.replace(STAIRS, STEP.replace("1 mm", "3 %").replace("3 mm", "2 %")))
-    told = " ".join(done.output.split())
+    output = " ".join(done.output.split())
     assert (
         done.exit_code == 2
-        and "controller.channel: strain falls while the wire is heated" in told
-        and "steer displacement" in told
+        and "controller.channel: strain falls while the wire is heated" in output
+        and "control displacement" in output
     )
 
 
-def test_each_of_two_wires_has_a_largest_command_of_its_own(tmp_path):
+def test_each_of_two_wires_has_its_own_largest_command(tmp_path):
     rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
     text = (ROOT / "data" / "controllers" / "rotary.toml").read_text("utf-8")
     assert 'output = ["-1.2 A", "1.2 A"]' in text
@@ -554,12 +559,12 @@ def test_each_of_two_wires_has_a_largest_command_of_its_own(tmp_path):
         0.1,
     ]
     (tmp_path / "c.toml").write_text(text.replace('output = ["-1.2 A", "1.2 A"]', 'output = ["0 A", "1.2 A"]'))
-    with pytest.raises(InputError, match="give a least output below 0 and one above"):
+    with pytest.raises(InputError, match="give a lower limit below 0 and an upper limit above 0"):
         read_controller(tmp_path / "c.toml", rig)
 
 
-def test_a_feedforward_is_fitted_and_its_misfit_told(tmp_path, monkeypatch):
-    """On a dead weight, whose slow loop is steep for the operator: what is left is told everywhere. The gains stay as they are."""
+def test_a_feedforward_is_fitted_and_its_misfit_reported(tmp_path, monkeypatch):
+    """On a dead weight, whose slow loop is steep for the operator, the misfit is reported; the tuning is replaced."""
     kept = TuningResult(np.zeros(2), {"kp": 30.0, "ki": 10.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: kept)
     done = run(
@@ -568,20 +573,23 @@ def test_a_feedforward_is_fitted_and_its_misfit_told(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
     folder = tmp_path / "out"
     doc = json.loads((folder / "tune.json").read_text())
-    fed = doc["feedforward"]
-    assert fed["operators"] == 3 and 0.15 < fed["command"][0] < 0.2 < fed["command"][1] < 0.3
-    assert 0.03 < fed["misfit"] / fed["stroke"] < 0.2 and fed["stroke"] == pytest.approx(9.9e-3, rel=0.05)
+    feedforward = doc["feedforward"]
+    assert feedforward["operators"] == 3 and 0.15 < feedforward["command"][0] < 0.2 < feedforward["command"][1] < 0.3
+    assert 0.03 < feedforward["misfit"] / feedforward["stroke"] < 0.2 and feedforward["stroke"] == pytest.approx(
+        9.9e-3, rel=0.05
+    )
     sentence = (
-        f"with a misfit of {1e3 * fed['misfit']:.4g} mm RMSE, {100 * fed['misfit'] / fed['stroke']:.1f} % of its stroke"
+        f"with a misfit of {1e3 * feedforward['misfit']:.4g} mm RMSE, "
+        f"{100 * feedforward['misfit'] / feedforward['stroke']:.1f} % of its stroke"
     )
     assert sentence in " ".join(done.output.split()) and sentence in (folder / "report.html").read_text()
-    told = json.loads((folder / "controller.json").read_text())
-    assert told["kind"] == "pid-feedforward" and len(told["feedforward"]["thresholds"]) == 3
+    output = json.loads((folder / "controller.json").read_text())
+    assert output["kind"] == "pid-feedforward" and len(output["feedforward"]["thresholds"]) == 3
     assert "smajax_ahead" in (folder / "controller.h").read_text() and doc["left_out"] == {}
 
 
-def test_a_measured_loop_gives_back_its_operator():
-    """Of a loop that an operator made, the inverse takes the output back to the input."""
+def test_the_operator_of_a_measured_loop_is_identified():
+    """For a loop that was computed by an operator, the identified inverse maps the output to the input."""
     rig = read_rig(RIG)
     law = PrandtlIshlinskii(
         jnp.asarray(0.6),
@@ -593,11 +601,11 @@ def test_a_measured_loop_gives_back_its_operator():
     current = 0.1 + 0.2 * (1.0 - np.abs(2.0 * ((time / 100.0) % 1.0) - 1.0))
     lifted = np.asarray(compute_response(law, jnp.asarray(time), jnp.asarray(current)))
     loop = loop_of(pid(30.0, high=0.5, low=0.0), "displacement")
-    found = identify_feedforward(
+    result = identify_feedforward(
         SampledPlant.of(rig.plant, 0.05), loop, Feedforward(2, measured=Series("slow", time, current, lifted))
     )
-    assert found.misfit < 0.01 * found.stroke and found.stroke == pytest.approx(np.ptp(lifted))
-    again = np.asarray(compute_response(found.inverse, jnp.asarray(time), jnp.asarray(lifted)))
+    assert result.misfit < 0.01 * result.stroke and result.stroke == pytest.approx(np.ptp(lifted))
+    again = np.asarray(compute_response(result.inverse, jnp.asarray(time), jnp.asarray(lifted)))
     assert np.sqrt(np.mean((again - current)[100:] ** 2)) < 5e-3
     with pytest.raises(InputError, match="does not rise with the command"):
         identify_feedforward(
@@ -605,7 +613,7 @@ def test_a_measured_loop_gives_back_its_operator():
         )
 
 
-def test_margins_of_which_one_is_none_are_told():
+def test_infinite_margins_in_the_summary():
     margins = {"tuned": {"gain": 1.2, "phase": None}}
     metrics = {when: {"rmse": 1e-3, "settling": 2.0} for when in ("start", "tuned")}
     doc = {
@@ -617,10 +625,10 @@ def test_margins_of_which_one_is_none_are_told():
         "channel": "displacement",
     }
     doc |= {"metrics": metrics, "objective": {"settle": False}}
-    told = tuning_summary(doc)
+    output = tuning_summary(doc)
     assert (
-        "has a gain margin of 1.2: a rig that is a little different may oscillate" in told
-        and "start gains, which are kept" in told
+        "has a gain margin of 1.2: a rig that differs slightly may oscillate" in output
+        and "start gains, which are kept" in output
     )
     ended = {"kp": 2.0, "ki": 40.0, "kd": 5.0, "co_contraction": 2.0}
     table = {n: {"tuned": v, "bounds": [2.0, 40.0], "free": n != "co_contraction"} for n, v in ended.items()}
@@ -628,37 +636,38 @@ def test_margins_of_which_one_is_none_are_told():
         doc | {"gains": table}
     )
     assert "instead of settling" in tuning_summary(doc | {"objective": {"settle": True}})
-    told = tuning_summary(doc | {"believes": ["displacement", "voltage"]})
+    output = tuning_summary(doc | {"believes": ["displacement", "voltage"]})
     assert (
-        "uses the estimate of a filter that measures displacement and voltage" in told
-        and "[robust] tries it on others" in told
+        "uses the estimate of a filter that measures displacement and voltage" in output
+        and "[robust] varies the plant" in output
     )
     assert "has a phase margin of 3 degrees: a rig" in tuning_summary(
         doc | {"margins": {"tuned": {"gain": None, "phase": 3.0}}}
     )
 
 
-def test_the_worst_draw_counts_by_its_margins():
-    """A linear plant of twice the gain has half the gain margin; of three times the gain, none."""
-    tuning = hip_problem()
-    loop, gain = tuning.loop_with({}), float(tuning.system.function.gain)
-    each = margins_of_draws(tuning.system, loop, tuning.scenario, {"gain": gain * np.array([2.0, 1.0, 3.0])})
-    first = each[1].gain
-    np.testing.assert_allclose([m.gain for m in each], [first / 2.0, first, first / 3.0], rtol=1e-3)
-    assert [m.unstable for m in each] == [False, False, True] and 2.0 < first < 3.0
+def test_worst_margins_of_draws():
+    """A linear plant with twice the gain has half the gain margin; with three times the gain it is unstable."""
+    problem = hip_problem()
+    loop, gain = problem.loop_with({}), float(problem.system.function.gain)
+    draw_margins = margins_of_draws(problem.system, loop, problem.scenario, {"gain": gain * np.array([2.0, 1.0, 3.0])})
+    first = draw_margins[1].gain
+    np.testing.assert_allclose([m.gain for m in draw_margins], [first / 2.0, first, first / 3.0], rtol=1e-3)
+    assert [m.unstable for m in draw_margins] == [False, False, True] and 2.0 < first < 3.0
     assert (
-        worst_margins(each) == (each[2].gain, each[2].phase, max(m.sensitivity for m in each))
-        and worst_margins(each).unstable
+        worst_margins(draw_margins)
+        == (draw_margins[2].gain, draw_margins[2].phase, max(m.sensitivity for m in draw_margins))
+        and worst_margins(draw_margins).unstable
     )
 
 
-def test_a_draw_without_margins_is_a_problem(tmp_path, monkeypatch):
-    """It comes to rest, as limits of its command may let it; it is told, tuned for, and not feasible, as the rig's own plant would be."""
+def test_a_draw_that_is_unstable_when_linearised_is_a_problem(tmp_path, monkeypatch):
+    """Its rollout settles, as limits of the command may allow; it is counted, fails, and makes the result infeasible."""
     (tmp_path / "c.toml").write_text(FILE + '[robust]\ncheck = 8\nvary = { "load.mass" = ["150 g", "250 g"] }\n')
     rig = read_rig(RIG)
-    given, drawn = read_controller(tmp_path / "c.toml", rig), {"load.mass": np.linspace(0.15, 0.25, 3)}
-    own = {name: float(gain(given.loop, name)) for name in given.bounds}
-    plain = check_draws(given, own, drawn)
+    task, draws = read_controller(tmp_path / "c.toml", rig), {"load.mass": np.linspace(0.15, 0.25, 3)}
+    own = {name: float(gain(task.loop, name)) for name in task.bounds}
+    plain = check_draws(task, own, draws)
     assert (
         not plain.failing
         and plain.document["unstable_linearised"] == 0
@@ -666,27 +675,27 @@ def test_a_draw_without_margins_is_a_problem(tmp_path, monkeypatch):
     )
     some = [Margins(2.0, 40.0, 2.0), Margins(0.8, 30.0, 3.0), Margins(math.inf, 50.0, 1.5)]
     monkeypatch.setattr("smajax.control.analysis.closed_loop_checks.margins_of_draws", lambda *_: some)
-    found = check_draws(given, own, drawn)
-    assert found.failing == (1,) and found.document["unstable"] == 0 and found.document["unstable_linearised"] == 1
-    assert found.document["worst_margins"] == {"gain": 0.8, "phase": 30.0, "sensitivity": 3.0}
-    one, far = evaluate_gains(given, own), reachable_range(given.system, given.loop, given.scenario, given.limits)
-    checks = {"start": found.document, "tuned": found.document}
-    doc = tune_document(given, rig.name, TunedLoop(one, one, 1, checks, "", far), 0)
+    result = check_draws(task, own, draws)
+    assert result.failing == (1,) and result.document["unstable"] == 0 and result.document["unstable_linearised"] == 1
+    assert result.document["worst_margins"] == {"gain": 0.8, "phase": 30.0, "sensitivity": 3.0}
+    start, reachable = evaluate_gains(task, own), reachable_range(task.system, task.loop, task.scenario, task.limits)
+    checks = {"start": result.document, "tuned": result.document}
+    doc = tune_document(task, rig.name, TunedLoop(start, start, 1, checks, "", reachable), 0)
     assert not doc["feasible"] and any(
         "of 3 draws 1 are unstable, linearised along their rollouts" in p for p in doc["problems"]
     )
-    shaky = dataclasses.replace(one, margins=Margins(0.9, -1.0, 9.0))
-    doc = tune_document(given, rig.name, TunedLoop(shaky, one, 1, {}, "", far), 0)
-    told = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin of -1 degrees"
-    assert doc["problems"] == [told] and doc["feasible"]
+    shaky = dataclasses.replace(start, margins=Margins(0.9, -1.0, 9.0))
+    doc = tune_document(task, rig.name, TunedLoop(shaky, start, 1, {}, "", reachable), 0)
+    output = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin of -1 degrees"
+    assert doc["problems"] == [output] and doc["feasible"]
 
 
-def test_what_pulses_do_beside_their_mean_is_told(tmp_path, monkeypatch):
+def test_the_effect_of_pulses_is_compared_with_their_mean(tmp_path, monkeypatch):
     kept = TuningResult(np.zeros(1), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: kept)
     monkeypatch.setattr(
         "smajax.app.commands.tune._exports", lambda *_: ({}, {})
-    )  # which takes longer than all else here
+    )  # the exports take longer than the rest of the test
     (tmp_path / "rig.toml").write_text(
         RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n'
     )
@@ -695,10 +704,12 @@ def test_what_pulses_do_beside_their_mean_is_told(tmp_path, monkeypatch):
     assert done.exit_code in (0, 3), done.output
     doc = json.loads((tmp_path / "out" / "tune.json").read_text())
     assert doc["pulses"]["carrier"] == 50.0 and doc["pulses"]["rmse_of_mean"] != doc["metrics"]["tuned"]["rmse"]
-    assert f"would leave an error of {1e3 * doc['pulses']['rmse_of_mean']:.4g} mm" in " ".join(done.output.split())
+    assert f"the same gains leave an error of {1e3 * doc['pulses']['rmse_of_mean']:.4g} mm" in " ".join(
+        done.output.split()
+    )
 
 
-def test_a_duty_beyond_the_whole_is_refused(tmp_path):
+def test_a_duty_above_one_is_refused(tmp_path):
     text = RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n'
     (tmp_path / "rig.toml").write_text(text)
     content = re.sub(r'"([0-9.]+) A/m', r'"\1 1/m', FILE).replace('["0 A", "0.5 A"]', '["0", "100"]')
@@ -708,8 +719,8 @@ def test_a_duty_beyond_the_whole_is_refused(tmp_path):
     )
 
 
-def test_a_limit_that_no_gains_keep_does_not_cost_the_others(tmp_path):
-    """No wire settles within 50 ms; the start gains keep the overshoot, and so do the ones that are given back."""
+def test_a_limit_that_cannot_be_kept_does_not_violate_the_others(tmp_path):
+    """No wire settles within 50 ms; the start gains keep the limit on overshoot, and so do the tuned gains."""
     limits = '[limits]\nsettling = "0.05 s"\novershoot = "20 %"\n'
     done = run(tmp_path, FILE + limits)
     assert done.exit_code == 3, done.output
@@ -738,13 +749,13 @@ BAD = {
     ("[tune]", '[tune]\nobjective = "traking"'): "did you mean 'tracking'?",
     ("[tune]", "[tune]\nobjective = { tracking = -1 }"): "not a number of 0 or more",
     ("[tune]", '[tune]\nfree = ["kd"]'): "start above 0",
-    ("[tune]", '[tune]\nbounds = { kp = ["40 A/m", "50 A/m"] }'): "bounds above 0 that hold the start value",
+    ("[tune]", '[tune]\nbounds = { kp = ["40 A/m", "50 A/m"] }'): "bounds above 0 that contain the start value",
     (
         "[tune]",
         '[limit]\ntemperature = "90 degC"\n[tune]',
     ): "[limit] is not a section of a controller (did you mean 'limits'?)",
     ("[tune]", '[[change]]\nparameter = "load.mas"\nat = "3 s"\nvalue = "0.3 kg"\n[tune]'): "load.mass",
-    ("[tune]", "[robust]\ndraws = 3\n[tune]"): "name what may be different",
+    ("[tune]", "[robust]\ndraws = 3\n[tune]"): "give at least one of them",
     ("[tune]", '[robust]\nvary = { "load.mass" = ["0.3 kg", "0.2 kg"] }\n[tune]'): "the range of load.mass is empty",
     ("[tune]", '[robust]\nfit = "nowhere"\n[tune]'): "there is no such folder",
     ("[reference]", "[referenz]"): "referenz",
@@ -778,16 +789,16 @@ BAD = {
         "[tune]",
         GUARD + '[instruments]\ntemperature = { delay = "20 ms" }\n[tune]',
     ): "instruments.temperature.delay = '20 ms' is not a whole number",
-    ("[tune]", GUARD + "[instruments]\n[tune]"): "[instruments] names none",
+    ("[tune]", GUARD + "[instruments]\n[tune]"): "[instruments] is empty",
     ("[tune]", GUARD + '[estimator]\na1 = "12 K/J"\n[tune]'): "estimator.a2 is missing: give both a1 and a2",
     (
         "[tune]",
         GUARD + '[estimator]\na1 = "12 K/J"\na2 = "0.8 1/s"\n[tune]',
-    ): "estimator.a2 = '0.8 1/s' would warm the wire without power",
+    ): "estimator.a2 = '0.8 1/s' would heat the wire without power",
     (
         "[tune]",
         GUARD + '[estimator]\na1 = "-12 K/J"\na2 = "-0.8 1/s"\n[tune]',
-    ): "estimator.a1 = '-12 K/J' would not warm a wire by its power",
+    ): "estimator.a1 = '-12 K/J' would not heat a wire by its power",
     (
         "[tune]",
         GUARD + '[estimator]\na1 = "12 K/J"\na2 = "-80 1/s"\n[tune]',
@@ -843,7 +854,7 @@ BAD = {
     (
         "[tune]",
         GUARD + EXTENDED.replace('noise = "2 mV", quantum = "1 mV"', 'delay = "50 ms"') + "[tune]",
-    ): "instruments.voltage: without noise and quantum an extended Kalman filter would weigh it infinitely",
+    ): "instruments.voltage: without noise and quantum its weight in an extended Kalman filter would be infinite",
     (
         "[tune]",
         GUARD + EXTENDED.replace('quantum = "1 mV"', 'delay = "50 s"') + "[tune]",
@@ -861,7 +872,7 @@ BAD = {
     (
         "[tune]",
         '[[change]]\nparameter = "initial.temperature"\nat = "3 s"\nvalue = "30 degC"\n[tune]',
-    ): "is how a run begins",
+    ): "is an initial value, which cannot change later",
     ('hold = "8 s"', 'hold = "8 s"\nlevel = "1 mm"'): "reference.level is not known (did you mean 'levels'?)",
     (
         STAIRS,
@@ -869,22 +880,25 @@ BAD = {
     ): "reference.level is not known: the keys of a step are duration, low, high, at",
     ("[tune]", '[limits]\ncurrent = "-1 A"\n[tune]'): "limits.current = '-1 A' is not possible",
     ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { ki = ["1 A/m/s", "50 A/m/s"] }'): "tune.bounds.ki: ki is not tuned",
-    ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { kp = ["30 A/m", "30 A/m"] }'): "tune.bounds.kp leaves it no room",
+    ("[tune]", '[tune]\nfree = ["kp"]\nbounds = { kp = ["30 A/m", "30 A/m"] }'): "tune.bounds.kp: both are equal",
     ("[tune]", "[tune]\nobjective = { tracking = 0 }"): "nothing would be minimised",
     (
         "[tune]",
         '[[change]]\nparameter = "load.mass"\nat = "15 s"\nvalue = "0.3 kg"\n[tune]',
     ): "is after the reference's end",
     ('hold = "8 s"', 'hold = "15 s"'): "2 levels of '15 s' do not fit into '15 s'",
-    ('hold = "8 s"', 'hold = "8 s"\nhigh = "1 mm"'): "reference.high has no place with a staircase",
+    ('hold = "8 s"', 'hold = "8 s"\nhigh = "1 mm"'): "reference.high does not belong to a staircase",
     (STAIRS, SINE.replace("0.5 Hz", "10 Hz")): "reference.frequency = '10 Hz' is not below half a cycle",
-    (STAIRS, STEP.replace("1 mm", "0 mm").replace("3 mm", "0 mm")): "reference: it stays where the rig rests",
+    (
+        STAIRS,
+        STEP.replace("1 mm", "0 mm").replace("3 mm", "0 mm"),
+    ): "reference: it stays at the channel's value at rest",
     (STAIRS, STEP.replace('at = "2 s"', 'at = "15 s"')): "reference.at = '15 s' is not within reference.duration",
     (
         STAIRS + "[tune]",
         SINE + '[limits]\novershoot = "2 %"\n[tune]',
     ): "limits.overshoot: the reference never jumps and holds",
-    (STAIRS + "[tune]", SINE + '[tune]\nobjective = "settling"'): "so that nothing settles",
+    (STAIRS + "[tune]", SINE + '[tune]\nobjective = "settling"'): "so there is no settling time to minimise",
     (
         "[tune]",
         '[limits]\ntemperature = "10 degC"\n[tune]',
@@ -906,16 +920,16 @@ def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change):
     text = FILE.replace(*change)
     assert text != FILE
     done = run(tmp_path, text)
-    told = " ".join(done.output.split())
-    assert done.exit_code == 2 and BAD[change] in told and told.count("smajax: ") == 3, (
+    output = " ".join(done.output.split())
+    assert done.exit_code == 2 and BAD[change] in output and output.count("smajax: ") == 3, (
         done.output
     )  # two phases, and the sentence
     assert not (tmp_path / "out").exists()
 
 
-def test_what_a_file_can_ask_for(tmp_path):
+def test_sections_of_a_controller_file(tmp_path):
     rig = read_rig(RIG)
-    (tmp_path / "wanted.csv").write_text(
+    (tmp_path / "reference.csv").write_text(
         "time [s],displacement [mm]\n" + "\n".join(f"{0.1 * k:.1f},{k % 5}" for k in range(100))
     )
     path = tmp_path / "c.toml"
@@ -924,7 +938,7 @@ def test_what_a_file_can_ask_for(tmp_path):
         path.write_text(text)
         return read_controller(path, rig)
 
-    recorded = of(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "wanted.csv"\n'))
+    recorded = of(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "reference.csv"\n'))
     np.testing.assert_allclose(np.asarray(recorded.scenario.reference)[[0, 2, 4, 5]], [0.0, 1e-3, 2e-3, 2.5e-3])
     wave = of(FILE.replace(STAIRS, SINE))
     assert float(wave.scenario.reference.min()) == pytest.approx(1e-3) and float(
@@ -953,7 +967,7 @@ def test_what_a_file_can_ask_for(tmp_path):
     assert float(meters.sensors["temperature"].noise) == 0.5 and meters.sensors["temperature"].delay == 1
     assert (
         float(eye.gain) == 0.2 and float(eye.ambient) == 20.0
-    )  # and at rest at its limit, the power is the one that keeps the wire there
+    )  # the observer is stationary with the power of the heat loss
     volume = float(rig.plant.wire.area * rig.plant.wire.length)
     lost = 4.0 / float(rig.plant.wire.diameter) * float(own.convection(jnp.asarray(90.0))) * 70.0 * volume
     assert float(eye.step(jnp.asarray(90.0), jnp.asarray(lost))) == pytest.approx(90.0, abs=1e-9)
@@ -984,7 +998,7 @@ def test_what_a_file_can_ask_for(tmp_path):
     }
     assert (
         len(noise_draws(steered.loop, steered.scenario)) == 8
-    )  # the noise of its instruments is drawn several times, too
+    )  # the noise of the instruments is drawn several times, too
     for write in (
         c_header,
         lambda loop, units, name: controller_model(loop, units, dict.fromkeys(gains(loop), "-"), name),
@@ -1007,21 +1021,21 @@ def test_what_a_file_can_ask_for(tmp_path):
     warm = of(FILE.replace("A/m", "A/K").replace('kind = "pid"', 'kind = "pid"\nchannel = "temperature"').replace(
         STAIRS, STEP.replace('low = "1 mm"\n', "").replace("3 mm", "70 degC")
     ))  # fmt: skip
-    assert float(warm.scenario.initial_reference) == 20.0  # where the wire is at rest
+    assert float(warm.scenario.initial_reference) == 20.0  # the temperature at rest
     for kind, extra in (
         ("bpid", 'kb = "50 1/m"'),
         ("ppid", 'kp_rest = "20 A/m"\nband = "0.1 mm"'),
         ("adaptive-pid", "rate_p = 0.1"),
     ):
-        found = of(FILE.replace('kind = "pid"', f'kind = "{kind}"').replace("[reference]", extra + "\n[reference]"))
-        assert type(found.loop.controller).__name__.lower() == kind.replace("-", "")
-    given = read_controller(
+        result = of(FILE.replace('kind = "pid"', f'kind = "{kind}"').replace("[reference]", extra + "\n[reference]"))
+        assert type(result.loop.controller).__name__.lower() == kind.replace("-", "")
+    task = read_controller(
         ROOT / "data" / "controllers" / "rotary.toml", read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
     )
-    assert float(given.loop.allocation.co_contraction) == 0.1 and given.units["co_contraction"] == "A"
-    assert given.bounds["co_contraction"] == pytest.approx((1e-3, 10.0)) and set(given.bounds) == {
+    assert float(task.loop.allocation.co_contraction) == 0.1 and task.units["co_contraction"] == "A"
+    assert task.bounds["co_contraction"] == pytest.approx((1e-3, 10.0)) and set(task.bounds) == {
         "kp",
         "ki",
         "co_contraction",
     }
-    assert found.settle is False and of(FILE.replace("[tune]", '[tune]\nobjective = "settling"')).settle
+    assert result.settle is False and of(FILE.replace("[tune]", '[tune]\nobjective = "settling"')).settle

@@ -1,4 +1,4 @@
-"""The diagnosis: its statistics on made-up numbers, and the whole command on truth from the exact reference."""
+"""The diagnosis: its statistics on synthetic numbers, and the whole command on recordings by the exact reference."""
 
 import dataclasses
 import json
@@ -59,13 +59,13 @@ from smajax.recordings.datasets import data_path
 from smajax.report.diagnosis_summary import sentences
 
 
-def test_a_score_finds_a_planted_strength_beside_what_is_absorbed():
+def test_score_estimates_a_planted_strength_beyond_the_free_parameters():
     rng = np.random.default_rng(1)
     jacobian, column = rng.standard_normal((400, 3)), rng.standard_normal(400)
     residual = -(jacobian @ [1.0, -2.0, 0.5]) - 0.7 * column + 1e-3 * rng.standard_normal(400)
     q = orthonormal_basis(jacobian)
-    one = score_test(q, project_out(q, residual), column, (-3.0, 3.0), 0.999)
-    assert one.strength == pytest.approx(0.7, abs=1e-3)
+    score = score_test(q, project_out(q, residual), column, (-3.0, 3.0), 0.999)
+    assert score.strength == pytest.approx(0.7, abs=1e-3)
     clipped = score_test(q, project_out(q, residual), column, (-3.0, 0.0), 0.999)
     assert clipped.strength == clipped.gain == 0.0
     assert (
@@ -74,7 +74,7 @@ def test_a_score_finds_a_planted_strength_beside_what_is_absorbed():
     )
 
 
-def test_false_alarms_stay_at_their_rate():
+def test_p_value_holds_its_level():
     """The simulated maximum holds its level for correlated, partly one-sided columns."""
     rng = np.random.default_rng(2)
     shared = rng.standard_normal((300, 1))
@@ -89,13 +89,13 @@ def test_false_alarms_stay_at_their_rate():
     assert 2 <= alarms <= 22
 
 
-def test_classes_are_linked_by_their_cosines():
+def test_equivalence_classes_link_collinear_sensitivities():
     base = np.random.default_rng(0).standard_normal((200, 3))
     columns = {"a": base[:, 0], "b": base[:, 0] + 0.1 * base[:, 1], "c": base[:, 2]}
     assert sorted(map(sorted, equivalence_classes(columns))) == [["a", "b"], ["c"]]
 
 
-def test_noise_is_seen_at_rest_where_it_is_slower_than_the_sampling():
+def test_slow_noise_is_estimated_at_rest():
     rng = np.random.default_rng(4)
     steps = np.repeat([0.0, 1.0], 1500)
     white = rng.normal(0.0, 0.3, 3000)
@@ -109,22 +109,22 @@ def test_noise_is_seen_at_rest_where_it_is_slower_than_the_sampling():
     assert busy[1] == "residual differences" and busy[0] < 0.22
 
 
-def test_a_residual_that_follows_an_input_is_seen_to():
+def test_cross_correlation_shows_the_lag_of_an_input():
     rng = np.random.default_rng(5)
-    pushed = rng.normal(size=2000)
-    seen = residual_checks.residual_statistics(
-        np.append(np.zeros(3), pushed[:-3]) + 0.1 * rng.normal(size=2000), {"current": pushed}
+    current = rng.normal(size=2000)
+    statistics = residual_checks.residual_statistics(
+        np.append(np.zeros(3), current[:-3]) + 0.1 * rng.normal(size=2000), {"current": current}
     )
-    lags = (len(seen.cross["current"]) - 1) // 2
-    assert np.argmax(np.abs(seen.cross["current"])) - lags == 3
-    assert seen.cross["current"][lags + 3] > 0.9
-    white = residual_checks.residual_statistics(rng.normal(size=2000), {"current": pushed})
+    lags = (len(statistics.cross["current"]) - 1) // 2
+    assert np.argmax(np.abs(statistics.cross["current"])) - lags == 3
+    assert statistics.cross["current"][lags + 3] > 0.9
+    white = residual_checks.residual_statistics(rng.normal(size=2000), {"current": current})
     assert max(white.outside.values()) < 0.1
 
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory) -> Path:
-    """The folder that ``smajax demo`` writes: a diagnosis of recordings by the exact reference, of a wire with hidden latent heat."""
+    """The folder that ``smajax demo`` writes: a diagnosis of a wire with hidden latent heat, by the exact reference."""
     out = tmp_path_factory.mktemp("demo") / "out"
     opened: list[Path] = []
     with pytest.MonkeyPatch.context() as patch:
@@ -136,7 +136,7 @@ def demo(tmp_path_factory) -> Path:
     return out
 
 
-def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(demo):
+def test_hidden_latent_heat_is_named_and_the_diagnosed_rig_predicts_to_the_noise(demo):
     document = json.loads((demo / "diagnosis.json").read_text("utf-8"))
     assert document["effects"] == ["latent-heat"] and document["base_fit_at_rest"]
     assert "did not converge" not in " ".join(sentences(document))
@@ -150,16 +150,16 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(d
     assert entry["refit_rmse_select"] < 0.022
     assert entry["lower95"] < entry["strength"] < entry["upper95"]
     assert {r["key"] for r in document["ranking"]} == set(catalogue())
-    seen = {s["key"]: s for s in document["preflight"]}
-    assert seen["quantisation"]["status"] == seen["wire-crosstalk"]["status"] == "blind"
-    assert "rounding" in seen["quantisation"]["why"] and "two wires" in seen["wire-crosstalk"]["why"]
+    preflight = {s["key"]: s for s in document["preflight"]}
+    assert preflight["quantisation"]["status"] == preflight["wire-crosstalk"]["status"] == "blind"
+    assert "rounding" in preflight["quantisation"]["why"] and "two wires" in preflight["wire-crosstalk"]["why"]
     assert (
-        seen["encoder-gain"]["status"] == "absorbed"
-        and "material.max_transformation_strain" in seen["encoder-gain"]["absorbed_by"]
+        preflight["encoder-gain"]["status"] == "absorbed"
+        and "material.max_transformation_strain" in preflight["encoder-gain"]["absorbed_by"]
     )
-    assert 0.0 < seen["latent-heat"]["smallest_detectable"] < 1e6
-    looks = document["residual"]["displacement"]
-    assert looks["before"]["outside"]["residual"] > 0.9 > 0.2 > looks["after"]["outside"]["residual"]
+    assert 0.0 < preflight["latent-heat"]["smallest_detectable"] < 1e6
+    residual = document["residual"]["displacement"]
+    assert residual["before"]["outside"]["residual"] > 0.9 > 0.2 > residual["after"]["outside"]["residual"]
     assert document["noise_floor"]["displacement"]["value"] == pytest.approx(0.02, rel=0.05)
     excluded = {e["key"]: e["above"] for e in document["excluded"]}
     assert len(excluded) > 10 and "latent-heat" not in excluded and 0.0 < excluded["sensor-lag"] < 0.01
@@ -169,12 +169,12 @@ def test_hidden_latent_heat_is_named_and_the_rig_with_it_predicts_to_the_noise(d
     assert CliRunner().invoke(app, ["report", str(demo)]).exit_code == 0
 
 
-def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
-    """Nor is noise estimated that the rig file gives; what was dropped in reading is said."""
+def test_effects_of_the_rig_file_are_not_candidates(demo, tmp_path):
+    """Noise of the rig file is not estimated, and rows that were dropped in reading are listed."""
     source = data_path("recordings", "dead-weight-unexplained")
     text = (demo / "rig-diagnosed.toml").read_text("utf-8")
-    text += '\n[effects.backlash]\nstrength = "0 mm"\n'  # which is the same as nothing
-    text += '\n[effects.wire-crosstalk]\nstrength = "0.1"\n'  # which one wire cannot have
+    text += '\n[effects.backlash]\nstrength = "0 mm"\n'  # as if the effect were not there
+    text += '\n[effects.wire-crosstalk]\nstrength = "0.1"\n'  # needs two wires
     text = text.replace("[fit]\n", '[fit]\nnoise = { displacement = "0.021 mm" }\n')
     text = re.sub(r"(?m)^free = \[", 'free = ["effects.wire-crosstalk.strength", ', text)
     (tmp_path / "rig.toml").write_text(text, "utf-8")
@@ -212,7 +212,7 @@ def test_what_the_rig_file_has_is_not_found_again(demo, tmp_path):
     assert "1 of" in document["recordings"][0]["notes"][0] and "dropped on request" in document["summary"]
     assert document["left_out"] == [{"effect": "wire-crosstalk", "why": "it needs two wires"}]
     assert (
-        "Done without wire-crosstalk of the rig file, which this rig cannot have: it needs two wires."
+        "Not used: wire-crosstalk of the rig file, which this rig cannot have: it needs two wires."
         in document["summary"]
     )
 
@@ -223,20 +223,20 @@ def schema() -> dict:
     return json.loads((files("smajax.report") / "diagnosis.schema.json").read_text("utf-8"))
 
 
-def test_the_contract_example_is_as_the_schema_says(schema, shared):
+def test_example_document_matches_the_schema(schema, shared):
     example = json.loads((shared / "design" / "examples" / "diagnosis.json").read_text("utf-8"))
     example["schema"] = "smajax.diagnosis/2"  # the keys of schema 1
     assert not list(jsonschema.Draft202012Validator(schema).iter_errors(example))
 
 
-def test_the_document_is_as_its_schema_says(demo, schema):
+def test_document_matches_its_schema(demo, schema):
     jsonschema.validate(json.loads((demo / "diagnosis.json").read_text("utf-8")), schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({"schema": "smajax.diagnosis/2", "verdict": "maybe"}, schema)
 
 
-def test_the_report_in_a_browser(demo, tmp_path):
-    """The page as a browser leaves it: all pictures drawn, the verdict on top, nothing asked from the network."""
+def test_report_in_a_browser(demo, tmp_path):
+    """The page after a browser has drawn it: all figures, the verdict on top, no request to the network."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
         pytest.skip("there is no Chromium on this machine")
@@ -248,10 +248,10 @@ def test_the_report_in_a_browser(demo, tmp_path):
         f"--user-data-dir={tmp_path}",
         "--virtual-time-budget=20000",
     ]
-    shown = subprocess.run(
+    browser_run = subprocess.run(
         [*words, "--dump-dom", (demo / "report.html").as_uri()], capture_output=True, text=True, timeout=120
     )
-    page = shown.stdout
+    page = browser_run.stdout
     figures = json.loads(re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)[1])  # pyright: ignore[reportOptionalSubscript]
     assert len(figures) > 6
     assert page.count('class="main-svg"') >= 2 * len(figures)
@@ -259,7 +259,7 @@ def test_the_report_in_a_browser(demo, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (("train", "train", "holdout"), "given twice"),
         (("train", "copy", "holdout"), "same content"),
@@ -269,7 +269,7 @@ def test_the_report_in_a_browser(demo, tmp_path):
         (("still", "select", "holdout"), "current never changes"),
     ],
 )
-def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
+def test_unsuitable_recordings_are_rejected(tmp_path, names, message):
     source = data_path("recordings", "dead-weight-unexplained")
     for name in ("rig.toml", "train.csv", "select.csv", "holdout.csv"):
         (tmp_path / name).write_bytes((source / name).read_bytes())
@@ -285,16 +285,16 @@ def test_recordings_that_test_nothing_are_refused(tmp_path, names, said):
     words = ["diagnose", str(tmp_path / "rig.toml"), train, "--select", select, "--holdout", holdout]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "never"), "--quiet"])
     assert result.exit_code == 2
-    assert said in result.stderr
+    assert message in result.stderr
     assert not (tmp_path / "never").exists()
 
 
-def test_rounding_is_noise():
+def test_rounding_noise():
     values = np.round(np.linspace(0.0, 1.0, 500), 2)
     assert rounding_noise(values) == pytest.approx(0.01 / math.sqrt(12.0)) and rounding_noise(np.zeros(9)) == 0.0
 
 
-def test_the_stage_to_look_at_comes_first_on_the_way_and_not_by_default():
+def test_most_likely_stage_is_the_most_upstream_of_a_tie():
     nothing = dict.fromkeys(STAGES, 0.0)
     assert most_likely_stage(nothing) is None
     assert most_likely_stage(nothing | {"material": 0.05, "mechanism": 0.07}) == "material"
@@ -318,35 +318,35 @@ def fitted(evaluator) -> Refit:
     return evaluator.problem.fit(EffectSet(), evaluator.problem.nominal, max_steps=8)
 
 
-def test_an_effect_in_another_ones_place_is_tried_in_its_usual_shapes_or_in_that_ones(evaluator, fitted):
-    turns = [
+def test_replacement_shapes_are_the_fitted_or_the_usual_ones(evaluator, fitted):
+    reversals = [
         s["effects.coulomb-friction.reversal"]
         for s in replacement_shapes(evaluator, "coulomb-friction", "backlash", fitted)
     ]
-    assert turns == [1e-5, 3e-6]
-    slow = dataclasses.replace(
+    assert reversals == [1e-5, 3e-6]
+    slow_coating = dataclasses.replace(
         fitted, effect_set=fitted.effect_set.with_effect("coating", {"effects.coating.time_constant": 7.0})
     )
-    assert replacement_shapes(evaluator, "end-conduction", "coating", slow) == [
+    assert replacement_shapes(evaluator, "end-conduction", "coating", slow_coating) == [
         {"effects.end-conduction.time_constant": 7.0}
     ]
 
 
-def test_what_promises_most_is_trusted_near_the_noise_only(evaluator, fitted):
-    for times, trusts in ((1.5, True), (20.0, False)):
-        refit = dataclasses.replace(fitted, residual=np.full(len(fitted.residual), times))
-        offers = [
+def test_largest_gain_is_trusted_near_the_noise_only(evaluator, fitted):
+    for value, is_trusted in ((1.5, True), (20.0, False)):
+        refit = dataclasses.replace(fitted, residual=np.full(len(fitted.residual), value))
+        candidates = [
             Candidate(refit, key, 0.1, (), gain) for key, gain in (("coating", 5.0), ("creep", 80.0), ("backlash", 0.0))
         ]
-        found = trusted_candidate(evaluator, offers)
-        assert (found is offers[1]) is trusts and (trusts or found is None)
+        trusted = trusted_candidate(evaluator, candidates)
+        assert (trusted is candidates[1]) is is_trusted and (is_trusted or trusted is None)
     assert (
         trusted_candidate(evaluator, [Candidate(refit, "creep", 0.1, (), 0.0)]) is None
         and trusted_candidate(evaluator, []) is None
     )
 
 
-def test_a_search_on_fewer_samples_ends_where_one_on_all_does(evaluator, fitted, monkeypatch):
+def test_search_on_fewer_samples_has_the_same_optimum(evaluator, fitted, monkeypatch):
     problem = evaluator.problem
     start = EffectSet().with_effect("latent-heat", {"effects.latent-heat.strength": 3e7})
     whole, sparse = (evaluator.fit(start, fitted.base, stride, max_steps=40) for stride in (1, 4))
@@ -355,36 +355,36 @@ def test_a_search_on_fewer_samples_ends_where_one_on_all_does(evaluator, fitted,
     assert sparse.values["effects.latent-heat.strength"] == pytest.approx(
         whole.values["effects.latent-heat.strength"], rel=1e-3
     )
-    looked = problem.start_search(start, fitted.base, stride=4).advance(1)
-    assert looked.cost == pytest.approx(problem.start_search(start, fitted.base).advance(1).cost, rel=0.05)
+    first_step = problem.start_search(start, fitted.base, stride=4).advance(1)
+    assert first_step.cost == pytest.approx(problem.start_search(start, fitted.base).advance(1).cost, rel=0.05)
     assert (
         0.0
         < stride_error(problem, fitted, 2)
         < stride_error(problem, fitted, 4)
         < 0.2 * problem.reduced_chi2(fitted.residual, 0)
     )
-    # Longer steps are for what stands out: not near the noise, nor where they would themselves be most of what is left.
+    # Longer steps are not used near the noise, nor where their error would be a large part of the residual.
     monkeypatch.setattr(evaluator, "_stride_errors", {4: 0.5, 2: 0.1})
-    assert [evaluator.stride(left) for left in (1.0, 9.0, 20.0, 49.0, 51.0)] == [1, 1, 2, 2, 4]
-    # Nor need a search that ends far from the noise see the other samples.
+    assert [evaluator.stride(chi2) for chi2 in (1.0, 9.0, 20.0, 49.0, 51.0)] == [1, 1, 2, 2, 4]
+    # A search that ends far from the noise does not use the other samples.
     monkeypatch.setattr(evaluator, "_stride_errors", {4: 0.0})
-    left = evaluator.fit(EffectSet(), fitted.base, 4)
-    assert left.chi2 > 9.0 * problem.samples and left.chi2 == problem.fit(EffectSet(), fitted.base, stride=4).chi2
-    assert left.chi2 == pytest.approx(problem.fit(EffectSet(), fitted.base).chi2, rel=0.05)
+    strided = evaluator.fit(EffectSet(), fitted.base, 4)
+    assert strided.chi2 > 9.0 * problem.samples and strided.chi2 == problem.fit(EffectSet(), fitted.base, stride=4).chi2
+    assert strided.chi2 == pytest.approx(problem.fit(EffectSet(), fitted.base).chi2, rel=0.05)
     monkeypatch.setattr(problem, "_has_clock", False)
     monkeypatch.setattr(problem, "_strided", {})
     assert problem.strided_problem(4) is problem.problems[0] and stride_error(problem, fitted, 4) == math.inf
 
 
-def test_several_steps_a_sample_become_one_where_that_is_affordable(evaluator, monkeypatch):
+def test_several_steps_for_each_sample_become_one_if_accurate(evaluator, monkeypatch):
     monkeypatch.setattr("smajax.diagnosis.problem.start_compilation", lambda *_: [])
     usual = evaluator.problem
     parts, plant = [part.recordings[0] for part in usual.splits], usual.base_problem.plant
     rig = read_rig(data_path("recordings", "dead-weight-unexplained") / "rig.toml")
     problem = DiagnosisProblem(plant, parts, rig.fit, interpolation=rig.interpolation, step=0.01)
-    fine, asked = problem.problems, []
-    problem.lengthen_steps(lambda problem: asked.append(problem) or False)
-    assert problem.problems is fine and len(asked) == 1
+    fine, evaluated = problem.problems, []
+    problem.lengthen_steps(lambda problem: evaluated.append(problem) or False)
+    assert problem.problems is fine and len(evaluated) == 1
     problem.lengthen_steps(lambda problem: True)
     for short, longer, single in zip(fine, problem.problems, usual.problems, strict=True):
         steps = [int(problem.data.end_index) for problem in (longer, single, short)]
@@ -395,71 +395,71 @@ def test_several_steps_a_sample_become_one_where_that_is_affordable(evaluator, m
             np.asarray(longer.data.inputs.time[0])[rows],
             np.asarray(single.data.inputs.time[0])[single.data.inputs.sample_indices[0]],
         )
-    # The searches' fewer samples lie on steps that are longer still; one step a sample stays as it is.
+    # Strided problems have even longer steps; one step for each sample stays as it is.
     assert int(problem.strided_problem(2).data.end_index) < 0.6 * int(problem.problems[0].data.end_index)
     before = problem.problems
     problem.lengthen_steps(lambda problem: pytest.fail("there is nothing to lengthen"))
     assert problem.problems is before
 
 
-def test_what_nearly_explains_the_residual_is_swapped_for_what_it_is_confused_with(evaluator, fitted, monkeypatch):
-    """An effect that was found alone may have been the wrong one of two that are alike; at the noise, or far from it, nothing is tried."""
+def test_confusable_effects_are_swapped_near_the_noise(evaluator, fitted, monkeypatch):
+    """The first effect may be the wrong one of two similar effects; at the noise, or far from it, nothing is refitted."""
 
-    def trial(*keys, left):
-        hypothesis = EffectSet(keys, tuple((f"effects.{k}.strength", 1.0) for k in keys))
-        return CandidateFit(dataclasses.replace(fitted, effect_set=hypothesis), left, left, 1.0)
+    def trial(*keys, chi2):
+        effect_set = EffectSet(keys, tuple((f"effects.{k}.strength", 1.0) for k in keys))
+        return CandidateFit(dataclasses.replace(fitted, effect_set=effect_set), chi2, chi2, 1.0)
 
-    tried: list[str] = []
+    refitted: list[str] = []
 
-    def refits(_, asked):
-        tried.append(asked.key)
-        return [trial(*asked.keys[:-1], "sensor-lag", left=1.01)] if asked.key == "time-skew" else []
+    def refits(_, fit):
+        refitted.append(fit.key)
+        return [trial(*fit.keys[:-1], "sensor-lag", chi2=1.01)] if fit.key == "time-skew" else []
 
     monkeypatch.setattr("smajax.diagnosis.backward_elimination.refit_confusable_effects", refits)
-    monkeypatch.setattr(evaluator, "refit_to_convergence", lambda one: one)
+    monkeypatch.setattr(evaluator, "refit_to_convergence", lambda fit: fit)
     first = evaluator.evaluate(fitted)
-    for left, asked in ((1.6, ["time-skew"]), (1.02, []), (40.0, [])):
+    for chi2, swapped in ((1.6, ["time-skew"]), (1.02, []), (40.0, [])):
         state = SelectionState(
-            {}, {}, first, trial("time-skew", "latent-heat", left=left), 1.1, {}, equivalent={"time-skew": ("creep",)}
+            {}, {}, first, trial("time-skew", "latent-heat", chi2=chi2), 1.1, {}, equivalent={"time-skew": ("creep",)}
         )
-        tried.clear()
+        refitted.clear()
         swap_confusable_effects(evaluator, state)
-        assert tried == asked
-        assert state.accepted == (("latent-heat", "sensor-lag") if asked else ("time-skew", "latent-heat"))
-        assert state.equivalent == ({} if asked else {"time-skew": ("creep",)})
-        assert [k for k, _ in state.rejected] == asked
+        assert refitted == swapped
+        assert state.accepted == (("latent-heat", "sensor-lag") if swapped else ("time-skew", "latent-heat"))
+        assert state.equivalent == ({} if swapped else {"time-skew": ("creep",)})
+        assert [k for k, _ in state.rejected] == swapped
 
 
-def test_a_prediction_may_miss_by_what_the_parameters_miss(evaluator, fitted):
+def test_expected_chi2_includes_the_uncertainty_of_the_parameters(evaluator, fitted):
     assert 1.0 <= expected_reduced_chi2(evaluator, fitted, 1) < 1.1
 
 
-def test_a_free_term_says_where_heat_is_missing(evaluator, fitted):
+def test_nonparametric_term_locates_missing_heat(evaluator, fitted):
     scores = evaluator.scores(fitted)
     shares = evaluator.stage_shares(fitted, scores)
     assert all(0.0 <= v <= 1.0 for v in shares.values())
     assert most_likely_stage(shares) == "heat" and shares["heat"] > 0.5
-    shape = fit_nonparametric_term(evaluator.problem, fitted, scores.basis, scores.residual, "heat")
-    assert shape is not None
-    assert (shape.stage, shape.kind, shape.unit) == ("heat", "free-heat", "W/m^3")
-    assert len(shape.positions) == len(shape.values) >= 3
-    assert shape.train_chi2 < 0.8 * evaluator.problem.reduced_chi2(fitted.residual, 0)
+    term = fit_nonparametric_term(evaluator.problem, fitted, scores.basis, scores.residual, "heat")
+    assert term is not None
+    assert (term.stage, term.kind, term.unit) == ("heat", "free-heat", "W/m^3")
+    assert len(term.positions) == len(term.values) >= 3
+    assert term.train_chi2 < 0.8 * evaluator.problem.reduced_chi2(fitted.residual, 0)
 
 
-def test_the_next_input_keeps_its_limits_and_sets_rivals_apart(evaluator, fitted):
+def test_next_experiment_stays_within_limits_and_distinguishes_effects(evaluator, fitted):
     problem = evaluator.problem
     train = problem.splits[0].recordings[0]
-    for made in next_experiment.input_library(train, ("current",), 3):
-        current = made.channels["current"]
-        assert len(made) == len(train)
+    for recording in next_experiment.input_library(train, ("current",), 3):
+        current = recording.channels["current"]
+        assert len(recording) == len(train)
         assert train.channels["current"].min() <= current.min() and current.max() <= train.channels["current"].max()
     rivals = {k: {f"effects.{k}.strength": problem.effects[k].typical} for k in ("latent-heat", "heat-capacity")}
-    found = next_experiment.propose_experiment(problem, fitted, rivals, 0)
-    assert found is not None and set(found.separates) == set(rivals)
-    assert (found.recording is None) == ("no input within these limits" in found.advice)
-    if found.recording is not None:
+    experiment = next_experiment.propose_experiment(problem, fitted, rivals, 0)
+    assert experiment is not None and set(experiment.separates) == set(rivals)
+    assert (experiment.recording is None) == ("no input within these limits" in experiment.advice)
+    if experiment.recording is not None:
         limit = max(float(problem.states(fitted, _first(problem.problems[k])).temperature.max()) for k in (0, 1))
-        inputs = problem.problem_for_inputs(found.recording)
+        inputs = problem.problem_for_inputs(experiment.recording)
         assert inputs is not None
         assert float(problem.states(fitted, _first(inputs)).temperature.max()) <= limit + 1.0
     assert next_experiment.propose_experiment(problem, fitted, {"latent-heat": {}}, 0) is None
@@ -469,33 +469,33 @@ def _first(problem):
     return jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
 
 
-def test_a_cause_is_found_where_the_first_fit_does_not_come_to_rest(evaluator, monkeypatch):
-    """From the rig's own values each effect is tried in its usual strength; only without a cause is nothing selected."""
+def test_cause_is_selected_although_the_base_fit_does_not_converge(evaluator, monkeypatch):
+    """Each effect is refitted from the rig's own values at its typical strength; without a cause, nothing is selected."""
     evaluator.problem.wait_for_compilation()
     few = ("latent-heat", "backlash", "encoder-drift", "ambient-drift")
     monkeypatch.setattr(evaluator.problem, "effects", {k: evaluator.problem.effects[k] for k in few})
     monkeypatch.setattr("smajax.diagnosis.base_fit.is_stationary", lambda *_: False)
-    monkeypatch.setattr("smajax.diagnosis.candidates.AT_NOISE", 0.0)  # as if the first refits had not found it
-    said: list[str] = []
-    _, state = select_effects(evaluator.problem, report_progress=said.append)
-    assert not state.base_fit_converged and any("did not converge" in text for text in said)
-    assert "round 1: refitting them from the rig's own values" in said
+    monkeypatch.setattr("smajax.diagnosis.candidates.AT_NOISE", 0.0)  # as if the first refits had failed
+    messages: list[str] = []
+    _, state = select_effects(evaluator.problem, report_progress=messages.append)
+    assert not state.base_fit_converged and any("did not converge" in text for text in messages)
+    assert "round 1: refitting them from the rig's own values" in messages
     assert state.accepted == ("latent-heat",) and state.current.total_chi2 < 2.2
     state.current = state.base_fit
     monkeypatch.setattr("smajax.diagnosis.outcome.select_effects", lambda *_, **__: (evaluator, state))
-    with pytest.raises(NumericsError, match="did not converge") as caught:
+    with pytest.raises(NumericsError, match="did not converge") as error:
         diagnose(evaluator.problem)
-    assert set(caught.value.state) == {u.label for u in evaluator.problem.base_problem.unknowns}
+    assert set(error.value.state) == {u.label for u in evaluator.problem.base_problem.unknowns}
 
 
 def planted(problem: DiagnosisProblem, fitted: Refit, effect_set: EffectSet, parts: tuple[int, ...]) -> list:
-    """The problems of the splits, some with measurements that a set of effects and white noise make."""
+    """The problems of the splits, some with measurements simulated with a set of effects and white noise."""
     problems = list(problem.problems)
     for k in parts:
-        blown = problem.predict(effect_set, fitted.base, k)
+        change = problem.predict(effect_set, fitted.base, k)
         weight = np.asarray(problems[k].data.weight)
         noise = np.random.default_rng(6 + k).normal(size=weight.shape)
-        measured = np.asarray(problems[k].data.measured) + (blown.reshape(weight.shape) + noise) / np.where(
+        measured = np.asarray(problems[k].data.measured) + (change.reshape(weight.shape) + noise) / np.where(
             weight > 0.0, weight, np.inf
         )
         problems[k] = dataclasses.replace(
@@ -504,18 +504,18 @@ def planted(problem: DiagnosisProblem, fitted: Refit, effect_set: EffectSet, par
     return problems
 
 
-def test_an_instant_at_which_nothing_moves_is_looked_for_where_the_cost_is_flat(evaluator, fitted, monkeypatch):
-    """The draught sets in while the wire is cold: the training recording tells hardly when, the selection recording does."""
+def test_onset_time_is_refined_where_the_cost_is_flat(evaluator, fitted, monkeypatch):
+    """The airflow changes while the wire is cold: the selection recording determines the onset, the training hardly."""
     problem, name = evaluator.problem, "effects.airflow-change.instant"
-    draught = EffectSet().with_effect("airflow-change", {"effects.airflow-change.strength": 0.4, name: 26.4})
-    monkeypatch.setattr(problem, "problems", planted(problem, fitted, draught, (0, 1, 2)))
-    astray = draught.with_values({name: 27.35})
+    airflow = EffectSet().with_effect("airflow-change", {"effects.airflow-change.strength": 0.4, name: 26.4})
+    monkeypatch.setattr(problem, "problems", planted(problem, fitted, airflow, (0, 1, 2)))
+    displaced = airflow.with_values({name: 27.35})
     trial = evaluator.evaluate(
-        Refit(astray, fitted.base, *problem.evaluate(astray, fitted.base, 0), SolverStatus.converged)
+        Refit(displaced, fitted.base, *problem.evaluate(displaced, fitted.base, 0), SolverStatus.converged)
     )
     near = refine_onsets(evaluator, trial)
     assert near.train_chi2 < trial.train_chi2 < 1.1 and abs(near.refit.values[name] - 26.4) < 0.75
-    # Where the search has left it, its slope does not tell what it may do to a prediction; where the cost is flat, all instants count.
+    # The derivative at the fitted onset underestimates the error of a prediction; all onsets of equal cost count.
     assert (
         onset_prediction_error(evaluator.problem, near.refit, 0)
         < 0.05
@@ -530,20 +530,22 @@ def test_an_instant_at_which_nothing_moves_is_looked_for_where_the_cost_is_flat(
     assert refine_onsets(evaluator, evaluator.evaluate(fitted)).refit is fitted
 
 
-def test_an_instant_is_looked_for_over_the_whole_recording(evaluator, fitted, monkeypatch):
-    """A search that has set in far from the draught's instant ends beside it; one at the noise, or without an instant, is left alone."""
+def test_onset_time_is_scanned_over_the_whole_recording(evaluator, fitted, monkeypatch):
+    """A search that starts far from the onset ends elsewhere; one at the noise, or without an onset, is not scanned."""
     problem = evaluator.problem
-    draught = EffectSet().with_effect(
+    airflow = EffectSet().with_effect(
         "airflow-change", {"effects.airflow-change.strength": 0.4, "effects.airflow-change.instant": 21.3}
     )
-    monkeypatch.setattr(problem, "problems", planted(problem, fitted, draught, (0,)))
-    astray = problem.start_search(draught.with_values({"effects.airflow-change.instant": 60.0}), fitted.base).advance(8)
-    found = [problem.refit_from(s) for s in scan_onset_times(evaluator, astray)]
-    assert len(found) == 1 and problem.reduced_chi2(found[0].residual, 0) < 1.1 < problem.reduced_chi2(
-        problem.refit_from(astray).residual, 0
+    monkeypatch.setattr(problem, "problems", planted(problem, fitted, airflow, (0,)))
+    displaced = problem.start_search(
+        airflow.with_values({"effects.airflow-change.instant": 60.0}), fitted.base
+    ).advance(8)
+    scanned = [problem.refit_from(s) for s in scan_onset_times(evaluator, displaced)]
+    assert len(scanned) == 1 and problem.reduced_chi2(scanned[0].residual, 0) < 1.1 < problem.reduced_chi2(
+        problem.refit_from(displaced).residual, 0
     )
-    assert found[0].values["effects.airflow-change.instant"] == pytest.approx(21.3, abs=0.05)
-    assert scan_onset_times(evaluator, problem.start_search(draught, fitted.base).advance(3)) == []
+    assert scanned[0].values["effects.airflow-change.instant"] == pytest.approx(21.3, abs=0.05)
+    assert scan_onset_times(evaluator, problem.start_search(airflow, fitted.base).advance(3)) == []
     assert (
         scan_onset_times(
             evaluator,
@@ -555,20 +557,20 @@ def test_an_instant_is_looked_for_over_the_whole_recording(evaluator, fitted, mo
     )
 
 
-def test_a_coating_and_the_ends_of_a_wire_are_one_class(evaluator, monkeypatch):
-    """A node that follows half the wire's excess is one that follows all of it, and convection beside it: the fit has a long way to go."""
+def test_coating_and_end_conduction_are_equivalent(evaluator, monkeypatch):
+    """End conduction with other convection fits a coating as well, but the other parameters have to change much."""
     problem, rng = evaluator.problem, np.random.default_rng(0)
     planted = EffectSet(("coating",), (("effects.coating.strength", 0.2), ("effects.coating.time_constant", 4.0)))
     problems = []
     for k, split in enumerate(problem.problems):
         residual = problem.predict(planted, problem.nominal, k)
         weight = np.asarray(split.data.weight)
-        moved = np.where(
+        change = np.where(
             weight > 0,
             (residual.reshape(weight.shape) + rng.standard_normal(weight.shape)) / np.where(weight > 0, weight, 1.0),
             0.0,
         )
-        problems.append(eqx.tree_at(lambda p: p.data.measured, split, split.data.measured + moved))
+        problems.append(eqx.tree_at(lambda p: p.data.measured, split, split.data.measured + change))
     monkeypatch.setattr(problem, "problems", problems)
     trial = evaluator.evaluate(problem.fit(planted, problem.nominal, max_steps=10, rtol=1e-8))
     assert trial.at_noise
@@ -577,44 +579,46 @@ def test_a_coating_and_the_ends_of_a_wire_are_one_class(evaluator, monkeypatch):
     assert evaluator.log_distance_from_typical(trial) < evaluator.log_distance_from_typical(same)
 
 
-def test_a_fit_that_runs_away_under_another_input_is_not_predicted_with():
+def test_fit_that_diverges_under_another_input_does_not_predict():
     refits = [
         Refit(EffectSet(), np.full(1, k), np.zeros(1), np.zeros((1, 1)), SolverStatus.converged) for k in range(3)
     ]
-    left = {0: (1.0, np.inf), 1: (np.nan, 1.0), 2: (1.0, 1.0)}
+    chi2 = {0: (1.0, np.inf), 1: (np.nan, 1.0), 2: (1.0, 1.0)}
     problem = SimpleNamespace(
-        predict=lambda effect_set, base, k: left[int(base[0])][k - 1], reduced_chi2=lambda residual, k: residual
+        predict=lambda effect_set, base, k: chi2[int(base[0])][k - 1], reduced_chi2=lambda residual, k: residual
     )
     assert first_predicting_refit(problem, *refits) is refits[2]
     assert first_predicting_refit(problem, *refits[:2]) is refits[1]
 
 
 @pytest.mark.parametrize(
-    ("keys", "train", "select", "held", "equivalent", "word"),
+    ("keys", "train", "select", "holdout", "equivalent", "verdict"),
     [
         ((), 1.0, 1.0, 1.0, (), "nothing-missing"),
         ((), 4.0, 4.0, 4.0, (), "unresolved"),
-        ((), 1.0, 1.0, 4.0, (), "unresolved"),  # only the third input shows it
+        ((), 1.0, 1.0, 4.0, (), "unresolved"),  # only the holdout shows it
         (("latent-heat",), 1.0, 1.02, 1.02, (), "named"),
         (("latent-heat",), 1.0, 1.02, 1.02, ("heat-capacity",), "named-up-to-class"),
         (("latent-heat",), 1.0, 4.0, 1.02, (), "partial"),
-        (("latent-heat",), 1.0, 1.02, 2.4, (), "partial"),  # a stand-in that does not hold under another input
+        (("latent-heat",), 1.0, 1.02, 2.4, (), "partial"),  # a surrogate that fails under another input
         (("latent-heat",), 9.0, 9.0, 9.0, (), "partial"),
-        (("latent-heat",), 80.0, 80.0, 80.0, (), "unresolved"),  # explains a fifth: no cause, and taken back
+        (("latent-heat",), 80.0, 80.0, 80.0, (), "unresolved"),  # explains a fifth and is rejected
     ],
 )
-def test_the_words_of_a_verdict(keys, train, select, held, equivalent, word):
-    """See ``judged``."""
-    assert judged(keys, train, select, held, equivalent, (1.0, 1.0)) == word
+def test_verdicts(keys, train, select, holdout, equivalent, verdict):
+    """See ``verdict_for``."""
+    assert verdict_for(keys, train, select, holdout, equivalent, (1.0, 1.0)) == verdict
 
 
-def test_the_parameters_own_uncertainty_excuses_a_miss():
-    told = {e: judged(("latent-heat",), 1.0, 4.0, 3.0, (), e) for e in ((1.0, 1.0), (3.5, 1.0), (1.0, 2.8), (3.5, 2.8))}
-    assert list(told.values()) == ["partial", "partial", "partial", "named"]
+def test_verdict_allows_for_the_uncertainty_of_the_parameters():
+    verdicts = {
+        e: verdict_for(("latent-heat",), 1.0, 4.0, 3.0, (), e) for e in ((1.0, 1.0), (3.5, 1.0), (1.0, 2.8), (3.5, 2.8))
+    }
+    assert list(verdicts.values()) == ["partial", "partial", "partial", "named"]
 
 
 @pytest.mark.parametrize(
-    "both, held, word",
+    ("joint", "holdout", "verdict"),
     [
         ((1.1, 1.1), 1.1, "named"),
         ((1.1, 1.1), 1.35, "partial"),
@@ -622,30 +626,35 @@ def test_the_parameters_own_uncertainty_excuses_a_miss():
         ((1.4, 1.1), 1.1, "partial"),
     ],
 )
-def test_one_fit_that_does_for_two_recordings_and_predicts_the_third_names_what_one_alone_does_not(both, held, word):
-    assert judged(("airflow-change",), 1.0, 60.0, held, (), (1.0, 1.0), both) == word
+def test_joint_fit_can_name_an_effect_that_the_training_fit_cannot(joint, holdout, verdict):
+    assert verdict_for(("airflow-change",), 1.0, 60.0, holdout, (), (1.0, 1.0), joint) == verdict
 
 
 @pytest.mark.parametrize(
-    ("keys", "before", "after", "why"),
+    ("keys", "before", "after", "reason"),
     [
         ((), (2.0, 2.0), (1.999, 1.0), "no better than chance"),
         ((), (2.0, 2.0), (1.0, 1.9), "cuts the error on the selection recording by 2.5 %"),
         ((), (1.6, 1.7), (1.0, 1.0), ""),  # the first effect may be small
         (("latent-heat",), (1.6, 1.7), (1.0, 1.0), "by less than the noise, in addition to latent-heat"),
         (("latent-heat",), (1.6, 2.1), (1.0, 1.0), ""),
-        (("latent-heat",), (90.0, 80.0), (70.0, 60.0), ""),  # one of several, so that much is left
-        (("latent-heat",), (2.5, 6.4), (1.3, 2.2), "explains 78 % of the little that latent-heat left"),
+        (("latent-heat",), (90.0, 80.0), (70.0, 60.0), ""),  # one of several effects
+        (
+            ("latent-heat",),
+            (2.5, 6.4),
+            (1.3, 2.2),
+            "explains 78 % of the small excess that latent-heat does not explain",
+        ),
         (("latent-heat",), (2.5, 6.4), (1.1, 1.3), ""),
     ],
 )
-def test_what_is_said_against_an_effect(keys, before, after, why):
-    said = rejection_reason(trial(keys, *before), trial((*keys, "backlash"), *after), 4000)
-    assert why in said and bool(said) == bool(why)
+def test_rejection_reasons(keys, before, after, reason):
+    message = rejection_reason(trial(keys, *before), trial((*keys, "backlash"), *after), 4000)
+    assert reason in message and bool(message) == bool(reason)
 
 
-def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
-    """Two parameters, the second without any influence on what was fitted, and with some on what is predicted."""
+def test_undetermined_parameter_has_its_scale_as_standard_deviation():
+    """Two parameters, the second without influence on the fitted split, and with some on the predicted one."""
     jacobians = {0: np.array([[100.0, 0.0], [100.0, 0.0]]), 1: np.array([[100.0, 3.0], [100.0, 0.0]])}
     problem = SimpleNamespace(
         evaluate=lambda effect_set, base, k, free: (np.zeros(2), jacobians[k]), free_effect_parameters=lambda effect_set: (), series=lambda column, k: {"motion": column},
@@ -657,37 +666,35 @@ def test_what_no_recording_tells_may_be_as_far_off_as_is_typical():
     )
 
 
-def test_a_refit_that_is_worse_than_without_its_effect_is_taken_to_its_end_first():
+def test_refit_worse_than_its_parent_is_converged_first():
     held, other, hopeless = trial(("creep",), 12.0, 1.0), trial(("backlash",), 8.0, 8.0), trial(("slack",), 11.0, 30.0)
-    evaluator = SimpleNamespace(refit_to_convergence=lambda one: trial(one.keys, 9.0, 20.0))
-    found = _converge_worse_fits(evaluator, [held, other, hopeless], trial((), 10.0, 10.0))  # pyright: ignore[reportArgumentType]
-    assert [(t.keys, t.train_chi2) for t in found] == [(("backlash",), 8.0), (("creep",), 9.0)]
+    evaluator = SimpleNamespace(refit_to_convergence=lambda fit: trial(fit.keys, 9.0, 20.0))
+    fits = _converge_worse_fits(evaluator, [held, other, hopeless], trial((), 10.0, 10.0))  # pyright: ignore[reportArgumentType]
+    assert [(t.keys, t.train_chi2) for t in fits] == [(("backlash",), 8.0), (("creep",), 9.0)]
 
 
 @pytest.mark.parametrize(("joint", "kept"), [((1.0, 1.0), True), ((1.0, 40.0), False), ((30.0, 1.0), False)])
-def test_what_the_training_recording_leaves_open_is_asked_of_the_selection_recording(joint, kept, monkeypatch):
-    """An instant at which nothing moves may spoil the cause's prediction; a surrogate, fitted to both, does for one of them at most."""
-    cause, surrogate, asked = trial(("creep",), 0.9, 4000.0), trial(("encoder-gain",), 20.0, 130.0), []
+def test_open_fits_are_refitted_jointly(joint, kept, monkeypatch):
+    """An onset while nothing moves may spoil the cause's prediction; a surrogate cannot fit both splits."""
+    cause, surrogate, refitted = trial(("creep",), 0.9, 4000.0), trial(("encoder-gain",), 20.0, 130.0), []
     monkeypatch.setattr("smajax.diagnosis.forward_selection.refit_jointly", lambda problem, refit: refit)
     evaluator = SimpleNamespace(
         problem=None,
-        evaluate=lambda refit: asked.append(refit.effect_set.keys) or trial(refit.effect_set.keys, *joint),
+        evaluate=lambda refit: refitted.append(refit.effect_set.keys) or trial(refit.effect_set.keys, *joint),
     )
-    found = _refit_open_fits_jointly(evaluator, [surrogate, cause], 1.25)  # pyright: ignore[reportArgumentType]
-    assert asked == [("creep",)] and found[0] is surrogate
-    assert (found[1].train_chi2, found[1].select_chi2) == (joint if kept else (0.9, 4000.0))
+    fits = _refit_open_fits_jointly(evaluator, [surrogate, cause], 1.25)  # pyright: ignore[reportArgumentType]
+    assert refitted == [("creep",)] and fits[0] is surrogate
+    assert (fits[1].train_chi2, fits[1].select_chi2) == (joint if kept else (0.9, 4000.0))
     named = trial(("creep",), 1.0, 1.0)
-    assert _refit_open_fits_jointly(evaluator, [cause, named], 1.25) == [cause, named] and len(asked) == 1  # pyright: ignore[reportArgumentType]
+    assert _refit_open_fits_jointly(evaluator, [cause, named], 1.25) == [cause, named] and len(refitted) == 1  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
     ("train", "select", "again"),
     [(4.0, 20.0, False), (20.0, 32.0, True), (4.0, 170.0, True), (1.0, 1.0, False)],
 )
-def test_effects_are_tried_afresh_unless_one_explains_half_of_what_was_fitted_and_of_all(
-    train, select, again, monkeypatch
-):
-    """A surrogate may mend a prediction that a biased first fit spoilt while the cause, from that fit, promises nothing."""
+def test_effects_are_refitted_from_typical_strengths_unless_one_explains_half(train, select, again, monkeypatch):
+    """A surrogate may improve the prediction of a biased base fit while the score of the cause is 0 there."""
     strengths: list[list[float]] = []
 
     def halving(_, near, far=()):
@@ -697,35 +704,35 @@ def test_effects_are_tried_afresh_unless_one_explains_half_of_what_was_fitted_an
     first = trial((), 24.0, 175.0)
     state = SelectionState({}, {}, first, first, 1.05, {"wire-crosstalk": NominalScore(1.0, 0.1, ())})
     problem = SimpleNamespace(shape_grid=lambda key: [()], plausible_range=lambda key: (0.0, 9.0))
-    one = SimpleNamespace(minimum_detectable_strength=0.1, strength=0.3, gain=5.0)
-    scores = SimpleNamespace(best={"wire-crosstalk": one}, shapes={"wire-crosstalk": ()})
+    score = SimpleNamespace(minimum_detectable_strength=0.1, strength=0.3, gain=5.0)
+    scores = SimpleNamespace(best={"wire-crosstalk": score}, shapes={"wire-crosstalk": ()})
     monkeypatch.setattr("smajax.diagnosis.forward_selection.successive_halving", halving)
-    found = _fit_single_effects(SimpleNamespace(problem=problem), state, scores, lambda text: None)  # pyright: ignore[reportArgumentType]
-    assert strengths == ([[0.3, 0.1], [1.0]] if again else [[0.3, 0.1]]) and len(found) == len(strengths)
+    fits = _fit_single_effects(SimpleNamespace(problem=problem), state, scores, lambda text: None)  # pyright: ignore[reportArgumentType]
+    assert strengths == ([[0.3, 0.1], [1.0]] if again else [[0.3, 0.1]]) and len(fits) == len(strengths)
 
 
-def test_an_effect_that_is_not_missed_is_dropped_and_no_fit_made_twice():
-    """The fit before the last effect is known; only those without an earlier one are made."""
-    made, pair = [], trial(("creep", "backlash"), 1.0, 1.0)
+def test_unneeded_effect_is_dropped_without_repeating_a_fit():
+    """The fit before the last effect exists already; only fits without an earlier effect are made."""
+    fitted_keys, pair = [], trial(("creep", "backlash"), 1.0, 1.0)
     problem = SimpleNamespace(samples=1000)
     evaluator = SimpleNamespace(
         problem=problem,
         stride=lambda train: 1,
-        fit=lambda h, base, stride: made.append(h.keys),
+        fit=lambda effect_set, base, stride: fitted_keys.append(effect_set.keys),
         evaluate=lambda refit: trial(("backlash",), 1.0, 1.0),
     )
     state = SelectionState(
         {}, {}, trial((), 9.0, 9.0), pair, 1.05, {}, accepted_fits=[trial(("creep",), 3.0, 3.0), pair]
     )
     drop_unneeded_effects(evaluator, state)  # pyright: ignore[reportArgumentType]
-    assert (state.accepted, made) == (("backlash",), [("backlash",)])
+    assert (state.accepted, fitted_keys) == (("backlash",), [("backlash",)])
     assert state.rejected == [("creep", "is no longer needed next to the other effects")]
     evaluator.evaluate, state.current, state.rejected = lambda refit: trial(("backlash",), 3.0, 3.0), pair, []
     drop_unneeded_effects(evaluator, state)  # pyright: ignore[reportArgumentType]
-    assert (state.accepted, len(made), state.rejected) == (("creep", "backlash"), 2, [])
+    assert (state.accepted, len(fitted_keys), state.rejected) == (("creep", "backlash"), 2, [])
 
 
-def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():
+def test_explained_share_without_a_finite_base_prediction():
     first, better = trial((), 11.0, math.nan), trial(("latent-heat",), 3.0, 40.0)
     assert SelectionState({}, {}, first, first, 1.05, {}).explained_by(better) == pytest.approx(0.8)
     first = trial((), 11.0, 21.0)
@@ -735,18 +742,18 @@ def test_what_the_first_fit_cannot_predict_is_not_counted_as_explained():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "helps"), [(2.0, 1.0, True), (1.0, 1.0, False), (1.0, 2.0, False), (math.nan, 1.0, True)]
+    ("before", "after", "improves"), [(2.0, 1.0, True), (1.0, 1.0, False), (1.0, 2.0, False), (math.nan, 1.0, True)]
 )
-def test_effects_that_leave_the_holdout_as_it_was_are_no_partial_answer(before, after, helps):
+def test_effects_must_improve_the_holdout(before, after, improves):
     noise = np.random.default_rng(1).standard_normal((2, 1000))
-    left = {(): before * noise[0], ("creep",): after * noise[1]}
+    residuals = {(): before * noise[0], ("creep",): after * noise[1]}
     problem = SimpleNamespace(
-        predict=lambda effect_set, base, k: left[effect_set.keys],
+        predict=lambda effect_set, base, k: residuals[effect_set.keys],
         series=lambda residual, k: {"motion": residual},
         channels=("motion",),
     )
     evaluator = SimpleNamespace(problem=problem, seed=0)
-    assert improves_holdout(evaluator, trial((), 9.0, 9.0).refit, trial(("creep",), 9.0, 9.0).refit) == helps  # pyright: ignore[reportArgumentType]
+    assert improves_holdout(evaluator, trial((), 9.0, 9.0).refit, trial(("creep",), 9.0, 9.0).refit) == improves  # pyright: ignore[reportArgumentType]
 
 
 def trial(keys, train, select):
@@ -755,17 +762,17 @@ def trial(keys, train, select):
     )
 
 
-def judged(keys, train, select, held, equivalent, expected, both=None):
-    """The word for mean squares of a fit on the three recordings, where ``expected`` may be left on the second and third.
+def verdict_for(keys, train, select, holdout, equivalent, expected, joint=None):
+    """The verdict for the reduced chi-squared of a fit on the three splits, where that of a perfect model is ``expected``.
 
-    ``both`` are those of a fit to the first two together, on these; by default, as those of the fit to the first one.
+    ``joint`` is that of the joint fit on the first two splits; by default that of the fit to the training split.
     """
     first = trial((), 100.0, 100.0) if keys else trial((), train, select)
     state = SelectionState(
         {}, {}, first, trial(keys, train, select), 1.05, {}, equivalent={k: equivalent for k in keys}
     )
     reject_if_little_explained(state)
-    word = classify_outcome(state, (*(both or (train, select)), held), expected)
-    assert bool(state.accepted) == word.startswith(("named", "partial"))
-    assert len(state.rejected) == (word == "unresolved" and bool(keys))
-    return word
+    verdict = classify_outcome(state, (*(joint or (train, select)), holdout), expected)
+    assert bool(state.accepted) == verdict.startswith(("named", "partial"))
+    assert len(state.rejected) == (verdict == "unresolved" and bool(keys))
+    return verdict

@@ -1,4 +1,4 @@
-"""Actuators from their files: metrics, names and units, sentences about mistakes, and derivatives of every metric."""
+"""Actuator files: metrics, names and units, messages about mistakes, and derivatives of every metric."""
 
 import dataclasses
 from pathlib import Path
@@ -17,7 +17,7 @@ from smajax.files import actuator_file
 from smajax.recordings.datasets import data_path
 
 KINDS = sorted(actuator_file.ACTUATORS)
-# What a sweep may ask of whatever it sweeps.
+# Metrics that a sweep needs of every subject.
 ASKED = {"stroke", "force", "bandwidth", "peak_temperature", "energy_per_cycle", "efficiency", "time_to_cool"}
 
 
@@ -42,38 +42,38 @@ def figures(actuator: AbstractActuator) -> dict[str, jax.Array]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_shipped_actuator_reads_back_and_gives_its_metrics(kind: str, tmp_path: Path):
+def test_shipped_actuators_round_trip_and_have_metrics(kind: str, tmp_path: Path):
     actuator = actuator_file.read_actuator(data_path("actuators", kind, "rig.toml"))
     actuator_file.write(tmp_path / "actuator.toml", actuator)
-    again = actuator_file.read_actuator(tmp_path / "actuator.toml")
-    assert eqx.tree_equal(actuator, again)
-    told = figures(shipped_actuator(kind))
-    assert set(told) == set(actuator.units) >= ASKED
-    assert all(value.shape == () and np.isfinite(value) for value in told.values())
-    unset = {"body.spacing"} if kind == "flexural" else set()
+    reread = actuator_file.read_actuator(tmp_path / "actuator.toml")
+    assert eqx.tree_equal(actuator, reread)
+    metrics = figures(shipped_actuator(kind))
+    assert set(metrics) == set(actuator.units) >= ASKED
+    assert all(value.shape == () and np.isfinite(value) for value in metrics.values())
+    optional = {"body.spacing"} if kind == "flexural" else set()
     for name, declaration in parameters.all_declarations(actuator).items():
-        assert name in unset or declaration.lower <= float(parameters.get(actuator, name)) <= declaration.upper
+        assert name in optional or declaration.lower <= float(parameters.get(actuator, name)) <= declaration.upper
 
 
 def of_names(kind: str, names: list[str]):
-    """All figures as a function of some parameters, scaled to 1."""
+    """Return all metrics as a function of some parameters, scaled to 1."""
     actuator = shipped_actuator(kind)
     nominal = jnp.stack([parameters.get(actuator, name) for name in names])
 
-    def told(factors: jax.Array) -> jax.Array:
+    def metrics_of(factors: jax.Array) -> jax.Array:
         values = factors * nominal
-        found = parameters.replace(actuator, {name: values[i] for i, name in enumerate(names)}).metrics()
-        return jnp.stack([found[name] for name in actuator.units])
+        metrics = parameters.replace(actuator, {name: values[i] for i, name in enumerate(names)}).metrics()
+        return jnp.stack([metrics[name] for name in actuator.units])
 
-    return told
+    return metrics_of
 
 
-def slopes_and_ends(told, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives at a point, and the values 1e-4 of it above, below it, and there: one program."""
-    basis = np.eye(len(at))
-    points = at * (1.0 + 1e-4 * np.concatenate([basis, -basis, 0.0 * basis]))
-    ends, pushed = jax.jit(jax.vmap(lambda p, d: jax.jvp(told, (p,), (d,))))(points, np.tile(basis, (3, 1)))
-    return np.array(pushed)[-len(at) :].T, np.array(ends)
+def slopes_and_ends(metrics_of, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the derivatives at a point, and the values at it and at relative distances of 1e-4 on both sides."""
+    basis = np.eye(len(point))
+    points = point * (1.0 + 1e-4 * np.concatenate([basis, -basis, 0.0 * basis]))
+    values, tangents = jax.jit(jax.vmap(lambda p, d: jax.jvp(metrics_of, (p,), (d,))))(points, np.tile(basis, (3, 1)))
+    return np.array(tangents)[-len(point) :].T, np.array(values)
 
 
 FREED = {
@@ -100,65 +100,67 @@ FREED = {
 
 
 @pytest.mark.parametrize("kind", FREED)  # the knee's, which are integrated, in test_knee.py
-def test_every_figure_has_its_derivatives(kind: str):
-    told, count = of_names(kind, FREED[kind]), len(FREED[kind])
-    slopes, ends = slopes_and_ends(told, np.ones(count))
+def test_derivatives_of_every_metric(kind: str):
+    metrics_of, count = of_names(kind, FREED[kind]), len(FREED[kind])
+    slopes, ends = slopes_and_ends(metrics_of, np.ones(count))
     by_difference = (ends[:count] - ends[count:-count]).T / 2e-4
     size = np.abs(ends[0])[:, None]
     np.testing.assert_allclose(slopes / size, by_difference / size, rtol=2e-5, atol=1e-7)
     assert np.all(np.any(slopes != 0.0, axis=0))
-    one = dict(zip(shipped_actuator(kind).units, ends[0], strict=True))
+    batched = dict(zip(shipped_actuator(kind).units, ends[0], strict=True))
     actuator = shipped_actuator(kind)
-    alone = figures(parameters.replace(actuator, {FREED[kind][0]: 1.0001 * parameters.get(actuator, FREED[kind][0])}))
-    for name, value in one.items():
-        assert value == pytest.approx(float(alone[name]), rel=1e-10)  # in a batch as alone
+    single = figures(parameters.replace(actuator, {FREED[kind][0]: 1.0001 * parameters.get(actuator, FREED[kind][0])}))
+    for name, value in batched.items():
+        assert value == pytest.approx(float(single[name]), rel=1e-10)  # in a batch as alone
 
 
 def test_wires_at_a_spacing_cool_more_slowly_the_closer_they_are():
-    """The file's spacing is that of the section; derivatives in it and in the diameter beside it."""
+    """The spacing in the file is that of the cross-section; derivatives with respect to spacing and diameter."""
     actuator = shipped_actuator("flexural")
     close = dataclasses.replace(
         actuator_file.parse_actuator(text_of("flexural", {"count = 2": 'count = 4\nspacing = "0.8 mm"'})), cells=6
     )  # pyright: ignore[reportArgumentType]
-    again = actuator_file.parse_actuator(actuator_file.to_toml(close))
-    assert float(parameters.get(again, "body.spacing")) == pytest.approx(0.8e-3, rel=1e-12)
+    reread = actuator_file.parse_actuator(actuator_file.to_toml(close))
+    assert float(parameters.get(reread, "body.spacing")) == pytest.approx(0.8e-3, rel=1e-12)
     even, names = parameters.replace(actuator, {"body.count": 4.0}), ("wire.diameter", "body.spacing")
     nominal = np.array([0.3e-3, 0.8e-3])
 
-    def told(values: jax.Array) -> jax.Array:
-        found = parameters.replace(close, dict(zip(names, values, strict=True))).metrics()
-        return jnp.stack([found["time_to_cool"], found["temperature_after"]])
+    def metrics_of(values: jax.Array) -> jax.Array:
+        metrics = parameters.replace(close, dict(zip(names, values, strict=True))).metrics()
+        return jnp.stack([metrics["time_to_cool"], metrics["temperature_after"]])
 
-    slopes, ends = slopes_and_ends(told, nominal)
+    slopes, ends = slopes_and_ends(metrics_of, nominal)
     np.testing.assert_allclose(slopes, ((ends[:2] - ends[2:4]) / (2e-4 * nominal[:, None])).T, rtol=1e-4)
     assert slopes[1, 0] > 0.0 > slopes[1, 1]
     assert float(ends[4, 1]) > float(figures(even)["temperature_after"]) + 1.0
-    # A count that the grid was not made for has no answer, where even wires have one.
+    # A count that does not fit the grid gives NaN; evenly spaced wires do not.
     assert np.isnan(float(figures(parameters.replace(close, {"body.count": 3.0}))["time_to_cool"]))
     assert np.isfinite(float(figures(even)["time_to_cool"]))
 
 
-def test_flexural_figures_are_those_of_its_parts():
+def test_flexural_metrics_agree_with_those_of_the_parts():
     actuator = shipped_actuator("flexural")
-    told = {name: float(value) for name, value in figures(actuator).items()}
-    assert told["moment"] == pytest.approx(1.528e-3, rel=1e-3)
-    assert told["blocking_force"] == pytest.approx(2 * told["moment"] / 55e-3, rel=1e-12)
-    assert told["blocking_force_of_yielding"] == pytest.approx(
-        told["plastic_share"] * told["blocking_force"], rel=1e-12
+    metrics = {name: float(value) for name, value in figures(actuator).items()}
+    assert metrics["moment"] == pytest.approx(1.528e-3, rel=1e-3)
+    assert metrics["blocking_force"] == pytest.approx(2 * metrics["moment"] / 55e-3, rel=1e-12)
+    assert metrics["blocking_force_of_yielding"] == pytest.approx(
+        metrics["plastic_share"] * metrics["blocking_force"], rel=1e-12
     )
-    assert told["plastic_share"] == pytest.approx(1 - 0.638, abs=1e-3)
-    assert told["yield_diameter"] == pytest.approx(230e-6, rel=1e-3)
-    assert told["energy_per_cycle"] == pytest.approx(
+    assert metrics["plastic_share"] == pytest.approx(1 - 0.638, abs=1e-3)
+    assert metrics["yield_diameter"] == pytest.approx(230e-6, rel=1e-3)
+    assert metrics["energy_per_cycle"] == pytest.approx(
         2.82 + 1.36, rel=3e-3
     )  # 123 mm of wire: warmed by 60 K, transformed
-    assert told["resistance"] == pytest.approx(1.57, rel=5e-3)
-    assert told["heating_time"] == pytest.approx(told["energy_per_cycle"] / (3.5**2 * told["resistance"]), rel=1e-12)
-    assert 1.0 / told["bandwidth"] == pytest.approx(told["heating_time"] + told["time_to_cool"], rel=1e-12)
-    assert told["force"] == told["blocking_force"] and told["peak_temperature"] == 80.0
+    assert metrics["resistance"] == pytest.approx(1.57, rel=5e-3)
+    assert metrics["heating_time"] == pytest.approx(
+        metrics["energy_per_cycle"] / (3.5**2 * metrics["resistance"]), rel=1e-12
+    )
+    assert 1.0 / metrics["bandwidth"] == pytest.approx(metrics["heating_time"] + metrics["time_to_cool"], rel=1e-12)
+    assert metrics["force"] == metrics["blocking_force"] and metrics["peak_temperature"] == 80.0
     assert (
-        told["efficiency"]
-        < told["limit_efficiency"]
-        == pytest.approx(told["plastic_work"] / told["energy_per_cycle"], rel=1e-12)
+        metrics["efficiency"]
+        < metrics["limit_efficiency"]
+        == pytest.approx(metrics["plastic_work"] / metrics["energy_per_cycle"], rel=1e-12)
     )
     # Against a bench so soft that it takes all the stroke, or so stiff that it takes none, no work is done.
     work = [
@@ -170,8 +172,8 @@ def test_flexural_figures_are_those_of_its_parts():
     assert float(thin["blocking_force_of_yielding"]) == 0.0 == float(thin["plastic_work"])
 
 
-def test_an_unused_figure_costs_nothing():
-    """Without the cooling the compiled program has no loop over time steps."""
+def test_unused_metrics_are_not_computed():
+    """Without the cooling metrics, the compiled program has no loop over time steps."""
     actuator = eqx.filter(shipped_actuator("flexural"), eqx.is_array)
     loops = {}
     for name in ("blocking_force", "time_to_cool"):
@@ -183,13 +185,13 @@ def test_an_unused_figure_costs_nothing():
 CASES = {
     "no rig": ({"[rig]": "[rik]"}, "the section [rig] is missing: add [rig] with a line kind = \"flexural\""),
     "kind": ({'"flexural"': '"flexurel"'}, "rig.kind: 'flexurel' is not known (did you mean 'flexural'?): it is one of"),
-    "section": ({"[silicone]": "[silicon]"}, "[silicon] is not a section of this actuator (did you mean 'silicone'?): correct it, or take it out"),
+    "section": ({"[silicone]": "[silicon]"}, "[silicon] is not a section of this actuator (did you mean 'silicone'?): correct it, or remove it"),
     "key": ({"diameter =": "diametre ="}, "wire.diametre is not known (did you mean 'diameter'?): the keys of [wire] are"),
     "missing": ({'curvature = "60 1/m"': ""}, 'body.curvature is missing: an actuator of kind flexural needs a line like curvature = "60 1/m" under [body]'),
     "unit": ({'"0.3 mm"': '"0.3 kg"'}, "wire.diameter: '0.3 kg': the unit 'kg' does not fit: a unit that converts to m is expected"),
     "bound": ({'"0.3 mm"': '"-0.3 mm"'}, "wire.diameter: '-0.3 mm' is not possible for the wire diameter: give a value from 0.001 mm to 20 mm"),
     "too thick": ({'"0.3 mm"': '"0.7 mm"'}, "wire.diameter leaves no silicone above or below the wire: keep it below 0.6 mm less twice the offset"),
-    "half a wire": ({"count = 2": "count = 2.5"}, "body.count = 2.5 (actuator.toml line 10) is not a whole number, and it is the number of wires side by side: give a whole one"),
+    "half a wire": ({"count = 2": "count = 2.5"}, "body.count = 2.5 (actuator.toml line 10) is not a whole number, but is the number of wires side by side: give a whole number"),
     "past the bench": ({'position = "109.2 mm"': 'position = "310 mm"'}, "bench.position is beyond bench.length, where there is no cantilever to push: correct one of the two"),
     "stiffer by yielding": ({'"0.88 GPa"': '"68 GPa"'}, "bending.tangent_modulus is above bending.modulus, so that yielding stiffens the wire: correct one of the two"),
     "too close": ({"count = 2": 'count = 2\nspacing = "0.3 mm"'}, "body.spacing is not above wire.diameter, so that the wires overlap: give a larger one"),
@@ -203,16 +205,16 @@ KNEE_CASES = {
     "turns that do not fit": ({'"1 mm"': '"2 mm"', '"6 mm"': '"12 mm"'}, "wire.free_length = 80 mm is too short: 56 turns of a wire of 2 mm take 112 mm side by side: correct wire.turns, wire.diameter or wire.free_length"),
     "too many turns": ({"turns = 56": "turns = 200"}, "wire.free_length = 80 mm is too short: 200 turns of a wire of 1 mm take 200 mm side by side"),
     "coil narrower than its wire": ({'"6 mm"': '"0.9 mm"'}, "wire.coil_diameter = 0.9 mm (actuator.toml line 11) is not above wire.diameter = 1 mm (actuator.toml line 10): correct one of the two"),
-    "stretched too far": ({'prestretch = "50 mm"': 'prestretch = "5 m"'}, "wire.prestretch = 5000 mm is too much: it strains this coil's wire like a tension of"),
+    "stretched too far": ({'prestretch = "50 mm"': 'prestretch = "5 m"'}, "wire.prestretch = 5000 mm is too large: the equivalent tensile strain of the wire is"),
     "band backwards": ({'austenite_finish = "62 degC"': 'austenite_finish = "30 degC"'}, "material.austenite_finish = 30 degC (actuator.toml line 23) is not above material.austenite_start = 34 degC (actuator.toml line 22): correct one of the two"),
-    "half a spring": ({"turns = 56": "turns = 56\nsprings = 1.5"}, "wire.springs = 1.5 (actuator.toml line 13) is not a whole number, and it is the springs side by side"),
+    "half a spring": ({"turns = 56": "turns = 56\nsprings = 1.5"}, "wire.springs = 1.5 (actuator.toml line 13) is not a whole number, but is the springs side by side"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("kind", "case"), [*(("flexural", case) for case in CASES), *(("knee", case) for case in KNEE_CASES)]
 )
-def test_a_malformed_actuator_gets_its_sentence(kind: str, case: str):
+def test_malformed_actuator_files_are_refused(kind: str, case: str):
     changes, sentence = (CASES if kind == "flexural" else KNEE_CASES)[case]
     with pytest.raises(InputError) as error:
         actuator_file.parse_actuator(text_of(kind, changes))
@@ -220,19 +222,19 @@ def test_a_malformed_actuator_gets_its_sentence(kind: str, case: str):
 
 
 @pytest.mark.parametrize(
-    ("kind", "values", "lost"),
+    ("kind", "values", "undefined"),
     [
         ("knee", {"wire.diameter": 1.5e-3}, {"stroke", "austenite_stiffness"}),
         ("flexural", {"bench.position": 0.31}, {"stroke", "work_per_cycle", "efficiency"}),
         ("flexural", {"bending.tangent_modulus": 68e9}, {"moment", "blocking_force", "plastic_work"}),
     ],
 )
-def test_what_cannot_be_has_no_figures(kind: str, values: dict[str, float], lost: set[str]):
-    told = figures(parameters.replace(shipped_actuator(kind), values))
-    assert all(np.isnan(told[name]) for name in lost)
+def test_impossible_parameters_give_nan(kind: str, values: dict[str, float], undefined: set[str]):
+    metrics = figures(parameters.replace(shipped_actuator(kind), values))
+    assert all(np.isnan(metrics[name]) for name in undefined)
 
 
-def test_new_values_have_to_make_an_actuator():
+def test_invalid_new_values_are_refused():
     actuator = actuator_file.read_actuator(data_path("actuators", "flexural", "rig.toml"))
     with pytest.raises(InputError, match="the actuator with new values: wire.diameter leaves no silicone"):
         actuator_file.to_toml(actuator, {"wire.diameter": 0.7e-3})

@@ -1,4 +1,4 @@
-"""Every way in which a rig file can be wrong, with the sentence it has to give."""
+"""Messages for every kind of mistake in a rig file."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from smajax.errors import InputError
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.recordings.datasets import data_path
 
-# Each row: the kind whose template is spoilt, what is replaced in it by what (an empty text: appended), and the sentence.
+# Each row: the kind of the template, its replacements (an empty key appends the text), and the message.
 DEAD, ROTARY, PATH, COIL = "dead-weight", "antagonistic-rotary", "path", "coil-bias-spring"
 CASES: dict[str, tuple[str, dict[str, str], str]] = {
     # Sections and keys
     "section misspelt": (
         DEAD,
         {"[wire]": "[wires]"},
-        "[wires] is not a section of a rig (did you mean 'wire'?): correct it, or take it out",
+        "[wires] is not a section of a rig (did you mean 'wire'?): correct it, or remove it",
     ),
     "section misspelt, nothing near": (
         DEAD,
@@ -31,7 +31,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "key misspelt among many": (
         DEAD,
         {"martensite_start": "martensit_start"},
-        "material.martensit_start is not known (did you mean 'martensite_start'?): correct it, or take it out",
+        "material.martensit_start is not known (did you mean 'martensite_start'?): correct it, or remove it",
     ),
     "key in the wrong section": (
         DEAD,
@@ -41,7 +41,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "key outside of its section": (
         DEAD,
         {"[rig]": ""},
-        "kind stands outside of its section: write it below a line [rig]",
+        "kind is outside of its section: write it below a line [rig]",
     ),
     "rig section missing": (
         DEAD,
@@ -84,33 +84,33 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "section of another kind": (
         DEAD,
         {"[wire]": '[pulley]\nradius = "20 mm"\n[wire]'},
-        '[pulley] has no place on a dead-weight rig: take it out, or set kind = "antagonistic-rotary" or kind = "coil-antagonistic" '
+        '[pulley] does not apply to a dead-weight rig: remove it, or set kind = "antagonistic-rotary" or kind = "coil-antagonistic" '
         'or kind = "hip" or kind = "elbow" or kind = "wrist" or kind = "glove-finger" under [rig]',
     ),
     "section of a heated kind": (
         PATH,
         {"": '\n[heat]\nh0 = "100 W/m^2/K"'},
-        "[heat] has no place on a path rig: take it out",
+        "[heat] does not apply to a path rig: remove it",
     ),
     "control on a path": (
         PATH,
         {'kind = "path"': 'kind = "path"\ncontrol = "current"'},
-        "rig.control has no place on a path rig: take it out, since the recording gives the temperature itself",
+        "rig.control does not apply to a path rig: remove it, since the recording has the temperature",
     ),
     "start temperature on a path": (
         PATH,
         {"": '\n[initial]\ntemperature = "20 degC"'},
-        "initial.temperature has no place on a path rig: take it out, since the recording gives it",
+        "initial.temperature does not apply to a path rig: remove it, since it follows from the recording",
     ),
     "key of another control": (
         DEAD,
         {"": '\n[drive]\nlead_resistance = "1 ohm"'},
-        'drive.lead_resistance has no place with control = "current": it goes with control = "voltage" or control = "duty", or take it out',
+        'drive.lead_resistance does not apply with control = "current": choose control = "voltage" or control = "duty", or remove it',
     ),
     "key of another h(T)": (
         DEAD,
         {"[heat]": '[heat]\nexponent = 1.5\nh1 = "1 W/m^2/K^2"'},
-        "heat.h1 has no place with an exponent in h(T): it goes with h(T) as a polynomial, or take it out",
+        "heat.h1 does not apply with an exponent in h(T): choose h(T) as a polynomial, or remove it",
     ),
     "unit of another h(T)": (
         DEAD,
@@ -143,35 +143,35 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "stretched too far": (
         "hip",
         {'prestretch = "40 mm"': 'prestretch = "400 mm"'},
-        "wire.prestretch = 400 mm is too much: it strains this coil's wire like a tension of 16.3 %, and at most 12 % is possible: give less, "
-        "or correct the coil's sizes",
+        "wire.prestretch = 400 mm is too large: the equivalent tensile strain of the wire is 16.3 %, and at most 12 % is possible: reduce it, "
+        "or correct the dimensions of the coil",
     ),
     "half a spring": (
         "hip",
         {"springs = 6": "springs = 5.5"},
-        "wire.springs = 5.5 (rig.toml line 42) is not a whole number, and it is the springs side by side that pull together: give a whole one",
+        "wire.springs = 5.5 (rig.toml line 42) is not a whole number, but is the springs side by side that pull together: give a whole number",
     ),
     "half a wire": (
         "elbow",
         {'count = "3"': "count = 2.5"},
-        "transmission.count = 2.5 (rig.toml line 52) is not a whole number, and it is the number of wires that pull in parallel, each driven "
-        "as the recording says: give a whole one",
+        "transmission.count = 2.5 (rig.toml line 52) is not a whole number, but is the number of wires that pull in parallel, each driven "
+        "as the recording says: give a whole number",
     ),
-    "more ways for the current than springs": (
+    "more parallel current paths than springs": (
         COIL,
         {"turns = 25": "turns = 25\npaths = 2"},
-        "wire.paths = 2 is more than wire.springs = 1: a bundle has at most as many ways for the current as springs, and 1 where all are in "
+        "wire.paths = 2 is more than wire.springs = 1: a bundle has at most as many parallel current paths as springs, and 1 if all are in "
         "series",
     ),
     "length of a coil": (
         COIL,
         {"turns = 25": 'turns = 25\nlength = "230 mm"'},
-        "wire.length has no place with a coiled wire: it goes with a straight wire, or take it out",
+        "wire.length does not apply with a coiled wire: choose a straight wire, or remove it",
     ),
     "coil on a straight wire's kind": (
         DEAD,
         {'length = "230 mm"': 'length = "230 mm"\nturns = 25'},
-        "wire.turns has no place with a straight wire: it goes with a coiled wire, or take it out",
+        "wire.turns does not apply with a straight wire: choose a coiled wire, or remove it",
     ),
     "turns missing": (
         COIL,
@@ -209,7 +209,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "no quotation marks": (
         DEAD,
         {'"0.15 mm"': "0.15 mm"},
-        'row 37, column 17: something follows the value: quantities and names stand in quotation marks, as in diameter = "0.15 mm"',
+        'row 37, column 17: something follows the value: put quantities and names in quotation marks, as in diameter = "0.15 mm"',
     ),
     "wrong unit": (
         DEAD,
@@ -275,65 +275,65 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "free parameter unknown": (
         DEAD,
         {'["heat.h0"': '["heat.hO"'},
-        "fit.free has 'heat.hO', which is no parameter of this rig (did you mean 'heat.h2'?): name it by section and key, as in heat.h0",
+        "fit.free has 'heat.hO', which is not a parameter of this rig (did you mean 'heat.h2'?): name it by section and key, as in heat.h0",
     ),
     "free parameter without section": (
         DEAD,
         {'["heat.h0"': '["h0"'},
-        "fit.free has 'h0', which is no parameter of this rig (did you mean 'heat.h0'?): name it by section and key, as in heat.h0",
+        "fit.free has 'h0', which is not a parameter of this rig (did you mean 'heat.h0'?): name it by section and key, as in heat.h0",
     ),
     "free parameter of another kind": (
         DEAD,
         {'["heat.h0"': '["pulley.radius"'},
-        "fit.free has 'pulley.radius', which is no parameter of this rig: name it by section and key, as in heat.h0",
+        "fit.free has 'pulley.radius', which is not a parameter of this rig: name it by section and key, as in heat.h0",
     ),
     "free parameter twice": (
         DEAD,
         {'["heat.h0"': '["heat.h0", "heat.h0"'},
-        "fit.free lists heat.h0 twice: take one of them out",
+        "fit.free lists heat.h0 twice: remove one of them",
     ),
     "tie and member": (
         DEAD,
         {'["heat.h0"': '["heat.capacity_austenite"'},
-        "fit.free has heat.capacity and heat.capacity_austenite, which it contains: keep the one or the other",
+        "fit.free has heat.capacity and heat.capacity_austenite, which it contains: keep only one of them",
     ),
     "tie free, member per recording": (
         DEAD,
         {"": 'per_recording = ["heat.capacity_martensite"]'},
-        "fit.free has heat.capacity and heat.capacity_martensite, which it contains: keep the one or the other",
+        "fit.free has heat.capacity and heat.capacity_martensite, which it contains: keep only one of them",
     ),
     "per recording unknown": (
         DEAD,
         {"": 'per_recording = ["environment.ambeint"]'},
-        "fit.per_recording has 'environment.ambeint', which is no parameter of this rig (did you mean 'environment.ambient'?): "
+        "fit.per_recording has 'environment.ambeint', which is not a parameter of this rig (did you mean 'environment.ambient'?): "
         "name it by section and key, as in heat.h0",
     ),
     "initial unknown": (
         DEAD,
         {"": 'initial = ["temp"]'},
-        "fit.initial has 'temp', which is no initial state of this rig (did you mean 'temperature'?): it can be temperature, detwinned, "
+        "fit.initial has 'temp', which is not an initial state of this rig (did you mean 'temperature'?): it can be temperature, detwinned, "
         "twinned",
     ),
     "initial temperature of a path": (
         PATH,
         {"": 'initial = ["temperature"]'},
-        "fit.initial has 'temperature', which is no initial state of this rig: it can be detwinned, twinned",
+        "fit.initial has 'temperature', which is not an initial state of this rig: it can be detwinned, twinned",
     ),
     "initial twice": (
         DEAD,
         {"": 'initial = ["detwinned", "initial.detwinned"]'},
-        "fit.initial lists detwinned twice: take one of them out",
+        "fit.initial lists detwinned twice: remove one of them",
     ),
     "observed channel unknown": (
         DEAD,
         {'observe = ["displacement"]': 'observe = ["displacment"]'},
-        "fit.observe has 'displacment', which a dead-weight rig does not give (did you mean 'displacement'?): it gives displacement, "
+        "fit.observe has 'displacment', which is not an output of a dead-weight rig (did you mean 'displacement'?): its outputs are displacement, "
         "strain, temperature, stress, force, resistance, voltage, power",
     ),
     "observed channel of another kind": (
         ROTARY,
         {'observe = ["angle"]': 'observe = ["ambient"]'},
-        "fit.observe has 'ambient', which an antagonistic-rotary rig does not give: it gives angle, strain_1, strain_2, temperature_1, "
+        "fit.observe has 'ambient', which is not an output of an antagonistic-rotary rig: its outputs are angle, strain_1, strain_2, temperature_1, "
         "temperature_2, stress_1, stress_2, force_1, force_2, resistance_1, resistance_2, voltage_1, voltage_2, power_1, power_2, torque",
     ),
     "observed channel drives the rig": (
@@ -365,23 +365,23 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "bounds reversed": (
         DEAD,
         {"": 'bounds = {"heat.h0" = ["200 W/m^2/K", "50 W/m^2/K"]}'},
-        "fit.bounds of heat.h0, ['200 W/m^2/K', '50 W/m^2/K'], run backwards: put the smaller one first",
+        "fit.bounds of heat.h0, ['200 W/m^2/K', '50 W/m^2/K'], are in the wrong order: put the smaller one first",
     ),
     "bounds empty": (
         DEAD,
         {"": 'bounds = {"heat.h0" = ["100.6 W/m^2/K", "100.6 W/m^2/K"]}'},
-        "fit.bounds of heat.h0, ['100.6 W/m^2/K', '100.6 W/m^2/K'], leave no room between them: move them apart",
+        "fit.bounds of heat.h0, ['100.6 W/m^2/K', '100.6 W/m^2/K'], are equal: move them apart",
     ),
-    "bounds beside the nominal value": (
+    "bounds next to the nominal value": (
         DEAD,
         {"": 'bounds = {"heat.h0" = ["150 W/m^2/K", "200 W/m^2/K"]}'},
-        "fit.bounds of heat.h0, ['150 W/m^2/K', '200 W/m^2/K'], leave out its nominal value 100.6 W/m^2/K: widen them, "
+        "fit.bounds of heat.h0, ['150 W/m^2/K', '200 W/m^2/K'], exclude its nominal value 100.6 W/m^2/K: widen them, "
         "or correct the value",
     ),
     "bounds beyond the model": (
         DEAD,
         {"": 'bounds = {"heat.h0" = ["-50 W/m^2/K", "200 W/m^2/K"]}'},
-        "fit.bounds of heat.h0: '-50 W/m^2/K' is beyond 0 W/m^2/K, where the model ends: stay within",
+        "fit.bounds of heat.h0: '-50 W/m^2/K' is beyond 0 W/m^2/K, the limit of the model: stay within it",
     ),
     "bounds of one end": (
         DEAD,
@@ -401,7 +401,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "noise of no channel": (
         DEAD,
         {"": 'noise = {displacment = "0.02 mm"}'},
-        "fit.noise has 'displacment', which is no channel of this rig (did you mean 'displacement'?): name one of fit.observe",
+        "fit.noise has 'displacment', which is not a channel of this rig (did you mean 'displacement'?): name one of fit.observe",
     ),
     "no starts": (DEAD, {"starts = 4": "starts = 0"}, "fit.starts = 0 is not 1 or more: write it like starts = 4"),
     "starts as text": (
@@ -414,7 +414,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "sensor key misspelt": (
         DEAD,
         {"": "\n[sensor]\ndisplacement_gian = 1"},
-        "sensor.displacement_gian is not known (did you mean 'displacement_gain'?): correct it, or take it out",
+        "sensor.displacement_gian is not known (did you mean 'displacement_gain'?): correct it, or remove it",
     ),
     "sensor offset without unit": (
         DEAD,
@@ -424,7 +424,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "channel misspelt": (
         DEAD,
         {"": '\n[channels]\ndisplacment = "Laser (um)"'},
-        "channels.displacment is neither a channel nor an option (did you mean 'displacement'?): correct it, or take it out",
+        "channels.displacment is neither a channel nor an option (did you mean 'displacement'?): correct it, or remove it",
     ),
     "channel not a header": (
         DEAD,
@@ -439,7 +439,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "unit of which channel": (
         DEAD,
         {"": '\n[channels]\ndisplacement = "a"\ncurrent = "b"\nunit = "um"'},
-        'channels.unit = \'um\' does not say of which channel: write it like displacement = {column = "Laser (um)", unit = "um"}',
+        'channels.unit = \'um\' does not name its channel: write it like displacement = {column = "Laser (um)", unit = "um"}',
     ),
     "decimal comma between commas": (
         DEAD,
@@ -466,17 +466,17 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "section twice": (
         DEAD,
         {"[load]": "[wire]"},
-        "row 40, column 6: this section stands in the file a second time: put its keys together under one heading",
+        "row 40, column 6: this section is in the file twice: put its keys together under one heading",
     ),
     "key twice": (
         DEAD,
         {'length = "230 mm"': 'length = "230 mm"\nlength = "231 mm"'},
-        "row 39, column 18: this key (or section) has a value already: keep one of the two",
+        "row 39, column 18: this key (or section) already has a value: keep one of the two",
     ),
     "quotation mark open": (
         DEAD,
         {'"230 mm"': '"230 mm'},
-        "row 38, column 17: a quotation mark is never closed on its line, or a character is not allowed here: close it, or take it out",
+        "row 38, column 17: a quotation mark is not closed on its line, or a character is not allowed here: close it, or remove it",
     ),
     "no equals sign": (
         DEAD,
@@ -486,19 +486,19 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "brackets without end": (
         DEAD,
         {"": "\nignore = " + "[" * 5000},
-        "a number or a nesting of brackets in this file goes beyond all bounds: write it anew",
+        "a number or a nesting of brackets in this file is too large to be read: correct it",
     ),
     "number without end": (
         DEAD,
         {"seed = 0": "seed = " + "9" * 5000},
-        "a number or a nesting of brackets in this file goes beyond all bounds: write it anew",
+        "a number or a nesting of brackets in this file is too large to be read: correct it",
     ),
 }
-# Sentences of which only the beginning is certain, since they go on with a list of what this version ships.
+# Messages that end with a list of shipped files: only the beginning is compared.
 OPEN_ENDED = {"model unknown", "set unknown", "set not a name"}
 
 
-def spoilt(kind: str, changes: dict[str, str]) -> str:
+def malformed(kind: str, changes: dict[str, str]) -> str:
     text = data_path("templates", f"{kind}.toml").read_text("utf-8")
     for old, new in changes.items():
         assert old in text
@@ -507,17 +507,17 @@ def spoilt(kind: str, changes: dict[str, str]) -> str:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_malformed_rig_gives_its_sentence(case: str):
+def test_malformed_rig_files_are_refused(case: str):
     kind, changes, sentence = CASES[case]
     with pytest.raises(InputError) as error:
-        parse_rig(spoilt(kind, changes))
-    said = str(error.value)
+        parse_rig(malformed(kind, changes))
+    message = str(error.value)
     expected = f"rig.toml: {sentence}"
-    assert (said[: len(expected)] if case in OPEN_ENDED else said) == expected
-    assert "\n" not in said
+    assert (message[: len(expected)] if case in OPEN_ENDED else message) == expected
+    assert "\n" not in message
 
 
-def test_missing_file_names_its_neighbour(tmp_path: Path):
+def test_a_missing_file_suggests_a_similar_one(tmp_path: Path):
     (tmp_path / "rig.toml").write_text("schema = 1")
     with pytest.raises(InputError) as error:
         read_rig(tmp_path / "rgi.toml")
@@ -547,7 +547,7 @@ def test_folder(tmp_path: Path):
         ),
     ],
 )
-def test_other_than_a_rig(tmp_path: Path, content: bytes, sentence: str):
+def test_files_that_are_not_rigs_are_refused(tmp_path: Path, content: bytes, sentence: str):
     path = tmp_path / "rig.toml"
     path.write_bytes(content)
     with pytest.raises(InputError) as error:
@@ -555,9 +555,9 @@ def test_other_than_a_rig(tmp_path: Path, content: bytes, sentence: str):
     assert str(error.value) == f"{path}: {sentence}"
 
 
-def test_sentences_name_the_file_as_it_was_given(tmp_path: Path):
+def test_messages_have_the_path_of_the_caller(tmp_path: Path):
     path = tmp_path / "my-rig.toml"
-    path.write_text(spoilt(DEAD, {'"0.15 mm"': '"-1 mm"'}))
+    path.write_text(malformed(DEAD, {'"0.15 mm"': '"-1 mm"'}))
     with pytest.raises(InputError, match=r"^.*/my-rig\.toml: wire\.diameter: '-1 mm' is not possible"):
         read_rig(path)
 

@@ -24,7 +24,7 @@ STRAIN = "material.max_transformation_strain"
 
 
 def old_template(kind: str) -> str:
-    """The shipped template of a kind with all keys and parameter names under their old names."""
+    """Return the shipped template of a kind with the old names of all keys and parameters."""
     text = data_path("templates", f"{kind}.toml").read_text("utf-8")
     for new, old in OLD_NAMES.items():
         text = text.replace(new, old)
@@ -33,7 +33,7 @@ def old_template(kind: str) -> str:
 
 
 def with_fit(text: str, lines: str) -> str:
-    """A rig file with its list of free parameters replaced by other lines of ``[fit]``."""
+    """Return a rig file in which other lines of ``[fit]`` replace the list of free parameters."""
     free = next(line for line in text.splitlines() if line.startswith("free ="))
     return text.replace(free, lines)
 
@@ -85,7 +85,7 @@ def test_old_names_in_the_fit_section(lines: str):
 def test_both_names_in_the_fit_section_are_refused(lines: str, old: str, new: str):
     with pytest.raises(InputError) as error:
         parse_rig(with_fit(data_path("templates", "elbow.toml").read_text("utf-8"), lines))
-    assert str(error.value) == f"rig.toml: {old} is the old name of {new}, and both are given: take {old} out"
+    assert str(error.value) == f"rig.toml: {old} is the old name of {new}, and both are given: remove {old}"
 
 
 @pytest.mark.parametrize(("old", "new"), RENAMED_PARAMETERS.items())
@@ -96,7 +96,7 @@ def test_a_key_under_both_names_is_refused(old: str, new: str):
     both = text.replace(line, f"{line}\n{line.replace(key, old.split('.')[1], 1)}")
     with pytest.raises(InputError) as error:
         parse_rig(both)
-    assert str(error.value) == f"rig.toml: {old} is the old name of {new}, and both are given: take {old} out"
+    assert str(error.value) == f"rig.toml: {old} is the old name of {new}, and both are given: remove {old}"
 
 
 class TestParameterSetOfARig:
@@ -119,7 +119,7 @@ class TestParameterSetOfARig:
     def test_both_keys_are_refused(self):
         with pytest.raises(InputError) as error:
             parse_rig(self.text('set = "a.toml"', 'parameters = "b.toml"'))
-        sentence = "material.set is the old name of rig.parameters, and both are given: take material.set out"
+        sentence = "material.set is the old name of rig.parameters, and both are given: remove material.set"
         assert str(error.value) == f"rig.toml: {sentence}"
 
     def test_messages_name_the_new_key(self):
@@ -141,7 +141,7 @@ class TestParameterSetOfARig:
         )
         with pytest.raises(InputError) as error:
             read_parameters(path)
-        assert str(error.value) == f"{path}: {STRAIN} is given under its old name, too: take one of the two out"
+        assert str(error.value) == f"{path}: {STRAIN} is also given under its old name: remove one of the two"
 
 
 def test_an_actuator_with_old_names():
@@ -151,12 +151,12 @@ def test_an_actuator_with_old_names():
     assert to_toml(actuator) == to_toml(parse_actuator(text))
 
 
-def test_other_files_rename_their_keys_alike():
+def test_keys_of_other_files_are_renamed():
     assert current_name("sheath.bend@a.csv") == "sheath.wrap_angle@a.csv"
     assert current_name("heat.h0") == "heat.h0"
     assert with_current_names({"sheath": {"bend": 1}, "heat.h0": 2}) == {"sheath.wrap_angle": 1, "heat.h0": 2}
     data = {"robust": {"vary": 3}, "schema": 1}
     assert with_current_keys(data, {"robust.vary": "robust.uncertain"}) == {"robust": {"uncertain": 3}, "schema": 1}
     assert with_current_keys(data, {"robust.vary": "other.vary"}) == data
-    with pytest.raises(InputError, match="and both are given: take robust.vary out"):
+    with pytest.raises(InputError, match="and both are given: remove robust.vary"):
         with_current_keys({"robust": {"vary": 3, "uncertain": 4}}, {"robust.vary": "robust.uncertain"})

@@ -1,4 +1,4 @@
-"""Result folders: whole or not at all, whatever interrupts the run, and nobody's files deleted."""
+"""Result folders: complete or not written at all after any interruption, and no other files are deleted."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from smajax.errors import InputError
 from smajax.files import result_folder as results
 from tests.conftest import ROOT
 
-# Writes the same folder over and over, each time with one number in all its files, until it is killed.
+# Writes the same folder repeatedly, each time with one number in all its files, until it is killed.
 WRITER = """
 import sys
 from pathlib import Path
@@ -75,7 +75,7 @@ def test_a_failure_while_writing_leaves_the_old_folder_and_nothing_else(tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_number_that_json_does_not_know_is_no_result(tmp_path):
+def test_numbers_that_json_does_not_have_are_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON compliant"):
         results.write_folder(tmp_path / "out", {"wall_s": float("nan")}, fill_with(fit_json="{}"))
     assert not (tmp_path / "out").exists()
@@ -99,7 +99,7 @@ def test_a_killed_run_leaves_a_whole_folder(tmp_path):
     assert max(turns) > 0
 
 
-def test_what_killed_runs_left_is_removed_once_it_is_old(tmp_path):
+def test_old_folders_of_killed_runs_are_removed(tmp_path):
     young, old, other = (
         tmp_path / name for name in (".out.0123abcd.part", ".out.4567cdef.part", ".outer.4567cdef.part")
     )
@@ -154,7 +154,7 @@ def a_file(path: Path) -> Path:
         (a_file, "this is a file"),
     ],
 )
-def test_what_smajax_did_not_write_is_never_replaced(tmp_path, make, sentence):
+def test_other_folders_are_never_replaced(tmp_path, make, sentence):
     out = make(tmp_path / "out")
     before = out.read_text() if out.is_file() else sorted(path.name for path in out.iterdir())
     for ask in (
@@ -166,7 +166,7 @@ def test_what_smajax_did_not_write_is_never_replaced(tmp_path, make, sentence):
     assert (out.read_text() if out.is_file() else sorted(path.name for path in out.iterdir())) == before
 
 
-def test_the_folder_one_is_in_is_not_replaced(tmp_path, monkeypatch):
+def test_the_working_directory_is_not_replaced(tmp_path, monkeypatch):
     (tmp_path / "inside").mkdir()
     monkeypatch.chdir(tmp_path / "inside")
     for out in (Path("."), Path("..")):
@@ -184,11 +184,11 @@ def test_a_file_in_the_way_is_named_before_any_work(tmp_path):
     [
         (None, "no run.json"),
         ("{", "this is not JSON"),
-        ("[1]", "not one that smajax wrote"),
-        ('{"schema": "x"}', "not one that smajax wrote"),
+        ("[1]", "smajax did not write this file"),
+        ('{"schema": "x"}', "smajax did not write this file"),
     ],
 )
-def test_a_folder_that_is_no_result_is_refused_in_one_sentence(tmp_path, text, sentence):
+def test_folders_that_are_not_results_are_refused(tmp_path, text, sentence):
     if text is not None:
         (tmp_path / "run.json").write_text(text)
     with pytest.raises(InputError, match=sentence):

@@ -1,4 +1,4 @@
-"""Rig files: read into a plant, with every value's origin, and written so that they read back."""
+"""Rig files: reading into a plant with the origin of each value, and writing."""
 
 import dataclasses
 import pathlib
@@ -13,7 +13,7 @@ from smajax.errors import InputError
 from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.files.rig_kinds import KINDS
-from smajax.plant.convection import PolynomialHeat, PowerHeat
+from smajax.plant.convection import PolynomialConvection, PowerLawConvection
 from smajax.plant.drive import DutyDrive, NoDrive, PowerDrive, VoltageDrive
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.mechanisms.rotary import MasslessRotary, Rotary
@@ -40,7 +40,7 @@ max_transformation_strain = "4.1 %"
 
 
 def template(kind: str, **changes: str) -> str:
-    """The shipped template of a kind with one key a keyword changed (``mass='"0.3 kg"'``), or taken out (``mass=""``)."""
+    """Return the shipped template of a kind with one key changed per keyword (``mass='"0.3 kg"'``), or removed (``mass=""``)."""
     lines = data_path("templates", f"{kind}.toml").read_text("utf-8").splitlines()
     for key, value in changes.items():
         at = next(i for i, line in enumerate(lines) if line.startswith(f"{key} ="))
@@ -64,7 +64,7 @@ class TestTemplates:
         assert rig.fit.free and set(rig.fit.free) <= set(parameters.all_declarations(rig.plant))
         assert rig.notes == ()
 
-    def test_written_and_read_it_is_the_same(self, kind: str):
+    def test_round_trip(self, kind: str):
         rig = parse_rig(template(kind))
         again = parse_rig(rig.to_toml())
         assert same(again.plant, rig.plant)
@@ -73,29 +73,29 @@ class TestTemplates:
 
     def test_every_parameter_can_be_written_and_read(self, kind: str):
         rig = parse_rig(template(kind))
-        drawn = {}
+        values = {}
         for i, (name, declaration) in enumerate(parameters.all_declarations(rig.plant).items()):
             nominal = value(rig.plant, name)
             if name in parameters.TIES or jnp.isnan(nominal):
                 continue
-            # Awkward decimals near the nominal value, upwards alike so that bands keep their order; a finish moves further than its start.
-            moved = nominal * (1 + 1e-3 / 3) + (1e-9 / (i + 7) if nominal == 0 else 0.0)
-            drawn[name] = nominal + 1.0 if declaration.whole else min(moved, declaration.upper)
-        again = parse_rig(rig.to_toml(drawn))
-        for name, wanted in drawn.items():
-            assert value(again.plant, name) == wanted, name
+            # Long decimals above the nominal values, larger for a finish than for its start, so that the bands keep their order.
+            changed = nominal * (1 + 1e-3 / 3) + (1e-9 / (i + 7) if nominal == 0 else 0.0)
+            values[name] = nominal + 1.0 if declaration.whole else min(changed, declaration.upper)
+        again = parse_rig(rig.to_toml(values))
+        for name, expected in values.items():
+            assert value(again.plant, name) == expected, name
 
     def test_comments_show_only_keys_that_are_accepted(self, kind: str):
-        """What a template has commented out is accepted once it is commented in."""
+        """The comments of a template become valid lines when they are uncommented."""
         lines = data_path("templates", f"{kind}.toml").read_text("utf-8").splitlines()
         uncommented = []
         for line in lines:
             bare = line.removeprefix("# ")
             optional = bare.split(" = ")[0] if " = " in bare else bare
-            wanted = (
+            is_accepted = (
                 line != bare and (optional.isidentifier() or bare.startswith("[channels]")) and optional != "parameters"
             )
-            uncommented.append(bare if wanted and optional != "decimal" else line)
+            uncommented.append(bare if is_accepted and optional != "decimal" else line)
         rig = parse_rig("\n".join(uncommented))
         assert rig.channels.columns and rig.channels.delimiter == ";" and rig.channels.ignore == ("Remarks",)
         assert rig.fit.noise and rig.fit.bounds and rig.fit.per_recording and rig.fit.initial
@@ -143,9 +143,9 @@ class TestPlants:
 
     def test_an_exponent_changes_the_law_of_convection(self):
         text = template("dead-weight", h2='"0.5 W/m^2/K"\nexponent = 1.5')
-        assert isinstance(parse_rig(template("dead-weight")).plant.heat, PolynomialHeat)
+        assert isinstance(parse_rig(template("dead-weight")).plant.heat, PolynomialConvection)
         rig = parse_rig(text)
-        assert isinstance(rig.plant.heat, PowerHeat)
+        assert isinstance(rig.plant.heat, PowerLawConvection)
         assert value(rig.plant, "heat.exponent") == 1.5
         assert same(parse_rig(rig.to_toml()).plant, rig.plant)
 
@@ -182,7 +182,7 @@ class TestPlants:
         ("observe", "mechanism", "signals"),
         [("", StressPath, ("temperature", "stress")), ('["stress"]', TestingMachine, ("temperature", "strain"))],
     )
-    def test_a_path_is_led_in_what_is_not_observed(self, observe: str, mechanism: type, signals: tuple):
+    def test_a_path_prescribes_what_is_not_observed(self, observe: str, mechanism: type, signals: tuple):
         rig = parse_rig(template("path", observe=observe))
         assert isinstance(rig.plant.drive, NoDrive) and isinstance(rig.plant.heat, PrescribedTemperature)
         assert isinstance(rig.plant.mechanism, mechanism)
@@ -191,7 +191,7 @@ class TestPlants:
         assert rig.sources["wire.length"] == "default"
         assert same(parse_rig(rig.to_toml()).plant, rig.plant)
 
-    def test_the_start_is_left_to_the_plant_unless_written(self):
+    def test_the_initial_state_is_derived_by_default(self):
         assert parse_rig(template("dead-weight")).plant.initial.temperature is None
         rig = parse_rig(template("dead-weight") + '\n[initial]\ntemperature = "25 degC"\ndetwinned = "40 %"')
         assert value(rig.plant, "initial.temperature") == 25.0 and value(rig.plant, "initial.detwinned") == 0.4
@@ -269,7 +269,7 @@ class TestSensors:
 
 
 class TestFit:
-    def test_all_of_it(self):
+    def test_all_keys(self):
         text = template("dead-weight", seed="7", starts="2") + (
             'per_recording = ["environment.ambient", "heat.h0"]\ninitial = ["temperature"]\n'
             'bounds = {"heat.h0" = ["50 W/m^2/K", "200 W/m^2/K"], "heat.capacity" = ["1 MJ/m^3/K", "8 MJ/m^3/K"], '
@@ -291,16 +291,16 @@ class TestFit:
         rig = parse_rig(template("dead-weight") + '[fit.bounds]\nheat.h0 = ["50 W/m^2/K", "200 W/m^2/K"]\n')
         assert rig.fit.bounds == {"heat.h0": (50.0, 200.0)}
 
-    def test_initial_states_may_stand_among_the_free(self):
+    def test_initial_states_may_be_listed_as_free(self):
         fit = parse_rig(
             template("dead-weight", free='["heat.h0", "initial.detwinned"]') + 'initial = ["initial.temperature"]'
         ).fit
         assert fit.free == ("heat.h0",)
         assert fit.initial == ("temperature", "detwinned")
 
-    def test_bounds_of_what_is_not_free_are_noted(self):
+    def test_bounds_of_parameters_that_are_not_free_are_noted(self):
         rig = parse_rig(template("dead-weight", free='["heat.h0"]') + 'bounds = {"load.mass" = ["0.1 kg", "0.3 kg"]}')
-        assert rig.notes == ("fit.bounds without effect, since these are not free: load.mass",)
+        assert rig.notes == ("fit.bounds without effect, since the parameters are not free: load.mass",)
 
 
 SET = """
@@ -352,9 +352,9 @@ class TestSets:
         assert (tmp_path / "rig.toml").read_text().splitlines()[int(line) - 1].startswith("capacity =")
         assert rig.sources["heat.h1"] == "default"
 
-    def test_what_the_plant_has_no_use_for_is_noted(self, tmp_path: pathlib.Path):
+    def test_unused_entries_are_noted(self, tmp_path: pathlib.Path):
         rig = self.rig(tmp_path, template("dead-weight", martensite_start=""))
-        assert rig.notes == ("parameter set wire.toml: not used here are pulley.radius, environment.ambient@train.csv",)
+        assert rig.notes == ("parameter set wire.toml: unused entries: pulley.radius, environment.ambient@train.csv",)
 
     def test_a_member_in_the_rig_wins_over_a_tie_in_the_set(self, tmp_path: pathlib.Path):
         rig = self.rig(
@@ -374,12 +374,12 @@ class TestSets:
 
     def test_the_law_of_convection_of_the_set(self, tmp_path: pathlib.Path):
         power = SET + '[heat.exponent]\nvalue = 1.5\n[heat.h2]\nvalue = "0.5 W/m^2/K"\n'
-        assert isinstance(self.rig(tmp_path, template("dead-weight", h2=""), power).plant.heat, PowerHeat)
-        assert isinstance(self.rig(tmp_path, template("dead-weight"), power).plant.heat, PolynomialHeat)
+        assert isinstance(self.rig(tmp_path, template("dead-weight", h2=""), power).plant.heat, PowerLawConvection)
+        assert isinstance(self.rig(tmp_path, template("dead-weight"), power).plant.heat, PolynomialConvection)
         mixed = SET + '[heat.h2]\nvalue = "0.001 W/m^2/K^3"\n'
         with pytest.raises(InputError) as error:
             self.rig(tmp_path, template("dead-weight", h2="exponent = 1.5").replace("h2 = exponent", "exponent"), mixed)
-        sentence = "parameter set wire.toml: heat.h2 is in W/m^2/K^3, and this rig's is in W/m^2/K: give it in the rig, in that unit"
+        sentence = "parameter set wire.toml: heat.h2 is in W/m^2/K^3, and that of this rig in W/m^2/K: give it in the rig, in that unit"
         assert str(error.value) == f"{tmp_path}/rig.toml: {sentence}"
 
     def test_bands_that_do_not_fit_together_name_both_origins(self, tmp_path: pathlib.Path):
@@ -470,7 +470,7 @@ class TestChannels:
 
 
 class TestWriting:
-    def test_new_values_and_the_same_rest(self, tmp_path: pathlib.Path):
+    def test_new_values_change_nothing_else(self, tmp_path: pathlib.Path):
         rig = parse_rig(template("dead-weight"))
         values = {
             "heat.h0": 1e2 / 3,
@@ -490,7 +490,7 @@ class TestWriting:
         apart = tomllib.loads(rig.to_toml({"heat.capacity_austenite": 3e6}))["heat"]
         assert set(apart) == {"h0", "h1", "h2", "capacity_austenite", "capacity_martensite"}
 
-    def test_values_that_make_no_rig_are_refused_and_nothing_is_written(self, tmp_path: pathlib.Path):
+    def test_invalid_values_are_refused_and_nothing_is_written(self, tmp_path: pathlib.Path):
         rig = parse_rig(template("dead-weight"))
         with pytest.raises(
             InputError, match=r"^rig\.toml with new values: material\.austenite_finish = 60 degC .* is not above"
@@ -502,7 +502,7 @@ class TestWriting:
             rig.write(tmp_path / "rig.toml", {"heat.ho": 1.0})
         assert not list(tmp_path.iterdir())
 
-    def test_a_folder_that_is_not_there(self, tmp_path: pathlib.Path):
+    def test_a_missing_folder_is_refused(self, tmp_path: pathlib.Path):
         with pytest.raises(InputError, match="the file cannot be written"):
             parse_rig(template("dead-weight")).write(tmp_path / "nowhere" / "rig.toml")
 
@@ -517,8 +517,8 @@ class TestWriting:
             parse_rig(template("dead-weight")).kind = "path"  # type: ignore[misc]
 
 
-def test_rigs_beside_recordings(shared: pathlib.Path):
-    """Every rig file beside the shared recordings reads, and so do the recordings through it."""
+def test_rigs_of_the_shared_recordings(shared: pathlib.Path):
+    """Every rig file of the shared recordings, and its recordings, can be read."""
     folders = sorted((shared / "blind").glob("case-*"))
     assert len(folders) >= 14
     for folder in folders:
@@ -541,16 +541,16 @@ def test_a_fit_of_many_parameters_begins_at_more_points():
         "max_transformation_strain",
         "modulus_austenite",
     )
-    more = ("n1", "n2", "n3", "n4", "clausius_clapeyron_austenite", "clausius_clapeyron_martensite")
+    more_names = ("n1", "n2", "n3", "n4", "clausius_clapeyron_austenite", "clausius_clapeyron_martensite")
     lines = '[rig]\nkind = "path"\nparameters = "rotary-table1"\n[material]\nn1 = "0.5"\nn2 = "0.5"\nn3 = "0.5"\nn4 = "0.5"\n[fit]\nmodel = "lagoudas"\n'
-    for free, given, expected in ((names, "", 4), (names + more, "", 12), (names + more, "starts = 3", 3)):
-        listed = ", ".join(f'"material.{n}"' for n in free)
-        rig = parse_rig(f'{lines}observe = ["strain"]\nfree = [{listed}]\n{given}\n')
+    for free, line, expected in ((names, "", 4), (names + more_names, "", 12), (names + more_names, "starts = 3", 3)):
+        free_list = ", ".join(f'"material.{n}"' for n in free)
+        rig = parse_rig(f'{lines}observe = ["strain"]\nfree = [{free_list}]\n{line}\n')
         assert rig.fit.starts == expected
 
 
 def test_a_count_that_is_fitted_may_be_any():
-    """What a search says of it is written into a rig file, and read back."""
+    """The estimate of a count is written into a rig file and read again."""
     text = template("hip").replace("springs = 6", "springs = 5.5")
     free = "free = ["
     assert free in text

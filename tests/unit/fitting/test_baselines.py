@@ -107,22 +107,22 @@ def errors(problem: Problem, vector: np.ndarray) -> list[float]:
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_populations_find_the_truth(problem, search):
-    found = search(problem, seed=1, budget=1200)
-    assert max(errors(problem, found.vector)) < 0.03
+    result = search(problem, seed=1, budget=1200)
+    assert max(errors(problem, result.vector)) < 0.03
     start, reached = (
-        float(np.sum(np.asarray(residual(problem, jnp.asarray(v))) ** 2)) for v in (problem.nominal, found.vector)
+        float(np.sum(np.asarray(residual(problem, jnp.asarray(v))) ** 2)) for v in (problem.nominal, result.vector)
     )
-    assert found.cost < 1e-2 * start
-    assert found.cost == pytest.approx(reached, rel=1e-6)
+    assert result.cost < 1e-2 * start
+    assert result.cost == pytest.approx(reached, rel=1e-6)
 
 
 def test_gradient_finds_the_truth_with_far_fewer_simulations(problem):
     steps = []
-    found = run_gradient_search(problem, seed=1, progress=lambda step, cost: steps.append(cost))
-    assert max(errors(problem, found.vector)) < 1e-4
-    assert found.simulations == len(steps) * (1 + 2) < 100  # a residual and two tangents a step
-    assert found.effort_to_reach(steps[0])[0] == 3
-    assert found.end_reason == "settled" and found.failures == 0 and found.name == "gradient"
+    result = run_gradient_search(problem, seed=1, progress=lambda step, cost: steps.append(cost))
+    assert max(errors(problem, result.vector)) < 1e-4
+    assert result.simulations == len(steps) * (1 + 2) < 100  # a residual and two tangents a step
+    assert result.effort_to_reach(steps[0])[0] == 3
+    assert result.end_reason == "settled" and result.failures == 0 and result.name == "gradient"
 
 
 def test_gradient_counts_starts_and_recordings(two_recordings, monkeypatch):
@@ -133,12 +133,12 @@ def test_gradient_counts_starts_and_recordings(two_recordings, monkeypatch):
     monkeypatch.setattr(
         gradient, "screen_starts", lambda problem, starts, seed: (np.array([[1.0, 1.0], [0.5, 2.0]]), 96)
     )
-    found = run_gradient_search(two_recordings, seed=1, starts=2, max_steps=4)
-    assert found.name == "gradient, 2 starts" and found.cost < 1e-9
-    assert [n for n, _, _ in found.history] == [
-        96 + 2 * steps * 2 * (1 + 2) for steps in range(1, len(found.history) + 1)
+    result = run_gradient_search(two_recordings, seed=1, starts=2, max_steps=4)
+    assert result.name == "gradient, 2 starts" and result.cost < 1e-9
+    assert [n for n, _, _ in result.history] == [
+        96 + 2 * steps * 2 * (1 + 2) for steps in range(1, len(result.history) + 1)
     ]
-    assert found.simulations == found.history[-1][0]
+    assert result.simulations == result.history[-1][0]
 
 
 @pytest.mark.parametrize("search", POPULATIONS)
@@ -151,8 +151,8 @@ def test_same_seed_same_search(problem, bowl, search):
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_budget_is_kept_to_the_last_simulation(problem, two_recordings, bowl, search):
-    found = search(problem, seed=0, budget=157)
-    assert found.simulations == 157 and found.end_reason == "budget"
+    result = search(problem, seed=0, budget=157)
+    assert result.simulations == 157 and result.end_reason == "budget"
     assert search(two_recordings, seed=0, budget=157).simulations == 156  # two recordings: two simulations a point
     with pytest.raises(
         InputError,
@@ -172,36 +172,36 @@ def test_search_stays_in_the_box(problem, bowl, search):
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_target_ends_the_search(problem, bowl, search):
-    found = search(problem, seed=0, budget=3000, target=0.02)
-    assert found.end_reason == "target" and found.cost <= 0.02 and found.simulations < 3000
-    assert found.effort_to_reach(0.02) == found.history[-2][:2]
-    assert all(cost > 0.02 for _, _, cost in found.history[:-2])
+    result = search(problem, seed=0, budget=3000, target=0.02)
+    assert result.end_reason == "target" and result.cost <= 0.02 and result.simulations < 3000
+    assert result.effort_to_reach(0.02) == result.history[-2][:2]
+    assert all(cost > 0.02 for _, _, cost in result.history[:-2])
 
 
 def test_history_and_reach(problem, bowl):
-    found = run_differential_evolution(problem, seed=0, budget=200)
-    simulations, wall, cost = map(np.array, zip(*found.history, strict=True))
+    result = run_differential_evolution(problem, seed=0, budget=200)
+    simulations, wall, cost = map(np.array, zip(*result.history, strict=True))
     assert np.all(np.diff(simulations) >= 0) and np.all(np.diff(wall) >= 0) and np.all(np.diff(cost) <= 0)
-    assert simulations[-1] == found.simulations and cost[-1] == found.cost and wall[-1] == found.wall_time
-    assert found.effort_to_reach(float(cost[0])) == (simulations[0], wall[0])
-    assert found.effort_to_reach(-1.0) is None
+    assert simulations[-1] == result.simulations and cost[-1] == result.cost and wall[-1] == result.wall_time
+    assert result.effort_to_reach(float(cost[0])) == (simulations[0], wall[0])
+    assert result.effort_to_reach(-1.0) is None
 
 
 def test_scipy_calls_are_the_simulations(problem, bowl):
     calls = []
-    found = run_differential_evolution(problem, seed=0, budget=10**6, progress=lambda count, cost: calls.append(count))
-    assert found.end_reason == "settled" and calls == list(range(1, found.simulations + 1))
-    assert len(bowl) == found.simulations + 1  # one more to warm up
-    assert found.cost < 1e-4
+    result = run_differential_evolution(problem, seed=0, budget=10**6, progress=lambda count, cost: calls.append(count))
+    assert result.end_reason == "settled" and calls == list(range(1, result.simulations + 1))
+    assert len(bowl) == result.simulations + 1  # one more to warm up
+    assert result.cost < 1e-4
 
 
 @needs("pymoo")
 def test_genetic_algorithm_counts_as_the_paper_sets_it(problem, two_recordings, bowl):
-    found = run_genetic_algorithm(problem, seed=0)
+    result = run_genetic_algorithm(problem, seed=0)
     assert (
-        found.simulations == 10 + 99 * (8 + 3) and found.end_reason == "settled"
+        result.simulations == 10 + 99 * (8 + 3) and result.end_reason == "settled"
     )  # the first generation is the ten drawn ones
-    assert run_genetic_algorithm(two_recordings, seed=0).simulations == 2 * found.simulations
+    assert run_genetic_algorithm(two_recordings, seed=0).simulations == 2 * result.simulations
     assert run_genetic_algorithm(problem, seed=0, generations=7, population=20).simulations == 20 + 6 * (16 + 6)
 
 
@@ -227,17 +227,17 @@ def test_costs_that_are_no_numbers_are_counted_and_survived(problem, bowl, monke
         return np.where(np.asarray(vectors)[:, 0] > 1.4, np.nan, whole(problem, vectors))
 
     monkeypatch.setattr(meter, "costs", half)
-    found = search(problem, seed=0, budget=900)
-    assert 0 < found.failures < found.simulations
-    assert found.cost < 0.01 and math.isfinite(found.cost)
+    result = search(problem, seed=0, budget=900)
+    assert 0 < result.failures < result.simulations
+    assert result.cost < 0.01 and math.isfinite(result.cost)
 
 
 @pytest.mark.parametrize("search", POPULATIONS)
 def test_nothing_but_failures(problem, bowl, monkeypatch, search):
     monkeypatch.setattr(meter, "costs", lambda problem, vectors: np.full(len(vectors), np.inf))
-    found = search(problem, seed=0, budget=100)
-    assert 0 < found.failures == found.simulations <= 100
-    assert found.cost == math.inf and np.array_equal(found.vector, problem.nominal)
+    result = search(problem, seed=0, budget=100)
+    assert 0 < result.failures == result.simulations <= 100
+    assert result.cost == math.inf and np.array_equal(result.vector, problem.nominal)
 
 
 @pytest.mark.parametrize("search", POPULATIONS)
@@ -249,9 +249,9 @@ def test_interrupt_keeps_the_best_so_far(problem, bowl, search):
         if count == 3:
             raise KeyboardInterrupt
 
-    found = search(problem, seed=0, progress=stop)
-    assert found.end_reason == "interrupted" and found.cost == costs[-1] < math.inf
-    assert found.cost == pytest.approx(float(np.sum((found.vector - np.array([1.3, 0.8])) ** 2)))
+    result = search(problem, seed=0, progress=stop)
+    assert result.end_reason == "interrupted" and result.cost == costs[-1] < math.inf
+    assert result.cost == pytest.approx(float(np.sum((result.vector - np.array([1.3, 0.8])) ** 2)))
 
 
 def test_gradient_interrupted_keeps_the_best_so_far(problem):
@@ -259,8 +259,8 @@ def test_gradient_interrupted_keeps_the_best_so_far(problem):
         if step == 2:
             raise KeyboardInterrupt
 
-    found = run_gradient_search(problem, seed=0, progress=stop)
-    assert found.end_reason == "interrupted" and found.simulations == 2 * 3 and math.isfinite(found.cost)
+    result = run_gradient_search(problem, seed=0, progress=stop)
+    assert result.end_reason == "interrupted" and result.simulations == 2 * 3 and math.isfinite(result.cost)
 
 
 @pytest.mark.parametrize(("search", "package"), [(run_genetic_algorithm, "pymoo"), (run_evosax, "evosax")])
@@ -274,6 +274,6 @@ def test_a_missing_extra_is_named(problem, monkeypatch, search, package):
 
 def test_unknown_strategy(problem):
     with pytest.raises(
-        InputError, match=r"^there is no strategy 'CMAES' \(did you mean 'CMA_ES'\?\): choose of CMA_ES, Diff"
+        InputError, match=r"^there is no strategy 'CMAES' \(did you mean 'CMA_ES'\?\): choose one of CMA_ES, Diff"
     ):
         run_evosax(problem, seed=0, strategy="CMAES")

@@ -15,6 +15,7 @@ from smajax import parameters
 from smajax.errors import InputError, NumericsError
 from smajax.fitting import fit as fit_module
 from smajax.fitting import intervals
+from smajax.fitting.autoregression import fit_autoregression
 from smajax.fitting.fit import fit
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver, screen_starts
@@ -133,13 +134,13 @@ def test_simulation_and_derivatives_as_two_programs_say_what_one_does(recordings
         track.status.shape,
         track.status.dtype,
     )
-    whole, left = eqx.filter_jit(problem.residual)(at), eqx.filter_jit(problem.residual)(at, track)
-    np.testing.assert_allclose(left, whole, rtol=0, atol=1e-9)
-    slopes, known = (
+    whole, from_trajectory = eqx.filter_jit(problem.residual)(at), eqx.filter_jit(problem.residual)(at, track)
+    np.testing.assert_allclose(from_trajectory, whole, rtol=0, atol=1e-9)
+    slopes, slopes_from_trajectory = (
         eqx.filter_jit(lambda v, *k: jax.jacfwd(lambda v: problem.residual(v, *k))(v))(at, *more)
         for more in ((), (track,))
     )
-    np.testing.assert_allclose(known, slopes, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(slopes))))
+    np.testing.assert_allclose(slopes_from_trajectory, slopes, rtol=1e-9, atol=1e-9 * float(np.max(np.abs(slopes))))
 
 
 def test_a_search_with_a_primal_function_takes_the_same_steps():
@@ -149,39 +150,39 @@ def test_a_search_with_a_primal_function_takes_the_same_steps():
         return jnp.stack([v[0] - 1.0, rest * (v[1] - v[0] ** 2)])
 
     def ahead(v, rest):
-        asked.append(np.asarray(v))
+        evaluated.append(np.asarray(v))
         return bent(v, rest)
 
-    asked = []
+    evaluated = []
     start, ends = np.array([[-1.2, 1.0]]), (np.full(2, -5.0), np.full(2, 5.0))
     plain = MultiStartSolver(bent, jnp.asarray(10.0), start, *ends, size=2).advance(60)
     led = MultiStartSolver(
         lambda v, args: args[1] + (bent(v, args[0]) - args[1]), jnp.asarray(10.0), start, *ends, size=2, primal_fn=ahead
     )
     led.trace_program()
-    assert led.advance(60).steps == plain.steps == len(asked) - 1
+    assert led.advance(60).steps == plain.steps == len(evaluated) - 1
     np.testing.assert_allclose(led.result().points, plain.result().points, rtol=1e-9)
     np.testing.assert_allclose(led.result().points, [[1.0, 1.0]], rtol=1e-6)
 
 
 def test_profile_agrees_with_the_interval(result):
-    drawn = profile_likelihood(result, "material.max_transformation_strain")
+    profile = profile_likelihood(result, "material.max_transformation_strain")
     estimate = next(e for e in result.estimates if e.name == "material.max_transformation_strain")
     width = estimate.upper95 - estimate.lower95
-    assert drawn["lower95"] == pytest.approx(estimate.lower95, abs=0.1 * width)
-    assert drawn["upper95"] == pytest.approx(estimate.upper95, abs=0.1 * width)
-    assert np.argmin(drawn["rise"]) == len(drawn["rise"]) // 2
+    assert profile["lower95"] == pytest.approx(estimate.lower95, abs=0.1 * width)
+    assert profile["upper95"] == pytest.approx(estimate.upper95, abs=0.1 * width)
+    assert np.argmin(profile["rise"]) == len(profile["rise"]) // 2
     with pytest.raises(InputError, match=r"'heat.h2' is not a free parameter of this fit"):
         profile_likelihood(result, "heat.h2")
 
 
 def test_a_parameter_at_its_bound_is_held_there_and_said_so():
     bounded = Settings(bounds={"heat.capacity": (2.0e6, 3.0e6)})
-    found = {e.name: e for e in fit(plants.dead_weight(), [recorded(TRUTH)], bounded, step=0.04).estimates}
-    assert found["heat.capacity"].at_bound
-    assert found["heat.capacity"].estimate == pytest.approx(2.0e6, rel=1e-9)
-    assert found["heat.capacity"].lower95 is None
-    assert not found["material.max_transformation_strain"].at_bound
+    estimates = {e.name: e for e in fit(plants.dead_weight(), [recorded(TRUTH)], bounded, step=0.04).estimates}
+    assert estimates["heat.capacity"].at_bound
+    assert estimates["heat.capacity"].estimate == pytest.approx(2.0e6, rel=1e-9)
+    assert estimates["heat.capacity"].lower95 is None
+    assert not estimates["material.max_transformation_strain"].at_bound
 
 
 @pytest.mark.parametrize(("away", "held"), [(1e-7, True), (1e-4, False)])
@@ -201,25 +202,25 @@ def test_what_comes_near_a_bound_that_the_data_press_against_is_there(result, aw
 
 def test_an_end_that_its_own_steps_cannot_simulate_gives_way_to_the_next_best(monkeypatch):
     """Sound on the steps of the fit, and not on those that the plant found asks for: here that is said of the first that is asked."""
-    asked, failing = [], 1
+    convections, failing = [], 1
     right = simulate_responses
 
     def respond(plants_, *given):
         responses, change = right(plants_, *given)
-        asked.append(float(plants_[0].heat.h0))
-        status = SimulationStatus.overheated if len(asked) <= failing else SimulationStatus.done
+        convections.append(float(plants_[0].heat.h0))
+        status = SimulationStatus.overheated if len(convections) <= failing else SimulationStatus.done
         return [dataclasses.replace(r, status=status) for r in responses], change
 
     monkeypatch.setattr(fit_module, "simulate_responses", respond)
     settings = Settings(free=("heat.h0", "material.max_transformation_strain"), starts=3)
     plant = parameters.replace(plants.dead_weight(), {k: v for k, v in TRUTH.items() if k not in settings.free})
-    found = fit(plant, [recorded(TRUTH)], settings, step=0.08)
-    assert len(asked) == 2 and float(found.plant.heat.h0) == asked[1]
-    assert all(r.status is SimulationStatus.done for r in found.responses)
-    asked.clear()
+    result = fit(plant, [recorded(TRUTH)], settings, step=0.08)
+    assert len(convections) == 2 and float(result.plant.heat.h0) == convections[1]
+    assert all(r.status is SimulationStatus.done for r in result.responses)
+    convections.clear()
     failing = 3
     none = fit(plant, [recorded(TRUTH)], settings, step=0.08)
-    assert len(asked) == 3 and float(none.plant.heat.h0) == asked[0]  # the best is what can be told of it
+    assert len(convections) == 3 and float(none.plant.heat.h0) == convections[0]  # the best is what is known of it
     assert none.responses[0].status is SimulationStatus.overheated
 
 
@@ -232,14 +233,14 @@ def test_recordings_share_some_parameters_and_own_others():
         free=("heat.h0", "material.max_transformation_strain"), per_recording=("sensor.displacement_offset",)
     )
     plant = parameters.replace(plants.dead_weight(), {k: v for k, v in TRUTH.items() if k not in settings.free})
-    found = fit(plant, made, settings, step=0.08)
-    values = {e.name: e.estimate for e in found.estimates}
+    result = fit(plant, made, settings, step=0.08)
+    values = {e.name: e.estimate for e in result.estimates}
     assert values["heat.h0"] == pytest.approx(108.0, rel=2e-3)
     assert [values[f"sensor.displacement_offset@{s}.csv"] for s in (1, 2, 3)] == pytest.approx(
         [0.0, 3e-4, -2e-4], abs=1e-5
     )
-    assert [len(r.model["displacement"]) for r in found.responses] == [500, 420, 460]
-    assert float(found.plants[1].sensor.offset["displacement"]) == pytest.approx(3e-4, abs=1e-5)
+    assert [len(r.model["displacement"]) for r in result.responses] == [500, 420, 460]
+    assert float(result.plants[1].sensor.offset["displacement"]) == pytest.approx(3e-4, abs=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -275,22 +276,22 @@ def test_free_initial_temperature_is_found():
         3
     ).standard_normal(200)
     made = plants.recording({"current": made.channels["current"], "displacement": series}, made.time)
-    found = fit(
+    result = fit(
         problem_plant,
         [made],
         Settings(free=("material.max_transformation_strain",), initial=("temperature",)),
         step=0.04,
     )
-    value = next(e for e in found.estimates if e.name.startswith("initial.temperature"))
+    value = next(e for e in result.estimates if e.name.startswith("initial.temperature"))
     assert value.estimate == pytest.approx(45.0, abs=1.0)
-    assert found.plant.initial.temperature is None
+    assert result.plant.initial.temperature is None
 
 
 def test_fits_repeat_and_scaling_of_noise_changes_nothing():
     made = recorded(TRUTH)
-    one = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-5}), step=0.04)
-    two = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-4}), step=0.04)
-    for a, b in zip(one.estimates, two.estimates, strict=True):
+    first = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-5}), step=0.04)
+    second = fit(plants.dead_weight(), [made], Settings(noise={"displacement": 1e-4}), step=0.04)
+    for a, b in zip(first.estimates, second.estimates, strict=True):
         assert a.estimate == pytest.approx(b.estimate, rel=1e-5, abs=1e-6)
         assert a.upper95 - a.lower95 == pytest.approx(b.upper95 - b.lower95, rel=1e-3)
 
@@ -304,13 +305,13 @@ def test_a_search_takes_no_step_into_states_in_which_the_simulation_fails():
     recording, settings = recorded({}), Settings(free=("drive.gain",))
     problem = build_problem(plants.dead_weight(), [recording], settings, step=0.04)
     for gain, code, times in ((20.0, SimulationStatus.overheated, 1e3), (1.5, SimulationStatus.done, 1.0)):
-        model, found = problem.predict(jnp.asarray([gain]))
-        assert found[0] == code
+        model, result = problem.predict(jnp.asarray([gain]))
+        assert result[0] == code
         plain = (model - problem.data.measured) * problem.data.weight
         np.testing.assert_allclose(problem.residual(jnp.asarray([gain])), times * plain.ravel(), rtol=1e-12)
     # From here it is all the way downhill into the melt.
-    found = fit(parameters.replace(plants.dead_weight(), {"drive.gain": 8.0}), [recording], settings, step=0.04)
-    assert 12.0 < found.estimates[0].estimate < 14.0 and found.responses[0].status == SimulationStatus.done
+    result = fit(parameters.replace(plants.dead_weight(), {"drive.gain": 8.0}), [recording], settings, step=0.04)
+    assert 12.0 < result.estimates[0].estimate < 14.0 and result.responses[0].status == SimulationStatus.done
 
 
 ENDS = (
@@ -383,8 +384,8 @@ def test_levenberg_marquardt_on_known_problems():
 
     free = solve([[-1.2, 1.0], [3.0, -2.0]], [-10.0, -10.0], [10.0, 10.0])
     assert free.points == pytest.approx(np.ones((2, 2)), abs=1e-6)
-    held = solve([[-1.2, 1.0]], [-10.0, -10.0], [0.5, 10.0])
-    assert held.points[0] == pytest.approx([0.5, 0.25], abs=1e-6)
+    bounded = solve([[-1.2, 1.0]], [-10.0, -10.0], [0.5, 10.0])
+    assert bounded.points[0] == pytest.approx([0.5, 0.25], abs=1e-6)
     fixed = solve([[-1.2, 1.0]], [-1.2, -10.0], [-1.2, 10.0])
     assert fixed.points[0] == pytest.approx([-1.2, 1.44], abs=1e-6)
     few = solve([[-1.2, 1.0]], [-10.0, -10.0], [10.0, 10.0], steps=3)
@@ -413,7 +414,7 @@ def test_autoregression_is_found():
     series = np.zeros(20000)
     for k in range(2, len(series)):
         series[k] = 1.2 * series[k - 1] - 0.5 * series[k - 2] + draw.standard_normal()
-    coefficients, variance = intervals.fit_autoregression(series)
+    coefficients, variance = fit_autoregression(series)
     assert coefficients[:2] == pytest.approx([1.2, -0.5], abs=0.05)
     assert variance == pytest.approx(1.0, abs=0.03)
 
@@ -434,14 +435,16 @@ def test_rows_at_which_a_channel_was_not_measured_weigh_nothing():
     built = build_problem(plants.dead_weight(), [sparse], Settings(), step=0.04)
     every = build_problem(plants.dead_weight(), [wrong], Settings(noise={"displacement": NOISE}), step=0.04)
     residual = eqx.filter_jit(Problem.residual)
-    left, bad = (np.asarray(residual(p, jnp.asarray(p.nominal))) for p in (built, every))
-    assert np.all(left[: len(whole)][gaps] == 0.0)
+    sparse_residual, whole_residual = (np.asarray(residual(p, jnp.asarray(p.nominal))) for p in (built, every))
+    assert np.all(sparse_residual[: len(whole)][gaps] == 0.0)
     assert difference_noise(seen) == pytest.approx(difference_noise(seen[~gaps]))
     np.testing.assert_allclose(
-        left[: len(whole)][~gaps] * difference_noise(seen), bad[: len(whole)][~gaps] * NOISE, rtol=1e-9
+        sparse_residual[: len(whole)][~gaps] * difference_noise(seen),
+        whole_residual[: len(whole)][~gaps] * NOISE,
+        rtol=1e-9,
     )
-    found = fit(plants.dead_weight(), [sparse], Settings(), step=0.04)
-    assert found.rmse("displacement") == pytest.approx(NOISE, rel=0.15)
+    result = fit(plants.dead_weight(), [sparse], Settings(), step=0.04)
+    assert result.rmse("displacement") == pytest.approx(NOISE, rel=0.15)
 
 
 def test_intervals_cover_the_truth_under_autocorrelated_noise():
@@ -455,17 +458,21 @@ def test_intervals_cover_the_truth_under_autocorrelated_noise():
         for k in range(1, 700):
             noise[k] = 0.8 * noise[k - 1] + draw.standard_normal()
         estimate, *_ = np.linalg.lstsq(columns, noise[100:], rcond=None)
-        spread = np.sqrt(np.diag(intervals.estimate_covariance([columns], [noise[100:] - columns @ estimate], 3)))
+        spread = np.sqrt(
+            np.diag(intervals.covariance_under_autocorrelation([columns], [noise[100:] - columns @ estimate], 3))
+        )
         inside.append(np.abs(estimate) < intervals.student_quantile(600, 3) * spread)
     assert np.all(np.abs(np.mean(inside, axis=0) - 0.94) < 0.04), np.mean(inside, axis=0)
 
 
 def test_parameters_without_effect_on_the_residual_have_no_interval():
-    """Two columns that are one another's multiple, beside a third; and fewer samples than parameters."""
+    """Two columns that are one multiples of each other, and a third; and fewer samples than parameters."""
     draw = np.random.default_rng(2)
     columns = draw.standard_normal((300, 3))
     columns[:, 2] = -4.0 * columns[:, 0]
-    known = np.isfinite(np.diag(intervals.estimate_covariance([columns], [draw.standard_normal(300)], 3)))
-    assert known.tolist() == [False, True, False]
-    few = intervals.estimate_covariance([draw.standard_normal((4, 4))], [draw.standard_normal(4)], 4)
+    determined = np.isfinite(
+        np.diag(intervals.covariance_under_autocorrelation([columns], [draw.standard_normal(300)], 3))
+    )
+    assert determined.tolist() == [False, True, False]
+    few = intervals.covariance_under_autocorrelation([draw.standard_normal((4, 4))], [draw.standard_normal(4)], 4)
     assert np.all(np.isinf(np.diag(few)))

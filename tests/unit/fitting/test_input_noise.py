@@ -38,11 +38,11 @@ def test_warning_states_how_far_noise_in_the_temperatures_biases_a_fit(noise):
         recording = dataclasses.replace(clean, channels={**clean.channels, "temperature": shaken})
         result = fit(rig.plant, [recording], settings, interpolation=rig.interpolation)
         away.append(result.estimates[0].estimate)
-        told = input_noise_warnings(result, rig.plant, [recording], settings)
+        warnings = input_noise_warnings(result, rig.plant, [recording], settings)
         if noise == 0.0:
-            assert not told
+            assert not warnings
             return
-        assert len(told) == 1 and told[0].startswith("temperature goes up and down by 0.")
+        assert len(warnings) == 1 and warnings[0].startswith("temperature scatters by 0.")
     at_rest = fit(rig.plant, [clean], settings, interpolation=rig.interpolation).estimates[0].estimate
-    said = float(told[0].split("austenite_finish by ")[1].split(" K")[0])
-    assert 0.4 * said < np.mean(away) - at_rest < 2.5 * said
+    bias = float(warnings[0].split("austenite_finish by ")[1].split(" K")[0])
+    assert 0.4 * bias < np.mean(away) - at_rest < 2.5 * bias

@@ -58,8 +58,8 @@ def test_the_normalised_form_is_the_seven_parameter_one():
     exact = original(SEVEN, INPUT)
     np.testing.assert_allclose(follow(law, jnp.asarray(TIME), jnp.asarray(INPUT)), exact, atol=1e-6)
     back = BoucWen.from_seven_parameters(**{k: float(v) for k, v in law.to_seven_parameters(d=0.7, a=3.0).items()})
-    for one, other in zip(jax.tree.leaves(law), jax.tree.leaves(back), strict=True):
-        assert float(one) == pytest.approx(float(other), rel=1e-12)
+    for entry, other in zip(jax.tree.leaves(law), jax.tree.leaves(back), strict=True):
+        assert float(entry) == pytest.approx(float(other), rel=1e-12)
 
 
 def test_a_normalised_form_without_a_seven_parameter_one_is_refused():
@@ -73,7 +73,7 @@ def test_a_normalised_form_without_a_seven_parameter_one_is_refused():
     "wrong", [{"gamma": -SEVEN["beta"]}, {"beta": -0.05, "gamma": 0.9}, {"a": -SEVEN["a"]}, {"d": 0.0}, {"n": 0.5}]
 )
 def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
-    """They would give no numbers, or a law that grows for ever."""
+    """They would give NaN, or a model that diverges."""
     with pytest.raises(InputError, match="of one sign, and n of at least 1"):
         BoucWen.from_seven_parameters(**(SEVEN | wrong))
 
@@ -81,7 +81,7 @@ def test_seven_parameters_without_a_normalised_form_are_refused(wrong):
 @pytest.mark.parametrize("name", SEVEN)
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_seven_parameters_that_are_no_numbers_are_refused(name, value):
-    with pytest.raises(InputError, match="one of the seven parameters is no finite number"):
+    with pytest.raises(InputError, match="one of the seven parameters is not a finite number"):
         BoucWen.from_seven_parameters(**(SEVEN | {name: value}))
 
 
@@ -101,7 +101,7 @@ STEPS = np.array([0.0, 1.0, 0.0, 1.0, 0.3, 0.8, 0.75, 0.0, 1.0, 0.98])  # each i
 
 def stored(rho: float, sigma: float, n: float, values: np.ndarray) -> np.ndarray:
     """w by SciPy, leg by leg."""
-    w, found = 0.0, [0.0]
+    w, computed = 0.0, [0.0]
     for change in np.diff(values):
 
         def rate(_, w, change=change):
@@ -109,8 +109,8 @@ def stored(rho: float, sigma: float, n: float, values: np.ndarray) -> np.ndarray
             return rho * (change - sigma * abs(change) * power * w + (sigma - 1) * change * power * np.abs(w))
 
         w = solve_ivp(rate, (0.0, 1.0), [w], method="LSODA", rtol=1e-10, atol=1e-13).y[0, -1]
-        found.append(w)
-    return np.array(found)
+        computed.append(w)
+    return np.array(computed)
 
 
 steepness = eqx.filter_jit(jax.grad(lambda law, time, values: jnp.sum(compute_response(law, time, values) ** 2)))
@@ -168,12 +168,12 @@ def test_batches_of_bouc_wens_derivatives_are_single_ones():
 @pytest.mark.parametrize("unloading", [None, (1.0, 2.0, 0.3, 0.12), (0.9, 1.6, 0.5, 0.1), (1.0, 0.4, 0.1, 0.0)])
 def test_the_inverse_gives_the_input_back(count, unloading):
     law, time = operator(unloading and envelope(*unloading), count=count), jnp.asarray(TIME)
-    wanted = follow(law, time, jnp.asarray(INPUT))
-    np.testing.assert_allclose(follow(inverse_operator(law), time, wanted), INPUT, atol=1e-9)
+    output = follow(law, time, jnp.asarray(INPUT))
+    np.testing.assert_allclose(follow(inverse_operator(law), time, output), INPUT, atol=1e-9)
 
 
 def falling(law: PrandtlIshlinskii) -> PrandtlIshlinskii:
-    """The law whose output is the other's, turned upside down."""
+    """The operator with the negated output."""
 
     def turned(top: Envelope) -> Envelope:
         return dataclasses.replace(top, height=-top.height, middle=-top.middle)
@@ -185,9 +185,9 @@ def falling(law: PrandtlIshlinskii) -> PrandtlIshlinskii:
 def test_an_output_that_falls_with_its_input_has_falling_envelopes(unloading):
     rising, time = operator(unloading and envelope(*unloading)), jnp.asarray(TIME)
     law = falling(rising)
-    wanted = follow(law, time, jnp.asarray(INPUT))
-    np.testing.assert_allclose(wanted, -follow(rising, time, jnp.asarray(INPUT)), atol=1e-14)
-    np.testing.assert_allclose(follow(inverse_operator(law), time, wanted), INPUT, atol=1e-9)
+    output = follow(law, time, jnp.asarray(INPUT))
+    np.testing.assert_allclose(output, -follow(rising, time, jnp.asarray(INPUT)), atol=1e-14)
+    np.testing.assert_allclose(follow(inverse_operator(law), time, output), INPUT, atol=1e-9)
 
 
 def test_envelopes_that_go_opposite_ways_have_no_inverse():
@@ -212,10 +212,10 @@ def test_a_law_that_need_not_rise_has_no_inverse():
 
 def test_derivatives_of_the_inverse_of_two_envelopes():
     law, time = operator(envelope(1.0, 2.0, 0.3, 0.12)), jnp.asarray(TIME)
-    wanted = follow(law, time, jnp.asarray(INPUT))
+    output = follow(law, time, jnp.asarray(INPUT))
 
     def mean(direct):
-        return jnp.mean(follow(inverse_operator(dataclasses.replace(law, direct=direct)), time, wanted) ** 2)
+        return jnp.mean(follow(inverse_operator(dataclasses.replace(law, direct=direct)), time, output) ** 2)
 
     at, step = law.direct, 1e-6
     central = (mean(at + step) - mean(at - step)) / (2.0 * step)
@@ -236,12 +236,12 @@ def plays(law: PrandtlIshlinskii, values: list[float]) -> np.ndarray:
 def test_return_points_are_remembered_and_small_loops_wiped_out(unloading, count, history, inner, outer):
     law = operator(unloading and envelope(*unloading), count)
     last, before = history[-1], plays(law, history)
-    # A loop that returns to where it began leaves no trace; going beyond the last turn wipes out what was inside.
+    # A closed loop leaves no memory; going beyond the last reversal erases the inner ones.
     turn = min(max(inner, min(history[-2], last)), max(history[-2], last))
     np.testing.assert_allclose(plays(law, [*history, turn, last]), before, atol=1e-12)
     beyond = 1.5 if outer >= last else -1.5
     np.testing.assert_allclose(plays(law, [*history, turn, last, beyond]), plays(law, [*history, beyond]), atol=1e-12)
-    # What is left of a whole history are the turns that nothing after them lies around.
+    # The memory of a history consists of the reversals that no later ones enclose.
     np.testing.assert_allclose(plays(law, reference.essential(history)), before, atol=1e-12)
 
 

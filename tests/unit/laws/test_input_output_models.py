@@ -1,4 +1,4 @@
-"""Black boxes against other people's linear systems and against themselves, and fits that find what was planted."""
+"""Black boxes against SciPy's linear systems and against themselves, and fits that recover known parameters."""
 
 import dataclasses
 import math
@@ -66,9 +66,9 @@ DENOMINATORS = {
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_transfer_functions_are_scipys(structure):
     assert INPUT[0] > 0.1  # on from the first row, from rest
-    found = np.asarray(compute_response(function(structure), jnp.asarray(TIME), jnp.asarray(INPUT)))
+    result = np.asarray(compute_response(function(structure), jnp.asarray(TIME), jnp.asarray(INPUT)))
     _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS[structure]), INPUT, TIME, interp=False)
-    np.testing.assert_allclose(found, 0.5 + exact, atol=1e-9)
+    np.testing.assert_allclose(result, 0.5 + exact, atol=1e-9)
     steady = np.asarray(compute_response(function(structure, settled=1.0), jnp.asarray(TIME), jnp.asarray(INPUT)))
     np.testing.assert_allclose(steady[:21], 0.5 + 3.0 * INPUT[0], atol=1e-9)
 
@@ -83,18 +83,18 @@ def test_a_long_delay_is_found_with_the_input_on_from_the_first_row(structure, c
     _, prompt, _ = scipy.signal.lsim(([-3.0], DENOMINATORS[structure]), u, TIME, interp=False)
     y = 0.5 + np.append(np.zeros(rows), prompt[:-rows])
     series = [Series("a", TIME, u, y + 1e-3 * np.random.default_rng(0).standard_normal(400))]
-    found = fit_io_model(transfer_function_spec(series, structure), series, starts=6, max_steps=60)
-    assert found.rmse < 2e-3
-    assert float(found.parameters["delay"]) == pytest.approx(delay, abs=0.1)
-    assert float(found.parameters["settled"]) == pytest.approx(0.0, abs=0.01)
-    assert found.spec.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[
+    result = fit_io_model(transfer_function_spec(series, structure), series, starts=6, max_steps=60)
+    assert result.rmse < 2e-3
+    assert float(result.parameters["delay"]) == pytest.approx(delay, abs=0.1)
+    assert float(result.parameters["settled"]) == pytest.approx(0.0, abs=0.01)
+    assert result.spec.size == {"one-pole": 4, "two-poles": 5, "underdamped": 5, "underdamped-and-pole": 6}[
         structure
     ] + (not constant)
 
 
 @pytest.mark.parametrize(("simple", "richer"), [("one-pole", "two-poles"), ("underdamped", "underdamped-and-pole")])
 def test_one_more_pole_fits_no_worse(simple, richer):
-    """What has one pole fewer is answered by a pole that lags by less than a row; the list of parameters is that of each structure."""
+    """Data with one pole fewer give a pole with a lag below one row; each structure has its own list of parameters."""
     _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS[simple]), INPUT, TIME, interp=False)
     noise = 1e-3 * np.random.default_rng(1).standard_normal(400)
     series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(4), prompt[:-4]) + noise)]
@@ -107,12 +107,12 @@ def test_one_more_pole_fits_no_worse(simple, richer):
 
 
 def test_a_parameter_that_ends_at_its_bound_is_named():
-    """A delay of 30 s in a recording of 40 s, where half of it is the most that is looked for; and one that is within."""
+    """A delay of 30 s in a recording of 40 s, where half of it is the upper bound; and one within the bounds."""
     _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)
-    for rows, told in ((300, ("delay (19.95)",)), (20, ("settled (0)",))):
+    for rows, at_bound in ((300, ("delay (19.95)",)), (20, ("settled (0)",))):
         series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(rows), prompt[:-rows]))]
-        found = fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=6, max_steps=60)
-        assert found.at_bound == told
+        result = fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=6, max_steps=60)
+        assert result.at_bound == at_bound
 
 
 def test_the_hip_papers_flexion():
@@ -120,8 +120,8 @@ def test_the_hip_papers_flexion():
     tau = np.sqrt(348.8)
     law = function("underdamped", gain=648.2, rest=0.0, first=tau, damping=37.35 / (2 * tau), delay=6.46)
     time = np.arange(0.0, 220.0, 0.02)
-    found = np.asarray(compute_response(law, jnp.asarray(time), jnp.asarray(np.r_[0.0, np.ones(len(time) - 1)])))
-    at = np.interp([20.0, 50.0, 100.0, 200.0], time - 0.02, found)  # the step comes one row late
+    result = np.asarray(compute_response(law, jnp.asarray(time), jnp.asarray(np.r_[0.0, np.ones(len(time) - 1)])))
+    at = np.interp([20.0, 50.0, 100.0, 200.0], time - 0.02, result)  # the step comes one row late
     np.testing.assert_allclose(at, [106.6546, 438.3960, 622.1917, 647.9679], rtol=2e-5)
 
 
@@ -139,13 +139,13 @@ def late(system: tuple, delay: float) -> np.ndarray:
 @pytest.mark.parametrize("delay", [0.0, 0.35, 2.0, 2.85])
 def test_a_delay_of_a_part_of_a_row_is_exact_where_the_lag_is_hardly_longer(structure, delay):
     law = function(structure, delay=delay)
-    found = np.asarray(compute_response(law, jnp.asarray(COARSE), jnp.asarray(ON)))
-    np.testing.assert_allclose(found, 0.5 + late(([3.0], DENOMINATORS[structure]), delay), atol=1e-9)
+    result = np.asarray(compute_response(law, jnp.asarray(COARSE), jnp.asarray(ON)))
+    np.testing.assert_allclose(result, 0.5 + late(([3.0], DENOMINATORS[structure]), delay), atol=1e-9)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_the_delay_is_a_number_like_the_others(structure):
-    """It has a derivative everywhere; at a whole row, where a pole's response has a kink, it is that towards longer delays."""
+    """The derivative exists everywhere; at a whole row, where the response of a pole has a kink, it is that towards longer delays."""
 
     def mean(delay):
         return jnp.mean(
@@ -168,19 +168,19 @@ def test_the_delay_is_a_number_like_the_others(structure):
     ],
 )
 def test_a_delay_is_found_where_the_lag_is_a_row_or_two(structure, truth):
-    """With intervals that hold it: neither delay nor lag is taken for the other."""
+    """Intervals contain the true values: delay and lag are distinguished."""
     first, second = truth["first"], truth.get("second", 0.0)
     damped = (
         [first**2, 2 * truth["damping"] * first, 1.0] if "damping" in truth else np.polymul([first, 1.0], [second, 1.0])
     )
     exact = 1.0 + late(([3.0], damped), truth["delay"])
     series = [Series("a", COARSE, ON, exact + 0.004 * np.random.default_rng(0).standard_normal(len(exact)))]
-    found = fit_io_model(transfer_function_spec(series, structure), series, starts=8)
-    assert found.rmse < 0.0045
-    swapped = structure == "two-poles" and found.values["first"]["value"] > 1.5
+    result = fit_io_model(transfer_function_spec(series, structure), series, starts=8)
+    assert result.rmse < 0.0045
+    swapped = structure == "two-poles" and result.values["first"]["value"] > 1.5
     names = {name: name for name in truth} | ({"first": "second", "second": "first"} if swapped else {})
     for name, value in truth.items():
-        ends = found.values[names[name]]
+        ends = result.values[names[name]]
         assert ends["lower95"] < value < ends["upper95"] and ends["upper95"] - ends["lower95"] < 0.1 * value + 0.1, (
             name,
             ends,
@@ -204,14 +204,14 @@ def test_hammerstein_wiener_by_hand():
             + (1 + first + second) * (0.3 * w[k - 1] + 0.7 * w[max(k - 2, 0)])
         )
     inside = np.interp(x, np.linspace(0, 1, 3), outlet)
-    found = np.asarray(compute_response(law, jnp.asarray(TIME), jnp.asarray(INPUT)))
+    result = np.asarray(compute_response(law, jnp.asarray(TIME), jnp.asarray(INPUT)))
     between = (x >= 0.0) & (x <= 1.0)
-    np.testing.assert_allclose(found[between], inside[between], atol=1e-12)
+    np.testing.assert_allclose(result[between], inside[between], atol=1e-12)
     assert np.sum(between) > 300
 
 
 def planted(family) -> dict:
-    """What to hide from a fit."""
+    """Models whose output a fit has to recover."""
     return {
         "transfer-function": lambda u: scipy.signal.lsim(
             ([3.0], DENOMINATORS["two-poles"]), u - u[0], TIME, interp=False
@@ -244,13 +244,13 @@ def test_what_is_planted_is_found_and_predicts_another_input(name, family, least
         u = smooth if name == "bouc-wen" else np.repeat(np.append(0.0, rng.uniform(0.0, 1.0, 19)), 20)  # from rest
         y = truth(u)
         series.append(Series(str(seed), TIME, u, y + 0.002 * np.ptp(y) * rng.standard_normal(len(y))))
-    found = fit_io_model(family(series[:1]), series[:1], starts=3)
+    result = fit_io_model(family(series[:1]), series[:1], starts=3)
     held = series[1]
     percent = 100 * (
-        1 - np.linalg.norm(found.respond(held) - held.output) / np.linalg.norm(held.output - held.output.mean())
+        1 - np.linalg.norm(result.respond(held) - held.output) / np.linalg.norm(held.output - held.output.mean())
     )
     assert percent > least
-    assert found.rmse < 0.05 * np.ptp(series[0].output) and found.simulations > 0
+    assert result.rmse < 0.05 * np.ptp(series[0].output) and result.simulations > 0
 
 
 @pytest.fixture(scope="module")
@@ -263,18 +263,18 @@ def wire() -> list[Series]:
 
 
 def test_a_network_does_not_run_away_on_another_input_and_ends_alike_from_other_points(wire):
-    """With free weights it errs by 1.3 of the output's range there from one seed of two, and at hardly held ones from both."""
+    """With free weights the error is 1.3 of the output's range for one of two seeds, and with a weak penalty for both."""
     errors = []
     for seed in range(2):
-        found = fit_io_model(narx_spec(wire[:1]), wire[:1], starts=4, seed=seed)
-        errors.append(np.sqrt(np.mean((found.respond(wire[1]) - wire[1].output) ** 2)))
-        assert found.ridge > 0.0
+        result = fit_io_model(narx_spec(wire[:1]), wire[:1], starts=4, seed=seed)
+        errors.append(np.sqrt(np.mean((result.respond(wire[1]) - wire[1].output) ** 2)))
+        assert result.ridge > 0.0
     assert errors[1] == pytest.approx(errors[0], rel=0.08) and max(errors) < 0.12 * np.ptp(wire[1].output)
 
 
 @pytest.mark.parametrize("slow", [6.0, 1.0])
 def test_a_richer_transfer_function_fits_no_worse_than_those_that_it_holds(slow):
-    """One pole: two poles, a damped pair and a pair with a pole hold it, at or near their bounds."""
+    """Data of one pole: two poles, a damped pair and a pair with a pole contain it, at or near their bounds."""
     rng = np.random.default_rng(14)
     time = 0.2 * np.arange(400)
     u = np.repeat(rng.uniform(0.0, 0.5, 10), 40)
@@ -285,7 +285,7 @@ def test_a_richer_transfer_function_fits_no_worse_than_those_that_it_holds(slow)
 
 
 def test_a_planted_recovery_is_found():
-    """A lag while it is driven, and from where that leaves it a recovery by two exponentials."""
+    """A lag while the input is on, and a recovery by two exponentials from the last output."""
     rng = np.random.default_rng(3)
     u = np.where(np.arange(400) % 80 < 30, np.repeat(rng.uniform(0.4, 1.0, 40), 10), 0.0)
     share, fast, slow, rest = 0.65, 0.5, 2.5, 0.1
@@ -304,22 +304,22 @@ def test_a_planted_recovery_is_found():
 
 
 def test_a_network_and_its_cooling_curve_stay_within_their_bounds():
-    """Of a recovery that goes on rising before it falls, as no share between 0 and 1 has it."""
+    """A recovery that rises before it falls, which no share between 0 and 1 gives."""
     law = Switched(network(), *map(jnp.asarray, (-2.0, 0.6, 4.0, 0.1, 0.05)))
     u = np.where(np.arange(400) % 80 < 30, 0.8, 0.0)
     series = [Series("a", TIME, u, np.asarray(compute_response(law, jnp.asarray(TIME), jnp.asarray(u))))]
-    found = fit_io_model(heating_cooling_spec(series, hidden=3), series, starts=1)
+    result = fit_io_model(heating_cooling_spec(series, hidden=3), series, starts=1)
     for value, low, high in zip(
-        *map(jax.tree.leaves, (found.parameters, found.spec.lower, found.spec.upper)), strict=True
+        *map(jax.tree.leaves, (result.parameters, result.spec.lower, result.spec.upper)), strict=True
     ):
         room = 1e-9 * (high - low)
         assert np.all((value >= low - room) & (value <= high + room))
-    assert any(told.startswith("share") for told in found.at_bound)
+    assert any(name.startswith("share") for name in result.at_bound)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_networks_that_seldom_run_away_on_known_inputs_in_other_orders_come_first(seed):
-    """The best end under the strongest ridge errs by 0.7 of the output's range on another input, where it runs away."""
+    """The best fit under the strongest ridge has an error of 0.7 of the output's range on another input, where it diverges."""
     folder = ROOT / "data" / "recordings" / "dead-weight"
     rig = read_rig(folder / "rig.toml")
     read = [rig.read(folder / f"{part}.csv") for part in ("train", "holdout")]
@@ -327,12 +327,12 @@ def test_networks_that_seldom_run_away_on_known_inputs_in_other_orders_come_firs
         Series(r.name, r.time[:1200:2], r.channels["current"][:1200:2], r.channels["displacement"][:1200:2])
         for r in read
     ]
-    found = fit_io_model(narx_spec(short[:1]), short[:1], starts=4, seed=seed)
-    assert np.sqrt(np.mean((found.respond(short[1]) - short[1].output) ** 2)) < 0.35 * np.ptp(short[1].output)
+    result = fit_io_model(narx_spec(short[:1]), short[:1], starts=4, seed=seed)
+    assert np.sqrt(np.mean((result.respond(short[1]) - short[1].output) ** 2)) < 0.35 * np.ptp(short[1].output)
 
 
 def test_what_runs_away_is_told_from_what_stays(wire):
-    """A law that doubles in some rows leaves on every order of the inputs, one that goes back to rest on none."""
+    """A model that doubles within some rows diverges for every order of the inputs, one that returns to rest for none."""
     family = narx_spec(wire[:1])
     problem = build_io_problem(family, wire[:1])
     unstable = {**family.start, "straight": jnp.array([1.3, 0.0]), "constant": jnp.asarray(0.01)}
@@ -341,7 +341,7 @@ def test_what_runs_away_is_told_from_what_stays(wire):
 
 
 def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
-    """A quarter of what was measured, of each recording, in turn; with what is seen it is the problem."""
+    """A quarter of the measured rows of each recording is hidden in turn; with the visible rows it is the whole problem."""
     time, voltage, displacement = (values[:100] for values in wire[1][1:])
     short = Series("short", time, voltage, np.where(np.arange(100) < 20, np.nan, displacement))
     problem = build_io_problem(narx_spec(wire[:1]), [wire[0], short])
@@ -357,7 +357,7 @@ def test_a_ridge_is_chosen_by_rows_that_its_fits_do_not_see(wire):
 
 @pytest.mark.parametrize("slope", [8.0, 30.0])
 def test_a_steep_operator_is_found_wherever_its_input_is_counted_from(slope):
-    """A loop beside 0 and one far from it are the same to the search."""
+    """A loop near 0 and one far from it are equivalent for the search."""
     u = 0.5 + 0.5 * np.sin(TIME * 2.0 * math.pi / 9.0) * np.linspace(1.0, 0.4, len(TIME))
     top, other = (Envelope(*map(jnp.asarray, (1.0, slope, -slope * centre, 1.0))) for centre in (0.75, 0.65))
     law = PrandtlIshlinskii(jnp.asarray(0.6), jnp.linspace(0.1, 0.8, 10), jnp.full(10, 0.04), top, other)
@@ -371,7 +371,7 @@ def test_a_steep_operator_is_found_wherever_its_input_is_counted_from(slope):
 
 @pytest.mark.parametrize("name", ["transfer-function-one-pole", "transfer-function-two-poles", "bouc-wen"])
 def test_an_input_about_a_bias_is_no_harder_than_one_about_zero(name):
-    """What the output would be without any input lies far outside the range of the output then."""
+    """The output at zero input lies far outside the range of the output then."""
     u = np.repeat(np.random.default_rng(2).uniform(0.0, 1.0, len(TIME) // 10 + 1), 10)[: len(TIME)]
     y, step = np.zeros(len(TIME)), float(TIME[1] - TIME[0])
     for k in range(1, len(TIME)):
@@ -390,13 +390,13 @@ def test_bouc_wens_own_parameters_are_found():
     u = np.interp(TIME, TIME[::20], np.random.default_rng(3).uniform(-1.0, 1.0, 20))
     y = original(SEVEN, u)
     law = fit_io_model(bouc_wen_spec([Series("a", TIME, u, y)]), [Series("a", TIME, u, y)], starts=4).model
-    for one, other in zip(jax.tree.leaves(law), jax.tree.leaves(BoucWen.from_seven_parameters(**SEVEN)), strict=True):
-        assert float(one) == pytest.approx(float(other), rel=0.02)
+    for value, other in zip(jax.tree.leaves(law), jax.tree.leaves(BoucWen.from_seven_parameters(**SEVEN)), strict=True):
+        assert float(value) == pytest.approx(float(other), rel=0.02)
 
 
 @pytest.mark.parametrize("envelopes", [1, 2])
 def test_the_operators_own_parameters_are_found(envelopes):
-    """On the scale that the fit holds, from a start a tenth off: no parameter can be traded for another."""
+    """On the scale of the fit, from a start that is off by a tenth: no parameter can replace another."""
     held = 0.5 * 2.2
     tops = [
         {"height": held, "slope": 4.0, "shift": shift, "middle": middle}
@@ -424,9 +424,9 @@ def test_the_operators_own_parameters_are_found(envelopes):
     truth |= dict(zip(("loading", "unloading"), sized, strict=False))
     near = jax.tree.map(lambda v: jnp.asarray(1.1 * v), truth)
     near["loading"]["height"] = family.start["loading"]["height"]
-    found = fit_io_model(dataclasses.replace(family, start=near), series, starts=8)
-    assert found.rmse < 1e-5 * np.ptp(y)
-    got = found.parameters
+    result = fit_io_model(dataclasses.replace(family, start=near), series, starts=8)
+    assert result.rmse < 1e-5 * np.ptp(y)
+    got = result.parameters
     assert scale * float(got["direct"]) == pytest.approx(0.5, rel=1e-2)
     np.testing.assert_allclose(scale * np.asarray(got["densities"]), [0.3, 0.2, 0.15], rtol=2e-2)
     assert float(got["reach"]) / scale == pytest.approx(0.6, rel=1e-2)
@@ -434,7 +434,7 @@ def test_the_operators_own_parameters_are_found(envelopes):
 
 @pytest.mark.parametrize("seed", [0, 2, 7])
 def test_two_envelopes_are_found_from_far(seed):
-    """Steep ones beside the middle of the input's range, and ten plays: where a search from the first guess and drawn points alone ends
+    """Steep ones next to the middle of the input's range, and ten plays: where a search from the first guess and drawn points alone ends
     at another minimum, some 1e-4 of the output's range away."""
     rng = np.random.default_rng(seed)
     u = np.interp(TIME, TIME[::20], rng.uniform(0.0, 1.0, 20))
@@ -446,12 +446,12 @@ def test_two_envelopes_are_found_from_far(seed):
         jnp.asarray(0.4), jnp.linspace(0.08, 0.8, 10), densities, *(Envelope(*map(jnp.asarray, t)) for t in tops)
     )
     series = [Series("a", TIME, u, np.asarray(compute_response(law, jnp.asarray(TIME), jnp.asarray(u))))]
-    found = fit_io_model(prandtl_ishlinskii_spec(series), series, starts=8, seed=seed)
-    assert found.rmse < 1e-6 * np.ptp(series[0].output)
+    result = fit_io_model(prandtl_ishlinskii_spec(series), series, starts=8, seed=seed)
+    assert result.rmse < 1e-6 * np.ptp(series[0].output)
 
 
 def test_twenty_plays_fit_no_worse_than_the_ten_that_they_hold():
-    """A lag, which no number of plays is: the cost has many minima, and from the usual guesses twenty plays end at a far higher one."""
+    """Data of a lag, which plays cannot represent: the cost has many minima, and from the usual guesses twenty plays reach a poor one."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.uniform(0.0, 1.0, 20), 20)
     y = scipy.signal.lsim(([1.0], [1.5, 1.0]), u**2, TIME, interp=False)[1]
@@ -471,22 +471,22 @@ def test_twenty_plays_fit_no_worse_than_the_ten_that_they_hold():
 
 @pytest.mark.parametrize("envelopes", [1, 2])
 def test_an_output_that_falls_with_its_input_is_fitted_as_well(envelopes):
-    """As a loaded wire's strain falls with its temperature; the loop is a reference's, by play operators of its own."""
+    """An output that falls with the input, as the strain of a loaded wire with temperature; the loop is that of a reference."""
     tops = [reference.Envelope(1.1, 5.0, -2.6, 0.9), reference.Envelope(1.1, 5.0, -2.0, 0.95)]
     u = np.interp(TIME, TIME[::20], np.random.default_rng(5).uniform(0.0, 1.0, 20))
     y = -np.array(reference.respond(0.5, [0.2, 0.4, 0.6], [0.3, 0.2, 0.15], tops[0], tops[envelopes - 1], list(u)))
     series = [Series("a", TIME, u, y)]
-    found = fit_io_model(prandtl_ishlinskii_spec(series, 3, envelopes), series, starts=8)
+    result = fit_io_model(prandtl_ishlinskii_spec(series, 3, envelopes), series, starts=8)
     upright = [Series("a", TIME, u, -y)]
-    assert found.rmse == pytest.approx(
+    assert result.rmse == pytest.approx(
         fit_io_model(prandtl_ishlinskii_spec(upright, 3, envelopes), upright, starts=8).rmse, rel=0.1
     )
-    assert found.rmse < 5e-3 * np.ptp(y)
-    assert float(found.model.loading.height) < 0.0
+    assert result.rmse < 5e-3 * np.ptp(y)
+    assert float(result.model.loading.height) < 0.0
 
 
 def test_thresholds_and_densities_are_fitted_or_held():
-    """Uneven thresholds are found when each is free; held, they or the densities leave the others and the height to be found."""
+    """Uneven thresholds are recovered if all are free; with fixed thresholds or densities the others and the height are."""
     top = Envelope(
         **{k: jnp.asarray(v) for k, v in {"height": 1.1, "slope": 4.0, "shift": -1.6, "middle": 0.9}.items()}
     )
@@ -504,12 +504,12 @@ def test_thresholds_and_densities_are_fitted_or_held():
     }.items():
         family = prandtl_ishlinskii_spec(series, 3, 1, **options)
         sizes[name] = family.size
-        found = fit_io_model(family, series, starts=4)
-        assert found.rmse < (0.02 if name == "densities held" else 2e-3) * np.ptp(y), name
+        result = fit_io_model(family, series, starts=4)
+        assert result.rmse < (0.02 if name == "densities held" else 2e-3) * np.ptp(y), name
         if "thresholds" in options and name != "free":
-            np.testing.assert_allclose(found.model.thresholds, thresholds, atol=1e-12)
+            np.testing.assert_allclose(result.model.thresholds, thresholds, atol=1e-12)
         if "densities" in options:
-            np.testing.assert_allclose(found.model.densities, densities, atol=1e-12)
+            np.testing.assert_allclose(result.model.densities, densities, atol=1e-12)
     assert sizes == {"free": 10, "thresholds held": 8, "densities held": 6, "both held": 5}
     for wrong in ({"thresholds": [0.1, 0.1, 0.2]}, {"densities": [0.1, 0.2]}):
         with pytest.raises(InputError, match=f"{next(iter(wrong))} have to be 3"):
@@ -517,7 +517,7 @@ def test_thresholds_and_densities_are_fitted_or_held():
 
 
 def test_a_saturated_loop_is_prandtl_ishlinskiis():
-    """The tanh envelopes saturate at the ends, where Bouc-Wen goes on straight: the paper's finding."""
+    """The tanh envelopes saturate at the ends, where Bouc-Wen stays linear, as in copaci2020."""
     u = np.concatenate(
         [np.linspace(0, 1, 100), np.linspace(1, 0, 100), np.linspace(0, 0.8, 100), np.linspace(0.8, 0, 100)]
     )
@@ -543,18 +543,18 @@ def test_the_dead_time_of_a_hammerstein_wiener_model_is_found(late):
         held = u[np.minimum(np.floor((fine - late) / (TIME[1] - TIME[0]) + 1e-9).clip(0).astype(int), len(u) - 1)]
         y = np.tanh(2 * scipy.signal.lsim(([1.0], [1.5, 1.0]), held**2, fine, interp=False)[1])[::10]
         series.append(Series(str(seed), TIME, u, y + 0.004 * np.random.default_rng(seed + 5).standard_normal(len(y))))
-    found = fit_io_model(hammerstein_wiener_spec(series[:1]), series[:1], starts=6)
-    assert float(found.model.delay) == pytest.approx(late, abs=0.12)
-    assert ("delay" in found.values) is (late > 0.0)  # one that the recording does not tell is no parameter
-    assert fit_percent(series[1].output, found.respond(series[1])) > 95.0
+    result = fit_io_model(hammerstein_wiener_spec(series[:1]), series[:1], starts=6)
+    assert float(result.model.delay) == pytest.approx(late, abs=0.12)
+    assert ("delay" in result.values) is (late > 0.0)  # a delay that the recording does not determine is no parameter
+    assert fit_percent(series[1].output, result.respond(series[1])) > 95.0
 
 
 def test_hammerstein_wiener_may_begin_at_rest_with_its_input_on():
     u = np.repeat([1.0, 0.2, 0.8, 0.4, 1.0, 0.0, 0.6, 0.3], 50)
     exact = scipy.signal.lsim(([1.0], [2.0, 1.0]), u, TIME, interp=False)[1]
     series = [Series("on", TIME, u, exact + 2e-3 * np.random.default_rng(0).standard_normal(400))]
-    found = fit_io_model(hammerstein_wiener_spec(series), series, starts=16)
-    assert fit_percent(exact, found.respond(series[0])) > 98.0
+    result = fit_io_model(hammerstein_wiener_spec(series), series, starts=16)
+    assert fit_percent(exact, result.respond(series[0])) > 98.0
     settled = [Series("off", TIME, np.r_[0.0, u[1:]], series[0].output)]
     assert [float(hammerstein_wiener_spec(s).lower["settled"]) for s in (series, settled)] == [0.0, 1.0]
 
@@ -575,7 +575,7 @@ def test_open_and_closed_loop_of_a_network():
     closed = compute_response(law, jnp.asarray(TIME), u)
     np.testing.assert_allclose(
         law.predict_ahead(jnp.asarray(TIME), u, closed, jnp.asarray(1))[2:], closed[2:], atol=1e-12
-    )  # told its own outputs, it says them
+    )  # restarted from its own outputs, it reproduces them
     slopes = jax.grad(
         lambda w: jnp.mean(compute_response(Narx(w, *jax.tree.leaves(law)[1:]), jnp.asarray(TIME), u) ** 2)
     )(law.hidden)
@@ -610,7 +610,7 @@ def laws() -> dict:
 
 @pytest.mark.parametrize("name", laws())
 def test_derivatives_and_batches(name):
-    """By every parameter, forward and reverse, against differences; a compiled batch is what each is alone, not compiled."""
+    """By every parameter, forward and reverse, against differences; a compiled batch equals uncompiled single evaluations."""
     flat, unravel = ravel_pytree(laws()[name])
     u = np.where(np.arange(400) % 100 < 60, INPUT, 0.0)  # wires cool, too
     weights = jnp.asarray(np.random.default_rng(1).standard_normal(400))
@@ -621,7 +621,7 @@ def test_derivatives_and_batches(name):
     @jax.jit
     @jax.vmap
     def moved(point, direction):
-        """The response, how its weighted sum moves in a direction, and that sum's gradient in reverse mode."""
+        """The response, the derivative of its weighted sum in a direction, and the gradient of that sum in reverse mode."""
         value, push = jax.linearize(response, point)
         return value, weights @ push(direction), jax.linear_transpose(push, point)(weights)[0]
 
@@ -649,12 +649,12 @@ def test_heating_and_cooling_take_turns():
         y[101:201], 0.1 + away * (0.7 * np.exp(-since / 0.5) + 0.3 * np.exp(-since / 4.0)), rtol=1e-9
     )
     assert abs(y[201] - y[200]) < 0.2 and np.all(np.isfinite(y))
-    told = np.asarray(law.predict_ahead(jnp.asarray(TIME), jnp.asarray(u), jnp.asarray(y), jnp.asarray(1000)))
-    np.testing.assert_allclose(told, y, atol=1e-12)  # never told, it says what it says by itself
+    predicted = np.asarray(law.predict_ahead(jnp.asarray(TIME), jnp.asarray(u), jnp.asarray(y), jnp.asarray(1000)))
+    np.testing.assert_allclose(predicted, y, atol=1e-12)  # without restarts it is the closed loop
 
 
 def test_fewer_rows_than_parameters_are_refused():
-    """Through three rows goes any law of three parameters, with no error at all."""
+    """A model of three parameters fits three rows without error."""
     series = [Series("short.csv", TIME[:4], INPUT[18:22], np.array([0.0, 1.0, 2.0, 3.0]))]
     with pytest.raises(
         InputError, match="short.csv: 4 measured rows do not determine the 5 parameters of bouc-wen: record more rows"
@@ -674,7 +674,7 @@ def test_uneven_rows_are_refused():
 
 @pytest.mark.parametrize("name", laws())
 def test_memory_fades_and_does_not_know_the_hour(name):
-    """After the same last minute of input two pasts are one; a response that begins later is the same, later."""
+    """After the same last minute of input two histories give the same output; a delayed input delays the response."""
     law, rng = laws()[name], np.random.default_rng(5)
     time = jnp.asarray(np.arange(900) * 0.1)
     last = np.where(np.arange(600) % 100 < 60, np.repeat(rng.uniform(0.2, 1.0, 30), 20), 0.0)
@@ -686,7 +686,7 @@ def test_memory_fades_and_does_not_know_the_hour(name):
     if hasattr(
         law, "settled"
     ):  # where what came before the first row is a parameter, that row may stand for ever before
-        law, held = eqx.tree_at(lambda one: one.settled, law, jnp.asarray(1.0)), np.full(300, last[0])
+        law, held = eqx.tree_at(lambda model: model.settled, law, jnp.asarray(1.0)), np.full(300, last[0])
         soon, late = (
             np.asarray(compute_response(law, time, jnp.asarray(u)))
             for u in (np.append(last, held), np.append(held, last))
@@ -696,9 +696,9 @@ def test_memory_fades_and_does_not_know_the_hour(name):
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_transfer_functions_superpose(structure):
-    law, (one, other) = function(structure, delay=0.37), np.random.default_rng(6).uniform(-1.0, 1.0, (2, 400))
-    alone, beside, both = (
+    law, (u_1, u_2) = function(structure, delay=0.37), np.random.default_rng(6).uniform(-1.0, 1.0, (2, 400))
+    first, second, both = (
         np.asarray(compute_response(law, jnp.asarray(TIME), jnp.asarray(u))) - 0.5
-        for u in (one, other, 2.0 * one - 3.0 * other)
+        for u in (u_1, u_2, 2.0 * u_1 - 3.0 * u_2)
     )
-    np.testing.assert_allclose(both, 2.0 * alone - 3.0 * beside, atol=1e-12 * np.ptp(both) + 1e-12)
+    np.testing.assert_allclose(both, 2.0 * first - 3.0 * second, atol=1e-12 * np.ptp(both) + 1e-12)

@@ -1,4 +1,4 @@
-"""What importing smajax sets in JAX, in processes of their own."""
+"""Settings of JAX by importing smajax, each in a separate process."""
 
 import os
 import subprocess

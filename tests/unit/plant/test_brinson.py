@@ -79,7 +79,7 @@ def test_agrees_with_the_exact_reference_and_stays_in_range(shares, temperature,
     exact = reference._monotone_leg(EXACT, *start, temperature[0], stress[0], temperature[1], stress[1])
     assert min(mine) >= -1e-12
     assert sum(mine) <= 1 + 1e-12
-    # A leg that starts past its finish with something left completes in the reference; here it keeps what the smoothing keeps.
+    # A leg that starts past its finish with a remaining share completes in the reference; here the smoothing limits it.
     progress = np.asarray(LAW._progress(jnp.asarray(temperature[0]), jnp.asarray(stress[0])))
     if np.all(progress < 0.999):
         assert mine == pytest.approx(exact, abs=3e-4)
@@ -99,14 +99,14 @@ def test_smoothing_error_is_of_first_order():
 
 
 def test_derivative_across_a_finished_transformation_is_finite():
-    def left(finish):
+    def remaining(finish):
         law = Brinson(**(plants.MATERIAL | {"austenite_finish": finish}))
         state = Fractions(jnp.asarray(1.0), jnp.asarray(0.0))
         for a, b in ((20.0, 75.0), (75.0, 79.999999), (79.999999, 80.0), (80.0, 95.0), (95.0, 20.0), (20.0, 70.0)):
             state = law.evolve(state, (jnp.asarray(a), jnp.asarray(b)), (jnp.asarray(0.0), jnp.asarray(0.0)))
         return state.martensite
 
-    slope = jax.jacfwd(left)(jnp.asarray(80.0))
-    numeric = (left(jnp.asarray(80.0 + 1e-5)) - left(jnp.asarray(80.0 - 1e-5))) / 2e-5
+    slope = jax.jacfwd(remaining)(jnp.asarray(80.0))
+    numeric = (remaining(jnp.asarray(80.0 + 1e-5)) - remaining(jnp.asarray(80.0 - 1e-5))) / 2e-5
     assert np.isfinite(float(slope))
     assert float(slope) == pytest.approx(float(numeric), rel=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from smajax import parameters
 from smajax.plant.coil import Coil
-from smajax.plant.convection import PolynomialHeat
+from smajax.plant.convection import PolynomialConvection
 from smajax.plant.drive import CurrentDrive, VoltageDrive, resistance
 from smajax.plant.materials.base import Fractions
 from smajax.plant.materials.brinson import Brinson
@@ -45,7 +45,7 @@ COIL = {"diameter": 0.5e-3, "coil_diameter": 3e-3, "turns": 25.0, "poisson_ratio
 def plant(mechanism, law: str = "brinson", drive=None, **coil: float) -> Plant:
     channels = (mechanism.coordinate,)
     return Plant(
-        Coil(**COIL | coil), Environment(25.0), Initial(), drive or CurrentDrive(), PolynomialHeat(**HEAT), LAWS[law], mechanism,
+        Coil(**COIL | coil), Environment(25.0), Initial(), drive or CurrentDrive(), PolynomialConvection(**HEAT), LAWS[law], mechanism,
         Sensor.identity(channels),
     )  # fmt: skip
 
@@ -71,7 +71,7 @@ def test_the_elastic_stiffness_is_that_of_the_knee_ankle_paper(scale, stiffness)
     law = Brinson(**CONSTANTS | {"modulus_austenite": 75e9, "modulus_martensite": 30e9}).with_scaled_moduli(
         coil.modulus_factor
     )
-    for martensite, wanted, modulus in zip((0.0, 1.0), stiffness, (75e9, 30e9), strict=True):
+    for martensite, expected, modulus in zip((0.0, 1.0), stiffness, (75e9, 30e9), strict=True):
         fractions = Fractions(jnp.asarray(0.0), jnp.asarray(martensite))
         stress = 10.0 / coil.force_per_stress
         stretch = coil.motion_per_strain * law.strain(fractions, jnp.asarray(20.0), stress, jnp.asarray(20.0))
@@ -79,8 +79,8 @@ def test_the_elastic_stiffness_is_that_of_the_knee_ankle_paper(scale, stiffness)
         assert float(10.0 / stretch) == pytest.approx(
             shear * (1e-3 * scale) ** 4 / (4 * (6e-3 * scale) ** 3 * 56), rel=1e-14
         )
-        assert float(10.0 / stretch) == pytest.approx(wanted, abs=0.05)
-    # The same work, whatever the variables.
+        assert float(10.0 / stretch) == pytest.approx(expected, abs=0.05)
+    # The work is the same in both sets of variables.
     assert float(coil.force_per_stress * coil.motion_per_strain) == pytest.approx(
         float(coil.area * coil.length) / 2, rel=1e-14
     )
@@ -117,23 +117,28 @@ def test_the_knee_ankle_papers_verbal_law_peaks_early_and_ends_at_nothing(law, r
 
 def test_a_bundle_pulls_together_and_is_wired_as_said():
     """The springs of ali2026: 0.5 mm wire, 3.5 mm outside, 25 coils, six a group: 17 W at 10 V in series."""
-    one, series, parallel = (Coil(**COIL, springs=n, paths=p) for n, p in ((1.0, 1.0), (6.0, 1.0), (6.0, 6.0)))
-    ohms = [float(resistance(jnp.asarray(0.8e-6), c)) for c in (one, series, parallel)]
+    single, series, parallel = (Coil(**COIL, springs=n, paths=p) for n, p in ((1.0, 1.0), (6.0, 1.0), (6.0, 6.0)))
+    ohms = [float(resistance(jnp.asarray(0.8e-6), c)) for c in (single, series, parallel)]
     assert ohms[0] == pytest.approx(0.96, abs=0.005)
     assert ohms[1] == pytest.approx(6 * ohms[0]) and ohms[2] == pytest.approx(ohms[0] / 6)
     assert 100.0 / ohms[1] == pytest.approx(17.4, abs=0.1)
     for bundle in (series, parallel):
-        assert float(bundle.force_per_stress) == pytest.approx(6 * float(one.force_per_stress))
-        assert float(bundle.motion_per_strain) == pytest.approx(float(one.motion_per_strain))
-        assert float(bundle.area * bundle.length) == pytest.approx(6 * float(one.area * one.length))
+        assert float(bundle.force_per_stress) == pytest.approx(6 * float(single.force_per_stress))
+        assert float(bundle.motion_per_strain) == pytest.approx(float(single.motion_per_strain))
+        assert float(bundle.area * bundle.length) == pytest.approx(6 * float(single.area * single.length))
 
 
 @pytest.mark.parametrize("law", ["tanaka", "liang-rogers"])
 def test_the_law_in_shear_is_that_of_the_hip_paper(law):
     """tau' = G gamma' + Omega xi' + Theta T' with G = E / (2 (1 + nu)), Omega = -G gamma_L + tau G'(xi) / G, Theta = -sqrt(3) alpha G."""
     coil, expansion, root = Coil(**COIL), 8e-6, np.sqrt(3.0)
-    known = ONE_FRACTION | {"thermal_expansion_austenite": expansion, "thermal_expansion_martensite": expansion}
-    made = {"tanaka": Tanaka, "liang-rogers": LiangRogers}[law](**known).with_scaled_moduli(coil.modulus_factor)
+    reference_result = ONE_FRACTION | {
+        "thermal_expansion_austenite": expansion,
+        "thermal_expansion_martensite": expansion,
+    }
+    made = {"tanaka": Tanaka, "liang-rogers": LiangRogers}[law](**reference_result).with_scaled_moduli(
+        coil.modulus_factor
+    )
 
     def gamma(tau, xi, temperature):
         return root * made.strain(Fractions(xi, jnp.zeros(())), temperature, root * tau, jnp.asarray(25.0))
@@ -150,33 +155,33 @@ def test_the_law_in_shear_is_that_of_the_hip_paper(law):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_bias_spring_moves_as_the_reference_in_shear(law):
-    made, given = plant(BiasSpring(Spring(40.0, 1.2)), law), recording(0.0, 1.6)
-    known = exact.bias_spring(
-        *reference(law), 40.0, 1.2, given.time, given.channels["current"], control="current", substeps=40
+    made, record = plant(BiasSpring(Spring(40.0, 1.2)), law), recording(0.0, 1.6)
+    reference_result = exact.bias_spring(
+        *reference(law), 40.0, 1.2, record.time, record.channels["current"], control="current", substeps=40
     )
-    result = simulate(made, given, step=0.02)
-    found = np.asarray(result.channels["displacement"])
-    stroke = np.ptp(known.position)
+    result = simulate(made, record, step=0.02)
+    computed = np.asarray(result.channels["displacement"])
+    stroke = np.ptp(reference_result.position)
     assert stroke > 10e-3
-    assert np.max(np.abs(found - known.position)) < 2e-4 * stroke
+    assert np.max(np.abs(computed - reference_result.position)) < 2e-4 * stroke
     np.testing.assert_allclose(
-        np.asarray(result.channels["stress"]), np.sqrt(3) * known.stress[:, 0], atol=2e-4 * 300e6
+        np.asarray(result.channels["stress"]), np.sqrt(3) * reference_result.stress[:, 0], atol=2e-4 * 300e6
     )
 
 
 def test_a_dead_weight_and_its_derivatives():
-    made, given = plant(DeadWeight(Load(0.3)), "brinson", VoltageDrive(), springs=2.0), recording(0.0, 3.2, "voltage")
-    known = exact.dead_weight(
-        *reference(springs=2.0), 0.3, given.time, given.channels["voltage"], control="voltage", substeps=40
+    made, record = plant(DeadWeight(Load(0.3)), "brinson", VoltageDrive(), springs=2.0), recording(0.0, 3.2, "voltage")
+    reference_result = exact.dead_weight(
+        *reference(springs=2.0), 0.3, record.time, record.channels["voltage"], control="voltage", substeps=40
     )
 
     def stroke(values):
-        return simulate(parameters.replace(made, values), given, step=0.02).channels["displacement"] * 1e3
+        return simulate(parameters.replace(made, values), record, step=0.02).channels["displacement"] * 1e3
 
     at = {"wire.coil_diameter": 3e-3, "wire.turns": 25.0, "wire.poisson_ratio": 0.33, "wire.springs": 2.0}
-    found = np.asarray(stroke(at))
-    assert np.ptp(known.position) > 10e-3
-    assert np.max(np.abs(found - 1e3 * known.position)) < 2e-4 * 1e3 * np.ptp(known.position)
+    computed = np.asarray(stroke(at))
+    assert np.ptp(reference_result.position) > 10e-3
+    assert np.max(np.abs(computed - 1e3 * reference_result.position)) < 2e-4 * 1e3 * np.ptp(reference_result.position)
     slopes = jax.jacfwd(lambda v: jnp.mean(stroke(v) ** 2))(at)
     for name, value in at.items():
         ends = [float(jnp.mean(stroke(at | {name: value * (1 + side * 1e-5)}) ** 2)) for side in (1, -1)]
@@ -186,30 +191,34 @@ def test_a_dead_weight_and_its_derivatives():
 def test_an_antagonistic_pair_turns_as_the_reference():
     made = plant(MasslessRotary(Pulley(0.02)), prestretch=30e-3)
     first, second = plants.pulses(400, 0.3, 1.6), np.roll(plants.pulses(400, 0.3, 1.6, seed=1), 20)
-    given = plants.recording({"current_1": first, "current_2": second}, np.arange(400) * 0.2)
+    record = plants.recording({"current_1": first, "current_2": second}, np.arange(400) * 0.2)
     signal = np.column_stack([first, second])
-    known = exact.antagonistic(*reference(), 30e-3, 0.02, given.time, signal, control="current", substeps=40)
-    found = np.asarray(simulate(made, given, step=0.02).channels["angle"])
-    assert np.ptp(known.position) > 1.0
-    assert np.max(np.abs(found - known.position)) < 1e-3 * np.ptp(known.position)
+    reference_result = exact.antagonistic(
+        *reference(), 30e-3, 0.02, record.time, signal, control="current", substeps=40
+    )
+    computed = np.asarray(simulate(made, record, step=0.02).channels["angle"])
+    assert np.ptp(reference_result.position) > 1.0
+    assert np.max(np.abs(computed - reference_result.position)) < 1e-3 * np.ptp(reference_result.position)
 
 
 def test_a_joint_lifts_its_link_as_the_reference():
     """Six springs a group at up to 12 V, a link of 0.2 kg at 0.1 m: gravity bends the angle, and the rate is the angle's."""
     made = plant(Joint(Pulley(0.028, 1e-4, 0.05), Link(0.2, 0.1)), drive=VoltageDrive(), prestretch=40e-3, springs=6.0)
     first, second = plants.pulses(400, 5.0, 12.0), np.roll(plants.pulses(400, 5.0, 12.0, seed=1), 20)
-    given = plants.recording({"voltage_1": first, "voltage_2": second}, np.arange(400) * 0.2)
+    record = plants.recording({"voltage_1": first, "voltage_2": second}, np.arange(400) * 0.2)
     of = (*reference(springs=6.0), 40e-3, 0.028, 1e-4 + 0.2 * 0.1**2, 0.05)
-    known, weightless = (
-        exact.joint(*of, moment, given.time, np.column_stack([first, second]), control="voltage", substeps=80)
+    reference_result, weightless = (
+        exact.joint(*of, moment, record.time, np.column_stack([first, second]), control="voltage", substeps=80)
         for moment in (0.2 * 9.81 * 0.1, 0.0)
     )
-    found = simulate(made, given, step=0.02).channels
-    swing = np.ptp(known.position)
+    computed = simulate(made, record, step=0.02).channels
+    swing = np.ptp(reference_result.position)
     assert swing > 1.0
     assert (
         0.015 < default_step(made) < 0.025 and default_step(plant(MasslessRotary(Pulley(0.028)))) == 0.05
     )  # the link's swing is resolved
-    assert np.max(np.abs(weightless.position - known.position)) > 0.05 * swing
-    assert np.sqrt(np.mean((np.asarray(found["angle"]) - known.position) ** 2)) < 1e-3 * swing
-    assert np.sqrt(np.mean((np.asarray(found["rate"]) - known.rate) ** 2)) < 0.01 * np.ptp(known.rate)
+    assert np.max(np.abs(weightless.position - reference_result.position)) > 0.05 * swing
+    assert np.sqrt(np.mean((np.asarray(computed["angle"]) - reference_result.position) ** 2)) < 1e-3 * swing
+    assert np.sqrt(np.mean((np.asarray(computed["rate"]) - reference_result.rate) ** 2)) < 0.01 * np.ptp(
+        reference_result.rate
+    )

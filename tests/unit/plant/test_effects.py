@@ -1,4 +1,4 @@
-"""The catalogue: what every effect declares, that it is absent at 0, and that its derivative there is the right one."""
+"""The catalogue: declarations of all effects, their absence at strength 0, and their derivatives there."""
 
 import dataclasses
 import functools
@@ -97,7 +97,7 @@ def bench(kind: str, seconds: float, observe: str = "", stages: tuple[str, ...] 
         else parse_rig(text.replace('observe = ["displacement"]', f"observe = [{observe}]"))
     )
     recording = read_rig(folder / "rig.toml").read(folder / "train.csv").slice(0.0, seconds)
-    if observe:  # evidence of the kind that more sensors would give; its values do not matter for derivatives
+    if observe:  # channels of additional sensors; their values do not matter for derivatives
         channels = recording.channels | {
             "temperature": 20.0 + 1e3 * recording.channels["displacement"],
             "voltage": 9.0 * recording.channels["current"] + 1e-3,
@@ -110,8 +110,8 @@ def bench(kind: str, seconds: float, observe: str = "", stages: tuple[str, ...] 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("smajax.diagnosis.problem.zero_terms", tuple)
         if stages:
-            kept = {k: e for k, e in catalogue().items() if e.stage in stages or "two wires" in e.needs}
-            patch.setattr("smajax.diagnosis.effect_parameters.catalogue", lambda: kept)
+            subset = {k: e for k, e in catalogue().items() if e.stage in stages or "two wires" in e.needs}
+            patch.setattr("smajax.diagnosis.effect_parameters.catalogue", lambda: subset)
         return DiagnosisProblem(rig.plant, [recording], settings, interpolation=rig.interpolation)
 
 
@@ -162,7 +162,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
             continue
         off = min(np.linalg.norm(change - column) for change in (*changes, 0.5 * (changes[0] + changes[1])))
         assert off < 2e-2 * np.linalg.norm(column), key
-    if kind == "isobaric":  # without heating, motion and a load that moves, the strain is left
+    if kind == "isobaric":  # without heating, motion and a moving load, only the strain is observed
         assert not silent & {
             "gradual-transformation",
             "r-phase",
@@ -175,7 +175,7 @@ def test_derivatives_at_zero_strength(kind, seconds, observe, stages):
 
 
 def test_what_is_planted_is_recovered():
-    """Each effect that the input shows, at its usual strength, is found again by a fit that begins with a fifth of it."""
+    """Each visible effect at its usual strength is recovered by a fit that starts from a fifth of it."""
     made = bench("dead-weight", 12.0, '"displacement", "temperature", "voltage"')
     seen, _ = assess_detectability(made)
     base, problem = made.nominal, made.problems[0]
@@ -193,12 +193,12 @@ def test_what_is_planted_is_recovered():
         residual = made.predict(truth, base, 0)
         moved = np.where(weight > 0, residual.reshape(weight.shape) / np.where(weight > 0, weight, 1.0), 0.0)
         made.problems[0] = eqx.tree_at(lambda p: p.data.measured, problem, problem.data.measured + moved)
-        found = made.fit(
+        result = made.fit(
             EffectSet((key,), tuple({strength: 0.2 * size, **shapes}.items())), base, max_steps=20, rtol=1e-8
         )
         recovered[key] = (
-            found.values[strength] / size,
-            float(np.sqrt(np.mean(made.counted_samples(found.residual) ** 2))),
+            result.values[strength] / size,
+            float(np.sqrt(np.mean(made.counted_samples(result.residual) ** 2))),
         )
     made.problems[0] = problem
     assert len(recovered) > 12, sorted(recovered)
@@ -256,13 +256,13 @@ def test_an_effect_does_what_the_reference_does_in_another_form(hidden, effects)
     ids=lambda value: "+".join(value) if "strength" in str(value) else "",
 )
 def test_an_effect_comes_near_the_reference_where_their_laws_differ(hidden, effects):
-    """A normal distribution for half a cosine, a sudden limit for a sharp one, a drag on steps ten times as fine: a fiftieth of the effect."""
+    """Approximations (cosine for normal distribution, sharp for sudden limit, coarse drag steps) differ by 2 % of the effect."""
     apart, effect = beside_the_reference(hidden, effects)
     assert apart < 0.02 * effect and effect > 10.0
 
 
 def beside_the_reference(hidden, effects):
-    """How far the shipped wire's motion with effects is from the reference's, and how far that is from the one without, over the noise."""
+    """Distance of the motion with effects to the reference, and of the reference to the motion without effects, over the noise."""
     made = bench("dead-weight", 12.0, '"displacement", "temperature", "voltage"')
     (recording,) = made.splits[0].recordings
     rig = reference_rig(data_path("recordings", "dead-weight") / "rig.toml")
@@ -325,7 +325,7 @@ def test_what_a_rig_cannot_have_is_not_tried_and_said():
     assert "two wires" not in traits and "drag" in traits and "current" in traits
     text = (data_path("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
     for section, said in (
-        ('[effects.wire-crosstalk]\nstrength = "0.1"', "has no place on this rig: it needs two wires"),
+        ('[effects.wire-crosstalk]\nstrength = "0.1"', "does not apply to this rig: it needs two wires"),
         ('[effects.latent-heet]\nstrength = "1 J/m^3"', "not in the catalogue (did you mean 'latent-heat'?)"),
         ('[effects.quantisation]\nstrength = "1"', "rounding scatters"),
         ('[effects.latent-heat]\nstrenght = "1 J/m^3"', "did you mean 'strength'?"),
@@ -367,12 +367,12 @@ def _response(key: str, strengths: list[float]) -> tuple[np.ndarray, np.ndarray]
     """Displacements of a dead weight with an effect of several strengths, and the result codes."""
     plant, inputs = plants.dead_weight(), discretise(plants.dead_weight(), plants.inputs("dead_weight"))
 
-    def one(strength: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def response(strength: jax.Array) -> tuple[jax.Array, jax.Array]:
         member = dataclasses.replace(plant, effects=(catalogue()[key](strength=strength),))  # pyright: ignore[reportCallIssue]
         states, code = simulate.simulate_states(member, inputs)
         return simulate.observe(member, states, inputs, ("displacement",))["displacement"], code
 
-    moved, codes = jax.jit(jax.vmap(one))(jnp.asarray(strengths))
+    moved, codes = jax.jit(jax.vmap(response))(jnp.asarray(strengths))
     return np.asarray(moved), np.asarray(codes)
 
 
@@ -385,7 +385,7 @@ def test_friction_of_any_strength_can_be_simulated_and_takes_motion():
 
 
 def test_a_pulley_that_sticks_while_detwinning_begins_or_ends_can_be_simulated():
-    """The balance is steep there and flat beside it: Newton's steps went to and fro over the kink between, as far each time."""
+    """The balance is steep there and flat next to it: Newton's steps used to oscillate across the kink without converging."""
     friction = catalogue()["coulomb-friction"](reversal=1e-6)  # pyright: ignore[reportCallIssue]
     small = {"wire.diameter": 1.5e-4, "wire.length": 0.3, "wire.prestrain": 0.025, "pulley.radius": 0.012}
     plant = parameters.replace(dataclasses.replace(plants.light_rotary(), effects=(friction,)), small)
@@ -405,7 +405,7 @@ def test_a_pulley_that_sticks_while_detwinning_begins_or_ends_can_be_simulated()
 
 
 def test_friction_at_its_end_moves_with_nothing_however_rest_is_rounded():
-    """Else rounding would pick the derivative, another one for a step's start than for its end, and tangents would grow at rest."""
+    """Otherwise rounding would select different derivatives for start and end of a step, and tangents would grow at rest."""
     for end in (-1.0, 1.0):
         for rounding in (-1e-16, 0.0, 1e-16):
             z, (by_memory, by_motion) = jax.value_and_grad(presliding_state, (0, 1))(
@@ -416,7 +416,7 @@ def test_friction_at_its_end_moves_with_nothing_however_rest_is_rounded():
 
 
 class _Curved(DriveEffect):
-    """Something that may be ``spoilt``, no number, at strength 0 where it is computed."""
+    """Effect that may be ``spoilt``: NaN if it is evaluated at strength 0."""
 
     strength: jax.Array = parameter("1", "share", -1.0, 1.0, 0.0)
     spoilt: bool = eqx.field(static=True, default=True)
@@ -424,38 +424,38 @@ class _Curved(DriveEffect):
 
     @skip_at_zero
     def signal(self, signal, resistance):
-        """Return what is added to the inputs."""
+        """Compute the addition to the inputs."""
         nothing = jnp.where(self.strength == 0.0, jnp.nan if self.spoilt else 1.0, 1.0)
         return nothing * self.strength * signal**3 * resistance
 
 
 def test_a_hook_skipped_at_zero_is_computed_only_for_a_derivative_by_its_strength():
-    """At 0 the base class's stands for it, in forward and in reverse mode; derivatives by the strength are its own, there as elsewhere."""
+    """At 0 the hook of the base class is evaluated, in both modes; derivatives by the strength are those of the effect itself."""
     signal, ratio = jnp.array([0.4, -0.7]), jnp.array([0.8, 0.9])
 
-    def asked(strength, signal, spoilt=True):
+    def added_signal(strength, signal, spoilt=True):
         return _Curved(strength=strength, spoilt=spoilt).signal(signal, ratio)
 
     nothing, some = jnp.asarray(0.0), jnp.asarray(0.3)
-    assert np.array_equal(asked(nothing, signal), np.zeros(2))
+    assert np.array_equal(added_signal(nothing, signal), np.zeros(2))
     for mode in (jax.jacfwd, jax.jacrev):
-        assert np.array_equal(mode(lambda x: asked(nothing, x))(signal), np.zeros((2, 2)))
-        assert mode(lambda x: asked(some, x))(signal) == pytest.approx(
+        assert np.array_equal(mode(lambda x: added_signal(nothing, x))(signal), np.zeros((2, 2)))
+        assert mode(lambda x: added_signal(some, x))(signal) == pytest.approx(
             np.diag(0.9 * np.asarray(signal**2 * ratio)), rel=1e-14
         )
         for strength in (nothing, some):
-            assert mode(lambda s: asked(s, signal, False))(strength) == pytest.approx(
+            assert mode(lambda s: added_signal(s, signal, False))(strength) == pytest.approx(
                 np.asarray(signal**3 * ratio), rel=1e-14
             )
     strengths = jnp.array([0.0, 0.3])
-    assert jax.vmap(lambda s: asked(s, signal))(strengths) == pytest.approx(
+    assert jax.vmap(lambda s: added_signal(s, signal))(strengths) == pytest.approx(
         np.outer(strengths, signal**3 * ratio), rel=1e-14
     )
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.4, -0.4])
 def test_a_fraction_a_hair_below_none_is_left_as_it_is(strength):
-    """A step may end there; scaled by what is hardly there it had grown, and its tangents from step to step without end."""
+    """A step may end slightly below 0; scaled by such a fraction, values and tangents would grow from step to step."""
     effect, before = MinorLoopShape(strength=jnp.asarray(strength)), Fractions(jnp.array([-2e-9]), jnp.array([0.0]))
 
     def after(detwinned):

@@ -71,7 +71,7 @@ STEEP = VALUES | {
 
 
 def apart(law: reference.Law, stress: float) -> float:
-    """How far above the temperature at which it grows a fraction begins to shrink, where that is least, by the exact law's forces."""
+    """Smallest difference of the temperatures at which a fraction shrinks and grows, by the forces of the exact law."""
     e, direction, least = reference.energy(law), reference.current_strain(law, stress), math.inf
     for fraction in np.linspace(0.0, 1.0, 201):
         grows = brentq(lambda t, f=fraction: reference.forward_force(law, e, t, stress, f), -500.0, 900.0)
@@ -114,7 +114,7 @@ def test_lines_that_do_not_approach_each_other_never_cross():
 
 
 def test_lost_hysteresis_is_said(tmp_path):
-    """By the check, a simulation and a fit of a recording that goes above the stress from which lines cross; not below it."""
+    """The check, a simulation and a fit warn of a recording above the stress at which the lines cross, and not below it."""
     units = {"Pa": "Pa", "Pa/K": "Pa/K", "degC": "degC", "1": "", "1/Pa": "1/Pa"}
     lines = "\n".join(f'{n} = "{v} {units[declarations(Lagoudas)[n].unit]}"' for n, v in STEEP.items())
     rig, out = tmp_path / "rig.toml", tmp_path / "out"
@@ -135,13 +135,13 @@ def test_lost_hysteresis_is_said(tmp_path):
         np.savetxt(
             path, table, delimiter=",", header="temperature [degC],stress [MPa],strain [%]", comments="", fmt="%.9g"
         )
-        told = f"from {crossing / 1e6:.4g} MPa on Lagoudas' lines of heating and cooling cross"
+        sentence = f"from {crossing / 1e6:.4g} MPa on Lagoudas' lines of heating and cooling cross"
         for words in (("check", rig, path), ("simulate", rig, path, "--out", out), ("fit", rig, path, "--out", out)):
             done = run(*words)
             text = " ".join(done.stdout.split())
             assert done.exit_code == 0, done.output
             assert (
-                (told in text) == said == ("(9.4 MPa/K) is above clausius_clapeyron_martensite (5.2 MPa/K)" in text)
+                (sentence in text) == said == ("(9.4 MPa/K) is above clausius_clapeyron_martensite (5.2 MPa/K)" in text)
             ), words
             if words[0] != "check":
                 assert ("lines of heating and cooling cross" in (out / "report.html").read_text("utf-8")) == said
@@ -174,8 +174,8 @@ def anchor(shared, name: str, observe: str):
 def test_isobaric_cycles_are_the_published_ones(shared, stress, hardening_of):
     plant, warm, exact = anchor(shared, f"iso{stress}_{hardening_of}", "strain")
     channels = {"temperature": np.append(warm, exact[:, 0]) - 273.15, "stress": np.full(len(exact) + 1, stress * 1e6)}
-    found = simulate(plant, Recording.from_arrays("cycle", None, channels, {})).channels["strain"]
-    assert np.max(np.abs(np.asarray(found)[1:] - exact[:, 1])) < 1e-8  # asked for are 1e-5
+    computed = simulate(plant, Recording.from_arrays("cycle", None, channels, {})).channels["strain"]
+    assert np.max(np.abs(np.asarray(computed)[1:] - exact[:, 1])) < 1e-8  # required: 1e-5
 
 
 @pytest.mark.parametrize("hardening_of", ANCHORS)
@@ -183,8 +183,8 @@ def test_superelastic_loops_are_the_published_ones(shared, hardening_of):
     plant, warm, exact = anchor(shared, f"super_{hardening_of}", "stress")
     strain = np.append(0.0, exact[:, 0])
     channels = {"temperature": np.full(len(strain), warm - 273.15), "strain": strain}
-    found = simulate(plant, Recording.from_arrays("loop", None, channels, {})).channels["stress"]
-    assert np.max(np.abs(np.asarray(found)[1:] / 1e6 - exact[:, 1])) < 0.05  # asked for are 0.5 MPa
+    computed = simulate(plant, Recording.from_arrays("loop", None, channels, {})).channels["stress"]
+    assert np.max(np.abs(np.asarray(computed)[1:] / 1e6 - exact[:, 1])) < 0.05  # required: 0.5 MPa
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_exponents_of_one_give_the_older_law(temperature, stress, forward, rever
 
 @pytest.mark.parametrize(("share", "half"), [("0", 42.857142857), ("1", 52.5), ("0.5", 47.678571429)])
 def test_a_rig_chooses_the_knee_ankle_papers_law_and_how_the_moduli_mix(share, half):
-    """Temperatures, slope, moduli and strain alone are the law with linear hardening; the paper mixes moduli."""
+    """Temperatures, slopes, moduli and strain alone give the law with linear hardening; the paper mixes moduli."""
     law = path_rig(
         "strain", martensite_start="60 degC", martensite_finish="32 degC", austenite_start="34 degC", austenite_finish="62 degC",
         clausius_clapeyron_austenite="7 MPa/K", clausius_clapeyron_martensite="7 MPa/K", modulus_austenite="75 GPa",
@@ -265,18 +265,18 @@ def test_the_inverse_is_one_of_hardening():
 @pytest.mark.parametrize("stress", [0.0, 5e6, 80e6, 250e6])
 def test_a_walk_of_partial_loops_is_the_reference(stress):
     rng = np.random.default_rng(0)
-    found = exact = reference.State(0.0, 0.0)
+    computed = exact = reference.State(0.0, 0.0)
     turned = 0
     for temperature in rng.uniform(25.0, 70.0, 200) + stress / 7e6:
         new = reference.advance(EXACT, exact, float(temperature), (stress, stress))
         turned += 0.0 < new.martensite < 1.0 and new != exact
-        found, exact = advance(LAW, found, float(temperature), (stress, stress)), new
-        assert found == pytest.approx(exact, abs=1e-8)
+        computed, exact = advance(LAW, computed, float(temperature), (stress, stress)), new
+        assert computed == pytest.approx(exact, abs=1e-8)
     assert turned > 20
 
 
 def exchanged(state: reference.State, temperature: float, stress: float, part: float) -> reference.State:
-    """The reference after a little martensite at a time went, and came back wherever the forward transformation wants it."""
+    """The reference, with martensite that shrinks in small steps and grows back where the forward condition holds."""
     e = reference.energy(EXACT)
     while state.martensite > 1e-9:
         direction = state.strain / state.martensite
@@ -288,7 +288,7 @@ def exchanged(state: reference.State, temperature: float, stress: float, part: f
 
 
 def test_twinned_martensite_under_a_high_stress_is_exchanged_for_detwinned():
-    """Its reverse transformation begins below the end of the forward one: what goes grows again at once, with the stress's strain."""
+    """The reverse transformation begins below the end of the forward one: martensite that shrinks grows again, under the stress."""
     stress, ends = 300e6, (64.0, 72.0, 78.0, 84.0)
     exact, state = [], reference.State(1.0, 0.0)
     for temperature in np.linspace(60.0, 84.0, 481):
@@ -343,38 +343,40 @@ NOTHING = Fractions(jnp.asarray(0.0), jnp.asarray(0.0))
 def round_trip(
     count: int, warm: tuple[float, float], load: tuple[float, float], ahead: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A closed way on which temperature and stress (middle and reach of each) change together, the temperature ahead by an angle."""
+    """A closed path on which temperature and stress (middle and amplitude of each) change together, with a phase angle."""
     phase = np.linspace(0.0, 2.0 * np.pi, count + 1)
     return warm[0] + warm[1] * np.sin(phase + ahead), load[0] + load[1] * np.sin(phase)
 
 
 @pytest.mark.parametrize("voigt_share", [0.0, 1.0])
 def test_paths_of_temperature_and_stress_together_converge_on_the_reference(voigt_share):
-    """Two round trips, wide and narrow, on which martensite comes and goes under a stress that changes."""
+    """Two closed paths, wide and narrow, on which martensite grows and shrinks under a changing stress."""
 
     def walked(count):
-        one, two = (
+        wide, narrow = (
             round_trip(count, (75.0, 35.0), (180e6, 150e6), 2.0),
             round_trip(count, (75.0, 22.0), (180e6, 90e6), 2.4),
         )
-        lead = np.linspace(one[0][-1], two[0][0], count + 1), np.linspace(one[1][-1], two[1][0], count + 1)
-        return (np.concatenate([a[:-1], b[:-1], c]) for a, b, c in zip(one, lead, two, strict=True))
+        lead = np.linspace(wide[0][-1], narrow[0][0], count + 1), np.linspace(wide[1][-1], narrow[1][0], count + 1)
+        return (np.concatenate([a[:-1], b[:-1], c]) for a, b, c in zip(wide, lead, narrow, strict=True))
 
-    law, known = Lagoudas(**VALUES, voigt_share=voigt_share), EXACT._replace(voigt_share=voigt_share)
+    law, reference_law = Lagoudas(**VALUES, voigt_share=voigt_share), EXACT._replace(voigt_share=voigt_share)
     finest = 1600
     state, exact, previous = reference.State(0.0, 0.0), [], 0.0
     for t, s in zip(*walked(finest), strict=True):
-        state = reference.advance(known, state, float(t), (previous, float(s)) if exact else (float(s), float(s)))
+        state = reference.advance(
+            reference_law, state, float(t), (previous, float(s)) if exact else (float(s), float(s))
+        )
         previous = float(s)
-        exact.append((state.martensite, reference.strain(known, state, float(s))))
+        exact.append((state.martensite, reference.strain(reference_law, state, float(s))))
     martensite, strain = np.array(exact).T
     assert np.ptp(martensite) > 0.9
     errors = []
     for count in (50, 100, 200, 400):
         t, s = walked(count)
         begun = law.evolve(NOTHING, (jnp.asarray(200.0), jnp.asarray(t[0])), (jnp.asarray(s[0]), jnp.asarray(s[0])))
-        states, found = led(law, begun, jnp.asarray(t), jnp.asarray(s))
-        errors.append(float(np.max(np.abs(np.asarray(found) - strain[:: finest // count]))))
+        states, computed = led(law, begun, jnp.asarray(t), jnp.asarray(s))
+        errors.append(float(np.max(np.abs(np.asarray(computed) - strain[:: finest // count]))))
         np.testing.assert_allclose(states.martensite, martensite[:: finest // count], atol=2e-3 * (50 / count))
     assert errors[-1] < 2e-6 and errors[0] > 16 * errors[-1], errors
 
@@ -387,20 +389,20 @@ def test_compiled_is_eager():
     for temperature, stress, share in zip(
         rng.uniform(20.0, 110.0, 40), rng.uniform(0.0, 3e8, 40), rng.uniform(0.0, 0.5, 40), strict=True
     ):
-        given = (
+        arguments = (
             Fractions(jnp.asarray(share), jnp.asarray(0.3)),
             (jnp.asarray(0.0), jnp.asarray(temperature)),
             (jnp.asarray(1e8), jnp.asarray(stress)),
         )
-        for one, other in zip(LAW.evolve(*given), compiled(LAW, *given), strict=True):
-            assert float(one) == pytest.approx(float(other), abs=1e-14)
+        for eager, other in zip(LAW.evolve(*arguments), compiled(LAW, *arguments), strict=True):
+            assert float(eager) == pytest.approx(float(other), abs=1e-14)
 
 
 @pytest.mark.parametrize("voigt_share", [0.0, 1.0])
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(0.0, 130.0), st.floats(0.0, 4e8)), min_size=5, max_size=5))
 def test_no_closed_cycle_yields_energy(voigt_share, turns):
-    """Austenite led any way and back: work less the heat that goes with the entropy is what is dissipated."""
+    """On any closed path from austenite, the dissipation is the work less the heat of the entropy."""
     corners = np.array([(200.0, 0.0), *turns, (200.0, turns[-1][1]), (200.0, 0.0)])
     t, s = (np.interp(np.linspace(0.0, len(corners) - 1.0, 701), np.arange(len(corners)), side) for side in corners.T)
     states, strain = led(Lagoudas(**VALUES, voigt_share=voigt_share), NOTHING, jnp.asarray(t), jnp.asarray(s))
@@ -461,9 +463,9 @@ def pulses(count: int = 600) -> Recording:
 
 
 def test_a_wire_in_time_is_the_reference():
-    """Heat by many small steps, fractions by bisection, both written anew."""
+    """Heat by many small steps, fractions by bisection: an independent implementation."""
     rig, recording = dead_weight(), pulses()
-    found = np.asarray(simulate(rig.plant, recording).channels["displacement"])
+    computed = np.asarray(simulate(rig.plant, recording).channels["displacement"])
     area = np.pi / 4 * 0.15e-3**2
     stress = 0.2 * 9.81 / area
     grown = reference.current_strain(EXACT, stress)
@@ -482,7 +484,7 @@ def test_a_wire_in_time_is_the_reference():
             state = reference.advance(EXACT, state, temperature, (stress, stress))
         lifted.append(0.23 * (first - reference.strain(EXACT, state, stress)))
     assert np.ptp(lifted) > 4e-3
-    assert np.sqrt(np.mean((found - lifted) ** 2)) < 0.01e-3
+    assert np.sqrt(np.mean((computed - lifted) ** 2)) < 0.01e-3
 
 
 def test_derivatives_and_batches_of_a_wire():
@@ -514,7 +516,7 @@ def test_derivatives_and_batches_of_a_wire():
 
 
 def test_every_effect_goes_with_it():
-    """Absent effects change nothing, and each has a derivative: the law answers whatever effects ask of a material."""
+    """Absent effects change nothing, and each has a derivative: the law supports all hooks of effects."""
     rig, recording = dead_weight(), pulses(120)
     plain = np.asarray(simulate(rig.plant, recording).channels["displacement"])
     traits = rig.plant.capabilities(("displacement",))
@@ -537,10 +539,10 @@ def test_every_effect_goes_with_it():
         changed = parameters.replace(plant, dict(zip(names, values, strict=True)))
         return simulate_inputs(changed, inputs).channels["displacement"]
 
-    # The sum of what all of them do is no number if one of them is none.
+    # The sum over all effects is NaN if one of them is.
     along = jax.jit(lambda at: jax.jvp(response, (at,), (jnp.ones(len(names)),)))
     there, slopes = map(np.asarray, along(jnp.zeros(len(names))))
-    # Where friction may be, the heat balance is met more closely.
+    # With friction the heat balance is solved more closely.
     np.testing.assert_allclose(there, plain, atol=1e-9)
     assert np.all(np.isfinite(slopes)) and len(kinds) > 15
 
@@ -579,10 +581,10 @@ def test_planted_parameters_are_found():
         "material.n1",
         "material.martensite_start",
     )
-    wanted = dataclasses.replace(rig.fit, free=free, noise={"strain": 2e-5}, starts=1)
-    found = {e.name: e for e in fit(rig.plant, recordings, wanted).estimates}
+    fit_settings = dataclasses.replace(rig.fit, free=free, noise={"strain": 2e-5}, starts=1)
+    computed = {e.name: e for e in fit(rig.plant, recordings, fit_settings).estimates}
     for name, truth in zip(free, (0.045, 1.5e-8, 0.3, 45.0), strict=True):
-        e = found[name]
+        e = computed[name]
         assert e.lower95 is not None and e.upper95 is not None
         assert e.lower95 - 0.5 * (e.upper95 - e.lower95) < truth < e.upper95 + 0.5 * (e.upper95 - e.lower95), name
         assert e.estimate == pytest.approx(truth, rel=0.02)

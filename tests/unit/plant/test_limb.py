@@ -1,4 +1,4 @@
-"""A limb on sheathed wires: against the exact reference, and against what capstan, levers and heat balance say."""
+"""A limb on sheathed wires: against the exact reference, and against capstan equation, levers and heat balance."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 
 from smajax import parameters
 from smajax.files.rig_file import parse_rig
-from smajax.plant.convection import PolynomialHeat
+from smajax.plant.convection import PolynomialConvection
 from smajax.plant.plant import Plant
 from smajax.recordings.datasets import data_path
 from smajax.simulation import run as simulate
@@ -19,7 +19,7 @@ from tests.support import plants
 
 STEP = 0.0125
 GRID = 4 * 599 + 1  # of such steps
-HEAT = PolynomialHeat(h0=100.6, capacity_austenite=2.046e6, capacity_martensite=2.046e6)
+HEAT = PolynomialConvection(h0=100.6, capacity_austenite=2.046e6, capacity_martensite=2.046e6)
 
 
 def air(plant: Plant) -> Plant:
@@ -50,7 +50,7 @@ def recording():
 
 
 def misses(plant: Plant, recording, steps: tuple[float, ...]) -> list[float]:
-    """RMS difference to the reference over the range, for each step: all on the grid of the shortest, so that they are one program."""
+    """RMS difference to the reference over the range for each step, all on the grid of the shortest: one program serves all."""
     true, finer = (exact(plant, recording, substeps) for substeps in (50, 100))
     assert np.max(np.abs(true - finer)) < 2e-4 * np.ptp(true)
     laid = [discretise(plant, recording, step=step).pad(GRID, len(recording)) for step in steps]
@@ -60,10 +60,10 @@ def misses(plant: Plant, recording, steps: tuple[float, ...]) -> list[float]:
 
 def test_converges_to_the_reference(recording):
     assert misses(air(plants.limb(sheathed=False)), recording, (0.05,))[0] < 5e-3
-    found = misses(air(plants.limb()), recording, (0.05, STEP))
-    # Friction turns around within a step: its error falls with the first order, all other with the second.
-    assert found[1] < found[0] / 3.0, found
-    assert found[1] < 1e-3, found
+    computed = misses(air(plants.limb()), recording, (0.05, STEP))
+    # Friction reverses within a step: its error is of first order, all other errors of second order.
+    assert computed[1] < computed[0] / 3.0, computed
+    assert computed[1] < 1e-3, computed
 
 
 def test_the_capstan_multiplies_and_divides_the_tension(recording):
@@ -77,7 +77,7 @@ def test_the_capstan_multiplies_and_divides_the_tension(recording):
     joint = torque / (2.0 * float(plant.wire.area) * 0.03 / 1.5)
     grip = np.log(np.asarray(result.channels["stress"]) / joint)
     rate = np.gradient(angle, recording.time)
-    steady = 0.004 * np.abs(np.gradient(rate, recording.time)) < 1e-2 * torque  # where inertia plays no part
+    steady = 0.004 * np.abs(np.gradient(rate, recording.time)) < 1e-2 * torque  # where inertia is negligible
     assert np.sum(steady & (rate > 0.02)) > 20 and np.sum(steady & (rate < -0.02)) > 20
     assert grip[steady & (rate > 0.02)] == pytest.approx(0.175, abs=1.5e-3)
     assert grip[steady & (rate < -0.02)] == pytest.approx(-0.175, abs=1.5e-3)
@@ -111,8 +111,10 @@ def test_wires_share_the_load_and_a_doubling_pulley_halves_the_arm(recording):
     angle = np.asarray(simulate.simulate(plants.limb(), recording, step=STEP).channels["angle"])
     loads = ("limb.mass", "limb.stiffness", "limb.preload", "pulley.inertia", "pulley.damping")
     half = {n: 0.5 * parameters.get(plants.limb(), n) for n in loads}
-    one = parameters.replace(plants.limb(), half | {"transmission.count": 1.0})
-    assert np.asarray(simulate.simulate(one, recording, step=STEP).channels["angle"]) == pytest.approx(angle, abs=1e-7)
+    single_wire = parameters.replace(plants.limb(), half | {"transmission.count": 1.0})
+    assert np.asarray(simulate.simulate(single_wire, recording, step=STEP).channels["angle"]) == pytest.approx(
+        angle, abs=1e-7
+    )
     direct = parameters.replace(plants.limb(), {"transmission.ratio": 1.0, "pulley.radius": 0.02})
     assert np.asarray(simulate.simulate(direct, recording, step=STEP).channels["angle"]) == pytest.approx(
         angle, abs=1e-7
@@ -120,7 +122,7 @@ def test_wires_share_the_load_and_a_doubling_pulley_halves_the_arm(recording):
 
 
 def test_the_liner_takes_its_heat_and_gives_it_back(recording):
-    """Wire -> liner -> air: heat put in is what wire and liner hold and what the liner gave off, and the end is that of the bare wire."""
+    """Wire -> liner -> air: the supplied heat is stored in wire and liner or lost to the air; the steady state is the bare wire's."""
     plant = parameters.replace(air(plants.limb()), {"material.resistivity_martensite": 1e-6})
     time = recording.time
     current = np.full(600, 0.3)
@@ -140,7 +142,7 @@ def test_the_liner_takes_its_heat_and_gives_it_back(recording):
 
 
 def test_an_idle_arm_hangs_where_its_weight_and_spring_say(recording):
-    """Cold wires at angle 0 carry the load there; a wire cannot push: a limb without weight stays where the hot wire left it."""
+    """Cold wires at angle 0 carry the load; a wire cannot push: a limb without weight stays at the angle of the hot wire."""
     plant = plants.limb()
     start = plant.start(jnp.zeros(1))
     moment = 0.12 * 9.81 * 0.15 * np.sin(0.3) + 0.02

@@ -75,7 +75,7 @@ def test_many_steps_are_one(law):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_heating_under_a_stress_that_rises_faster_transforms_nothing_back(law):
-    """As published, heating alone would decide."""
+    """As published, only the sign of the temperature change would count."""
     partly = reverse(law, 90.0, 100e6, 1.0)
     assert 0.0 < partly < 1.0
     assert advance(law, (partly, 0.0), (90.0, 92.0), (100e6, 100e6 + 3.0 * CA)) == pytest.approx(partly, abs=1e-12)
@@ -118,11 +118,11 @@ def test_a_wire_in_time_is_the_reference_and_converges_on_it(law):
     stroke, errors = np.ptp(exact[:, 0]), []
     assert stroke > 8e-3
     for step in (0.05, 0.0125):
-        found = simulate(plant, recording, step=step)
-        errors.append(np.sqrt(np.mean((np.asarray(found.channels["displacement"]) - exact[:, 0]) ** 2)) / stroke)
+        computed = simulate(plant, recording, step=step)
+        errors.append(np.sqrt(np.mean((np.asarray(computed.channels["displacement"]) - exact[:, 0]) ** 2)) / stroke)
     assert errors[0] < 3e-4 and errors[1] < errors[0] / 12.0  # second order: a sixteenth
-    np.testing.assert_allclose(np.asarray(found.state.temperature)[:, 0], exact[:, 1], atol=0.1)
-    np.testing.assert_allclose(np.asarray(found.state.fractions.martensite)[:, 0], exact[:, 3], atol=1e-3)
+    np.testing.assert_allclose(np.asarray(computed.state.temperature)[:, 0], exact[:, 1], atol=0.1)
+    np.testing.assert_allclose(np.asarray(computed.state.fractions.martensite)[:, 0], exact[:, 3], atol=1e-3)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -171,7 +171,7 @@ def test_compiled_is_eager(law):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_planted_parameters_are_found(law):
-    """A recording made by the reference, with noise; a fit that begins elsewhere."""
+    """A recording simulated by the reference, with noise, and a fit from other start values."""
     recording = pulses()
     exact = reference.simulate(exact_rig(law), recording.time, recording.channels["current"], 40)
     noisy = exact[:, 0] + 5e-6 * np.random.default_rng(2).standard_normal(len(exact))
@@ -202,7 +202,7 @@ def test_planted_parameters_are_found(law):
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.floats(10.0, 160.0), st.floats(0.0, 4e8)), min_size=3, max_size=8), st.floats(0.0, 1.0))
 def test_whatever_the_way_a_state_stays_inside_the_full_loop(law, path, share):
-    """Between what cooling from austenite and what heating from martensite make of the same temperature and stress."""
+    """States lie between those of cooling from austenite and of heating from martensite at the same temperature and stress."""
 
     def edges(temperature, stress):
         return forward(law, temperature, stress, 0.0), reverse(law, temperature, stress, 1.0)
@@ -238,7 +238,7 @@ def work(stress: np.ndarray, strain: np.ndarray) -> float:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.floats(20.0, 130.0), st.floats(0.0, 8e8), st.floats(0.0, 8e8))
 def test_a_closed_cycle_of_stress_never_yields_work(law, temperature, one, other):
-    """Between any two stresses, from the fraction to which the cycle comes back: its map is a straight line."""
+    """Between any two stresses, from the fraction to which the cycle returns; its map is linear."""
     there = np.linspace(min(one, other), max(one, other), 200)
     stress, warm = np.concatenate([there, there[-2::-1]]), jnp.asarray(temperature)
     least, most = (float(led(LAWS[law], jnp.asarray(start), warm, jnp.asarray(stress))[0][-1]) for start in (0.0, 1.0))

@@ -63,9 +63,9 @@ def write(path, temperature, strain, stress: float | None = None):
 
 
 def test_corners_are_found():
-    found, refused = analyse_cycles("made", *made())
-    assert len(found) == 3 and not refused
-    for cycle in found:
+    cycles, refused = analyse_cycles("made", *made())
+    assert len(cycles) == 3 and not refused
+    for cycle in cycles:
         for name, true in TRUE.items():
             assert cycle.values[name].value == pytest.approx(true, abs=0.2)
         assert cycle.values["transformation_strain"].value == pytest.approx(0.03 + 1e-5 * 25, abs=5e-5)
@@ -86,30 +86,30 @@ def test_intervals_hold_the_truth(count, rows, strain_noise, warm_noise, times):
         "width": 42.5,
         "span": 70.0,
     }
-    held = {name: 0 for name in truth}
+    covered = {name: 0 for name in truth}
     for seed in range(times):
         temperature, strain = made(count, noise=strain_noise, warm_noise=warm_noise, seed=seed, rows=rows)
-        found, refused = analyse_cycles("made", temperature, strain, smooth=9 if warm_noise else 1, seed=seed)
+        cycles, refused = analyse_cycles("made", temperature, strain, smooth=9 if warm_noise else 1, seed=seed)
         assert not refused
-        means = mean_properties(found)
+        means = mean_properties(cycles)
         for name, true in truth.items():
-            held[name] += means[name].lower95 <= true <= means[name].upper95
+            covered[name] += means[name].lower95 <= true <= means[name].upper95
     # Eight properties are looked at.
-    assert min(held.values()) >= binom.ppf(1e-3 / len(held), times, 0.95), held
-    assert np.mean(list(held.values())) >= 0.9 * times, held
+    assert min(covered.values()) >= binom.ppf(1e-3 / len(covered), times, 0.95), covered
+    assert np.mean(list(covered.values())) >= 0.9 * times, covered
 
 
 @pytest.mark.parametrize(("warm_noise", "slow", "share"), [(0.4, 0.0, 0.9), (0.0, 0.9, 0.88)])
 def test_intervals_know_noise_that_is_not_smoothed_and_noise_that_is_slow(warm_noise, slow, share):
     """Noise in the temperatures shows on the transformation only; neighbours that err together tell less than their number."""
-    held, times = [], 40
+    covered, times = [], 40
     for seed in range(times):
         temperature, strain = made(1, noise=0.0, warm_noise=warm_noise, seed=seed, rows=300)
         scatter = np.random.default_rng(seed + 100).standard_normal(len(strain))
         strain += lfilter([2e-4 * np.sqrt(1.0 - slow**2)], [1.0, -slow], scatter)
         (cycle,), _ = analyse_cycles("made", temperature, strain, seed=seed)
-        held.append([cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in TRUE.items()])
-    assert np.mean(held) >= share, np.mean(held, axis=0)
+        covered.append([cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in TRUE.items()])
+    assert np.mean(covered) >= share, np.mean(covered, axis=0)
 
 
 def rounded(noise: float, seed: int = 0, rows: int = 161, cosine: bool = True) -> tuple[np.ndarray, np.ndarray]:
@@ -154,43 +154,43 @@ def test_the_steepest_tangent_of_exact_kinetics(rows, tilt):
 def test_intervals_hold_the_steepest_tangent(cosine, noise, rows):
     """As often as of the three lines, see above; they are a few times the scatter of what they tell of, no more."""
     truth = (STEEPEST if cosine else STRAIGHT) | {"width": 30.0}
-    held, away, half, times = {n: 0 for n in truth}, [], [], 30
+    covered, away, half, times = {n: 0 for n in truth}, [], [], 30
     for seed in range(times):
         (cycle,), _ = analyse_cycles("made", *rounded(noise, seed, rows, cosine), seed=seed, tangent="steepest")
         for name, true in truth.items():
-            held[name] += cycle.values[name].lower95 <= true <= cycle.values[name].upper95
+            covered[name] += cycle.values[name].lower95 <= true <= cycle.values[name].upper95
         away.append([cycle.values[n].value - truth[n] for n in TEMPERATURE_NAMES])
         half.append([cycle.values[n].upper95 - cycle.values[n].value for n in TEMPERATURE_NAMES])
-    assert min(held.values()) >= binom.ppf(1e-3 / len(held), times, 0.95), held
+    assert min(covered.values()) >= binom.ppf(1e-3 / len(covered), times, 0.95), covered
     assert np.mean(half) < 4.0 * np.sqrt(np.mean(np.square(away)))
 
 
 def test_the_steepest_tangent_of_noisy_temperatures():
-    found = []
+    cycles = []
     for seed in range(8):
         t, e = rounded(1e-5, seed)
         warm = t + 2.0 * np.random.default_rng(seed + 50).standard_normal(len(t))
-        found += analyse_cycles("noisy", warm, e, smooth=9, seed=seed, tangent="steepest")[0]
-    means = mean_properties(found)
+        cycles += analyse_cycles("noisy", warm, e, smooth=9, seed=seed, tangent="steepest")[0]
+    means = mean_properties(cycles)
     for name, true in STEEPEST.items():
-        assert len(found) == 8 and means[name].value == pytest.approx(true, abs=2.0), name
+        assert len(cycles) == 8 and means[name].value == pytest.approx(true, abs=2.0), name
 
 
 @pytest.mark.parametrize(("rows", "warm_noise", "smooth"), [(30_001, 0.0, 1), (30_001, 0.4, 1), (30_001, 1.0, 99)])
 def test_a_branch_of_very_many_rows_is_read_by_their_means(rows, warm_noise, smooth):
     """Its sharpness is that of all rows: a 95 % interval of 160 rows as noisy is ten times as wide."""
-    truth, held = TRUE | {"width": 42.5, "span": 70.0}, []
+    truth, covered = TRUE | {"width": 42.5, "span": 70.0}, []
     for seed in range(4):
         (cycle,), refused = analyse_cycles(
             "long", *made(1, noise=4e-4, warm_noise=warm_noise, seed=seed, rows=rows), smooth=smooth, seed=seed
         )
         assert not refused
-        held += [cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in truth.items()]
+        covered += [cycle.values[n].lower95 <= true <= cycle.values[n].upper95 for n, true in truth.items()]
         assert all(
             abs(cycle.values[n].value - true) < 0.1 and cycle.values[n].upper95 - cycle.values[n].lower95 < 0.3
             for n, true in truth.items()
         )
-    assert np.mean(held) >= 0.8
+    assert np.mean(covered) >= 0.8
 
 
 def test_too_few_rows_to_say_where_it_is_steepest(tmp_path):
@@ -207,14 +207,14 @@ def test_too_few_rows_to_say_where_it_is_steepest(tmp_path):
 def test_the_command_says_by_which_tangent(tmp_path):
     path = write(tmp_path / "a.csv", *rounded(1e-6), 50.0)
     starts = {}
-    for tangent, told in (
-        ("lines", "three straight lines, fitted by least squares, meet"),
-        ("steepest", "the tangent at the steepest point of the transformation meets"),
+    for tangent, definition in (
+        ("lines", "the intersections of three straight lines, fitted by least squares"),
+        ("steepest", "the tangent at the steepest point of the transformation with"),
     ):
         options = ["properties", str(path), "--tangent", tangent]
-        assert told in CliRunner().invoke(app, options).output
+        assert definition in CliRunner().invoke(app, options).output
         document = json.loads(CliRunner().invoke(app, [*options, "--json"]).stdout)
-        assert document["tangent"] == tangent and told in document["definition"]
+        assert document["tangent"] == tangent and definition in document["definition"]
         starts[tangent] = document["recordings"][0]["mean"]["martensite_start"]
     assert "--tangent steepest" in CliRunner().invoke(app, ["properties", str(path)]).output
     assert starts["steepest"]["value"] < starts["lines"]["value"] - 0.5
@@ -223,24 +223,24 @@ def test_the_command_says_by_which_tangent(tmp_path):
 
 def test_the_interval_of_a_mean_knows_how_few_its_cycles_are():
     """Values of cycles that scatter among themselves, each thought exact, and some that agree by chance, each uncertain."""
-    rng, held = np.random.default_rng(0), 0
+    rng, covered = np.random.default_rng(0), 0
     for _ in range(400):
         exact = [Cycle(k, (0, 1), {"span": Value(v, v, v)}) for k, v in enumerate(rng.standard_normal(2))]
-        held += (
+        covered += (
             abs(mean_properties(exact)["span"].value)
             <= mean_properties(exact)["span"].upper95 - mean_properties(exact)["span"].value
         )
-    assert binom.ppf(1e-3, 400, 0.95) <= held <= binom.ppf(1 - 1e-3, 400, 0.95)
+    assert binom.ppf(1e-3, 400, 0.95) <= covered <= binom.ppf(1 - 1e-3, 400, 0.95)
     alike = mean_properties([Cycle(k, (0, 1), {"span": Value(1.0, 0.0, 2.0)}) for k in range(4)])["span"]
     assert alike.upper95 - alike.value == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("rows", [12, 13, 16, 20, 24, 30])
 def test_short_clean_cycles_are_read(rows):
-    found, refused = analyse_cycles("short", *made(2, noise=1e-6, rows=rows))
-    assert len(found) == 2 and not refused
+    cycles, refused = analyse_cycles("short", *made(2, noise=1e-6, rows=rows))
+    assert len(cycles) == 2 and not refused
     for name, true in TRUE.items():
-        assert mean_properties(found)[name].value == pytest.approx(true, abs=0.1)
+        assert mean_properties(cycles)[name].value == pytest.approx(true, abs=0.1)
 
 
 def test_few_rows_are_not_taken_for_noisy_ones(tmp_path):
@@ -254,15 +254,15 @@ def test_rows_shuffled_within_blocks_are_refused(within):
     order = np.concatenate(
         [np.random.default_rng(0).permutation(block) for block in np.array_split(np.arange(960), 960 // within)]
     )
-    with pytest.raises(InputError, match=r"row \d+ of the data lies .* not in the order"):
+    with pytest.raises(InputError, match=r"row \d+ of the data deviates .* not in the order"):
         analyse_cycles("shuffled", temperature[order], strain[order])
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.2])
 def test_a_few_shuffled_rows_are_refused(share):
     (temperature, strain), rng = made(), np.random.default_rng(0)
-    moved, order = rng.choice(960, int(share * 960), replace=False), np.arange(960)
-    order[np.sort(moved)] = moved
+    rows, order = rng.choice(960, int(share * 960), replace=False), np.arange(960)
+    order[np.sort(rows)] = rows
     with pytest.raises(InputError, match=r"row \d+ of the data: the temperature jumps by \d+ K .* not in the order"):
         analyse_cycles("shuffled", temperature[order], strain[order])
 
@@ -278,7 +278,7 @@ def test_noise_alone_has_no_slip_of_a_reading():
     for seed in range(40):
         noise = np.random.default_rng(seed).standard_normal(40)
         check_outliers("noise", "a strain of", 0.01 + 1e-4 * noise)
-        with pytest.raises(InputError, match="row 21 of the data: a strain of 0.02 stands alone"):
+        with pytest.raises(InputError, match="row 21 of the data: a strain of 0.02 is an outlier"):
             check_outliers("slip", "a strain of", np.where(np.arange(40) == 20, 0.02, 0.01 + 1e-4 * noise))
 
 
@@ -319,21 +319,21 @@ def _in_two_steps(*_):
     [
         (lambda t, e: (np.random.default_rng(0).permutation(t), e), "not in the order in which they were recorded"),
         (lambda t, e: (np.full_like(t, 20.0), e), "heat and cool through the transformation"),
-        (lambda t, e: (t[:100], e[:100]), "no whole cycle is in it"),
+        (lambda t, e: (t[:100], e[:100]), "it has no complete cycle"),
         (
             lambda t, e: (t, 2e-3 * np.random.default_rng(1).standard_normal(len(e)) - 1e-5 * t),
             "no transformation is seen",
         ),
         (lambda t, e: (t, -1e-5 * t), "no transformation is seen"),
-        (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "heat and cool further"),
+        (lambda t, e: (t[(t > 45.0)], e[(t > 45.0)]), "cool further"),
         (lambda t, e: (t[(t > 62.0)], e[(t > 62.0)]), "its end was not reached"),
         (lambda t, e: (t[::-1], e[::-1]), "the rows run backwards"),
         (lambda t, e: (t[_turned(40, 80, len(t))], e[_turned(40, 80, len(t))]), "rows 42 to 80 go back by"),
         (
             lambda t, e: (t, np.where(np.arange(len(e)) == 400, 0.5, e)),
-            "row 401 of the data: a strain of 0.5 stands alone among rows of about 0.0",
+            "row 401 of the data: a strain of 0.5 is an outlier among rows of about 0.0",
         ),
-        (_in_two_steps, "bends where three straight lines do not, as by a transformation in two steps"),
+        (_in_two_steps, "bends where three straight lines do not, as in a transformation in two steps"),
         (
             lambda t, e: (np.where(np.arange(len(t)) == 50, t + 90.0, t), e),
             "row 51 of the data: a temperature (degC) of",
@@ -343,14 +343,14 @@ def _in_two_steps(*_):
 def test_what_cannot_be_read_is_said(change, sentence):
     temperature, strain = change(*made())
     try:
-        found, refused = analyse_cycles("bad.csv", temperature, strain)
+        cycles, refused = analyse_cycles("bad.csv", temperature, strain)
     except InputError as error:
-        found, refused = [], [str(error)]
-    assert not found and sentence in refused[0] and refused[0].startswith("bad.csv")
+        cycles, refused = [], [str(error)]
+    assert not cycles and sentence in refused[0] and refused[0].startswith("bad.csv")
 
 
 def _little(strain: float, sign: float = 1.0, coldest: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
-    """A cycle with little transformation strain, in tension or compression (``sign``), beside an expansion of 1.1e-5/K."""
+    """A cycle with little transformation strain, in tension or compression (``sign``), in addition to an expansion of 1.1e-5/K."""
     cool = np.linspace(130.0, coldest, 241)
     share = [1.0 - np.clip((cool - 40.0) / 20.0, 0.0, 1.0), 1.0 - np.clip((cool - 70.0) / 20.0, 0.0, 1.0)]
     temperature = np.r_[cool, cool[::-1]]
@@ -365,8 +365,11 @@ def test_expansion_is_not_taken_for_an_end_that_was_not_reached(strain, sign):
     (cycle,), refused = analyse_cycles("7 MPa", *_little(strain, sign))
     assert not refused
     for name, true in zip(TEMPERATURE_NAMES, (60.0, 40.0, 70.0, 90.0), strict=True):
-        one = cycle.values[name]
-        assert one.value == pytest.approx(true, abs=0.2) and one.lower95 < one.value < one.upper95 < one.lower95 + 0.5
+        value = cycle.values[name]
+        assert (
+            value.value == pytest.approx(true, abs=0.2)
+            and value.lower95 < value.value < value.upper95 < value.lower95 + 0.5
+        )
     assert cycle.values["transformation_strain"].value == pytest.approx(sign * strain - 20.0 * 1.1e-5, abs=1e-6)
     assert not analyse_cycles("7 MPa", *_little(strain, sign, coldest=45.0))[0]
 
@@ -408,13 +411,13 @@ def test_what_is_said_of_many_cycles_is_said_once(tmp_path):
     hidden = e.reshape(20, -1).copy()
     hidden[[0, 1, 2, 5, 7, 9, 11, 13, 15, 17]] = 0.0052 - 1e-5 * t.reshape(20, -1)[0]
     path = write(tmp_path / "some.csv", t, hidden.ravel())
-    told = CliRunner().invoke(app, ["properties", str(path)]).output
+    output = CliRunner().invoke(app, ["properties", str(path)]).output
     # From the sixth on a cycle begins with a row of one that transforms, which changes what is wrong with it.
-    assert told.count("Not read") == 2 and told.count("no transformation is seen") == 1
-    assert "some.csv, 3 cycles (1 to 3), the first of them (rows 1 to 320): on cooling the strain moves by" in told
+    assert output.count("Not read") == 2 and output.count("no transformation is seen") == 1
+    assert "some.csv, 3 cycles (1 to 3), the first of them (rows 1 to 320): on cooling the strain changes by" in output
     assert (
         "some.csv, 7 cycles (6, 8, 10, 12, 14, 16 and 1 more), the first of them (rows 1600 to 1920): on cooling"
-        in told
+        in output
     )
     assert len(json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).stdout)["refused"]) == 10
     cold = t > 62.0
@@ -453,25 +456,25 @@ def test_loops_within_a_cycle_are_left_out_and_said_to_be(tmp_path, warm_noise):
         temperature.append(np.r_[t[: at + 1], loop[0], t[at + 1 :]])
         strain.append(np.r_[e[: at + 1], loop[1], e[at + 1 :]])
     rng = np.random.default_rng(2)
-    warm, moved = np.concatenate(temperature), np.concatenate(strain)
-    noisy = warm + warm_noise * rng.standard_normal(len(warm)), moved + 1e-5 * rng.standard_normal(len(moved))
+    warm, extension = np.concatenate(temperature), np.concatenate(strain)
+    noisy = warm + warm_noise * rng.standard_normal(len(warm)), extension + 1e-5 * rng.standard_normal(len(extension))
     smooth = 9 if warm_noise else 1
-    found, refused = analyse_cycles("made", *noisy, smooth=smooth)
-    assert len(found) == 2 and not refused
-    assert [len(cycle.loops) for cycle in found] == [2, 0]
-    for (first, last), start in zip(found[0].loops, starts, strict=True):
+    cycles, refused = analyse_cycles("made", *noisy, smooth=smooth)
+    assert len(cycles) == 2 and not refused
+    assert [len(cycle.loops) for cycle in cycles] == [2, 0]
+    for (first, last), start in zip(cycles[0].loops, starts, strict=True):
         assert abs(first - start) <= smooth + 1 and abs(last - start - 39) <= smooth + 2
-    for cycle in found:
+    for cycle in cycles:
         for name, true in TRUE.items():
             assert cycle.values[name].value == pytest.approx(true, abs=1.5 if warm_noise else 0.4), name
     path, options = write(tmp_path / "loops.csv", *noisy), ["--smooth", str(smooth)]
-    told = json.loads(CliRunner().invoke(app, ["properties", str(path), *options, "--json"]).stdout)
-    first, last = told["recordings"][0]["cycles"][0]["loops_left_out"][0]
+    document = json.loads(CliRunner().invoke(app, ["properties", str(path), *options, "--json"]).stdout)
+    first, last = document["recordings"][0]["cycles"][0]["loops_left_out"][0]
     assert (
         f"Left out of cycle 1: rows {first} to {last}, a loop within it."
         in CliRunner().invoke(app, ["properties", str(path), *options]).output
     )
-    assert abs(first - found[0].loops[0][0]) <= 3 and abs(last - found[0].loops[0][1]) <= 3
+    assert abs(first - cycles[0].loops[0][0]) <= 3 and abs(last - cycles[0].loops[0][1]) <= 3
 
 
 @pytest.mark.parametrize(
@@ -498,18 +501,18 @@ def test_a_noisy_thermometer_is_no_loop(seed):
     t, e = made(1, rows=800)
     own = np.random.default_rng(seed).standard_normal(len(t))
     for noise in (10.0 * own, 3.0 * lfilter([1.0], [1.0, -0.7], own)):
-        found, _ = analyse_cycles("noisy", t + noise, e, smooth=9)
-        assert len(found) == 1 and not found[0].loops
+        cycles, _ = analyse_cycles("noisy", t + noise, e, smooth=9)
+        assert len(cycles) == 1 and not cycles[0].loops
 
 
 def test_branches_that_are_in_no_cycle_are_said(tmp_path):
     """A file that begins cold: heated, cooled, heated and cooled."""
     t, e = made(3)
     path = write(tmp_path / "cold.csv", t[160:800], e[160:800])
-    told = CliRunner().invoke(app, ["properties", str(path)]).output
-    assert "cold.csv: 1 cycle" in told
-    assert "Left out: rows 1 to 160, a heating without a cooling before it in the file." in told
-    assert "Left out: rows 480 to 640, a cooling without a heating after it in the file." in told
+    output = CliRunner().invoke(app, ["properties", str(path)]).output
+    assert "cold.csv: 1 cycle" in output
+    assert "Left out: rows 1 to 160, a heating without a cooling before it in the file." in output
+    assert "Left out: rows 480 to 640, a cooling without a heating after it in the file." in output
     document = json.loads(CliRunner().invoke(app, ["properties", str(path), "--json"]).stdout)
     assert document["recordings"][0]["in_no_cycle"][1] == {"rows": [480, 640], "branch": "cooling"}
     whole = CliRunner().invoke(app, ["properties", str(write(tmp_path / "whole.csv", t, e))]).output
@@ -544,11 +547,11 @@ def test_a_file_given_twice_is_refused(tmp_path):
 def test_the_hundred_cycles_measured_by_others(shared):
     """Means by another tool, its values as that tool prints them."""
     columns = np.loadtxt(shared / "data" / "asmada-cyclic" / "Example Test Data.txt")
-    found, refused = analyse_cycles("cycles", columns[:, 0], columns[:, 1], smooth=9)
-    means = mean_properties(found)
-    assert len(found) == 99 and not refused
+    cycles, refused = analyse_cycles("cycles", columns[:, 0], columns[:, 1], smooth=9)
+    means = mean_properties(cycles)
+    assert len(cycles) == 99 and not refused
     for name, value in zip(PROPERTY_NAMES, (122.90, 94.26, 113.09, 128.11, 0.0344, 0.03791, 12.02, 33.85), strict=True):
-        scatter = np.std([c.values[name].value for c in found])
+        scatter = np.std([c.values[name].value for c in cycles])
         assert abs(means[name].value - value) < 0.6 * scatter, name
 
 
@@ -566,7 +569,7 @@ def test_the_steepest_tangent_of_cycles_measured_by_others(shared):
 
 
 @pytest.mark.parametrize(
-    ("file", "rows", "columns", "told"),
+    ("file", "rows", "columns", "text"),
     [
         ("nasa-bigelow-nitihf/200 MPa.txt", None, "temperature [degC],strain [%],stress [MPa]", "1 cycle at 200 MPa"),
         (
@@ -577,7 +580,7 @@ def test_the_steepest_tangent_of_cycles_measured_by_others(shared):
         ),
     ],
 )
-def test_the_command_reads_the_files_of_others(shared, tmp_path, file, rows, columns, told):
+def test_the_command_reads_the_files_of_others(shared, tmp_path, file, rows, columns, text):
     """Whole, or their first rows: see the hundred cycles above."""
     lines = (shared / "data" / file).read_text("utf-8").splitlines(keepends=True)
     path = tmp_path / Path(file).name
@@ -589,7 +592,7 @@ def test_the_command_reads_the_files_of_others(shared, tmp_path, file, rows, col
     done = run("--delimiter", "\\t")
     assert done.exit_code == 2 and "name the columns by --columns" in done.output and "rig" not in done.output
     done = run("--delimiter", "tab", "--columns", columns)
-    assert done.exit_code == 0 and told in done.output and "A_f" in done.output
+    assert done.exit_code == 0 and text in done.output and "A_f" in done.output
 
 
 def test_spaces_between_columns_have_a_name(shared):
@@ -636,14 +639,14 @@ def test_columns_that_do_not_fit_are_refused(tmp_path, options, sentence):
 )
 def test_nitihf_measured_by_others(shared, stress, values):
     columns = np.loadtxt(shared / "data" / "nasa-bigelow-nitihf" / f"{stress} MPa.txt")
-    found, _ = analyse_cycles(f"{stress}", columns[:, 0], columns[:, 1] / 100)
-    actuation = found[0].values["actuation_strain"]
+    cycles, _ = analyse_cycles(f"{stress}", columns[:, 0], columns[:, 1] / 100)
+    actuation = cycles[0].values["actuation_strain"]
     assert (
         actuation.lower95 < actuation.value < actuation.upper95
         and actuation.upper95 - actuation.lower95 < 0.2 * actuation.value
     )
     for name, value in zip(TEMPERATURE_NAMES, values, strict=True):
-        assert found[0].values[name].value == pytest.approx(value, abs=6.0), name
+        assert cycles[0].values[name].value == pytest.approx(value, abs=6.0), name
 
 
 def test_a_document_names_its_file(tmp_path):
@@ -671,7 +674,10 @@ def staircase(tmp_path, stresses: list[float], ramp: float = 0.0):
 
 @pytest.mark.parametrize(
     ("rows", "sentence"),
-    [("4", "4 is even: give 5"), ("99999", "smoothed over 99999 rows the temperature moves by 0 K: smooth over fewer")],
+    [
+        ("4", "4 is even: give 5"),
+        ("99999", "smoothed over 99999 rows the temperature changes by 0 K only: smooth over fewer"),
+    ],
 )
 def test_smoothing_that_moves_or_hides_the_corners_is_refused(tmp_path, rows, sentence):
     done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", *made())), "--smooth", rows])
@@ -681,19 +687,19 @@ def test_smoothing_that_moves_or_hides_the_corners_is_refused(tmp_path, rows, se
 def test_cycles_of_one_file_are_read_stress_by_stress(tmp_path):
     path = staircase(tmp_path, [50.0, 50.0, 110.0])
     document = run_properties(PropertiesJob([path], write_set=tmp_path / "set.toml"))
-    assert [(one["stress_Pa"], len(one["cycles"])) for one in document["recordings"]] == [(50e6, 2), (110e6, 1)]
-    for one in document["recordings"]:
-        assert one["mean"]["martensite_start"]["value"] == pytest.approx(70.0 + one["stress_Pa"] / 6e6, abs=0.3)
-    told = read_parameters(tmp_path / "set.toml")
-    assert told["material.clausius_clapeyron_martensite"].value == pytest.approx(6e6, rel=0.02)
-    assert told["material.martensite_start"].value == pytest.approx(70.0, abs=0.5)
+    assert [(level["stress_Pa"], len(level["cycles"])) for level in document["recordings"]] == [(50e6, 2), (110e6, 1)]
+    for level in document["recordings"]:
+        assert level["mean"]["martensite_start"]["value"] == pytest.approx(70.0 + level["stress_Pa"] / 6e6, abs=0.3)
+    entries = read_parameters(tmp_path / "set.toml")
+    assert entries["material.clausius_clapeyron_martensite"].value == pytest.approx(6e6, rel=0.02)
+    assert entries["material.martensite_start"].value == pytest.approx(70.0, abs=0.5)
 
 
 def test_a_stress_that_moves_within_a_cycle_is_refused(tmp_path):
     done = CliRunner().invoke(app, ["properties", str(staircase(tmp_path, [50.0], ramp=100.0))])
     assert (
         done.exit_code == 2
-        and "cycle 1 (rows 1 to 320): its stress goes from 50 to 150 MPa: hold one stress" in done.output
+        and "cycle 1 (rows 1 to 320): its stress varies from 50 to 150 MPa: keep the stress constant" in done.output
     )
 
 
@@ -710,7 +716,7 @@ def test_compression_lowers_the_temperatures_at_no_stress_like_tension(tmp_path)
 
 @pytest.mark.parametrize(
     ("row", "value", "sentence"),
-    [(5, np.nan, "row 7, column 'strain [%]': 'nan' is not a finite number: correct it, or take its row out"), (slice(None), 0.01, "check the sensor")],
+    [(5, np.nan, "row 7, column 'strain [%]': 'nan' is not a finite number: correct it, or remove its row"), (slice(None), 0.01, "check the sensor")],
 )  # fmt: skip
 def test_cures_are_this_commands(tmp_path, row, value, sentence):
     """It has neither --drop-bad-rows nor a rig."""
@@ -730,41 +736,48 @@ def test_the_help_shows_a_header_with_its_unit():
 
 
 def test_a_slope_that_the_stresses_do_not_tell_is_said_to_be_usual(tmp_path):
-    (t, e), told = made(1), {}
+    (t, e), entries = made(1), {}
     for name, shift in (("falls", -5.0), ("steep", 1.0)):
         paths = [write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k) for k in range(2)]
         run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml"))
-        told[name] = read_parameters(tmp_path / "set.toml")["material.clausius_clapeyron_martensite"]
+        entries[name] = read_parameters(tmp_path / "set.toml")["material.clausius_clapeyron_martensite"]
     assert (
-        told["falls"].value == 7e6 and "through 2 stresses the temperatures fall, by 0.05 K/MPa" in told["falls"].source
+        entries["falls"].value == 7e6
+        and "through 2 stresses the temperatures fall, by 0.05 K/MPa" in entries["falls"].source
     )
-    assert told["steep"].value == 3e7 and "cut from 100 MPa/K to the nearest plausible one" in told["steep"].source
+    assert (
+        entries["steep"].value == 3e7 and "cut from 100 MPa/K to the nearest plausible one" in entries["steep"].source
+    )
 
 
 def test_the_command_says_what_it_guessed(tmp_path):
-    (t, e), told = made(1), {}
+    (t, e), messages = made(1), {}
     for name, shift in (("rises", 15.0), ("falls", -5.0), ("steep", 1.0)):
         paths = [str(write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k)) for k in range(2)]
         for case, some in ((name, paths), ("one", paths[:1])):
-            told[case] = (
+            messages[case] = (
                 CliRunner()
                 .invoke(app, ["properties", *some, "--write-set", str(tmp_path / "set.toml"), "--json", "--quiet"])
                 .stderr
             )
     assert all(
-        said.startswith("smajax: set.toml: not read off the cycles: ") and said.count("\n") == 1
-        for said in told.values()
+        message.startswith("smajax: set.toml: not determined by the cycles: ") and message.count("\n") == 1
+        for message in messages.values()
     )
-    assert all("modulus_austenite = 67000 MPa" in said and "Brinson (1993)" in said for said in told.values())
-    assert "clausius" not in told["rises"]
+    assert all(
+        "modulus_austenite = 67000 MPa" in message and "Brinson (1993)" in message for message in messages.values()
+    )
+    assert "clausius" not in messages["rises"]
     assert (
-        "clausius_clapeyron_austenite = 7 MPa/K (C_A is a usual value: one stress does not determine it)" in told["one"]
+        "clausius_clapeyron_austenite = 7 MPa/K (C_A is a usual value: one stress does not determine it)"
+        in messages["one"]
     )
     assert (
-        "clausius_clapeyron_martensite = 30 MPa/K (C_M by a straight line through 2 stresses, cut from" in told["steep"]
+        "clausius_clapeyron_martensite = 30 MPa/K (C_M by a straight line through 2 stresses, cut from"
+        in messages["steep"]
     )
     falling = "no shape-memory alloy's temperatures fall as the stress rises: check which stress belongs to which cycle"
-    assert falling in told["falls"] and falling not in told["rises"] + told["steep"] + told["one"]
+    assert falling in messages["falls"] and falling not in messages["rises"] + messages["steep"] + messages["one"]
 
 
 def test_several_stresses_tell_how_strain_grows(tmp_path):
@@ -797,11 +810,11 @@ def test_high_stresses_and_small_strains_have_a_set_too(tmp_path, stresses, stra
         write(tmp_path / f"{k}.csv", t + stress / 8.0, (0.8 + 0.1 * k) * strain / 0.03 * e, stress)
     paths = [tmp_path / f"{k}.csv" for k in range(len(stresses))]
     run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model=model))
-    found = read_parameters(tmp_path / "set.toml")["material.max_transformation_strain"]
-    assert max(0.7 * strain, 1e-4) < found.value < 2.5 * strain
+    entry = read_parameters(tmp_path / "set.toml")["material.max_transformation_strain"]
+    assert max(0.7 * strain, 1e-4) < entry.value < 2.5 * strain
     write(tmp_path / "little.csv", t, 5e-5 / 0.03 * e, 10.0)
     with pytest.raises(
-        InputError, match="little.csv: the largest transformation strain is 0.005 %, less than any law has"
+        InputError, match="little.csv: the largest transformation strain is 0.005 %, below the lower bound of every law"
     ):
         run_properties(PropertiesJob([tmp_path / "little.csv"], write_set=tmp_path / "set.toml", model=model))
 
@@ -810,9 +823,9 @@ def test_strains_that_do_not_grow_leave_their_growth_to_the_law(tmp_path):
     t, e = made(1)
     paths = [write(tmp_path / f"{k}.csv", t + 8.0 * k, e, 50.0 + 60.0 * k) for k in range(4)]
     run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
-    found = read_parameters(tmp_path / "set.toml")
-    assert not {"material.min_strain_share", "material.strain_saturation"} & set(found)
-    assert found["material.max_transformation_strain"].value == pytest.approx(0.03, rel=0.02)
+    entries = read_parameters(tmp_path / "set.toml")
+    assert not {"material.min_strain_share", "material.strain_saturation"} & set(entries)
+    assert entries["material.max_transformation_strain"].value == pytest.approx(0.03, rel=0.02)
 
 
 def brinson_cycles(folder: Path, stresses: list[float], noise: float = 1e-5) -> list[Path]:
@@ -849,14 +862,14 @@ def brinson_cycles(folder: Path, stresses: list[float], noise: float = 1e-5) -> 
 def test_a_brinson_fit_from_the_set_finds_stresses_that_detwin_a_wire_below_100_mpa(tmp_path, stresses):
     paths = brinson_cycles(tmp_path, stresses)
     run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="brinson"))
-    told = read_parameters(tmp_path / "set.toml")
+    entries = read_parameters(tmp_path / "set.toml")
     for name in (
         "detwinning_start_stress",
         "detwinning_finish_stress",
         "martensite_start",
         "max_transformation_strain",
     ):
-        entry = told[f"material.{name}"]
+        entry = entries[f"material.{name}"]
         assert entry.lower <= entry.value <= entry.upper and "as Brinson's law would give them" in entry.source
     names = [
         "martensite_start",
@@ -870,13 +883,13 @@ def test_a_brinson_fit_from_the_set_finds_stresses_that_detwin_a_wire_below_100_
     rig = parse_rig(
         f'{text}[fit]\nmodel = "brinson"\nfree = [{free}]\nobserve = ["strain"]\nstarts = 1\n', folder=tmp_path
     )
-    found = fit(
+    result = fit(
         rig.plant,
         [read_recording(p, required=("temperature", "stress"), observed=("strain",), clock=False) for p in paths],
         rig.fit,
     )
-    errors = [np.sqrt(np.mean(r.residual("strain") ** 2)) for r in found.responses]
+    errors = [np.sqrt(np.mean(r.residual("strain") ** 2)) for r in result.responses]
     assert max(errors) < 0.002  # of 0.04: what is held at its start value is a little off
-    values = {e.name: e.estimate for e in found.estimates}
+    values = {e.name: e.estimate for e in result.estimates}
     assert values["material.austenite_start"] < values["material.austenite_finish"]
     assert values.get("material.martensite_finish", -1e9) < values["material.martensite_start"]

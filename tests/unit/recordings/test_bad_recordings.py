@@ -1,4 +1,4 @@
-"""Every way in which a recording can be wrong, with the sentence it has to give."""
+"""Messages for every kind of mistake in a recording."""
 
 import os
 from typing import Any
@@ -132,7 +132,7 @@ TABLE = [
         "skip_rows_beyond_the_end",
         rows("0,0.3,0", "1,0.3,1"),
         {"skip_rows": 9},
-        "wire.csv: the file has 3 rows, and skip_rows = 9 leaves nothing: lower skip_rows",
+        "wire.csv: the file has only 3 rows, fewer than skip_rows = 9: lower skip_rows",
     ),
     (
         "skip_rows_negative",
@@ -222,7 +222,7 @@ TABLE = [
         "header_cell_blank",
         "time [s],current [A],\n0,0.3,\n1,0.3,\n",
         {},
-        "wire.csv: column 3 has no header: write one like 'current [A]', or take the column out",
+        "wire.csv: column 3 has no header: write one like 'current [A]', or remove the column",
     ),
     (
         "columns_doubled",
@@ -252,20 +252,20 @@ TABLE = [
         "mapped_to_unknown_channel",
         "time [s],Load\n0,1\n1,2\n",
         {"mapping": {"forces": ChannelMap("Load", "N")}},
-        "wire.csv: [channels] forces in the rig is not a known channel (did you mean 'force'?): choose of time, current, "
+        "wire.csv: [channels] forces in the rig is not a known channel (did you mean 'force'?): choose one of time, current, "
         "voltage, power, duty, temperature, ambient, displacement, angle, rate, force, torque, stress, strain, resistance",
     ),
     (
         "mapped_and_ignored",
         "time [s],Load\n0,1\n1,2\n",
         {"mapping": {"force": ChannelMap("Load", "N")}, "ignore": ["Load"]},
-        "wire.csv: column 'Load' is both ignored and mapped to force: decide for one of them",
+        "wire.csv: column 'Load' is both ignored and mapped to force: remove one of the two",
     ),
     (
         "all_ignored",
         "a,b\n0,1\n1,2\n",
         {"ignore": ["a", "b"], "clock": False},
-        "wire.csv: every column is ignored: leave at least one in, of a, b",
+        "wire.csv: every column is ignored: keep at least one of a, b",
     ),
     (
         "time_missing",
@@ -452,20 +452,20 @@ TABLE = [
         "time_stands_still",
         rows("0,0.3,0", "0.02,0.3,1", "0.02,0.3,2"),
         {},
-        "wire.csv: row 4, column 'time [s]': time stands still at 0.02 s: correct it, or leave such rows out with --drop-bad-rows",
+        "wire.csv: row 4, column 'time [s]': time does not increase at 0.02 s: correct it, or leave such rows out with --drop-bad-rows",
     ),
     (
         "time_runs_back",
         rows("0,0.3,0", "0.04,0.3,1", "0.02,0.3,2"),
         {},
-        "wire.csv: row 4, column 'time [s]': time runs back from 0.04 to 0.02 s: correct it, or leave such rows out with --drop-bad-rows",
+        "wire.csv: row 4, column 'time [s]': time decreases from 0.04 to 0.02 s: correct it, or leave such rows out with --drop-bad-rows",
     ),
     (
         "observed_never_changes",
         rows("0,0.3,2.5", "1,0.3,2.5", "2,0.3,2.5"),
         {"observed": ["displacement"]},
         "wire.csv: column 'displacement [mm]': the observed channel displacement is 2.5 mm in all 3 rows: check the sensor, or "
-        "take it out of [fit] observe",
+        "remove it from [fit] observe",
     ),
     (
         "milliampere_as_ampere",
@@ -553,7 +553,7 @@ TABLE = [
         "negative_duty",
         column("duty [1]", [0, 0.5, -0.1]),
         {},
-        "wire.csv: row 4, column 'duty [1]': the duty of -0.1 is below 0, beyond what a bench with SMA wires gives: correct "
+        "wire.csv: row 4, column 'duty [1]': the duty of -0.1 is below 0, outside the range of rigs with SMA wires: correct "
         "the unit or the value, or, if it is right, give duty any_scale = true under [channels] in the rig",
     ),
     (
@@ -567,8 +567,8 @@ TABLE = [
         "beyond_every_unit",
         column("angle [deg]", [0, 1e9, 3e9]),
         {},
-        "wire.csv: row 3, column 'angle [deg]': the angle of 1e+09 deg is above 1145.92 deg, beyond what a bench with SMA "
-        "wires gives: correct the unit or the value, or, if it is right, give angle any_scale = true under [channels] in the "
+        "wire.csv: row 3, column 'angle [deg]': the angle of 1e+09 deg is above 1145.92 deg, outside the range of rigs with SMA "
+        "wires: correct the unit or the value, or, if it is right, give angle any_scale = true under [channels] in the "
         "rig",
     ),
     (
@@ -635,7 +635,7 @@ TABLE = [
 
 
 @pytest.mark.parametrize(("content", "options", "sentence"), [row[1:] for row in TABLE], ids=[row[0] for row in TABLE])
-def test_a_bad_recording_is_refused_with_its_sentence(tmp_path, monkeypatch, content, options, sentence):
+def test_bad_recordings_are_refused(tmp_path, monkeypatch, content, options, sentence):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wire.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError) as refusal:
@@ -644,13 +644,13 @@ def test_a_bad_recording_is_refused_with_its_sentence(tmp_path, monkeypatch, con
     assert refusal.value.exit_code == 2
 
 
-def test_the_table_is_long_and_every_sentence_is_one_line():
+def test_every_message_is_one_line():
     assert len({row[0] for row in TABLE}) == len(TABLE) >= 40
     for _, _, _, sentence in TABLE:
         assert sentence.startswith("wire.csv: ") and "\n" not in sentence and not sentence.endswith(".")
 
 
-def test_every_refusal_of_a_row_is_cured_by_dropping_it(tmp_path, monkeypatch):
+def test_rows_that_are_refused_can_be_dropped(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     promised = [row for row in TABLE if "--drop-bad-rows" in row[3]]
     assert len(promised) >= 15
@@ -777,7 +777,7 @@ OTHERS = [
     (
         "wire.mat",
         matlab(time=TIME[::-1], current=TIME, units=UNITS),
-        "wire.mat: row 2, column 'time [s]': time runs back from 2 to 1 s",
+        "wire.mat: row 2, column 'time [s]': time decreases from 2 to 1 s",
     ),
     ("wire.parquet", raw(b"time,current"), "wire.parquet: the file is not readable as Parquet ("),
     ("wire.parquet", raw(b"PAR1" + bytes(99) + b"PAR1"), "wire.parquet: the file is not readable as Parquet ("),
@@ -834,7 +834,7 @@ def test_other_bad_files_are_refused(tmp_path, monkeypatch, name, write, sentenc
     edits=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 4), st.binary(max_size=4)), min_size=1, max_size=5),
     drop_bad_rows=st.booleans(),
 )
-def test_whatever_a_text_file_holds_it_is_read_or_refused(tmp_path_factory, edits, drop_bad_rows):
+def test_any_text_file_is_read_or_refused(tmp_path_factory, edits, drop_bad_rows):
     content = rows(*(f"{0.1 * i:.1f},0.{3 + i % 2},{i / 4}" for i in range(40))).encode()
     for place, removed, added in edits:
         at = int(place * len(content))
@@ -869,6 +869,6 @@ NEARLY_BAD = {
 
 
 @pytest.mark.parametrize("content", NEARLY_BAD.values(), ids=[name.replace(" ", "_") for name in NEARLY_BAD])
-def test_what_is_merely_unusual_is_read(tmp_path, content):
+def test_unusual_recordings_are_read(tmp_path, content):
     (tmp_path / "wire.csv").write_text(content)
     assert len(read_recording(tmp_path / "wire.csv")) >= 3

@@ -1,4 +1,4 @@
-"""Recordings by name: the shipped ones, local copies of the public ones, and fetching, from a server of the test's own."""
+"""Data sets: shipped ones, local copies of public ones, and fetching from a local test server."""
 
 import hashlib
 import shutil
@@ -14,9 +14,9 @@ from smajax.recordings.datasets import Dataset, PublicFile
 
 
 def test_the_list_names_source_licence_and_hashes():
-    known = datasets.datasets()
-    shipped = [d for d in known.values() if d.folder is not None]
-    public = [d for d in known.values() if d.folder is None]
+    catalogue = datasets.datasets()
+    shipped = [d for d in catalogue.values() if d.folder is not None]
+    public = [d for d in catalogue.values() if d.folder is None]
     assert {d.name for d in shipped} >= {"dead-weight", "bias-spring", "rotary", "testing-machine", "isobaric"}
     assert len(public) == 10
     for dataset in public:
@@ -31,13 +31,13 @@ def test_the_list_names_source_licence_and_hashes():
                 assert " " not in address
 
 
-def test_a_shipped_recording_lies_where_it_is_said():
+def test_the_folder_of_a_shipped_data_set():
     folder, missing = datasets.get("dead-weight")
     assert (folder / "train.csv").is_file()
     assert not missing
 
 
-def test_an_unknown_name_is_answered_with_the_nearest():
+def test_an_unknown_name_suggests_a_similar_one():
     with pytest.raises(InputError, match="did you mean 'asmada-cyclic'"):
         datasets.get("asmada-cyclc")
 
@@ -58,7 +58,7 @@ def test_a_local_copy_is_used_and_checked(shared, monkeypatch, tmp_path):
         datasets.get("asmada-cyclic")
 
 
-def test_what_has_no_public_address_is_said(monkeypatch):
+def test_a_data_set_without_a_public_address(monkeypatch):
     monkeypatch.delenv("SMAJAX_DATA", raising=False)
     with pytest.raises(InputError, match=r"no public address: tables taken out of the repository's DataE\.m"):
         datasets.get("morphing-forc")
@@ -66,7 +66,7 @@ def test_what_has_no_public_address_is_said(monkeypatch):
 
 @pytest.fixture
 def server(tmp_path, monkeypatch):
-    """A server on this machine in the place of the public one, with one data set, and a cache of its own."""
+    """Serve one data set on this machine instead of the public server, with a separate cache."""
     content = b"time [s],current [A]\n0,0\n1,0.1\n"
     place = tmp_path / "public" / "some" / "repo" / ("0" * 40) / "a folder"
     place.mkdir(parents=True)
@@ -82,9 +82,9 @@ def server(tmp_path, monkeypatch):
         PublicFile("run 1.csv", hashlib.sha256(content).hexdigest(), "a folder/run 1.csv"),
         PublicFile("typed.csv", "0" * 64),
     )
-    one = Dataset("one", "a test", "none stated", "some/repo", "0" * 40, files)
+    dataset = Dataset("one", "a test", "none stated", "some/repo", "0" * 40, files)
     monkeypatch.setattr(datasets, "ADDRESS", f"http://127.0.0.1:{running.server_port}")
-    monkeypatch.setattr(datasets, "datasets", lambda: {"one": one})
+    monkeypatch.setattr(datasets, "datasets", lambda: {"one": dataset})
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("SMAJAX_DATA", raising=False)
     yield place / "run 1.csv"
@@ -100,7 +100,7 @@ def test_a_public_recording_is_fetched_once_and_compared(server):
     assert datasets.get("one")[0] == folder
 
 
-def test_a_changed_file_and_a_missing_one_end_in_a_sentence(server):
+def test_changed_and_missing_files_are_refused(server):
     server.write_text("something else")
     with pytest.raises(InputError, match="SHA-256 differs"):
         datasets.get("one")

@@ -1,4 +1,4 @@
-"""Recordings that are in order: formats, mapping, units, repair on request, cutting, resampling, inputs between samples, size."""
+"""Valid recordings: formats, mapping, units, dropped rows, slices, resampling, interpolation of inputs, size."""
 
 import hashlib
 import subprocess
@@ -93,7 +93,7 @@ def test_arrays_are_read_only_and_the_callers_stay_writable(written):
         ("ending", lambda text: text.encode()),
     ],
 )
-def test_ways_to_write_the_same_table(written, name, change):
+def test_variants_of_the_same_table(written, name, change):
     options: dict[str, dict[str, Any]] = {
         "tabs": {"delimiter": "\t"},
         "comma_decimals": {"delimiter": ";", "decimal": ","},
@@ -234,20 +234,20 @@ def test_what_is_written_is_read_back_to_the_same_floats(tmp_path_factory, data,
     time = None
     if clock:
         time = np.cumsum(data.draw(st.lists(st.floats(1e-3, 10), min_size=count, max_size=count)))
-    made = Recording.from_arrays(
+    recording = Recording.from_arrays(
         "made", time, channels, {name: UNITS[name] for name in names} | ({"time": clock} if clock else {})
     )
     for name in names:
-        np.testing.assert_allclose(made.channels[name], channels[name], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(recording.channels[name], channels[name], rtol=1e-12, atol=1e-12)
     path = tmp_path_factory.mktemp("written") / f"again{suffix}"
-    made.write(path)
+    recording.write(path)
     again = read_recording(
-        path, clock=clock is not None, mapping={name: ChannelMap(name, any_scale=True) for name in made.units}
+        path, clock=clock is not None, mapping={name: ChannelMap(name, any_scale=True) for name in recording.units}
     )
-    np.testing.assert_array_equal(again.time, made.time)
-    assert again.units == made.units and again.has_clock == made.has_clock and list(again.channels) == names
+    np.testing.assert_array_equal(again.time, recording.time)
+    assert again.units == recording.units and again.has_clock == recording.has_clock and list(again.channels) == names
     for name in names:
-        np.testing.assert_array_equal(again.channels[name], made.channels[name])
+        np.testing.assert_array_equal(again.channels[name], recording.channels[name])
     assert [other.name for other in path.parent.iterdir()] == [path.name]
 
 
@@ -256,7 +256,7 @@ def test_what_is_written_is_read_back_to_the_same_floats(tmp_path_factory, data,
     values=st.lists(st.floats(0.002, 0.9), min_size=2, max_size=9),
     unit=st.sampled_from([("m", 1), ("mm", 1e3), ("um", 1e6), ("inch", 1 / 0.0254)]),
 )
-def test_the_unit_of_a_column_changes_nothing(tmp_path_factory, values, unit):
+def test_values_do_not_depend_on_the_unit_of_the_column(tmp_path_factory, values, unit):
     name, factor = unit
     path = tmp_path_factory.mktemp("units") / "wire.csv"
     rows = "".join(f"{i},{value * factor!r}\n" for i, value in enumerate(values))
@@ -309,8 +309,8 @@ def test_inputs_between_samples():
         "made", time, {"current": np.array([1.0, 2.0, 4.0]), "voltage": np.array([5.0, 5.0, 1.0])}, {}
     )
     times = np.array([-1.0, 0.0, 0.05, 0.1, 0.2, 0.3, 9.0])
-    held = sample_channels(recording, ["voltage", "current"], times, "hold")
-    np.testing.assert_array_equal(held, [[5, 1], [5, 1], [5, 1], [5, 2], [5, 2], [1, 4], [1, 4]])
+    hold = sample_channels(recording, ["voltage", "current"], times, "hold")
+    np.testing.assert_array_equal(hold, [[5, 1], [5, 1], [5, 1], [5, 2], [5, 2], [1, 4], [1, 4]])
     linear = sample_channels(recording, ["current"], times, "linear")
     np.testing.assert_allclose(linear[:, 0], [1, 1, 1.5, 2, 3, 4, 4])
     assert sample_channels(recording, [], times, "hold").shape == (7, 0)
@@ -320,8 +320,8 @@ def test_inputs_between_samples():
         sample_channels(recording, ["current"], times, "cubic")  # type: ignore[arg-type]
 
 
-def test_the_hold_is_not_late_by_rounding():
-    # Times that a stepper adds up miss the samples by rounding, above and below.
+def test_rounding_does_not_delay_the_hold():
+    # Times that are summed step by step differ from the samples by rounding, in both directions.
     time = np.array([float(f"{0.02 * i:.2f}") for i in range(6000)])
     recording = Recording("made", time, {"current": np.arange(6000.0)}, {})
     added_up = np.cumsum(np.full(6000, 0.02)) - 0.02
@@ -407,7 +407,7 @@ def test_too_large_a_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
     path = tmp_path / "huge.csv"
     with path.open("wb") as file:
         file.write(b"time [s],current [A],displacement [mm]\n" + b"0.00,0.30,0.100\n" * (2 * csv.BLOCK // 16))
-        file.truncate(40 * 2**30)  # a hole: it takes no room on the disk, and reading it would take minutes
+        file.truncate(40 * 2**30)  # a sparse file: it uses no space on the disk, and reading it would take minutes
     with pytest.raises(
         InputError, match=r"huge.csv: 2.68e\+09 rows of 3 columns need 180.0 GiB to read, above the limit of 2 GiB: cut"
     ):
@@ -415,7 +415,7 @@ def test_too_large_a_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
 
 
 def test_rows_are_counted_while_they_are_read(written, monkeypatch):
-    # 500 long rows, then short ones: the size of the file alone does not tell how many.
+    # 500 long rows, then short ones: the size of the file does not determine their number.
     monkeypatch.setattr(csv, "BLOCK", 1000)
     monkeypatch.setattr(base, "MEMORY_LIMIT", 8 * 8 * 2000)
     rows = "".join(f"{i}.000000000000000000000000000000000000000000,0.3\n" for i in range(500))
@@ -476,7 +476,7 @@ def test_ten_million_rows_are_read_within_two_gibibytes(tmp_path):
     assert float(total_displacement) == pytest.approx(displacement_sum * 1e-7, rel=1e-12)
 
 
-@pytest.mark.skipif(not (SHARED / "blind").is_dir(), reason="the shared recordings are not beside this checkout")
+@pytest.mark.skipif(not (SHARED / "blind").is_dir(), reason="the shared recordings are not next to this checkout")
 def test_every_shared_recording_is_in_order():
     paths = sorted((SHARED / "blind").glob("case-*/*.csv"))
     assert len(paths) >= 42

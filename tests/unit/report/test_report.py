@@ -1,4 +1,4 @@
-"""The report: its sentences, its table, its pictures, and a page that runs nothing but its own scripts and fetches nothing."""
+"""The report: sentences, table, figures, and a page that runs only its own scripts and loads nothing."""
 
 import copy
 import json
@@ -32,8 +32,8 @@ _TYPES = {
 
 
 def violations(value: Any, schema: dict, place: str = "fit.json") -> list[str]:
-    """Where a document breaks the schema, for the keywords that fit.schema.json uses."""
-    known = {
+    """List violations of the schema, for the keywords that fit.schema.json uses."""
+    keywords = {
         "$schema",
         "title",
         "description",
@@ -45,30 +45,30 @@ def violations(value: Any, schema: dict, place: str = "fit.json") -> list[str]:
         "const",
         "enum",
     }
-    assert not schema.keys() - known - {"minItems", "maxItems"}, "this check would not see a keyword of the schema"
+    assert not schema.keys() - keywords - {"minItems", "maxItems"}, "this check would not see a keyword of the schema"
     if "const" in schema and value != schema["const"]:
         return [f"{place} is not {schema['const']!r}"]
     if "enum" in schema and value not in schema["enum"]:
         return [f"{place} is none of {schema['enum']}"]
-    wanted = schema.get("type", [])
-    types = tuple(_TYPES[name] for name in ([wanted] if isinstance(wanted, str) else wanted))
+    declared = schema.get("type", [])
+    types = tuple(_TYPES[name] for name in ([declared] if isinstance(declared, str) else declared))
     if types and (not isinstance(value, types) or (isinstance(value, bool) and bool not in types)):
         return [f"{place} is of the wrong type"]
-    found = []
+    problems = []
     if isinstance(value, dict):
-        found += [f"{place}.{key} is missing" for key in schema.get("required", []) if key not in value]
+        problems += [f"{place}.{key} is missing" for key in schema.get("required", []) if key not in value]
         for key, inner in value.items():
             rule = schema.get("properties", {}).get(key, schema.get("additionalProperties", True))
             if rule is False:
-                found.append(f"{place}.{key} is not in the schema")
+                problems.append(f"{place}.{key} is not in the schema")
             elif isinstance(rule, dict):
-                found += violations(inner, rule, f"{place}.{key}")
+                problems += violations(inner, rule, f"{place}.{key}")
     if isinstance(value, list):
         if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
-            found.append(f"{place} has the wrong length")
+            problems.append(f"{place} has the wrong length")
         for k, inner in enumerate(value):
-            found += violations(inner, schema.get("items", {}), f"{place}[{k}]")
-    return found
+            problems += violations(inner, schema.get("items", {}), f"{place}[{k}]")
+    return problems
 
 
 def parameter(estimate: float | None, low: float | None, high: float | None, unit: str, **more: Any) -> dict:
@@ -144,7 +144,7 @@ RUN: dict[str, Any] = {
 
 
 def changed(**values: Any) -> dict:
-    """The document with values at ``a__b`` paths replaced."""
+    """Return the document with other values at ``a__b`` paths."""
     document = copy.deepcopy(DOCUMENT)
     for path, value in values.items():
         *above, last = path.split("__")
@@ -165,7 +165,7 @@ def series(rows: int = 200, name: str = "train.csv", role: str = "train", **more
 
 
 class Page(HTMLParser):
-    """What a browser would make of a page: its elements, its scripts, and its text."""
+    """Elements, scripts and text of a page as a browser parses them."""
 
     def __init__(self, text: str):
         super().__init__()
@@ -195,7 +195,7 @@ def figures_of(page: Page) -> list[dict]:
     return json.loads(page.scripts[0])
 
 
-def test_the_documented_example_and_ours_keep_the_schema(shared):
+def test_the_documents_match_the_schema(shared):
     assert violations(DOCUMENT, SCHEMA) == []
     example = json.loads(
         (shared / "design" / "examples" / "fit.json").read_text()
@@ -215,11 +215,11 @@ def test_the_documented_example_and_ours_keep_the_schema(shared):
         (changed(other=1), "other is not in the schema"),
     ],
 )
-def test_the_schema_refuses_what_is_not_a_result(document, place):
-    assert any(place in found for found in violations(document, SCHEMA))
+def test_the_schema_rejects_invalid_documents(document, place):
+    assert any(place in problem for problem in violations(document, SCHEMA))
 
 
-def test_the_page_carries_all_it_needs_and_fetches_nothing():
+def test_the_page_loads_nothing():
     text = fit_page(DOCUMENT, [series(), series(name="holdout.csv", role="holdout")], RUN, "[rig]")
     page = Page(text)
     assert text.count("plotly.js v") == 1
@@ -251,7 +251,7 @@ def test_the_page_carries_all_it_needs_and_fetches_nothing():
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&lt;b&gt;'\"<!--"
 
 
-def test_text_from_files_stays_text():
+def test_text_from_files_is_escaped():
     document = changed(rig=HOSTILE, warnings=[HOSTILE], model=HOSTILE)
     document["parameters"][f"heat.h0@{HOSTILE}"] = parameter(1.0, 0.9, 1.1, "W/m^2/K")
     document["correlations"]["parameters"] = ["heat.h0", f"heat.h0@{HOSTILE}"]
@@ -284,7 +284,7 @@ def test_no_tag_can_begin_in_the_embedded_json():
         pages.safe_json([float("nan")])
 
 
-def test_plotly_takes_every_picture():
+def test_plotly_accepts_every_figure():
     import plotly.graph_objects as go
 
     loop = series(temperature=25 + np.linspace(0, 50, 200))
@@ -313,11 +313,11 @@ def test_plotly_takes_every_picture():
 
 
 def test_the_time_picture_shows_measured_model_residual_and_input():
-    one = series()
-    figure = time_picture(one, ["displacement"], ["current"], {"displacement": 0.02}).figure
+    recording = series()
+    figure = time_picture(recording, ["displacement"], ["current"], {"displacement": 0.02}).figure
     measured, model, residual, current = figure["data"]
-    assert measured["y"] == round_for_json(one.measured["displacement"])
-    assert model["y"] == round_for_json(one.model["displacement"])
+    assert measured["y"] == round_for_json(recording.measured["displacement"])
+    assert model["y"] == round_for_json(recording.model["displacement"])
     assert residual["y"] == pytest.approx([-1e-3] * 200, rel=1e-5)  # in mm, as the recording
     assert current["x"][-1] == 3.98
     assert [trace["yaxis"] for trace in figure["data"]] == ["y", "y", "y2", "y3"]
@@ -331,7 +331,7 @@ def test_the_time_picture_shows_measured_model_residual_and_input():
     assert all(above[0] > below[1] for above, below in pairwise(domains))
 
 
-def test_a_loop_goes_over_the_measured_temperature_where_there_is_one():
+def test_a_phase_plot_uses_the_measured_temperature_if_there_is_one():
     with_sensor = phase_picture(series(temperature=np.full(200, 33.0)), "displacement")
     without = phase_picture(series(), "displacement")
     assert with_sensor and without
@@ -356,14 +356,14 @@ def test_only_long_recordings_are_thinned_and_no_peak_is_lost():
     assert "rows the picture" not in time_picture(series(), ["displacement"], ["current"], {}).caption
 
 
-def test_curves_of_many_models_are_thinned_the_more():
+def test_lines_of_many_models_have_fewer_points():
     picture = comparison_picture({"brinson": series(6_001), "tanaka": series(6_001)}, "displacement", "holdout")
     points = [len(trace["x"]) for trace in picture.figure["data"]]
     assert len(points) == 5 and max(points) <= MAX_POINTS_OF_MANY + 2
     assert "Of 6,001 rows the picture draws the lowest and highest of every 7." in picture.caption
 
 
-def test_the_table_of_predictions_reads_back(tmp_path):
+def test_predictions_round_trip(tmp_path):
     awkward = series(name='my, "best"\nrun.csv')
     other = make_series(
         "slow.csv",
@@ -415,13 +415,13 @@ def test_a_path_has_rows_instead_of_time(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "a,b\n1,2\n", "recording,role,time [s]\n", "recording,role,time [s],current [A]\nx,train,0,zero\n"]
 )
-def test_a_table_that_is_not_ours_is_refused(tmp_path, text):
+def test_another_table_is_rejected(tmp_path, text):
     (tmp_path / "prediction.csv").write_text(text)
     with pytest.raises(InputError, match="not a table of predictions"):
         prediction.read_predictions(tmp_path / "prediction.csv")
 
 
-def test_the_summary_says_the_numbers():
+def test_numbers_of_the_summary():
     text = summary.text(DOCUMENT, "out")
     assert (
         text.splitlines()[0]
@@ -444,7 +444,7 @@ def test_the_summary_says_the_numbers():
     ("document", "words"),
     [
         (DOCUMENT, "at its noise floor"),
-        (changed(rmse__displacement__train=0.03), "1.51 times its noise floor: a little is left"),
+        (changed(rmse__displacement__train=0.03), "1.51 times its noise floor: the model leaves a small part"),
         (changed(rmse__displacement__train=0.39), "19.6 times its noise floor: the model lacks something"),
         (changed(rmse__displacement__train=0.39, solver__code="interrupted"), "the fit had not converged yet"),
         (changed(rmse__displacement__holdout=0.06), "the holdout is predicted 3 times worse"),
@@ -458,7 +458,7 @@ def test_the_verdict_compares_with_noise_and_holdout(document, words):
     ("document", "words"),
     [
         (changed(solver__starts_at_best=1), "Only 1 of 4 starts reached the best minimum"),
-        (changed(solver__starts=1), "A single start was tried"),
+        (changed(solver__starts=1), "Only one start was used"),
         (
             changed(parameters__heat_h0=parameter(0.02, None, None, "1", at_bound=True)),
             "heat_h0 is at its bound, 0.02, and has no interval",
@@ -466,18 +466,18 @@ def test_the_verdict_compares_with_noise_and_holdout(document, words):
         (changed(parameters__x=parameter(1.0, -9e9, 9e9, "K", bounds=[-200.0, 200.0])), "x is not determined"),
         (
             changed(indistinct=[{"parameters": ["x"], "direction": [1.0], "shrink": 0.0}]),
-            "x has no effect on what was observed",
+            "x has no effect on the observed channels",
         ),
         (changed(discretisation__displacement__value=0.004), "20 % of the noise floor"),
         (changed(warnings=["mind the gap"]), "mind the gap"),
     ],
 )
-def test_what_a_reader_has_to_know_is_remarked(document, words):
+def test_remarks(document, words):
     assert any(words in sentence for sentence in summary.remarks(document))
     assert not any(words in sentence for sentence in summary.remarks(DOCUMENT))
 
 
-def test_a_failed_fit_says_why_and_nothing_else():
+def test_summary_of_a_failed_fit():
     solver = {"code": "failed", "text": "diverged at the start values", "wall_s": None, "compile_s": None}
     document = changed(solver=DOCUMENT["solver"] | solver, profiles={}, indistinct=[])
     document["rmse"]["displacement"] = {"train": None, "holdout": None, "unit": "mm"}
@@ -503,9 +503,9 @@ def test_a_failed_fit_says_why_and_nothing_else():
         ((0.0, None, None), "K", ("0", "-", "-", "K")),
     ],
 )
-def test_numbers_are_shown_to_the_digits_that_are_known(values, unit, shown):
+def test_digits_of_estimates(values, unit, shown):
     assert summary.readable(*values, unit=unit) == shown
 
 
-def test_units_are_set_as_people_write_them():
+def test_pretty_units():
     assert pages.pretty_unit("W/m^2/K^3") == "W/m\N{SUPERSCRIPT TWO}/K\N{SUPERSCRIPT THREE}"

@@ -1,4 +1,4 @@
-"""The simulator: convergence to the exact reference, derivatives, invariances, and failures that say what to do."""
+"""The simulation: convergence to the exact reference, derivatives, invariances, and error messages with a cure."""
 
 import equinox as eqx
 import jax
@@ -27,15 +27,15 @@ def material(plant) -> Material:
 
 
 def errors(plant, recording, exact, channel, steps, interpolation):
-    """RMS differences to the exact channel, for each step: all on the grid of the finest, so that they are one program."""
+    """RMS differences to the exact channel for each step, all on the grid of the finest, so that one program serves all."""
     laid = [discretise(plant, recording, interpolation=interpolation, step=step) for step in steps]
     grid = max(len(inputs.time) for inputs in laid)
     results = [simulate.simulate_inputs(plant, inputs.pad(grid, len(recording))) for inputs in laid]
     return np.array([np.sqrt(np.mean((np.asarray(result.channels[channel]) - exact) ** 2)) for result in results])
 
 
-def orders(found, steps):
-    return np.diff(np.log(found)) / np.diff(np.log(steps))
+def orders(computed, steps):
+    return np.diff(np.log(computed)) / np.diff(np.log(steps))
 
 
 def test_dead_weight_converges_to_the_exact_reference_with_second_order():
@@ -50,9 +50,9 @@ def test_dead_weight_converges_to_the_exact_reference_with_second_order():
         interpolation="linear",
     )
     steps = np.array([0.08, 0.04, 0.02])
-    found = errors(plant, recording, exact.position, "displacement", steps, "linear")
-    assert np.all(orders(found, steps) > 1.8), (found, orders(found, steps))
-    assert found[-1] < 1e-6
+    computed = errors(plant, recording, exact.position, "displacement", steps, "linear")
+    assert np.all(orders(computed, steps) > 1.8), (computed, orders(computed, steps))
+    assert computed[-1] < 1e-6
 
 
 def test_rotary_converges_to_the_exact_reference():
@@ -60,10 +60,10 @@ def test_rotary_converges_to_the_exact_reference():
     signal = np.column_stack([recording.channels["current_1"], recording.channels["current_2"]])
     exact = rigs.rotary(material(plant), HEAT, Wire(0.2e-3, 0.5, 0.02, 20.0), 0.02, recording.time, signal)
     steps = np.array([0.08, 0.02, 0.005])
-    found = errors(plant, recording, exact.position, "angle", steps, "hold")
-    # Where one wire's driving variable turns because the other's does, inside a step, the local order falls to one.
-    assert np.all(orders(found, steps) > 1.4), (found, orders(found, steps))
-    assert np.degrees(found[-1]) < 2e-3
+    computed = errors(plant, recording, exact.position, "angle", steps, "hold")
+    # If a wire's driving variable reverses inside a step because that of the other does, the local order falls to one.
+    assert np.all(orders(computed, steps) > 1.4), (computed, orders(computed, steps))
+    assert np.degrees(computed[-1]) < 2e-3
 
 
 def test_halved_steps_are_those_of_half_the_step_as_far_as_the_grid_goes():
@@ -80,7 +80,7 @@ def test_halved_steps_are_those_of_half_the_step_as_far_as_the_grid_goes():
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
 def test_merged_steps_heat_as_much(interpolation):
-    """Steps merged by threes are as good as a recording of every third sample can make them, and jumps of a held input heat as before."""
+    """Merging three steps is as accurate as a recording of every third sample allows, and jumps of a held input heat as before."""
     plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 400, 0.02)
     inputs = discretise(plant, recording, interpolation=interpolation, step=0.02)
     merged = inputs.coarsen(3, held=interpolation == "hold")
@@ -122,15 +122,15 @@ def test_smoothing_vanishes_on_the_wire_with_first_order():
     recording = plants.inputs("dead_weight", 400, 0.08)
     sharp = simulate.simulate(plants.dead_weight(), recording).channels["displacement"]
     amounts = np.array([1e-2, 1e-4])
-    found = []
+    computed = []
     for smoothing in amounts:
         plant = eqx.tree_at(
             lambda p: p.material, plants.dead_weight(), Brinson(**plants.MATERIAL, smoothing=float(smoothing))
         )
-        found.append(
+        computed.append(
             float(jnp.sqrt(jnp.mean((simulate.simulate(plant, recording).channels["displacement"] - sharp) ** 2)))
         )
-    assert np.all(np.abs(orders(found, amounts) - 1.0) < 0.15), found
+    assert np.all(np.abs(orders(computed, amounts) - 1.0) < 0.15), computed
 
 
 def test_bias_spring_testing_machine_and_paths_agree_with_the_reference():
@@ -184,7 +184,7 @@ def test_every_parameter_has_its_derivative(kind):
 
     @jax.jit
     def moved(point, direction):
-        """The response, its derivative along a direction, and in reverse mode the gradient of its weighted sum."""
+        """The response, its derivative in a direction, and the gradient of its weighted sum in reverse mode."""
         value, push = jax.linearize(response, point)
         gradient = (
             jax.linear_transpose(push, point)(jnp.asarray(weights))[0]
@@ -203,7 +203,7 @@ def test_every_parameter_has_its_derivative(kind):
     for i, name in enumerate(names):
         best = np.inf
         # The response has kinks in its parameters (a band's edge that a sample just misses): the median over samples and the best of
-        # several steps is what can be asked of a difference quotient.
+        # several steps is the best that a difference quotient can give.
         for h in (1e-4, 1e-5, 1e-6, 1e-7):
             e = h * np.eye(len(names))[i]
             numeric = np.asarray(moved(point + e, still)[0] - moved(point - e, still)[0]) / (2 * h)
@@ -275,16 +275,16 @@ def test_one_failing_member_leaves_the_others_alone():
 
 
 def test_a_recording_that_is_filled_up_stands_still_at_its_end():
-    """A wire that melts if its last current goes on does not for that a longer recording is simulated beside it."""
+    """A wire that would melt if its last current continued does not melt because a longer recording is in the same batch."""
     plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 60, 0.002)
     hot = {**recording.channels, "current": np.full(60, 5.0)}
     for rows, code in ((60, SimulationStatus.overheated), (8, SimulationStatus.done)):
         short = plants.recording({name: values[:rows] for name, values in hot.items()}, recording.time[:rows])
         alone = discretise(plant, short, step=0.002)
-        found = simulate.simulate_inputs(plant, alone.pad(128, 64))
-        assert SimulationStatus(int(found.status)) is code
-        seen = np.asarray(found.channels["temperature"])
-        assert np.all(seen[rows:] == seen[rows - 1]) and found.time[-1] == short.time[-1]
+        computed = simulate.simulate_inputs(plant, alone.pad(128, 64))
+        assert SimulationStatus(int(computed.status)) is code
+        seen = np.asarray(computed.channels["temperature"])
+        assert np.all(seen[rows:] == seen[rows - 1]) and computed.time[-1] == short.time[-1]
 
 
 def test_swapping_the_wires_turns_the_angle_round():
@@ -297,15 +297,15 @@ def test_swapping_the_wires_turns_the_angle_round():
         },
         recording.time,
     )
-    one, two = simulate.simulate(plant, recording, step=0.04), simulate.simulate(plant, swapped, step=0.04)
-    assert np.asarray(one.channels["angle"]) == pytest.approx(-np.asarray(two.channels["angle"]), abs=1e-9)
-    assert np.asarray(one.channels["temperature_1"]) == pytest.approx(
-        np.asarray(two.channels["temperature_2"]), rel=1e-12
+    response, mirrored = simulate.simulate(plant, recording, step=0.04), simulate.simulate(plant, swapped, step=0.04)
+    assert np.asarray(response.channels["angle"]) == pytest.approx(-np.asarray(mirrored.channels["angle"]), abs=1e-9)
+    assert np.asarray(response.channels["temperature_1"]) == pytest.approx(
+        np.asarray(mirrored.channels["temperature_2"]), rel=1e-12
     )
 
 
 def test_two_wires_with_latent_heat_are_solved_at_every_step():
-    """Where one wire's transformation begins within a step, no Newton step may lessen the balances; draws that such a step has stopped."""
+    """If a transformation begins within a step, there may be no Newton step that decreases the residual; draws where this failed."""
     text = (data_path("recordings", "rotary") / "rig.toml").read_text("utf-8")
     rig = parse_rig(
         text + '\n[effects.latent-heat]\nstrength = "40 MJ/m^3"\n[effects.wire-crosstalk]\nstrength = "0.08"\n'
@@ -372,7 +372,7 @@ def test_two_wires_with_latent_heat_and_narrow_transformations_are_solved_at_eve
 
 
 def test_a_step_as_far_beyond_a_kink_as_it_was_before_is_no_gain():
-    """Found among 100,000 designs: Newton's steps oscillated between two points of equal residual, and eight or nine never converged."""
+    """Cases from 100,000 designs: Newton's steps oscillated between two points of equal residual, and eight or nine never converged."""
     rig, swings = read_rig(data_path("recordings", "rotary") / "rig.toml"), []
     diameter, length, prestrain, radius = (
         0.0001535965451505035,
@@ -396,15 +396,15 @@ def test_a_step_as_far_beyond_a_kink_as_it_was_before_is_no_gain():
 
 def test_light_pulley_is_the_limit_of_small_inertia():
     recording = plants.inputs("rotary", 301, 0.02)
-    found = []
+    computed = []
     for inertia in (1e-5, 1e-7):
         heavy = simulate.simulate(plants.rotary(inertia, 100 * inertia), recording, step=0.02).channels["angle"]
         light = plants.light_rotary(**{k: v for k, v in plants.ROTARY_PAPER.items() if not k.startswith("thermal")})
-        found.append(
+        computed.append(
             float(jnp.sqrt(jnp.mean((heavy - simulate.simulate(light, recording, step=0.02).channels["angle"]) ** 2)))
         )
-    assert found[1] < 0.3 * found[0] or found[1] < 1e-5, found
-    assert found[1] < 1e-3
+    assert computed[1] < 0.3 * computed[0] or computed[1] < 1e-5, computed
+    assert computed[1] < 1e-3
 
 
 def test_inertia_rings_as_the_reference_does():
@@ -414,9 +414,9 @@ def test_inertia_rings_as_the_reference_does():
     exact = rigs.rotary_inertia(
         material(plant), HEAT, Wire(0.2e-3, 0.5, 0.02, 20.0), 0.02, 2e-4, 2e-4, recording.time, signal, substeps=400
     )
-    found = errors(plant, recording, exact.position, "angle", (0.001, 0.0005), "hold")
-    assert found[1] < found[0] / 2.5
-    assert found[1] < 2e-3 * np.ptp(exact.position)
+    computed = errors(plant, recording, exact.position, "angle", (0.001, 0.0005), "hold")
+    assert computed[1] < computed[0] / 2.5
+    assert computed[1] < 2e-3 * np.ptp(exact.position)
 
 
 def test_a_wire_cannot_push():
@@ -475,7 +475,9 @@ def test_steady_temperature_and_time_constant_of_the_paper():
 
 def test_failure_says_what_to_do():
     plant = parameters.replace(plants.dead_weight(), {"drive.gain": 16.0})
-    with pytest.raises(NumericsError, match=r"overheated: the wire passed .* check the input's unit.*drive.gain = 16"):
+    with pytest.raises(
+        NumericsError, match=r"overheated: the wire exceeded .* check the input's unit.*drive.gain = 16"
+    ):
         simulate.simulate(plant, plants.inputs("dead_weight", 100, 0.1))
 
 

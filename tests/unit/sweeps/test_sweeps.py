@@ -1,4 +1,4 @@
-"""Sweeps: designs, metrics against the exact reference, derivatives, the command, and what is left when a run dies."""
+"""Sweeps: designs, metrics against the exact reference, derivatives, the command, and interrupted runs."""
 
 import contextlib
 import json
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import equinox as eqx
@@ -44,6 +45,7 @@ from smajax.sweeps.compilation import evaluate_batch
 from smajax.sweeps.excitation import Excitation, discretise_excitation, grid_parts
 from smajax.sweeps.metrics import METRICS, Response, bandwidth
 from smajax.sweeps.pareto import pareto_front, thin_front
+from smajax.sweeps.problem import AbstractSweepProblem
 from smajax.sweeps.refinement import refine, restore_and_refine
 from smajax.sweeps.rig_problem import RigSweepProblem
 from smajax.sweeps.sobol import complete_rows, missing_reason, sobol_indices
@@ -89,11 +91,31 @@ def folder(tmp_path):
     return tmp_path
 
 
+class StubProblem(AbstractSweepProblem):
+    """Problem without a simulation; tests replace ``evaluation.differentiate_batch`` by their own metrics."""
+
+    metric_units: dict[str, str] = eqx.field(static=True)
+    steps_of: Callable[[np.ndarray], int] = eqx.field(static=True, default=lambda design: 1)
+
+    @property
+    def units(self):
+        return self.metric_units
+
+    def steps(self, designs):
+        return np.array([self.steps_of(design) for design in designs])
+
+    def shared_steps(self, design):
+        return self.steps_of(design)
+
+    def evaluate(self, design, steps, differentiable=False):
+        raise NotImplementedError
+
+
 def run(folder, out="out", **options):
     return run_sweep(SweepJob(folder / "sweep.toml", folder / out, **options), Progress(quiet=True), ["smajax"])
 
 
-def test_designs_lie_where_they_should():
+def test_designs_cover_the_space():
     axes = (
         Axis("a", "m", 1.0, 3.0),
         Axis("b", "m", 1e-3, 1.0, log=True),
@@ -103,14 +125,14 @@ def test_designs_lie_where_they_should():
     assert grid.shape == (25, 2) and np.allclose(np.unique(grid[:, 1]), np.geomspace(1e-3, 1.0, 5))
     assert np.array_equal(np.unique(space.draw_designs(axes[2:], "grid", 0, 0)), [1.0, 2.0, 5.0])
     for sampling in ("latin-hypercube", "sobol"):
-        found = space.draw_designs(axes, sampling, 64, 3)
-        assert np.array_equal(found, space.draw_designs(axes, sampling, 64, 3)) and not np.array_equal(
-            found, space.draw_designs(axes, sampling, 64, 4)
+        designs = space.draw_designs(axes, sampling, 64, 3)
+        assert np.array_equal(designs, space.draw_designs(axes, sampling, 64, 3)) and not np.array_equal(
+            designs, space.draw_designs(axes, sampling, 64, 4)
         )
         # Each of 64 equal parts of each axis holds one design.
         for k, axis in enumerate(axes[:2]):
-            assert np.array_equal(np.sort((axis.share(found[:, k]) * 64).astype(int)), np.arange(64))
-        assert set(found[:, 2]) == {1.0, 5.0, 2.0}
+            assert np.array_equal(np.sort((axis.share(designs[:, k]) * 64).astype(int)), np.arange(64))
+        assert set(designs[:, 2]) == {1.0, 5.0, 2.0}
     share = np.linspace(0.0, 1.0, 7)
     for axis in axes[:2]:
         assert np.allclose(axis.share(axis.at(share)), share, atol=1e-14)
@@ -118,11 +140,11 @@ def test_designs_lie_where_they_should():
 
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 2**31), st.integers(1, 60), st.integers(1, 3))
-def test_the_front_holds_what_nothing_dominates(seed, count, size):
+def test_pareto_front_has_all_nondominated_designs(seed, count, size):
     costs = np.random.default_rng(seed).integers(0, 6, (count, size)).astype(float)
     costs[np.random.default_rng(seed + 1).random(count) < 0.1] = np.nan
-    beaten = [any(np.all(b <= a) and np.any(b < a) for b in costs) or np.isnan(a).any() for a in costs]
-    assert np.array_equal(pareto_front(costs), np.flatnonzero(~np.array(beaten)))
+    dominated = [any(np.all(b <= a) and np.any(b < a) for b in costs) or np.isnan(a).any() for a in costs]
+    assert np.array_equal(pareto_front(costs), np.flatnonzero(~np.array(dominated)))
 
 
 def test_sobol_indices_of_ishigamis_function():
@@ -132,61 +154,62 @@ def test_sobol_indices_of_ishigamis_function():
         return np.sin(x[0]) + 7.0 * np.sin(x[1]) ** 2 + 0.1 * x[2] ** 4 * np.sin(x[0])
 
     designs = space.pick_and_freeze(axes, 4096, 0)
-    found = sobol_indices(ishigami(designs.T), "xyz", 0)
-    assert np.allclose([found[n].first for n in "xyz"], [0.3139, 0.4424, 0.0], atol=0.01)
-    assert np.allclose([found[n].total for n in "xyz"], [0.5576, 0.4424, 0.2437], atol=0.01)
+    indices = sobol_indices(ishigami(designs.T), "xyz", 0)
+    assert np.allclose([indices[n].first for n in "xyz"], [0.3139, 0.4424, 0.0], atol=0.01)
+    assert np.allclose([indices[n].total for n in "xyz"], [0.5576, 0.4424, 0.2437], atol=0.01)
     assert all(
-        one.first95[0] <= one.first <= one.first95[1] and one.total95[0] <= one.total <= one.total95[1]
-        for one in found.values()
+        index.first95[0] <= index.first <= index.first95[1] and index.total95[0] <= index.total <= index.total95[1]
+        for index in indices.values()
     )
-    theirs = scipy_sobol_indices(
+    reference = scipy_sobol_indices(
         func=lambda x: ishigami(x)[None], n=4096, dists=[uniform(-np.pi, 2 * np.pi)] * 3, rng=np.random.default_rng(0)
     )
-    assert np.allclose([found[n].total for n in "xyz"], theirs.total_order.ravel(), atol=0.01)
-    # Rows of designs with a failed one among them are left out, and no more.
-    holed = ishigami(designs.T)
-    holed[np.random.default_rng(1).integers(0, len(holed), 50)] = np.nan
-    rest = sobol_indices(holed, "xyz", 0)
+    assert np.allclose([indices[n].total for n in "xyz"], reference.total_order.ravel(), atol=0.01)
+    # Only rows with a failed design are left out.
+    incomplete = ishigami(designs.T)
+    incomplete[np.random.default_rng(1).integers(0, len(incomplete), 50)] = np.nan
+    remaining = sobol_indices(incomplete, "xyz", 0)
     assert all(
-        rest[n].total == pytest.approx(found[n].total, abs=0.02) and rest[n].total != found[n].total for n in "xyz"
+        remaining[n].total == pytest.approx(indices[n].total, abs=0.02) and remaining[n].total != indices[n].total
+        for n in "xyz"
     )
-    assert 4046 <= np.sum(complete_rows(holed, 3)) < 4096
-    infinite = np.where(np.arange(len(holed)) == 7, np.inf, holed)
+    assert 4046 <= np.sum(complete_rows(incomplete, 3)) < 4096
+    infinite = np.where(np.arange(len(incomplete)) == 7, np.inf, incomplete)
     for values, reason in (
         (np.ones(200), "does not vary"),
         (infinite, "infinite"),
-        (np.full(200, np.nan), "has a value in all designs of 0 rows only"),
+        (np.full(200, np.nan), "only 0 rows have a value in all their designs"),
     ):
         assert sobol_indices(values, "xyz", 0) == {} and reason in missing_reason(values, 3)
 
 
-def test_bandwidth_is_where_the_stroke_has_fallen():
+def test_bandwidth_of_a_low_pass():
     frequencies = jnp.geomspace(0.1, 10.0, 400)
     low_pass = 1.0 / jnp.sqrt(1.0 + (frequencies / 2.0) ** 2)
-    wanted = 2.0 * np.sqrt(1.0 / (0.5 * float(low_pass[0]) ** 2) - 1.0)
-    assert float(bandwidth(frequencies, low_pass)) == pytest.approx(wanted, rel=1e-4)
+    expected = 2.0 * np.sqrt(1.0 / (0.5 * float(low_pass[0]) ** 2) - 1.0)
+    assert float(bandwidth(frequencies, low_pass)) == pytest.approx(expected, rel=1e-4)
     assert np.isinf(float(bandwidth(frequencies, jnp.ones(400))))
     assert np.isnan(float(bandwidth(frequencies, jnp.full(400, jnp.nan))))
 
 
-def test_a_bandwidth_is_found_between_frequencies():
-    def low_pass(tau, frequency):  # a cliff on top, which straight lines between a few frequencies would miss by far
+def test_bandwidth_between_scan_frequencies_and_its_derivatives():
+    def low_pass(tau, frequency):  # a steep fall, which linear interpolation between a few frequencies would miss
         return FrequencyPoint(jnp.exp(-((frequency * tau) ** 8)), frequency, jnp.asarray(0))
 
     def of(tau, lowest, highest=10.0):
-        held = jax.lax.stop_gradient(tau)
+        constant = jax.lax.stop_gradient(tau)
         return find_bandwidth(
-            lambda frequency: low_pass(held, frequency), lowest, highest, lambda frequency: low_pass(tau, frequency)
+            lambda frequency: low_pass(constant, frequency), lowest, highest, lambda frequency: low_pass(tau, frequency)
         )[0]
 
     for tau, lowest in ((0.5, 0.1), (0.3, 0.2), (0.9, 0.05)):
-        wanted = lambda tau, lowest: (0.5 * np.log(2.0) + (lowest * tau) ** 8) ** 0.125 / tau  # noqa: E731
-        found, slopes = jax.jit(jax.value_and_grad(of, (0, 1)))(tau, lowest)
-        assert float(found) == pytest.approx(wanted(tau, lowest), rel=1e-4)
-        assert float(slopes[0]) == pytest.approx(-float(found) / tau, rel=2e-2) and abs(float(slopes[1])) < 1e-3
+        exact = lambda tau, lowest: (0.5 * np.log(2.0) + (lowest * tau) ** 8) ** 0.125 / tau  # noqa: E731
+        value, slopes = jax.jit(jax.value_and_grad(of, (0, 1)))(tau, lowest)
+        assert float(value) == pytest.approx(exact(tau, lowest), rel=1e-4)
+        assert float(slopes[0]) == pytest.approx(-float(value) / tau, rel=2e-2) and abs(float(slopes[1])) < 1e-3
         plain = find_bandwidth(lambda frequency, tau=tau: low_pass(tau, frequency), jnp.asarray(lowest), 10.0)
-        assert float(plain[0]) == pytest.approx(float(found), rel=1e-9) and float(plain[1]) == pytest.approx(
-            float(found), rel=2e-2
+        assert float(plain[0]) == pytest.approx(float(value), rel=1e-9) and float(plain[1]) == pytest.approx(
+            float(value), rel=2e-2
         )
     assert np.isinf(float(of(0.5, jnp.asarray(0.1), 1.0)))
 
@@ -194,17 +217,19 @@ def test_a_bandwidth_is_found_between_frequencies():
 def test_bandwidth_of_a_rig_against_dense_frequencies():
     plant, wave = read_rig(RIG).plant, Excitation("square", 0.3, 0.1, 0.5, 2)
     problem = RigSweepProblem(("heat.h0", "input.amplitude"), plant, ("bandwidth", "settling"), wave, 2, "hold", 2.0)
-    found, codes = evaluate_batch(problem, jnp.asarray([[90.0, 0.3], [90.0, 1e-4]]), 100)
-    assert np.isnan(found["bandwidth"][1])  # a wire that stays cold does not move, and so does not fall off
+    metrics, codes = evaluate_batch(problem, jnp.asarray([[90.0, 0.3], [90.0, 1e-4]]), 100)
+    assert np.isnan(metrics["bandwidth"][1])  # a wire that stays cold does not move, and has no bandwidth
     each = RigSweepProblem(("heat.h0", "input.frequency"), plant, ("stroke", "settling"), wave, 2, "hold", 0.0)
     dense = np.sort(
-        np.concatenate([np.geomspace(0.1, 2.0, 40), float(found["bandwidth"][0]) * np.linspace(0.97, 1.03, 31)])
+        np.concatenate([np.geomspace(0.1, 2.0, 40), float(metrics["bandwidth"][0]) * np.linspace(0.97, 1.03, 31)])
     )
-    told, _ = evaluate_batch(each, jnp.asarray(np.column_stack([np.full(len(dense), 90.0), dense])), 100)
-    first = int(np.argmax(told["stroke"] <= told["stroke"][0] / np.sqrt(2.0)))
-    assert not np.any(codes) and dense[first - 1] * 0.999 <= float(found["bandwidth"][0]) <= dense[first] * 1.001
-    # It is read off a response that is further from closing than the slow wave's.
-    assert found["settling"][0] > max(float(told["settling"][0]), 0.5 * float(told["settling"][first - 1]))
+    dense_metrics, _ = evaluate_batch(each, jnp.asarray(np.column_stack([np.full(len(dense), 90.0), dense])), 100)
+    first = int(np.argmax(dense_metrics["stroke"] <= dense_metrics["stroke"][0] / np.sqrt(2.0)))
+    assert not np.any(codes) and dense[first - 1] * 0.999 <= float(metrics["bandwidth"][0]) <= dense[first] * 1.001
+    # The response at the bandwidth has a larger settling gap than that at the low frequency.
+    assert metrics["settling"][0] > max(
+        float(dense_metrics["settling"][0]), 0.5 * float(dense_metrics["settling"][first - 1])
+    )
 
 
 def test_a_wire_that_still_warms_up_has_not_settled(folder):
@@ -232,13 +257,13 @@ def test_a_wire_that_still_warms_up_has_not_settled(folder):
     assert f"{moving} designs have not settled" in outcome.document["summary"] and outcome.document["feasible"] == 20
 
 
-def test_refined_designs_in_words():
-    """What refining gained is said beside the best of the drawn designs, and whether it has settled."""
+def test_summary_of_refined_designs():
+    """It compares the refined designs with the best sampled one, and says whether they have settled."""
 
     def refined(stroke, better):
         return {"better": better, "simulations": 30, "metrics": {"stroke": stroke}, "parameters": {}}
 
-    def told(refined, settling=None):
+    def summary(refined, settling=None):
         best = {"design": 3, "parameters": {}, "metrics": {"stroke": 2e-3}}
         document = {
             "designs": 9,
@@ -250,14 +275,12 @@ def test_refined_designs_in_words():
         document |= {"front": [best], "on_front": 1, "metrics": {"stroke": {"unit": "m"}}, "problems": []}
         return sweep_summary(document | {"refined": refined, "settling": settling or {}})
 
-    gained = told([refined(1.9e-3, True), refined(3e-3, True)])
-    assert gained.endswith("2 mm, with design 3. Refined along its gradients it is 3 mm, in 60 simulations.")
-    assert told([refined(1.9e-3, True)]).endswith("it is 1.9 mm, in 30 simulations, which is not better.")
-    none = told([refined(2e-3, False)])
-    assert none.endswith(
-        "with design 3. Refining along its gradients found none better than those it began from, in 30 simulations."
-    )
-    assert told([]).endswith("with design 3.")
+    gained = summary([refined(1.9e-3, True), refined(3e-3, True)])
+    assert gained.endswith("2 mm, with design 3. With gradient-based refinement it is 3 mm, in 60 simulations.")
+    assert summary([refined(1.9e-3, True)]).endswith("it is 1.9 mm, in 30 simulations, which is not better.")
+    none = summary([refined(2e-3, False)])
+    assert none.endswith("with design 3. Gradient-based refinement found no better design, in 30 simulations.")
+    assert summary([]).endswith("with design 3.")
     still = {
         "designs": 9,
         "rig": "rig.toml",
@@ -267,12 +290,17 @@ def test_refined_designs_in_words():
         "refined": [],
     }
     still |= {"front": [], "metrics": {"stroke": {"unit": "m", "lowest": 0.0, "highest": 0.0}}, "problems": []}
-    assert sweep_summary(still).endswith("The parameters do not change stroke, so that no design is the best in it.")
+    assert sweep_summary(still).endswith(
+        "The parameters do not change stroke, so no design is better than another in it."
+    )
     moving = {"limit": 0.01, "unsettled": 0, "unsettled_on_front": 0, "unsettled_refined": 1}
-    assert " 1 refined one has not settled: the last cycle ends more than 1 %" in told([refined(3e-3, True)], moving)
-    both = told([], moving | {"unsettled": 5, "unsettled_on_front": 1, "unsettled_refined": 2})
+    assert " 1 refined one has not settled: start and end of the last cycle differ by more than 1 %" in summary(
+        [refined(3e-3, True)], moving
+    )
+    both = summary([], moving | {"unsettled": 5, "unsettled_on_front": 1, "unsettled_refined": 2})
     assert (
-        " 5 designs have not settled (1 of the best among them), and 2 refined ones have not settled: the last" in both
+        " 5 designs have not settled (1 of the best among them), and 2 refined ones have not settled: start and end"
+        in both
     )
 
 
@@ -280,12 +308,12 @@ def test_a_refined_wire_that_still_warms_up_is_counted(folder):
     text = SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "6 Hz"').replace("designs = 130", "designs = 20")
     (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 1\n", "utf-8")
     document = run(folder).document
-    (one,) = document["refined"]
-    assert one["better"] and one["metrics"]["settling"] > 0.01
+    (refined,) = document["refined"]
+    assert refined["better"] and refined["metrics"]["settling"] > 0.01
     assert document["settling"]["unsettled_refined"] == 1 and "1 refined one has not settled" in document["summary"]
 
 
-def test_waves_have_their_edges_on_the_grid():
+def test_edges_of_waves_are_grid_points():
     wave = Excitation("square", 2.0, 0.5, 0.3, 3)
     inputs = discretise_excitation(wave, 1, 40, {}, (jnp.asarray(0.1), jnp.asarray(0.25)))
     time, before = np.asarray(inputs.time), np.asarray(inputs.before)[:, 0]
@@ -304,8 +332,8 @@ def test_waves_have_their_edges_on_the_grid():
         assert np.allclose(np.asarray(smooth.after).max(axis=0), 1.0) and np.asarray(smooth.after).min() > -1e-12
 
 
-def test_what_cools_through_a_sheath_rests_until_it_is_cool(tmp_path):
-    """With one number for h, wire and liner are a linear system. What is heated by nothing, or never cools so far, has no such time."""
+def test_time_to_cool_through_a_sheath(tmp_path):
+    """With a constant h, wire and liner are a linear system. Without heating, or if the wire cools too little, there is no such time."""
     glove = (ROOT / "data" / "recordings" / "glove-finger" / "rig.toml").read_text("utf-8")
     (tmp_path / "rig.toml").write_text(glove, "utf-8")
     content = """
@@ -326,10 +354,10 @@ def test_what_cools_through_a_sheath_rests_until_it_is_cool(tmp_path):
     (tmp_path / "sweep.toml").write_text(content, "utf-8")
     sweep = read_sweep(tmp_path / "sweep.toml")
     problem, designs = sweep.problem(), sweep.designs()
-    found = chunks.evaluate_designs(problem, designs, int(problem.steps(designs).max()))["time_to_cool"]
+    times = chunks.evaluate_designs(problem, designs, int(problem.steps(designs).max()))["time_to_cool"]
     area, volume = np.pi * 0.38e-3 * 0.9, np.pi / 4 * 0.38e-3**2 * 0.9
     own = 5.4e6 * volume / (120.0 * area)  # the wire's time constant
-    for (conduction, lag), cooling in zip(designs, found, strict=True):
+    for (conduction, lag), cooling in zip(designs, times, strict=True):
         rates = np.array([[-(1.0 + conduction) / own, conduction / own], [1.0 / lag, -1.0 / lag]])
         steady = -np.linalg.solve(rates, [8.0 / (5.4e6 * volume), 0.0])
         hot = _heated(rates, steady)
@@ -346,17 +374,17 @@ def test_what_cools_through_a_sheath_rests_until_it_is_cool(tmp_path):
 
 
 def _heated(rates: np.ndarray, steady: np.ndarray) -> np.ndarray:
-    """The excess of wire and liner after 15 s of heat, 35 s without, and 15 s with it again."""
+    """Excess temperatures of wire and liner after 15 s of heating, 35 s of cooling, and 15 s of heating."""
     first = steady - expm(15.0 * rates) @ steady
     return steady + expm(15.0 * rates) @ (expm(35.0 * rates) @ first - steady)
 
 
-def test_as_few_programs_as_pay():
+def test_few_programs_for_many_step_numbers():
     few = np.array([40, 50, 900])
     assert np.array_equal(group_steps(few), [900, 900, 900])
     many = np.concatenate([np.full(50_000, 40), np.full(10, 1000)])
-    given = group_steps(many)
-    assert np.all(given >= many) and set(given) == {40, 1000}
+    steps = group_steps(many)
+    assert np.all(steps >= many) and set(steps) == {40, 1000}
 
 
 def test_batches_fit_into_memory(folder):
@@ -371,7 +399,9 @@ def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
     sweep = read_sweep(folder / "sweep.toml")
     problem, parts = sweep.problem(), chunks.split_into_chunks(sweep.problem(), sweep.designs(), 20)
     assert [len(group) for group in chunks.group_chunks(problem, parts, False)] == [1] * 7
-    narrow = {chunk.number: found for done in chunks.submit_locally(problem, False)(parts[:3]) for chunk, found in done}
+    narrow = {
+        chunk.number: results for done in chunks.submit_locally(problem, False)(parts[:3]) for chunk, results in done
+    }
     sizes = []
 
     def counted(problem, designs, steps):
@@ -382,14 +412,14 @@ def test_an_accelerators_batch_takes_several_chunks(folder, monkeypatch):
     monkeypatch.setattr(compilation, "evaluate_batch", counted)
     assert [len(group) for group in chunks.group_chunks(problem, parts, False)] == [7]
     together = {
-        chunk.number: found for done in chunks.submit_locally(problem, False)(parts[:3]) for chunk, found in done
+        chunk.number: results for done in chunks.submit_locally(problem, False)(parts[:3]) for chunk, results in done
     }
     # 60 designs in one batch of 64, not three of 16384.
     assert sizes == [64] and together.keys() == narrow.keys()
-    for number, found in together.items():
+    for number, results in together.items():
         assert all(
             np.array_equal(v, narrow[number][n]) if n == "code" else np.allclose(v, narrow[number][n], rtol=1e-9)
-            for n, v in found.items()
+            for n, v in results.items()
         )
 
 
@@ -408,21 +438,23 @@ np.savez(sys.argv[2], **found)
 """
 
 
-def test_two_devices_find_what_one_finds(folder):
+def test_two_devices_agree_with_one(folder):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "EQX_ON_ERROR": "off"}
     call = [sys.executable, "-c", TWO, str(folder / "sweep.toml"), str(folder / "two.npz")]
     done = subprocess.run(call, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     sweep, two = read_sweep(folder / "sweep.toml"), np.load(folder / "two.npz")
-    one = chunks.evaluate_designs(sweep.problem(), sweep.designs()[:64], 40)
-    assert all(np.array_equal(one[n], two[n]) if n == "code" else np.allclose(one[n], two[n], rtol=1e-12) for n in one)
+    single = chunks.evaluate_designs(sweep.problem(), sweep.designs()[:64], 40)
+    assert all(
+        np.array_equal(single[n], two[n]) if n == "code" else np.allclose(single[n], two[n], rtol=1e-12) for n in single
+    )
 
 
 def test_metrics_agree_with_the_exact_reference(folder):
     """Stroke, temperature, energy and work of the last cycle, and the time to cool, from a simulator that shares no code."""
     sweep = read_sweep(folder / "sweep.toml")
     problem, designs = sweep.problem(), sweep.designs()[:4]
-    found = chunks.evaluate_designs(problem, designs, 300)
+    metrics = chunks.evaluate_designs(problem, designs, 300)
     plant = sweep.subject.rig.plant
     law = Material(**{k: float(getattr(plant.material, k)) for k in Material._fields})
     heat = Heat(
@@ -440,28 +472,28 @@ def test_metrics_agree_with_the_exact_reference(folder):
         exact = rigs.dead_weight(law, heat, wire, mass, time, current, interpolation="hold")
         cycle, rest = slice(200, 401), slice(500, None)
         area = np.pi / 4 * diameter**2
-        assert found["stroke"][k] == pytest.approx(np.ptp(exact.position[cycle]), rel=2e-3, abs=2e-6)
-        assert found["peak_temperature"][k] == pytest.approx(exact.temperature.max(), abs=0.05)
-        assert found["force"][k] == pytest.approx(mass * 9.81, rel=1e-6) and found["peak_stress"][k] == pytest.approx(
-            mass * 9.81 / area, rel=1e-6
-        )
+        assert metrics["stroke"][k] == pytest.approx(np.ptp(exact.position[cycle]), rel=2e-3, abs=2e-6)
+        assert metrics["peak_temperature"][k] == pytest.approx(exact.temperature.max(), abs=0.05)
+        assert metrics["force"][k] == pytest.approx(mass * 9.81, rel=1e-6) and metrics["peak_stress"][
+            k
+        ] == pytest.approx(mass * 9.81 / area, rel=1e-6)
         energy = np.sum((exact.resistance[:, 0] * current**2)[cycle][:-1]) * 0.01
-        assert found["energy_per_cycle"][k] == pytest.approx(energy, rel=3e-3)
+        assert metrics["energy_per_cycle"][k] == pytest.approx(energy, rel=3e-3)
         lifted = np.sum(np.maximum(np.diff(exact.position[cycle]), 0.0)) * mass * 9.81
-        assert found["work_per_cycle"][k] == pytest.approx(lifted, rel=5e-3, abs=1e-6)
-        assert found["efficiency"][k] == pytest.approx(lifted / energy, rel=1e-2, abs=1e-6)
+        assert metrics["work_per_cycle"][k] == pytest.approx(lifted, rel=5e-3, abs=1e-6)
+        assert metrics["efficiency"][k] == pytest.approx(lifted / energy, rel=1e-2, abs=1e-6)
         excess = exact.temperature[rest, 0] - 20.0
         cooled = 0.01 * np.interp(-0.1 * excess[0], -excess, np.arange(len(excess)))
-        assert found["time_to_cool"][k] == pytest.approx(cooled, rel=5e-3)
+        assert metrics["time_to_cool"][k] == pytest.approx(cooled, rel=5e-3)
 
 
 def test_derivatives_of_every_metric(folder):
     sweep = read_sweep(folder / "sweep.toml")
     problem, designs, steps = sweep.problem(), sweep.designs()[:16], 40
-    found = chunks.evaluate_designs(problem, designs, steps, gradients=True)
+    columns = chunks.evaluate_designs(problem, designs, steps, gradients=True)
     plain = chunks.evaluate_designs(problem, designs, steps)
     for name in problem.units:
-        assert np.allclose(found[name], plain[name], rtol=1e-9)
+        assert np.allclose(columns[name], plain[name], rtol=1e-9)
     for k, axis in enumerate(problem.names):
         size = 1e-5 * designs[:, k]
         ends = []
@@ -471,7 +503,7 @@ def test_derivatives_of_every_metric(folder):
             ends.append(chunks.evaluate_designs(problem, moved, steps))
         for name in problem.units:
             difference = (ends[0][name] - ends[1][name]) / (2.0 * size)
-            slope = found[derivative_column(name, axis)]
+            slope = columns[derivative_column(name, axis)]
             scale = np.abs(plain[name] / designs[:, k])
             # An extreme may move from one grid point to another between the two ends, where a metric has a kink.
             assert np.mean(np.abs(slope - difference) <= 1e-4 * (np.abs(difference) + scale)) >= 0.9, (name, axis)
@@ -484,8 +516,8 @@ def test_frequency_as_an_axis_and_a_recording_as_input(folder):
     text = text.replace('"time_to_cool"]', '"bandwidth"]').replace("designs = 130", "designs = 8")
     (folder / "sweep.toml").write_text(text, "utf-8")
     sweep = read_sweep(folder / "sweep.toml")
-    found = chunks.evaluate_designs(sweep.problem(), sweep.designs(), 40)
-    assert np.all(found["code"] == "done") and np.all(found["bandwidth"] > sweep.designs()[:, 2])
+    columns = chunks.evaluate_designs(sweep.problem(), sweep.designs(), 40)
+    assert np.all(columns["code"] == "done") and np.all(columns["bandwidth"] > sweep.designs()[:, 2])
     recorded = (
         SWEEP[: SWEEP.index("[input]")]
         .replace("input.amplitude", "drive.gain")
@@ -502,18 +534,18 @@ def test_frequency_as_an_axis_and_a_recording_as_input(folder):
     )
     (folder / "in.csv").write_text(f"time [s],current [A]\n{rows}\n", "utf-8")
     (folder / "sweep.toml").write_text(recorded, "utf-8")
-    one = read_sweep(folder / "sweep.toml")
-    by_recording = chunks.evaluate_designs(one.problem(), one.designs(), 200)
+    recorded_sweep = read_sweep(folder / "sweep.toml")
+    by_recording = chunks.evaluate_designs(recorded_sweep.problem(), recorded_sweep.designs(), 200)
     wave = RigSweepProblem(
         ("wire.diameter", "load.mass", "input.amplitude"),
-        one.subject.rig.plant,
-        one.metrics,
+        recorded_sweep.subject.rig.plant,
+        recorded_sweep.metrics,
         Excitation("square", 0.3, 0.5, 0.5, 2),
         2,
         "hold",
         0.0,
     )
-    by_wave, _ = evaluate_batch(wave, jnp.asarray(one.designs() * np.array([1.0, 1.0, 0.3])), 200)
+    by_wave, _ = evaluate_batch(wave, jnp.asarray(recorded_sweep.designs() * np.array([1.0, 1.0, 0.3])), 200)
     # The recording ends one row before the cycle does.
     assert np.allclose(by_recording["peak_temperature"], np.asarray(by_wave["peak_temperature"]), atol=1e-6)
     assert np.allclose(by_recording["stroke"], np.asarray(by_wave["stroke"]), rtol=1e-2, atol=1e-6)
@@ -522,21 +554,21 @@ def test_frequency_as_an_axis_and_a_recording_as_input(folder):
 def test_refined_designs_keep_their_limits_and_beat_the_samples(folder):
     sweep = read_sweep(folder / "sweep.toml")
     problem, designs = sweep.problem(), sweep.designs()
-    found = chunks.evaluate_designs(problem, designs, 40)
-    hot = found["peak_temperature"]
-    kept = np.flatnonzero((hot <= 120.0) & (found["energy_per_cycle"] <= 1.0))
-    best = kept[np.argmax(found["stroke"][kept])]
+    columns = chunks.evaluate_designs(problem, designs, 40)
+    hot = columns["peak_temperature"]
+    feasible = np.flatnonzero((hot <= 120.0) & (columns["energy_per_cycle"] <= 1.0))
+    best = feasible[np.argmax(columns["stroke"][feasible])]
     limits = {"peak_temperature": (-np.inf, 120.0), "energy_per_cycle": (-np.inf, 1.0)}
-    one = refine(problem, sweep.axes, designs[best], {"stroke": "max"}, limits)
-    assert one.better and one.metrics["stroke"] > 1.02 * one.before["stroke"]
-    again = chunks.evaluate_designs(problem, one.design[None], problem.shared_steps(one.design))
-    assert again["stroke"][0] == pytest.approx(one.metrics["stroke"], rel=1e-9)
+    refined = refine(problem, sweep.axes, designs[best], {"stroke": "max"}, limits)
+    assert refined.better and refined.metrics["stroke"] > 1.02 * refined.before["stroke"]
+    again = chunks.evaluate_designs(problem, refined.design[None], problem.shared_steps(refined.design))
+    assert again["stroke"][0] == pytest.approx(refined.metrics["stroke"], rel=1e-9)
     assert again["peak_temperature"][0] <= 120.0 and again["energy_per_cycle"][0] <= 1.0
     # 2,000 more designs do not have a better one.
     more = space.draw_designs(sweep.axes, "sobol", 2000, 5)
     drawn = chunks.evaluate_designs(problem, more, 40)
     fine = (drawn["peak_temperature"] <= 120.0) & (drawn["energy_per_cycle"] <= 1.0)
-    assert one.metrics["stroke"] > drawn["stroke"][fine].max() and one.simulations < 500
+    assert refined.metrics["stroke"] > drawn["stroke"][fine].max() and refined.simulations < 500
 
 
 def test_the_command_and_its_table(folder):
@@ -555,7 +587,7 @@ def test_the_command_and_its_table(folder):
     assert all(columns["peak_temperature"][row["design"]] <= 120.0 for row in document["front"])
     page = (out / "report.html").read_text("utf-8")
     assert (
-        "No Sobol indices, which need at least 640 designs" in page
+        "No Sobol indices: they need at least 640 designs with 3 parameters." in page
         and "Trade-off" in page
         and "Designs across all axes" in page
     )
@@ -574,16 +606,16 @@ def test_the_command_and_its_table(folder):
     )
 
 
-def test_what_died_is_gone_on_with(folder, monkeypatch):
+def test_an_interrupted_sweep_is_resumed(folder, monkeypatch):
     run(folder, "whole")
     whole = (folder / "whole" / "sweep.parquet").read_bytes()
     written = []
 
-    def fails(path, *rest, **more):
+    def fails(path, *arguments, **options):
         if len(written) == 3:
             raise KeyboardInterrupt
         written.append(path)
-        return chunks_write(path, *rest, **more)
+        return chunks_write(path, *arguments, **options)
 
     chunks_write = chunks.write_table
     monkeypatch.setattr(chunks, "write_table", fails)
@@ -594,14 +626,14 @@ def test_what_died_is_gone_on_with(folder, monkeypatch):
     with pytest.raises(InputError, match=r"3 chunks of an earlier run are there: add --resume"):
         run(folder)
     (folder / "sweep.toml").write_text(SWEEP.replace('to = "300 g"', 'to = "310 g"'), "utf-8")
-    with pytest.raises(InputError, match="are of another sweep"):
+    with pytest.raises(InputError, match="belong to another sweep"):
         run(folder, resume=True)
     (folder / "sweep.toml").write_text(SWEEP, "utf-8")
     assert run(folder, resume=True).code == 0
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
-def test_what_has_ended_is_not_resumed(folder, monkeypatch):
+def test_a_finished_sweep_is_not_resumed(folder, monkeypatch):
     (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 20"), "utf-8")
     first = run(folder, resume=True)
     assert first.note == "there was nothing to resume, so all designs were simulated from the start"
@@ -609,7 +641,7 @@ def test_what_has_ended_is_not_resumed(folder, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("smajax.app.commands.sweep.run_chunks", None)
         again = run(folder, resume=True)
-    assert "since this sweep had ended: its result was left as it is" in again.note
+    assert "since this sweep was finished: its result is unchanged" in again.note
     assert again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8")) and again.code == first.code
     assert (folder / "out" / "run.json").read_bytes() == written
     shown = CliRunner().invoke(app, ["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--resume"])
@@ -618,7 +650,7 @@ def test_what_has_ended_is_not_resumed(folder, monkeypatch):
     (folder / "out" / "report.html").unlink()
     assert "from the start" in run(folder, resume=True).note and (folder / "out" / "report.html").is_file()
     (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 21"), "utf-8")
-    assert "from the start, and the result that was there" in run(folder, resume=True).note and run(folder).note == ""
+    assert "from the start, and the earlier result" in run(folder, resume=True).note and run(folder).note == ""
 
 
 def _command(folder, *more):
@@ -639,47 +671,48 @@ def _command(folder, *more):
     )
 
 
-def test_a_killed_run_and_a_killed_worker_lose_no_row(folder):
+def test_a_killed_run_and_a_killed_worker_lose_no_design(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace("chunk = 20", "chunk = 4"), "utf-8")
     run(folder, "whole")
     whole = (folder / "whole" / "sweep.parquet").read_bytes()
 
     def until_more_than(count: int, process: subprocess.Popen) -> int:
         while (
-            process.poll() is None and (there := len(list((folder / "out.partial").glob("chunk-*.parquet")))) <= count
+            process.poll() is None
+            and (count_before := len(list((folder / "out.partial").glob("chunk-*.parquet")))) <= count
         ):
             time.sleep(0.01)
         assert process.poll() is None, "the run ended before it could be killed"
-        return there
+        return count_before
 
     process = _command(folder)
     until_more_than(0, process)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    # Two workers go on; one of them is killed when they are at work.
-    there = len(list((folder / "out.partial").glob("chunk-*.parquet")))
+    # Two workers continue; one of them is killed while they run.
+    count_before = len(list((folder / "out.partial").glob("chunk-*.parquet")))
     process = _command(folder, "--resume", "--scheduler", "local")
-    assert until_more_than(there, process) < 30  # of 33 chunks
+    assert until_more_than(count_before, process) < 30  # of 33 chunks
     workers_of(process.pid)[0].kill()
     _, errors = process.communicate(timeout=400)
     assert process.returncode == 0, errors
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
-def test_one_run_at_a_time_and_chunks_where_they_belong(folder):
+def test_lock_of_a_run_and_check_of_its_chunks(folder):
     text = SWEEP.replace("designs = 130", "designs = 40")
     (folder / "sweep.toml").write_text(text, "utf-8")
     sweep = read_sweep(folder / "sweep.toml")
     with checkpoint_folder(folder / "out", sweep.header(), resume=False) as partial:
-        with pytest.raises(InputError, match=r"out.partial: another run is at work on it: wait until that has ended"):
+        with pytest.raises(InputError, match=r"out.partial: another run is using it: wait until that run has ended"):
             run(folder, resume=True)
         parts = chunks.split_into_chunks(sweep.problem(), sweep.designs(), 20)
         for chunk in parts:
-            found = chunks.evaluate_designs(sweep.problem(), chunk.designs, chunk.steps)
-            write_table(partial / chunk.file, chunks.chunk_columns(chunk, AXES, found))
+            results = chunks.evaluate_designs(sweep.problem(), chunk.designs, chunk.steps)
+            write_table(partial / chunk.file, chunks.chunk_columns(chunk, AXES, results))
         shutil.copy(partial / parts[0].file, partial / parts[1].file)
     with pytest.raises(
-        InputError, match=r"chunk-000001.parquet: its designs are not those that belong there: remove the file"
+        InputError, match=r"chunk-000001.parquet: its designs are not those of this chunk: remove the file"
     ):
         run(folder, resume=True)
     (partial / parts[1].file).unlink()
@@ -702,7 +735,7 @@ def test_a_full_disk_keeps_what_is_there(folder):
     assert (folder / "out" / "sweep.parquet").read_bytes() == (folder / "whole" / "sweep.parquet").read_bytes()
 
 
-def test_a_run_killed_before_its_first_file_is_gone_on_with(folder):
+def test_a_run_killed_before_its_first_file_is_resumed(folder):
     partial = folder / "out.partial"
     partial.mkdir()
     (partial / ".sweep.json.4711.part").write_text("{", "utf-8")
@@ -710,7 +743,7 @@ def test_a_run_killed_before_its_first_file_is_gone_on_with(folder):
     assert run(folder, resume=True).code == 0
     partial.mkdir()
     (partial / "notes.part").write_text("mine", "utf-8")
-    with pytest.raises(InputError, match="smajax keeps its chunks there and did not make it"):
+    with pytest.raises(InputError, match="chunks of a sweep belong there, but smajax did not create it"):
         run(folder, resume=True)
 
 
@@ -721,7 +754,7 @@ def test_without_pyarrow_nothing_is_computed(folder, monkeypatch):
     assert not (folder / "out.partial").exists()
 
 
-def test_a_table_that_says_nothing_of_a_sweep(tmp_path):
+def test_a_table_without_the_header_of_a_sweep(tmp_path):
     path = tmp_path / "table.parquet"
     for header in (None, {}, {"sweep": "", "rig": ""}):
         write_table(path, {"design": np.arange(3)}, header)
@@ -730,7 +763,7 @@ def test_a_table_that_says_nothing_of_a_sweep(tmp_path):
 
 
 def test_a_table_of_an_earlier_version_is_read_under_the_current_names(folder):
-    """Its header has the rig and the axes with a parameter's name of then."""
+    """Its header has the rig and the axes with the old name of a parameter."""
     text = SWEEP.replace('wire.diameter = ["0.14 mm", "0.2 mm"]', 'material.max_strain = ["4 %", "5 %"]')
     rig = RIG.read_text("utf-8").replace("max_transformation_strain", "max_strain")
     assert "max_strain" in text and "max_strain" in rig
@@ -741,16 +774,18 @@ def test_a_table_of_an_earlier_version_is_read_under_the_current_names(folder):
     assert "max_transformation_strain" in sweep.header()["rig"]
 
 
-def test_constraints_that_nothing_keeps(folder):
+def test_constraints_that_no_design_keeps(folder):
     (folder / "sweep.toml").write_text(SWEEP.replace('at_most = "120 degC"', 'at_most = "21 degC"'), "utf-8")
     outcome = run(folder)
     assert "degC (allowed: at most 21 degC)" in outcome.reason
-    assert outcome.code == 3 and "none of the 130 designs keeps the constraints: the nearest, design" in outcome.reason
+    assert (
+        outcome.code == 3 and "none of the 130 designs satisfies the constraints: the nearest, design" in outcome.reason
+    )
     assert (folder / "out" / "sweep.parquet").is_file()
 
 
-def test_a_search_goes_from_beyond_the_constraints_to_where_they_hold(folder):
-    """All that is drawn strokes too little; there is room at the edge of what may be so hot, which the gradients lead to."""
+def test_refinement_restores_feasibility(folder):
+    """The stroke of all sampled designs is too small; the gradients lead to feasible ones at the temperature limit."""
     text = SWEEP.replace("peak_temperature = {", 'stroke = { at_least = "9.5 mm" }\npeak_temperature = {').replace(
         "designs = 130", "designs = 4"
     )
@@ -760,24 +795,23 @@ def test_a_search_goes_from_beyond_the_constraints_to_where_they_hold(folder):
     (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 2\n", "utf-8")
     outcome = run(folder)
     assert outcome.code == 0 and outcome.document["feasible"] == 0 and not outcome.document["problems"]
-    best = [one for one in outcome.document["refined"] if one["better"]]
-    assert best and all(one["rescued"] for one in outcome.document["refined"])
-    assert all(one["metrics"]["stroke"] >= 9.5e-3 and one["metrics"]["peak_temperature"] <= 120.0 for one in best)
-    assert "0 keep all constraints, so the nearest ones were refined: " in outcome.document["summary"]
+    best = [entry for entry in outcome.document["refined"] if entry["better"]]
+    assert best and all(entry["rescued"] for entry in outcome.document["refined"])
+    assert all(entry["metrics"]["stroke"] >= 9.5e-3 and entry["metrics"]["peak_temperature"] <= 120.0 for entry in best)
+    assert "0 satisfy all constraints, so the nearest ones were refined: " in outcome.document["summary"]
     assert (folder / "out" / "rig-refined-1.toml").is_file() or (folder / "out" / "rig-refined-2.toml").is_file()
-    # Where none is found, it is said how near it came, and where.
+    # If no design is found, the reason says how near the search came, and where.
     (folder / "sweep.toml").write_text(text.replace("9.5 mm", "20 mm") + "[refine]\nstarts = 1\n", "utf-8")
     none = run(folder, "none")
     assert none.code == 3 and not none.document["refined"][0]["better"]
     assert (
-        "refining from the nearest kept none either, and ended at stroke" in none.reason
+        "its refinement does not satisfy them either and ended at stroke" in none.reason
         and "at wire.diameter" in none.reason
     )
 
 
-def test_a_whole_count_is_moved_to_where_the_constraints_hold():
-    class Problem:
-        names, units, shared_steps = ("n", "a"), {"size": "m", "cost": "1"}, staticmethod(lambda design: 1)
+def test_refinement_restores_feasibility_of_a_whole_number():
+    problem = StubProblem(("n", "a"), {"size": "m", "cost": "1"})
 
     def answer(problem, designs, steps):
         n, a = (float(v) for v in designs[0])
@@ -789,23 +823,23 @@ def test_a_whole_count_is_moved_to_where_the_constraints_hold():
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "differentiate_batch", answer)
-        one = restore_and_refine(Problem, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits)
+        refined = restore_and_refine(problem, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits)
         assert (
-            one.better
-            and one.restored
-            and one.design[0] in (4.0, 5.0)
-            and one.metrics["size"] >= 3.2
-            and one.metrics["cost"] <= 5.0
+            refined.better
+            and refined.restored
+            and refined.design[0] in (4.0, 5.0)
+            and refined.metrics["size"] >= 3.2
+            and refined.metrics["cost"] <= 5.0
         )
-        assert one.before == {"size": pytest.approx(0.2), "cost": pytest.approx(2.1)}
+        assert refined.before == {"size": pytest.approx(0.2), "cost": pytest.approx(2.1)}
         none = restore_and_refine(
-            Problem, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits | {"cost": (-np.inf, 2.5)}
+            problem, axes, np.array([2.0, 0.1]), {"cost": "min"}, limits | {"cost": (-np.inf, 2.5)}
         )
         assert not none.better and none.restored and none.metrics["size"] > 0.2
 
 
-def test_the_nearest_of_those_that_could_be_simulated(tmp_path):
-    """Thick wires do not fit into the strip: they have a moment, but no figures."""
+def test_the_nearest_design_is_one_that_was_simulated(tmp_path):
+    """Thick wires do not fit into the strip: they have a moment, but no other metric."""
     flexural = ROOT / "data" / "actuators" / "flexural" / "rig.toml"
     content = f"""
     [sweep]
@@ -823,17 +857,18 @@ def test_the_nearest_of_those_that_could_be_simulated(tmp_path):
     assert "the nearest, design 0, has moment 1.528 mN m (allowed: at least 1000 mN m)" in outcome.reason
 
 
-def test_a_design_that_no_memory_holds(folder):
+def test_a_design_that_needs_too_much_memory(folder):
     slow = SWEEP.replace('frequency = "0.5 Hz"', 'frequency = "1e-6 Hz"')
     (folder / "sweep.toml").write_text(slow.replace("designs = 130", "designs = 4"), "utf-8")
     with pytest.raises(
-        InputError, match=r"sweep.toml: input.frequency: .* GB a design, of 2 GB allowed: raise input.frequency"
+        InputError,
+        match=r"sweep.toml: input.frequency: .* GB per design, and at most 2 GB are allowed: raise input.frequency",
     ):
         run(folder)
     assert not (folder / "out.partial").exists()
 
 
-def test_wires_at_a_spacing_are_swept_in_their_number(tmp_path):
+def test_number_and_spacing_of_wires_as_axes(tmp_path):
     flexural = (ROOT / "data" / "actuators" / "flexural" / "rig.toml").read_text("utf-8")
     (tmp_path / "rig.toml").write_text(flexural.replace("count = 2", 'count = 2\nspacing = "1 mm"'), "utf-8")
     content = """
@@ -849,20 +884,22 @@ def test_wires_at_a_spacing_are_swept_in_their_number(tmp_path):
     (tmp_path / "sweep.toml").write_text(content, "utf-8")
     assert run(tmp_path).document["codes"] == {"done": 4}
     columns = read_table(tmp_path / "out" / "sweep.parquet")
-    machine = actuator_file.read_actuator(tmp_path / "rig.toml")
+    original = actuator_file.read_actuator(tmp_path / "rig.toml")
     for k, (count, spacing) in enumerate(zip(columns["body.count"], columns["body.spacing"], strict=True)):
         text = flexural.replace("count = 2", f'count = {int(count)}\nspacing = "{1e3 * spacing} mm"')
-        alone = eqx.filter_jit(lambda one: one.metrics()["temperature_after"])(actuator_file.parse_actuator(text))
-        assert columns["temperature_after"][k] == pytest.approx(float(alone), rel=1e-9)
-    # In a number that the grid is made for, temperatures have no derivative; a force has one.
+        single = eqx.filter_jit(lambda actuator: actuator.metrics()["temperature_after"])(
+            actuator_file.parse_actuator(text)
+        )
+        assert columns["temperature_after"][k] == pytest.approx(float(single), rel=1e-9)
+    # Temperatures have no derivative with respect to the number of wires, which sets the grid; a force has one.
     assert np.all(np.isnan(columns[derivative_column("temperature_after", "body.count")]))
     assert np.all(columns[derivative_column("temperature_after", "body.spacing")] < 0.0)
     assert np.all(columns[derivative_column("blocking_force", "body.count")] > 0.0)
-    assert machine.program_index({}) == 2
+    assert original.program_index({}) == 2
 
 
-def test_batches_of_bends_side_by_side(tmp_path):
-    """Batches are simulated by several threads at once, and one design after another gives the same."""
+def test_batches_of_soft_bending_in_threads(tmp_path):
+    """Several threads simulate batches at once."""
     machine = ROOT / "data" / "actuators" / "soft-bending" / "rig.toml"
     text = f'[sweep]\nrig = "{machine}"\ndesigns = 64\nmetrics = ["tip_deflection"]\n[parameters]\ncable.force = ["-10 kN", "-100 N"]\n'
     (tmp_path / "sweep.toml").write_text(text, "utf-8")
@@ -884,35 +921,35 @@ def test_batches_of_bends_side_by_side(tmp_path):
     assert np.all(np.diff(rising) > 0.0) and rising[-1] < 0.12
 
 
-def test_shipped_sweeps_and_a_machine(tmp_path):
+def test_example_sweeps_and_an_actuator(tmp_path):
     for path in sorted((ROOT / "data" / "sweeps").glob("*.toml")):
         sweep = read_sweep(path)
         assert sweep.refine_starts and sweep.designs().shape == (sweep.count, len(sweep.axes))
-    machine = (
+    text = (
         (ROOT / "data" / "sweeps" / "flexural.toml")
         .read_text("utf-8")
         .replace("../actuators", str(ROOT / "data" / "actuators"))
     )
-    machine = (
-        machine.replace('["moment", "efficiency"]', "[]")
+    text = (
+        text.replace('["moment", "efficiency"]', "[]")
         .replace("designs = 256", "designs = 12")
         .replace("time_to_cool", "resistance")
     )
-    (tmp_path / "sweep.toml").write_text(machine, "utf-8")
+    (tmp_path / "sweep.toml").write_text(text, "utf-8")
     assert run(tmp_path).code == 0
     columns = read_table(tmp_path / "out" / "sweep.parquet")
     single = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
-    one = eqx.filter_jit(type(single).metrics)(
+    metrics = eqx.filter_jit(type(single).metrics)(
         parameters.replace(single, {n: columns[n][3] for n in ("wire.diameter", "body.count")})
     )
-    assert columns["blocking_force"][3] == pytest.approx(float(one["blocking_force"]), rel=1e-12)
-    (tmp_path / "sweep.toml").write_text(machine.replace("blocking_force =", "peak_stress ="), "utf-8")
+    assert columns["blocking_force"][3] == pytest.approx(float(metrics["blocking_force"]), rel=1e-12)
+    (tmp_path / "sweep.toml").write_text(text.replace("blocking_force =", "peak_stress ="), "utf-8")
     with pytest.raises(
         InputError,
         match="objectives.peak_stress is not a metric of this actuator, but of rigs with wires: its metrics are mo",
     ):
         read_sweep(tmp_path / "sweep.toml")
-    (tmp_path / "sweep.toml").write_text(machine + '[input]\nwave = "square"\n', "utf-8")
+    (tmp_path / "sweep.toml").write_text(text + '[input]\nwave = "square"\n', "utf-8")
     with pytest.raises(InputError, match=r"\[input\] has no place with an actuator"):
         read_sweep(tmp_path / "sweep.toml")
 
@@ -945,9 +982,9 @@ BAD = [
     (
         '{ at_most = "120 degC" }',
         '{ at_least = "130 degC", at_most = "120 degC" }',
-        "nothing is at least '130 degC' and at most '120 degC'",
+        "no value is at least '130 degC' and at most '120 degC'",
     ),
-    ('peak_temperature = { at_most = "120 degC" }', 'stroke = { at_most = "-1 mm" }', "can never be kept"),
+    ('peak_temperature = { at_most = "120 degC" }', 'stroke = { at_most = "-1 mm" }', "can never be satisfied"),
     ('peak_temperature = { at_most = "120 degC" }', "stroke = {}", "constraints.stroke has no bound"),
     ("[constraints]", "[constraint]", "[constraint] is not a section of a sweep (did you mean 'constraints'?)"),
     ('"time_to_cool"]', '"bandwidth"]', "input.highest is missing"),
@@ -957,7 +994,7 @@ BAD = [
         "input.highest = 4 Hz is not above the range of input.frequency, which ends at 6 Hz",
     ),
     ("designs = 130", 'designs = 130\nsampling = "grid"', "sweep.designs has no place with a grid"),
-    ('from = "100 g"', 'points = 3, from = "100 g"', "parameters.load.mass.points is of a grid only"),
+    ('from = "100 g"', 'points = 3, from = "100 g"', "parameters.load.mass.points applies to a grid only"),
     (
         'load.mass = { from = "100 g", to = "300 g", scale = "log" }',
         'load.mass = { values = ["100 g"], scale = "log" }',
@@ -966,12 +1003,12 @@ BAD = [
     (
         'at_most = "120 degC"',
         'at_most = "19 degC"',
-        "at_most = '19 degC' can never be kept, as it is never below 20 degC",
+        "at_most = '19 degC' can never be satisfied, as it is never below 20 degC",
     ),
     (
         'peak_temperature = { at_most = "120 degC" }',
         'efficiency = { at_least = "101 %" }',
-        "can never be kept, as it is never above 1",
+        "can never be satisfied, as it is never above 1",
     ),
     (
         "designs = 130",
@@ -1003,18 +1040,18 @@ BAD = [
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), BAD)
-def test_bad_sweeps_say_what_is_wrong(folder, old, new, sentence):
+def test_error_messages_of_sweep_files(folder, old, new, sentence):
     assert old in SWEEP
     text = SWEEP.replace(old, new)
     (folder / "sweep.toml").write_text(
         text.replace("[input]", '[input]\nhighest = "4 Hz"') if "highest =" in sentence else text, "utf-8"
     )
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         read_sweep(folder / "sweep.toml")
-    assert sentence in str(caught.value) and "sweep.toml" in str(caught.value) and "\n" not in str(caught.value)
+    assert sentence in str(error.value) and "sweep.toml" in str(error.value) and "\n" not in str(error.value)
 
 
-def test_bands_that_would_cross_and_axes_that_do_nothing(folder):
+def test_overlapping_temperature_ranges_and_axes_without_effect(folder):
     (folder / "sweep.toml").write_text(
         SWEEP.replace(
             "input.amplitude = [", 'material.martensite_finish = ["30 degC", "90 degC"]\ninput.amplitude = ['
@@ -1056,7 +1093,7 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
 
 @contextlib.contextmanager
 def _greeting(words: bytes | None):
-    """The address of a server that says some words to whoever calls, or, with ``None``, nothing."""
+    """Yields the address of a server that sends ``words`` to every client; nothing for ``None``."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         callers = []
 
@@ -1081,21 +1118,21 @@ def _greeting(words: bytes | None):
     ("words", "why"),
     [
         (None, "it sends nothing for 1 s"),
-        (b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n", "what answers does not speak Dask's protocol"),
-        (b"SSH-2.0-OpenSSH_9.6\r\n", "what answers does not speak Dask's protocol"),
-        (bytes(64), "what answers does not speak Dask's protocol"),
+        (b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n", "the server there does not use Dask's protocol"),
+        (b"SSH-2.0-OpenSSH_9.6\r\n", "the server there does not use Dask's protocol"),
+        (bytes(64), "the server there does not use Dask's protocol"),
     ],
 )
-def test_what_answers_and_is_no_scheduler(folder, monkeypatch, words, why):
+def test_a_server_that_is_not_a_scheduler(folder, monkeypatch, words, why):
     from smajax.sweeps import dask as cluster
 
     monkeypatch.setattr(cluster, "_TIMEOUT", 1)
-    with _greeting(words) as address, pytest.raises(InputError) as caught:
+    with _greeting(words) as address, pytest.raises(InputError) as error:
         run(folder, scheduler=address)
-    assert f"--scheduler {address}: no Dask scheduler answers there ({why}): check its address" in str(caught.value)
+    assert f"--scheduler {address}: no Dask scheduler answers there ({why}): check its address" in str(error.value)
 
 
-def test_a_scheduler_is_known_by_its_answer():
+def test_identity_of_a_scheduler():
     import distributed
 
     from smajax.sweeps import dask as cluster
@@ -1106,31 +1143,31 @@ def test_a_scheduler_is_known_by_its_answer():
     quiet = {"dashboard_address": None, "silence_logs": "ERROR"}
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", **quiet
-    ) as there:
-        cluster._check_identity(there.scheduler_address)
-        with cluster.connected(there.scheduler_address) as client:
+    ) as local:
+        cluster._check_identity(local.scheduler_address)
+        with cluster.connected(local.scheduler_address) as client:
             assert client.submit(int, "7").result() == 7
         with pytest.raises(ValueError, match="it is the address of a worker"):
-            cluster._check_identity(there.workers[0].address)
+            cluster._check_identity(local.workers[0].address)
 
 
-def test_workers_that_are_missing_or_others():
+def test_missing_workers_and_other_versions():
     from smajax import __version__
     from smajax.sweeps import dask as cluster
 
     class Client:
-        def __init__(self, workers, there=True):
-            self.workers, self.there = workers, there
+        def __init__(self, workers, connected=True):
+            self.workers, self.there = workers, connected
 
         def wait_for_workers(self, count, timeout):
             if not self.there:
                 raise TimeoutError
 
-        def run(self, function, *given, on_error):
+        def run(self, function, *arguments, on_error):
             return self.workers
 
-        def run_on_scheduler(self, function, *given):
-            return function(*given)
+        def run_on_scheduler(self, function, *arguments):
+            return function(*arguments)
 
     cases = [
         (Client({}, False), "it has no workers: start some (dask worker tcp://x)"),
@@ -1139,11 +1176,11 @@ def test_workers_that_are_missing_or_others():
         (Client({"a": __version__, "b": "0.0.1"}), f"worker b has smajax 0.0.1, and this is {__version__}"),
     ]
     for client, sentence in cases:
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError) as error:
             cluster._check_workers(client, "tcp://x")
-        assert sentence in str(caught.value)
+        assert sentence in str(error.value)
     cluster._check_workers(Client({"a": __version__}), "tcp://x")
-    # Where there is no smajax, the question is answered all the same.
+    # Without smajax the expression evaluates, too.
     bare = subprocess.run(
         [sys.executable, "-I", "-S", "-c", f"print(eval({cluster._VERSION!r}))"],
         capture_output=True,
@@ -1170,8 +1207,8 @@ starts = 1
 """
 
 
-def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
-    """Springs that never warm have an infinite heating time: the design is done, keeps a lower limit, and is the longest of all."""
+def test_infinite_metrics_are_ordered(tmp_path, monkeypatch):
+    """Springs that never warm have an infinite heating time: the design is done, satisfies a lower limit, and is the largest."""
 
     def quick(self):  # without the motion, whose program takes long to compile
         return {"heating_time": self.heating_time(self.command.second), "spring_torque": self.wire.prestretch}
@@ -1189,7 +1226,7 @@ def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
     assert {row["metrics"]["heating_time"] for row in document["front"]} == {
         "inf"
     } and "heating_time of these is infinite" in document["summary"]
-    # The other way round the finite ones are best, and an infinite one is beyond any upper limit.
+    # For the minimum the finite ones are best, and an infinite one violates any upper limit.
     (tmp_path / "sweep.toml").write_text(
         KNEE.replace('"max"', '"min"') + '[constraints]\nheating_time = { at_most = "1e9 s" }\n', "utf-8"
     )
@@ -1201,75 +1238,75 @@ def test_infinite_figures_are_values_with_an_order(tmp_path, monkeypatch):
     assert np.array_equal(pareto_front(costs), [0, 1])
 
 
-def test_a_search_from_or_to_what_is_infinite():
-    class Problem:
-        names, units, shared_steps = ("a",), {"slow": "s", "size": "m"}, staticmethod(lambda design: 1)
+def test_refinement_with_infinite_metrics():
+    problem = StubProblem(("a",), {"slow": "s", "size": "m"})
 
     def answer(problem, designs, steps):
         a = float(designs[0, 0])
-        found = {"slow": np.inf if a > 0.5 else a, "size": a}
+        values = {"slow": np.inf if a > 0.5 else a, "size": a}
         slopes = {"slow": [0.0 if a > 0.5 else 1.0], "size": [1.0]}
-        return {n: [v] for n, v in found.items()}, {n: np.array([v]) for n, v in slopes.items()}, None
+        return {n: [v] for n, v in values.items()}, {n: np.array([v]) for n, v in slopes.items()}, None
 
     axes = (Axis("a", "1", 0.0, 1.0),)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "differentiate_batch", answer)
-        one = refine(Problem, axes, np.array([0.9]), {"size": "max"}, {"slow": (0.7, np.inf)})
-        assert one.better and one.metrics["size"] == 1.0
-        least = refine(Problem, axes, np.array([0.4]), {"size": "max"}, {"slow": (-np.inf, 0.45)})
+        refined = refine(problem, axes, np.array([0.9]), {"size": "max"}, {"slow": (0.7, np.inf)})
+        assert refined.better and refined.metrics["size"] == 1.0
+        least = refine(problem, axes, np.array([0.4]), {"size": "max"}, {"slow": (-np.inf, 0.45)})
         assert least.better and least.metrics["size"] == pytest.approx(0.45, abs=1e-5)
-        most = refine(Problem, axes, np.array([0.4]), {"slow": "max"}, {})
+        most = refine(problem, axes, np.array([0.4]), {"slow": "max"}, {})
         assert most.better and most.metrics["slow"] == np.inf
-        assert not refine(Problem, axes, np.array([0.9]), {"slow": "max"}, {}).better
+        assert not refine(problem, axes, np.array([0.9]), {"slow": "max"}, {}).better
 
 
-def test_what_is_refined_is_better_on_steps_that_resolve_it():
-    """On the start's steps a fast design seems colder than it is, and its other objective better."""
+def test_refinement_with_steps_that_resolve_its_result():
+    """With the steps of the start a fast design seems colder than it is, and its other objective better."""
 
-    class Problem:
-        names, units = ("a",), {"size": "m", "hot": "degC", "cost": "1"}
-        shared_steps = staticmethod(lambda design: 1 if design[0] < 0.3 else 2 if design[0] < 0.6 else 4)
+    problem = StubProblem(
+        ("a",),
+        {"size": "m", "hot": "degC", "cost": "1"},
+        lambda design: 1 if design[0] < 0.3 else 2 if design[0] < 0.6 else 4,
+    )
 
     def answer(problem, designs, steps):
         a = float(designs[0, 0])
         seen = {1: 0.5, 2: 0.7, 4: 1.0}[steps]
-        found, slopes = {"size": a, "hot": seen * a, "cost": 1.0 - a}, {"size": 1.0, "hot": seen, "cost": -1.0}
-        return {n: [v] for n, v in found.items()}, {n: np.array([[v]]) for n, v in slopes.items()}, None
+        values, slopes = {"size": a, "hot": seen * a, "cost": 1.0 - a}, {"size": 1.0, "hot": seen, "cost": -1.0}
+        return {n: [v] for n, v in values.items()}, {n: np.array([[v]]) for n, v in slopes.items()}, None
 
     axes = (Axis("a", "1", 0.0, 1.0),)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "differentiate_batch", answer)
-        one = refine(Problem, axes, np.array([0.1]), {"size": "max", "cost": "min"}, {"hot": (-np.inf, 0.8)})
-        assert one.better and one.metrics["hot"] == one.design[0] == pytest.approx(0.8, abs=1e-5)
-        # One that seems better on coarse steps alone is not called so.
-        patch.setattr(Problem, "shared_steps", staticmethod(lambda design: 1 if design[0] < 0.79 else 4))
-        one = refine(Problem, axes, np.array([0.78]), {"size": "max"}, {"hot": (-np.inf, 0.6)})
-        assert not one.better and one.design[0] == 0.78
+        refined = refine(problem, axes, np.array([0.1]), {"size": "max", "cost": "min"}, {"hot": (-np.inf, 0.8)})
+        assert refined.better and refined.metrics["hot"] == refined.design[0] == pytest.approx(0.8, abs=1e-5)
+        # A design that is better with coarse steps only is not better.
+        problem = replace(problem, steps_of=lambda design: 1 if design[0] < 0.79 else 4)
+        refined = refine(problem, axes, np.array([0.78]), {"size": "max"}, {"hot": (-np.inf, 0.6)})
+        assert not refined.better and refined.design[0] == 0.78
 
 
-def test_counts_are_whole_drawn_and_refined(folder):
+def test_whole_numbers_are_sampled_and_refined(folder):
     count = Axis("n", "1", 2.0, 5.0, whole=True)
     drawn = count.at(np.linspace(0.0, 1.0, 4001))
     assert np.array_equal(np.unique(drawn), [2, 3, 4, 5]) and np.ptp(np.bincount(drawn.astype(int))[2:]) <= 2
     assert np.array_equal(replace(count, points=20).grid(), [2, 3, 4, 5])
     assert set(replace(count, log=True).at(np.linspace(0.0, 1.0, 99))) == {2.0, 3.0, 4.0, 5.0}
 
-    class Problem:
-        names, units, shared_steps = ("n", "a"), {"size": "m", "cost": "1"}, staticmethod(lambda design: 1)
+    problem = StubProblem(("n", "a"), {"size": "m", "cost": "1"})
 
     def answer(problem, designs, steps):  # best at n = 3.6, a = 0.5 / n
         n, a = (float(v) for v in designs[0])
-        found = {"size": 10.0 - (n - 3.6) ** 2 - (n * a - 0.5) ** 2, "cost": n + a}
+        values = {"size": 10.0 - (n - 3.6) ** 2 - (n * a - 0.5) ** 2, "cost": n + a}
         slopes = {"size": [-2.0 * (n - 3.6) - 2.0 * a * (n * a - 0.5), -2.0 * n * (n * a - 0.5)], "cost": [1.0, 1.0]}
-        return {m: [v] for m, v in found.items()}, {m: np.array([v]) for m, v in slopes.items()}, None
+        return {m: [v] for m, v in values.items()}, {m: np.array([v]) for m, v in slopes.items()}, None
 
     axes = (count, Axis("a", "1", 0.0, 1.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "differentiate_batch", answer)
-        one = refine(Problem, axes, np.array([2.0, 0.9]), {"size": "max"}, {})
-        assert one.better and one.design[0] == 4.0 and one.design[1] == pytest.approx(0.125, abs=1e-3)
-        # Where the rounded count is beyond a limit, the count stays, and the rest is refined.
-        least = refine(Problem, axes, np.array([3.0, 0.5]), {"size": "max"}, {"cost": (0.0, 3.9)})
+        refined = refine(problem, axes, np.array([2.0, 0.9]), {"size": "max"}, {})
+        assert refined.better and refined.design[0] == 4.0 and refined.design[1] == pytest.approx(0.125, abs=1e-3)
+        # If the rounded number violates a limit, it stays, and the other axes are refined.
+        least = refine(problem, axes, np.array([3.0, 0.5]), {"size": "max"}, {"cost": (0.0, 3.9)})
         assert least.better and least.design[0] == 3.0 and least.design[1] == pytest.approx(1.0 / 6.0, abs=1e-3)
     flexural = (
         (ROOT / "data" / "sweeps" / "flexural.toml")
@@ -1283,9 +1320,9 @@ def test_counts_are_whole_drawn_and_refined(folder):
         ('{ values = ["2.5"] }', "'2.5' is not a whole number"),
     ):
         (folder / "sweep.toml").write_text(flexural.replace('["2", "12"]', text), "utf-8")
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError) as error:
             read_sweep(folder / "sweep.toml")
-        assert sentence in str(caught.value)
+        assert sentence in str(error.value)
 
 
 def test_a_thinned_front_keeps_the_best_of_each_objective():

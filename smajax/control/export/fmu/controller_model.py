@@ -1,7 +1,7 @@
 """A closed loop's controller, allocation and temperature limiter as the model of an FMU.
 
 Its inputs are the reference and the measurement, its outputs the command of each wire, its parameters the gains. Units
-are SI, and degC. A co-simulation that steps the controller before the plant does what a rollout does.
+are SI and degC. A co-simulation that steps the controller before the plant gives the same results as a rollout.
 """
 
 import dataclasses
@@ -25,11 +25,11 @@ _ROOM_TEMPERATURE = 20.0
 def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mapping[str, str], name: str) -> Model:
     """Return the model of a controller with its allocation and its temperature limiter.
 
-    The loop's sensor and instruments belong to the rig and are left out. A temperature limiter has the input
-    ``temperature`` in addition, and with a thermal observer the input ``power``. A reference that is not finite is
-    replaced by the last finite one, and the loop begins when reference and measurement have been finite once; dropouts
-    of a channel, a temperature or a power are treated as in ``ClosedLoop``, ``TemperatureLimiter`` and
-    ``ThermalObserver``.
+    The loop's sensor and instruments belong to the rig and are left out. With a temperature limiter, the model has the
+    input ``temperature`` for each wire in addition, and with a thermal observer the input ``power``. A reference that
+    is not finite is replaced by the last finite one, and the loop starts when reference and measurement have been
+    finite once; dropouts of a channel, a temperature or a power are treated as in ``ClosedLoop``,
+    ``TemperatureLimiter`` and ``ThermalObserver``.
 
     Args:
         loop: The closed loop.
@@ -38,7 +38,7 @@ def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mappi
         name: Name of the model.
 
     Raises:
-        InputError: for an estimator that is no thermal observer.
+        InputError: for an estimator other than a thermal observer, or an operation that has no NumPy text.
     """
     if loop.estimator is not None:
         estimator_document(loop.estimator)
@@ -46,11 +46,11 @@ def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mappi
     extra = _extra_inputs(loop)
     values = {n: float(gain(loop, n)) for n in gains(loop)}
 
-    def with_values(given: Any) -> ClosedLoop:
-        return with_gains(loop, dict(zip(values, given, strict=True)))
+    def with_values(parameters: Any) -> ClosedLoop:
+        return with_gains(loop, dict(zip(values, parameters, strict=True)))
 
     def channels(inputs: Any, begun: jax.Array) -> dict[str, jax.Array]:
-        """The channels; the controlled one counts as missing until there is a reference."""
+        """Return the channels; the controlled one is NaN until there has been a reference."""
         return {loop.channel: jnp.where(begun > 0.0, inputs[1], jnp.nan)} | dict(zip(extra, inputs[2:], strict=True))
 
     def start(parameters: Any, inputs: Any) -> Any:
@@ -78,7 +78,7 @@ def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mappi
 
 
 def _extra_inputs(loop: ClosedLoop) -> list[str]:
-    """The channels that temperature limiter and thermal observer measure in addition to the controlled one."""
+    """Names of the channels that temperature limiter and thermal observer measure, without the controlled one."""
     if loop.temperature_limiter is None:
         return []
     kinds = ("temperature",) if loop.estimator is None else ("temperature", "power")

@@ -12,7 +12,19 @@ from smajax.control.export.fmu.numpy_source import HEADER, numpy_source
 
 
 class Variable(NamedTuple):
-    """Variable of an FMU; ``direct`` outputs depend on the inputs at the same instant."""
+    """Variable of an FMU, as in the FMI standard.
+
+    Attributes:
+        name: Name of the variable.
+        causality: Whether it is an input, an output or a parameter.
+        variability: When its value may change.
+        unit: Unit; ``"1"`` for none.
+        meaning: Description.
+        start: Start value; ``None`` for outputs.
+        lower: Smallest value.
+        upper: Largest value.
+        direct: Whether an output depends on the inputs at the same instant.
+    """
 
     name: str
     causality: Literal["input", "output", "parameter"]
@@ -28,8 +40,14 @@ class Variable(NamedTuple):
 class Model(NamedTuple):
     """Content of an FMU.
 
-    ``equations`` is the text of the functions ``start``, ``advance`` and ``outputs``. ``timing`` is ``{"longest": s}``
-    for a plant, whose steps are at most so long, and ``{"period": s}`` for a controller.
+    Attributes:
+        name: Name of the model.
+        kind: Whether it is a plant or a controller.
+        meaning: Description.
+        variables: Variables; the position of a variable is its value reference.
+        equations: NumPy text of the functions ``start``, ``advance`` and ``outputs``.
+        timing: ``{"longest": ...}``, the longest step of a plant in s, or ``{"period": ...}``, the period of a
+            controller in s.
     """
 
     name: str
@@ -46,11 +64,15 @@ def equations_text(
     """Return the NumPy text of a model's equations.
 
     Args:
-        start: State from parameters and inputs.
-        advance: State after a step, and whether the step failed, from parameters, state, inputs and duration.
-        outputs: Outputs from parameters, state and inputs.
+        start: Function of parameters and inputs that returns the state.
+        advance: Function of parameters, state, inputs and duration in s that returns the state after a step, and
+            whether the step failed.
+        outputs: Function of parameters, state and inputs that returns the outputs.
         parameter_count: Number of parameters.
         input_count: Number of inputs.
+
+    Raises:
+        InputError: for an operation that has no NumPy text.
     """
     number = jax.ShapeDtypeStruct((), jnp.float64)
     parameters: dict[str, Any] = {"parameters": [number] * parameter_count}

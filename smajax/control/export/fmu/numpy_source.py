@@ -1,9 +1,9 @@
 """JAX functions as NumPy source text.
 
-A function is traced, and its trace (a jaxpr) is written operation by operation, so that the equations of a plant or a
-controller are written once and run where there is no JAX. Calls are inlined; ``while``, ``scan`` and ``cond`` become
-loops and branches; unused operations are left out, and a repeated expression is computed once. An operation without a
-NumPy text is refused by its name.
+A function is traced, and its trace (a jaxpr) is written operation by operation, so that the same equations of a plant
+or a controller run without JAX. Calls are inlined; ``while``, ``scan`` and ``cond`` become loops and branches; unused
+operations are left out, and a repeated expression is computed once. An operation without a NumPy text raises an error
+with its name.
 """
 
 import itertools
@@ -65,26 +65,29 @@ _REDUCE = {
     "reduce_and": "np.all",
     "reduce_or": "np.any",
 }
-# Operations that take Python numbers next to a NumPy value.
+# Operations whose literals are written as Python numbers, next to a NumPy value.
 _TAKES_NUMBERS = (*_INFIX, "max", "min", "clamp")
+# Operations that return their inputs.
 _IDENTITY = ("stop_gradient", "copy", "copy_p", "optimization_barrier")
-# Parameters in which calls keep the jaxpr that they call.
+# Parameters of a call that may hold the jaxpr that it calls.
 _INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
-# Powers up to this one are written as products. Chosen by trial; tests/unit/control/test_fmu.py compares the results.
+# Largest integer power that is written as a product. Chosen by trial; tests/unit/control/test_fmu.py compares results.
 _MAX_PRODUCT_POWER = 4
 # Value of ``rounding_method`` for rounding to even.
 _TO_EVEN = 1
 
 
 def numpy_source(name: str, function: Callable, arguments: Mapping[str, Any]) -> str:
-    """Return the text of ``def name(...)``, which computes with NumPy what ``function`` computes with JAX.
+    """Return the source text of a NumPy function ``name`` that is equivalent to a JAX function.
 
     Args:
         name: Name of the function in the text.
-        function: A JAX function.
-        arguments: Name of each argument and an example of it, a pytree of arrays. In the text each argument is the
-            sequence of its leaves (an array itself), which have to be of NumPy's types; the leaves of the result are
-            returned as a tuple.
+        function: The JAX function.
+        arguments: Example of each argument by name, a pytree of arrays.
+
+    Returns:
+        The text. An argument of the NumPy function is the sequence of the leaves of its pytree (or the array itself if
+        the pytree is an array), which need NumPy types; the function returns the leaves of the result as a tuple.
 
     Raises:
         InputError: for an operation that has no text, with its name.
@@ -106,7 +109,16 @@ def numpy_source(name: str, function: Callable, arguments: Mapping[str, Any]) ->
 
 
 class _Writer:
-    """Writer of one function; ``names`` has the name of the value that an expression was given."""
+    """Writer of the text of one function.
+
+    Attributes:
+        prefix: Prefix of the names of constants.
+        lines: Lines of the function's body.
+        constants: Lines that assign the constants, before the function.
+        names: Name of the variable that holds the value of each expression.
+        count: Number of variables so far.
+        depth: Level of indentation.
+    """
 
     def __init__(self, prefix: str):
         self.prefix, self.lines, self.constants = prefix.upper(), [], []
@@ -114,22 +126,24 @@ class _Writer:
         self.count, self.depth = 0, 1
 
     def line(self, text: str) -> None:
+        """Write an indented line."""
         self.lines.append("    " * self.depth + text)
 
-    def new(self, letter: str) -> str:
+    def new_name(self, letter: str) -> str:
+        """Return a new name of a variable that begins with a letter."""
         self.count += 1
         return f"{letter}{self.count}"
 
     def value(self, text: str) -> str:
-        """Write an expression, once; return the name of its value."""
+        """Write an assignment of an expression, unless it has a name already; return the name of its value."""
         if text not in self.names:
-            self.names[text] = self.new("v")
+            self.names[text] = self.new_name("v")
             self.line(f"{self.names[text]} = {text}")
         return self.names[text]
 
     @contextmanager
     def block(self, head: str) -> Iterator[None]:
-        """Write an indented block; names of its values are not known after it, since it may not have run."""
+        """Write an indented block; names from inside are not used after it, since the block may not have run."""
         self.line(head)
         outer_names, self.names = self.names, dict(self.names)
         self.depth += 1
@@ -137,6 +151,7 @@ class _Writer:
         self.depth, self.names = self.depth - 1, outer_names
 
     def constant(self, value: Any) -> str:
+        """Write a constant before the function, unless it is there already; return its name."""
         array = np.asarray(value)
         text = f"np.array({array.tolist()!r}, np.{_dtype(array.dtype)})" if array.ndim else _scalar(array)
         if text not in self.names:
@@ -145,7 +160,18 @@ class _Writer:
         return self.names[text]
 
     def inline(self, closed: ClosedJaxpr | Jaxpr, inputs: list[str]) -> list[str]:
-        """Write a jaxpr with the named inputs; return the names of its results."""
+        """Write the equations of a jaxpr.
+
+        Args:
+            closed: The jaxpr.
+            inputs: Names of its inputs.
+
+        Returns:
+            Names of its results.
+
+        Raises:
+            InputError: for an operation that has no text.
+        """
         jaxpr, consts = (closed.jaxpr, closed.consts) if isinstance(closed, ClosedJaxpr) else (closed, [])
         names = dict(zip(jaxpr.invars, inputs, strict=True))
         names |= {var: self.constant(const) for var, const in zip(jaxpr.constvars, consts, strict=True)}
@@ -162,7 +188,18 @@ class _Writer:
         return [read(atom) for atom in jaxpr.outvars]
 
     def equation(self, equation: Any, inputs: list[str]) -> list[str]:
-        """Write one operation; return the names of its results."""
+        """Write one equation of a jaxpr.
+
+        Args:
+            equation: The equation.
+            inputs: Names of its inputs.
+
+        Returns:
+            Names of its results.
+
+        Raises:
+            InputError: for an operation that has no text.
+        """
         kind, options = equation.primitive.name, equation.params
         inner = next((options[key] for key in _INNER if isinstance(options.get(key), ClosedJaxpr | Jaxpr)), None)
         if kind in ("while", "scan", "cond"):
@@ -185,34 +222,35 @@ class _Writer:
         return [text if text in inputs else self.value(text)]
 
     def carried(self, first: list[str]) -> list[str]:
-        """Write the start values of a loop; return the names that the loop assigns."""
-        names = [self.new("c") for _ in first]
+        """Write the start values of a loop's carry; return the names that the loop updates."""
+        names = [self.new_name("c") for _ in first]
         self.assign(names, first)
         return names
 
     def assign(self, names: list[str], values: list[str]) -> None:
+        """Write one assignment of several values."""
         if names:
             self.line(f"{', '.join(names)} = {', '.join(values)}")
 
     def while_loop(self, options: dict, inputs: list[str]) -> list[str]:
-        """Write a ``while``; return the names of its last carry."""
+        """Write a ``while`` loop with the parameters of its equation; return the names of its last carry."""
         in_condition, in_body = options["cond_nconsts"], options["body_nconsts"]
         condition, body = inputs[:in_condition], inputs[in_condition : in_condition + in_body]
         carry = self.carried(inputs[in_condition + in_body :])
         with self.block("while True:"):
-            (goes_on,) = self.inline(options["cond_jaxpr"], condition + carry)
-            self.line(f"if not {goes_on}:")
+            (is_true,) = self.inline(options["cond_jaxpr"], condition + carry)
+            self.line(f"if not {is_true}:")
             self.line("    break")
             self.assign(carry, self.inline(options["body_jaxpr"], body + carry))
         return carry
 
     def scan_loop(self, options: dict, inputs: list[str]) -> list[str]:
-        """Write a scan as a ``for``; return the names of its last carry and of the rows that it gathers."""
+        """Write a ``scan`` as a ``for`` loop; return the names of its last carry and of its stacked results."""
         fixed, length = options["num_consts"], options["length"]
         split = fixed + options["num_carry"]
         carry = self.carried(inputs[fixed:split])
         avals = [atom.aval for atom in options["jaxpr"].jaxpr.outvars[options["num_carry"] :]]
-        rows, at = [self.new("r") for _ in avals], self.new("i")
+        rows, at = [self.new_name("r") for _ in avals], self.new_name("i")
         for row in rows:
             self.line(f"{row} = []")
         with self.block(f"for {at} in range({length}){'[::-1]' if options['reverse'] else ''}:"):
@@ -229,10 +267,10 @@ class _Writer:
         ]
 
     def branches(self, options: dict, inputs: list[str]) -> list[str]:
-        """Write a ``cond`` as branches; return the names of its results."""
+        """Write a ``cond`` or ``switch`` as branches; return the names of its results."""
         which, rest = inputs[0], inputs[1:]
         closed = options["branches"]
-        results = [self.new("b") for _ in closed[0].jaxpr.outvars]
+        results = [self.new_name("b") for _ in closed[0].jaxpr.outvars]
         for i, branch in enumerate(closed):
             head = f"if {which} <= 0:" if i == 0 else "else:" if i == len(closed) - 1 else f"elif {which} == {i}:"
             with self.block(head):

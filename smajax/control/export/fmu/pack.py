@@ -1,4 +1,4 @@
-"""Models packed as FMUs: model description, equations, and the binary of pythonfmu through which a tool calls them.
+"""Packing of models as FMUs: model description, equations, and the binary of pythonfmu through which a tool calls them.
 
 Source: FMI 2.0.4, section 2.2 (model description), https://fmi-standard.org.
 """
@@ -19,6 +19,7 @@ from smajax.control.export.fmu.model import Model, Variable
 from smajax.errors import InputError
 from smajax.units import base_units
 
+# Names of the SI base units in FMI by those of the unit library.
 _BASES = {
     "kilogram": "kg",
     "meter": "m",
@@ -40,23 +41,20 @@ _TIMING = {
     "longest": "It divides a communication step into steps of at most {:.4g} s, and holds its inputs meanwhile.",
     "period": "It samples its inputs every {:.4g} s, whatever the communication step is, and holds its command.",
 }
-# Characters of the content's hash in the identifier and in the GUID of an FMU.
+# Numbers of characters of the content's hash in the identifier and in the GUID of an FMU.
 _IDENTIFIER_LENGTH = 8
 _GUID_LENGTH = 32
 _LOG = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll")
 
 
-def write_fmu(path: Path, model: Model) -> None:
-    """Write the FMU of a model: the same file for the same model.
+def pack_fmu(model: Model) -> bytes:
+    """Pack a model as an FMU; the same model gives the same bytes.
 
-    Raises:
-        InputError: if pythonfmu is not installed.
-    """
-    path.write_bytes(fmu(model))
+    Args:
+        model: The model of a plant or a controller.
 
-
-def fmu(model: Model) -> bytes:
-    """Return the content of the file that ``write_fmu`` writes.
+    Returns:
+        The content of the FMU, a zip file.
 
     Raises:
         InputError: if pythonfmu is not installed.
@@ -75,10 +73,10 @@ def fmu(model: Model) -> bytes:
     ]
     settings = json.dumps({"smajax": __version__, **model.timing, "variables": variables}, indent=1).encode()
     content = hashlib.sha256(b"\0".join((settings, model.equations.encode(), slave, model.name.encode()))).hexdigest()
-    # One of its own for each content, since one Python may run many FMUs.
+    # Modules of different FMUs need different names, since one Python process may run several FMUs.
     identifier = f"smajax_{model.kind}_{content[:_IDENTIFIER_LENGTH]}"
     files = {
-        "modelDescription.xml": describe(model, identifier, content[:_GUID_LENGTH]),
+        "modelDescription.xml": model_description(model, identifier, content[:_GUID_LENGTH]),
         "resources/slavemodule.txt": identifier.encode(),
         f"resources/{identifier}.py": slave,
         f"resources/{identifier}_equations.py": model.equations.encode(),
@@ -95,7 +93,7 @@ def fmu(model: Model) -> bytes:
 
 
 def _page(model: Model) -> bytes:
-    """The page of documentation."""
+    """The documentation page of the FMU."""
     ((timing, seconds),) = model.timing.items()
     return _PAGE.format(
         name=escape(model.name),
@@ -106,7 +104,7 @@ def _page(model: Model) -> bytes:
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:
-    """A zip file without times of modification."""
+    """The content of a zip file without times of modification."""
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as packed:
         for name, content in files.items():
@@ -114,13 +112,13 @@ def _zipped(files: dict[str, bytes]) -> bytes:
     return archive.getvalue()
 
 
-def describe(model: Model, identifier: str, guid: str) -> bytes:
-    """Return the text of ``modelDescription.xml``.
+def model_description(model: Model, identifier: str, guid: str) -> bytes:
+    """Return the content of ``modelDescription.xml``.
 
     Args:
         model: The model.
-        identifier: Name of the binary and of the Python modules inside of the FMU.
-        guid: Identity of the content.
+        identifier: Name of the binary and of the Python modules in the FMU.
+        guid: Identifier of the content.
     """
     root = ElementTree.Element(
         "fmiModelDescription",
@@ -154,6 +152,7 @@ def describe(model: Model, identifier: str, guid: str) -> bytes:
 
 
 def _describe_units(root: ElementTree.Element, model: Model) -> None:
+    """Add the definitions of all units in SI base units."""
     units = sorted({v.unit for v in model.variables} - {"1"})
     if not units:
         return
@@ -166,7 +165,7 @@ def _describe_units(root: ElementTree.Element, model: Model) -> None:
 
 
 def _describe_structure(root: ElementTree.Element, model: Model) -> None:
-    """The outputs, and the inputs on which they depend directly."""
+    """Add the outputs, and the inputs on which they depend directly."""
     structure = _add(root, "ModelStructure")
     inputs = [i for i, v in enumerate(model.variables, 1) if v.causality == "input"]
     outputs = [(i, v) for i, v in enumerate(model.variables, 1) if v.causality == "output"]
@@ -178,8 +177,10 @@ def _describe_structure(root: ElementTree.Element, model: Model) -> None:
         _add(unknowns, "Unknown", index=i)
 
 
-def _describe_variable(parent: ElementTree.Element, place: int, variable: Variable) -> None:
-    attributes: dict[str, Any] = {"name": variable.name, "valueReference": place, "description": variable.meaning}
+def _describe_variable(parent: ElementTree.Element, value_reference: int, variable: Variable) -> None:
+    """Add a variable; its value reference is its position in the model."""
+    attributes: dict[str, Any] = {"name": variable.name, "valueReference": value_reference}
+    attributes |= {"description": variable.meaning}
     attributes |= {"causality": variable.causality, "variability": variable.variability}
     initial = {"parameter": "exact", "output": "calculated"}.get(variable.causality)
     entry = _add(parent, "ScalarVariable", **attributes, **({"initial": initial} if initial else {}))
@@ -189,7 +190,7 @@ def _describe_variable(parent: ElementTree.Element, place: int, variable: Variab
 
 
 def _add(parent: ElementTree.Element, tag: str, /, **attributes: Any) -> ElementTree.Element:
-    """A child with its attributes; numbers are written so that they are read back exactly."""
+    """Add and return a child with its attributes; numbers are written with all their digits."""
     return ElementTree.SubElement(
         parent, tag, {k: str(v).lower() if isinstance(v, bool) else str(v) for k, v in attributes.items()}
     )

@@ -1,8 +1,8 @@
 """A plant as the model of an FMU.
 
-Its inputs are the command of each wire, held over a communication step, which the FMU divides by itself, and prescribed
-signals; its outputs are the channels; its parameters are those of the rig, except those of the sensors. Units are SI,
-and degC.
+Its inputs are the command of each wire and prescribed signals, held over a communication step, which the FMU divides
+into shorter steps; its outputs are the channels; its parameters are those of the rig, except those of the sensors.
+Units are SI and degC.
 """
 
 import math
@@ -26,7 +26,7 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
     Args:
         plant: The plant.
         name: Name of the model.
-        step: Longest step, s; default: ``smajax.simulation.step_size.default_step``.
+        step: Longest step in s; default: ``smajax.simulation.step_size.default_step``.
 
     Raises:
         InputError: if an effect of the plant cannot be written with NumPy.
@@ -37,8 +37,8 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
     }
     values = {n: v for n, v in values.items() if not math.isnan(v)}
 
-    def with_values(given: Any) -> Plant:
-        return parameters.replace(plant, dict(zip(values, given, strict=True)))
+    def with_values(numbers: Any) -> Plant:
+        return parameters.replace(plant, dict(zip(values, numbers, strict=True)))
 
     def start(parameters: Any, inputs: Any) -> Any:
         return with_values(parameters).start(_signal(inputs))
@@ -72,12 +72,12 @@ def _variables(plant: Plant, values: dict[str, float]) -> list[Variable]:
     return variables
 
 
-def _input(plant: Plant, place: int) -> Variable:
+def _input(plant: Plant, index: int) -> Variable:
     """The input of a signal: a command, or a prescribed channel."""
-    name, wires = plant.signals[place], plant.mechanism.wires
+    name, wires = plant.signals[index], plant.mechanism.wires
     channel = channel_definition(name)
-    if plant.drive.control and place < wires:
-        command = numbered("command", wires)[place]
+    if plant.drive.control and index < wires:
+        command = numbered("command", wires)[index]
         return Variable(command, "input", "continuous", channel.unit, f"commanded {channel.description}", 0.0)
     rest = float(plant.environment.ambient) if channel_kind(name) == "temperature" else 0.0
     return Variable(f"prescribed.{name}", "input", "continuous", channel.unit, channel.description, rest)

@@ -1,7 +1,7 @@
-"""Code inside of the FMUs: it calls the equations as the importing tool steps. It needs Python with NumPy only.
+"""Code that runs in the FMUs and calls the equations when the importing tool steps. It needs only Python with NumPy.
 
-``model.json`` lists the variables; a value reference is a place in that list. The module of the same name with
-``_equations`` at its end is written by smajax and has ``start``, ``advance`` and ``outputs``. A plant takes steps of at
+``model.json`` lists the variables; a value reference is a position in that list. The module with the same name and the
+suffix ``_equations`` is written by smajax and has ``start``, ``advance`` and ``outputs``. A plant takes steps of at
 most ``longest`` s; a controller is called every ``period`` s and holds its command in between.
 """
 
@@ -14,13 +14,13 @@ import numpy as np
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
-# Rounding errors of quotients of times that are allowed before a step or a sample is added.
+# Rounding errors of a quotient of times up to which no further step or sample is added.
 _STEP_ROUNDING = 1e-9
 _SAMPLE_ROUNDING = 1e-6
 
 
 class Slave(Fmi2Slave):
-    """A plant or a controller; the state is ``None`` until it is needed, and is never changed in place."""
+    """Plant or controller; the state is ``None`` until it is needed, and is never changed in place."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -35,31 +35,36 @@ class Slave(Fmi2Slave):
         self.state, self.running, self.begin, self.samples = None, False, 0.0, 0
 
     def setup_experiment(self, start_time, *_):
+        """Store the start time in s."""
         self.begin = start_time
 
     def exit_initialization_mode(self):
+        """Compute the start state from the start values."""
         self.state, self.running = self._current_state(), True
 
     def do_step(self, current_time, step_size):
+        """Take a communication step (times in s); return whether the state is finite."""
         inputs, parameters, state = self._values_of("input"), self._values_of("parameter"), self._current_state()
         with np.errstate(all="ignore"):
             for duration in self._durations(current_time, step_size):
                 *state, failed = self.equations.advance(parameters, state, inputs, np.float64(duration))
                 if failed:
                     self.log(
-                        f"the step from {current_time:g} s could not be solved: check the inputs' scale",
+                        f"the step from {current_time:g} s did not converge: check the units of the inputs",
                         Fmi2Status.warning,
                     )
         self.state = state
         return bool(all(np.all(np.isfinite(leaf)) for leaf in state))
 
     def set_real(self, vrs, values):
+        """Set variables by their value references."""
         for vr, value in zip(vrs, values, strict=True):
             self.values[vr] = np.float64(value)
         if not self.running:
             self.state = None  # its start values are still being set
 
     def get_real(self, vrs):
+        """Return variables by their value references; outputs are computed from the current inputs."""
         if set(vrs) & set(self.places["output"]):
             with np.errstate(all="ignore"):
                 outputs = self.equations.outputs(

@@ -1,8 +1,7 @@
-"""The input-output models that can be fitted, one family a file, with bounds that follow from the recordings.
+"""The input-output models that can be fitted, one family in each file, with bounds that follow from the recordings.
 
 ``MODEL_SPECS`` maps the names of ``smajax compare`` to functions that make a ``ModelSpec`` for given series. The bounds
-of the hysteresis operators are those within which the models of copaci2020 can be searched: sizes relative to the
-ranges of input and output.
+of the hysteresis operators are relative to the ranges of input and output, and include the models of copaci2020.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""The Bouc-Wen model as a kind of model to fit."""
+"""The spec of the Bouc-Wen model for fits."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,12 @@ def bouc_wen_spec(series: Sequence[Series], *, rest: bool = False) -> ModelSpec:
 
     Args:
         series: Training recordings.
-        rest: Add a constant to the output, for sensors that do not read 0 where the input begins.
+        rest: Add a constant to the output, for sensors that do not read 0 at the first input.
+
+    Returns:
+        The spec, with bounds relative to the ranges of input and output.
+
+    Source: ikhouane2007.
     """
     ranges = ranges_of(series)
     _, span, _, swing = ranges

@@ -1,4 +1,4 @@
-"""The Hammerstein-Wiener model as a kind of model to fit."""
+"""The spec of the Hammerstein-Wiener model for fits."""
 
 import math
 from collections.abc import Sequence
@@ -18,41 +18,15 @@ def hammerstein_wiener_spec(series: Sequence[Series], knots: int = 10) -> ModelS
 
     Args:
         series: Training recordings.
-        knots: Knots of each curve.
+        knots: Number of knots of each curve.
+
+    Returns:
+        The spec, with the model without delay as the nested one.
     """
-    low, span, bottom, swing = ranges_of(series)
-    step, duration = step_of(series), duration_of(series)
-    places, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
-    edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
-    lower = {
-        "knots": places,
-        "inlet": edges[0],
-        "reflections": np.array((-1 + 1e-6, -0.999)),
-        "split": -3.0,
-        "outlet": np.full(knots, bottom - swing),
-        "delay": 0.0,
-        "settled": 0.0 if begins_on(series, span) else 1.0,
-    }
-    upper = {
-        "knots": places,
-        "inlet": edges[1],
-        "reflections": np.array((1.0, 1 - 1e-6)),
-        "split": 4.0,
-        "outlet": np.full(knots, bottom + 2 * swing),
-        "delay": duration / 2,
-        "settled": 1.0,
-    }
-    start = {
-        "knots": places,
-        "inlet": even,
-        "reflections": _double_pole(step, duration / 50),
-        "split": 0.5,
-        "outlet": bottom + swing * even,
-        "delay": 0.0,
-        "settled": 1.0,
-    }
+    duration = duration_of(series)
+    lower, upper, start = _sides(series, knots)
     extra_starts = [
-        start | {"delay": delay, "reflections": _double_pole(step, slow)}
+        start | {"delay": delay, "reflections": _double_pole(step_of(series), slow)}
         for delay in np.linspace(0.0, 0.45, 19) * duration
         for slow in (duration / 50, duration / 12)
     ]
@@ -70,6 +44,42 @@ def hammerstein_wiener_spec(series: Sequence[Series], knots: int = 10) -> ModelS
     )
 
 
+def _sides(series: Sequence[Series], knots: int) -> tuple[dict, dict, dict]:
+    """Lower and upper bounds and the first guess."""
+    low, span, bottom, swing = ranges_of(series)
+    step, duration = step_of(series), duration_of(series)
+    positions, even = np.linspace(low, low + span, knots), np.linspace(0.0, 1.0, knots)
+    edges = np.r_[0.0, np.full(knots - 2, -0.5), 1.0], np.r_[0.0, np.full(knots - 2, 1.5), 1.0]
+    lower = {
+        "knots": positions,
+        "inlet": edges[0],
+        "reflections": np.array((-1 + 1e-6, -0.999)),
+        "split": -3.0,
+        "outlet": np.full(knots, bottom - swing),
+        "delay": 0.0,
+        "settled": 0.0 if begins_on(series, span) else 1.0,
+    }
+    upper = {
+        "knots": positions,
+        "inlet": edges[1],
+        "reflections": np.array((1.0, 1 - 1e-6)),
+        "split": 4.0,
+        "outlet": np.full(knots, bottom + 2 * swing),
+        "delay": duration / 2,
+        "settled": 1.0,
+    }
+    start = {
+        "knots": positions,
+        "inlet": even,
+        "reflections": _double_pole(step, duration / 50),
+        "split": 0.5,
+        "outlet": bottom + swing * even,
+        "delay": 0.0,
+        "settled": 1.0,
+    }
+    return lower, upper, start
+
+
 def _make(parameters: dict) -> HammersteinWiener:
     return HammersteinWiener(**parameters)
 
@@ -79,6 +89,6 @@ def _without_delay(parameters: dict) -> dict:
 
 
 def _double_pole(step: float, slow: float) -> np.ndarray:
-    """The reflection coefficients of two poles of the time constant ``slow``, shape ``(2,)``."""
+    """Reflection coefficients (2,) of a double pole with the time constant ``slow``."""
     pole = math.exp(-step / slow)
     return np.array((-2 * pole / (1 + pole**2), pole**2))

@@ -1,4 +1,4 @@
-"""The NARX network, and the network for heating with exponentials for cooling, as kinds of model to fit."""
+"""The specs of the NARX network, and of a network for heating with exponentials for cooling, for fits."""
 
 import math
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ from smajax.fitting.io_models.specs.ranges import as_arrays, duration_of, ranges
 from smajax.laws.narx import Narx
 from smajax.laws.switched import Switched
 
-# Bounds of the weights, either way: far beyond what a ridge leaves.
+# Largest absolute value of a weight: far above the weights under any ridge.
 _MAX_WEIGHT = 5.0
-# The input heats above this share of its range.
+# The input heats above this share of its range; chosen by trial on the recordings of
+# tests/unit/laws/test_input_output_models.py.
 _HEATING_SHARE = 0.05
 
 
@@ -23,8 +24,11 @@ def narx_spec(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Mod
 
     Args:
         series: Training recordings.
-        hidden: Number of neurons.
-        order: Number of past outputs and inputs.
+        hidden: Number of hidden neurons.
+        order: Number of past outputs, and of past inputs.
+
+    Returns:
+        The spec, with a linear model as the first guess.
     """
     lower, upper, start = map(as_arrays, _network_sides(series, hidden, order))
     return ModelSpec("narx", _make_narx, lower, upper, start, needs_even_rows=True, weight_mask=_weight_mask(start))
@@ -33,26 +37,29 @@ def narx_spec(series: Sequence[Series], hidden: int = 10, order: int = 2) -> Mod
 def heating_cooling_spec(series: Sequence[Series], hidden: int = 10, order: int = 2) -> ModelSpec:
     """Return the spec of a network for heating and two exponentials for cooling.
 
-    The input heats while it is above a twentieth of its range.
-    The slow time constant lies ``beyond`` the fast one, by a share of the distance to the longest: the recording's
-    length.
+    The input heats while it is above a twentieth of its range. The slow time constant exceeds the fast one by the share
+    ``beyond`` of the distance to the longest one, the duration of the longest recording.
 
     Args:
         series: Training recordings.
-        hidden: Number of neurons.
-        order: Number of past outputs and inputs.
+        hidden: Number of hidden neurons.
+        order: Number of past outputs, and of past inputs.
+
+    Returns:
+        The spec, with a linear model as the first guess of the network.
     """
     low, span, bottom, swing = ranges_of(series)
     step, duration = step_of(series), duration_of(series)
     network = _network_sides(series, hidden, order)
-    held = {"off": low + _HEATING_SHARE * span, "longest": duration}
+    constants = {"off": low + _HEATING_SHARE * span, "longest": duration}
     cooling = (
         {"share": 0.0, "fast": step, "beyond": 0.0, "rest": bottom - 0.3 * swing},
         {"share": 1.0, "fast": 0.2 * duration, "beyond": 1.0, "rest": bottom + 0.3 * swing},
         {"share": 0.6, "fast": duration / 100, "beyond": 0.04, "rest": bottom},
     )
     lower, upper, start = (
-        as_arrays({"heating": side} | exponentials | held) for side, exponentials in zip(network, cooling, strict=True)
+        as_arrays({"heating": side} | exponentials | constants)
+        for side, exponentials in zip(network, cooling, strict=True)
     )
     mask = jax.tree.map(jnp.zeros_like, start) | {"heating": _weight_mask(start["heating"])}
     return ModelSpec("heating-cooling", _make_switched, lower, upper, start, needs_even_rows=True, weight_mask=mask)
@@ -70,12 +77,12 @@ def _network_sides(series: Sequence[Series], hidden: int, order: int) -> tuple[d
         "straight": (order,),
         "constant": (),
     }
-    held = {"rest": rest, "scale": scale}
+    constants = {"rest": rest, "scale": scale}
     lower, upper = (
-        {k: np.full(shape, end) for k, shape in shapes.items()} | held for end in (-_MAX_WEIGHT, _MAX_WEIGHT)
+        {k: np.full(shape, end) for k, shape in shapes.items()} | constants for end in (-_MAX_WEIGHT, _MAX_WEIGHT)
     )
-    start = {k: np.zeros(shape) for k, shape in shapes.items()} | held
-    # A first guess that holds an output for ever would make networks diverge under a ridge that pulls to it.
+    start = {k: np.zeros(shape) for k, shape in shapes.items()} | constants
+    # With a first guess that keeps an output for ever, networks diverge under a ridge that pulls their weights to it.
     slow = math.exp(-step_of(series) * 50 / duration_of(series))
     start["straight"] = np.r_[slow + 0.8, -0.8 * slow, np.zeros(order - 2)] if order > 1 else np.array([slow])
     start["constant"] = (1.0 - np.sum(start["straight"])) * (rest - scale[2]) / scale[3]

@@ -1,4 +1,4 @@
-"""The generalised Prandtl-Ishlinskii operator as a kind of model to fit."""
+"""The spec of the generalised Prandtl-Ishlinskii operator for fits."""
 
 import itertools
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from smajax.fitting.io_models.problem import ModelSpec, Series
 from smajax.fitting.io_models.specs.ranges import Ranges, as_arrays, direction_of, ranges_of
 from smajax.laws.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 
-# Plays of the operator by default.
+# Number of plays of the operator by default. Chosen by trial.
 _PLAYS = 10
 # Further first guesses; chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py.
 # Slopes of the envelopes times the input's range.
@@ -35,41 +35,46 @@ def prandtl_ishlinskii_spec(
 ) -> ModelSpec:
     """Return the spec of the operator with ``count`` plays and one tanh envelope, or one for each direction.
 
-    While thresholds and densities are both fitted, the height of the loading envelope is held: envelopes and thresholds
-    so many times larger, with direct part and densities so many times smaller, are the same operator. The envelopes
-    rise or fall as the output does with the input. A search for more than ten even plays starts at the fit of half as
-    many, too.
+    Where thresholds and densities are both fitted, the height of the loading envelope is fixed: if envelopes and
+    thresholds are multiplied by a factor, and direct part and densities divided by it, the operator is the same. The
+    envelopes rise or fall as the output does with the input. A search for more than ten even plays also starts at the
+    fit with half as many.
 
     Args:
         series: Training recordings.
         count: Number of plays.
-        envelopes: 1 or 2.
-        thresholds: In the output's unit: fitted as evenly spread ones up to a largest (``even``), each for itself
-            (``free``), or held at rising values (count,).
-        densities: Fitted (``free``), or held at values (count,).
+        envelopes: Number of envelopes, 1 or 2.
+        thresholds: In the output's unit: evenly spaced ones of which the largest is fitted (``even``), each fitted
+            (``free``), or fixed increasing values (count,).
+        densities: Fitted (``free``), or fixed values (count,).
+
+    Returns:
+        The spec, with bounds relative to the ranges of input and output.
 
     Raises:
-        InputError: No operator has these thresholds or densities.
+        InputError: Thresholds do not increase from above 0, a density is negative, or there are not ``count`` of them.
+
+    Source: copaci2020, equations 7 to 9.
     """
-    held_gaps, held_densities = _held_values(count, thresholds, densities)
+    fixed_gaps, fixed_densities = _fixed_values(count, thresholds, densities)
     ranges, direction = ranges_of(series), direction_of(series)
     lower, upper, start = _sides(ranges, direction, count, envelopes)
-    if held_gaps is not None or thresholds == "free":
-        gaps = _gap_sides(held_gaps, count, ranges.swing)
+    if fixed_gaps is not None or thresholds == "free":
+        gaps = _gap_sides(fixed_gaps, count, ranges.swing)
         lower, upper, start = (
             {k: v for k, v in side.items() if k != "reach"} | {"gaps": gap}
             for side, gap in zip((lower, upper, start), gaps, strict=True)
         )
-    if held_densities is not None:
-        lower, upper, start = (side | {"densities": held_densities} for side in (lower, upper, start))
-    if held_gaps is None and held_densities is None:
+    if fixed_densities is not None:
+        lower, upper, start = (side | {"densities": fixed_densities} for side in (lower, upper, start))
+    if fixed_gaps is None and fixed_densities is None:
         height = start["loading"]["height"]
         lower, upper = (side | {"loading": side["loading"] | {"height": height}} for side in (lower, upper))
-    # Two envelopes can stand in for each other's plays: a search from those of another slope in another place ends
-    # there. One envelope cannot, but thresholds that are all free can stand in for its slope.
-    several = envelopes == 2 or (held_gaps is None and thresholds == "free")
+    # With two envelopes the plays can compensate for envelopes of a wrong slope and centre, and a search ends there.
+    # With one envelope they cannot, unless all thresholds are free.
+    several = envelopes == 2 or (fixed_gaps is None and thresholds == "free")
     nested = ()
-    if "reach" in start and held_densities is None and count > _PLAYS and count % 2 == 0:
+    if "reach" in start and fixed_densities is None and count > _PLAYS and count % 2 == 0:
         nested = ((prandtl_ishlinskii_spec(series, count // 2, envelopes), _twice_as_many),)
     return ModelSpec(
         f"prandtl-ishlinskii-{count}" if count != _PLAYS else "prandtl-ishlinskii",
@@ -81,17 +86,17 @@ def prandtl_ishlinskii_spec(
     )
 
 
-def _held_values(count: int, thresholds: Any, densities: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Distances between thresholds that are held, and densities that are held; ``None`` where they are fitted."""
+def _fixed_values(count: int, thresholds: Any, densities: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Distances between fixed thresholds, and fixed densities, (count,) each; ``None`` where they are fitted."""
     gaps = np.diff(np.asarray(thresholds, float), prepend=0.0) if not isinstance(thresholds, str) else None
-    held = np.asarray(densities, float) if not isinstance(densities, str) else None
+    fixed = np.asarray(densities, float) if not isinstance(densities, str) else None
     if gaps is not None and (gaps.shape != (count,) or not np.all(gaps > 0.0)):
         raise InputError(
-            f"thresholds have to be {count} rising numbers above 0: give as many as plays, or 'even' or 'free'"
+            f"thresholds have to be {count} increasing numbers above 0: give one for each play, or 'even' or 'free'"
         )
-    if held is not None and (held.shape != (count,) or not np.all(held >= 0.0)):
-        raise InputError(f"densities have to be {count} numbers of at least 0: give as many as plays, or 'free'")
-    return gaps, held
+    if fixed is not None and (fixed.shape != (count,) or not np.all(fixed >= 0.0)):
+        raise InputError(f"densities have to be {count} numbers of at least 0: give one for each play, or 'free'")
+    return gaps, fixed
 
 
 def _sides(ranges: Ranges, direction: float, count: int, envelopes: int) -> tuple[dict, dict, dict]:
@@ -127,15 +132,15 @@ def _sides(ranges: Ranges, direction: float, count: int, envelopes: int) -> tupl
     return lower, upper, start
 
 
-def _gap_sides(held: np.ndarray | None, count: int, swing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _gap_sides(fixed: np.ndarray | None, count: int, swing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Lower and upper bounds and the first guess of the distances between thresholds."""
-    if held is not None:
-        return held, held, held
+    if fixed is not None:
+        return fixed, fixed, fixed
     return np.full(count, 1e-4 * swing), np.full(count, swing), np.full(count, 0.5 * swing / count)
 
 
 def _extra_starts(start: dict, ranges: Ranges, envelopes: int) -> list[Any]:
-    """Further first guesses: envelopes of other slopes in other places, and plays of another reach."""
+    """Further first guesses: envelopes with other slopes and centres, and plays with another largest threshold."""
     low, span, _, _ = ranges
     envelope = start["loading"]
     distances = _DISTANCES if envelopes == 2 else (0.0,)
@@ -144,8 +149,8 @@ def _extra_starts(start: dict, ranges: Ranges, envelopes: int) -> list[Any]:
     for slope, centre, distance, factor in itertools.product(_SLOPES, _CENTRES, distances, factors):
         guess = start | ({"reach": factor * start["reach"]} if "reach" in start else {})
         for name, side in (("loading", 0.5), ("unloading", -0.5))[:envelopes]:
-            place = low + (centre + side * distance) * span
-            guess |= {name: envelope | {"slope": slope / span, "centre": place}}
+            position = low + (centre + side * distance) * span
+            guess |= {name: envelope | {"slope": slope / span, "centre": position}}
         starts.append(as_arrays(guess))
     return starts
 
@@ -169,13 +174,13 @@ def _make(parameters: dict) -> PrandtlIshlinskii:
 
 
 def _envelope(parameters: dict) -> Envelope:
-    """By its ``centre``, an input, whose bounds do not depend on where inputs are counted from."""
+    """An envelope from its ``centre``, an input, whose bounds do not depend on the zero of the input."""
     return Envelope(
         parameters["height"], parameters["slope"], -parameters["slope"] * parameters["centre"], parameters["middle"]
     )
 
 
 def _twice_as_many(parameters: dict) -> dict:
-    """The parameters of twice as many plays with the same output: those at the thresholds between have no density."""
+    """The parameters of twice as many plays with the same output: the additional plays have density 0."""
     densities = parameters["densities"]
     return parameters | {"densities": jnp.stack([jnp.zeros_like(densities), densities], axis=1).ravel()}

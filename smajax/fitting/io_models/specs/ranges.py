@@ -11,12 +11,19 @@ from smajax.fitting.io_models.problem import Series
 
 # An input below this share of its range is off: above rounding, below any driven input.
 _OFF_SHARE = 1e-9
-# Bounds of the output at input 0 lie this many times the output's range away.
+# Bounds of the output at input 0, as a multiple of the output's range; chosen by trial.
 _REACH = 5.0
 
 
 class Ranges(NamedTuple):
-    """Lowest input, its range, lowest output, its range; a range of 0 is replaced by 1."""
+    """Ranges of input and output.
+
+    Attributes:
+        low: Lowest input.
+        span: Range of the input; 1 for a constant input.
+        bottom: Lowest output.
+        swing: Range of the output; 1 for a constant output.
+    """
 
     low: float
     span: float
@@ -53,12 +60,25 @@ def duration_of(series: Sequence[Series]) -> float:
 
 
 def begins_on(series: Sequence[Series], span: float) -> bool:
-    """Tell whether a series begins with its input on."""
+    """Return whether a series begins with its input on.
+
+    Args:
+        series: The series.
+        span: Range of the input.
+    """
     return any(abs(s.input[0]) > _OFF_SHARE * span for s in series)
 
 
 def output_at_zero(ranges: Ranges, direction: float) -> tuple[float, float, float]:
-    """Return lower and upper bound and a guess of the output at input 0, which may be beyond the input's range."""
+    """Estimate the output at input 0, which may be outside the input's range.
+
+    Args:
+        ranges: Ranges of input and output.
+        direction: 1 where the output rises with the input, -1 where it falls.
+
+    Returns:
+        Lower bound, upper bound and first guess, in the output's unit.
+    """
     low, span, bottom, swing = ranges
     guess, reach = (
         (bottom if direction > 0.0 else bottom + swing) - direction * swing * low / span,
@@ -68,5 +88,5 @@ def output_at_zero(ranges: Ranges, direction: float) -> tuple[float, float, floa
 
 
 def as_arrays(tree: Any) -> Any:
-    """Return a pytree with its numbers as arrays of float64."""
+    """Convert the numbers of a pytree to arrays of float64."""
     return jax.tree.map(lambda v: jnp.asarray(v, jnp.float64), tree)

@@ -1,4 +1,4 @@
-"""Transfer functions with delay as a kind of model to fit."""
+"""The specs of transfer functions with delay for fits."""
 
 import functools
 import math
@@ -27,7 +27,7 @@ _UNUSED: Mapping[Structure, tuple[str, ...]] = {
     "underdamped": ("second",),
     "underdamped-and-pole": (),
 }
-# Greatest damping: a pair so much damped is one pole, the other being a thousand times as fast.
+# Largest damping: the two poles of such a pair differ by a factor of about 1600, so that only the slow one matters.
 _MAX_DAMPING = 20.0
 # A time constant this share of a step has no effect from row to row, so that a structure contains those with fewer
 # poles.
@@ -37,9 +37,16 @@ _PROMPT_SHARE = 1e-3
 def transfer_function_spec(series: Sequence[Series], structure: Structure = "underdamped-and-pole") -> ModelSpec:
     """Return the spec of one of the four structures, with a delay of at most half the recording.
 
-    Each structure contains those before it, and a search starts at their fits, too. ``settled`` is free only where a
-    recording begins with the input on and changes it later: without the first it has no effect, without the second it
-    cannot be distinguished from gain and rest.
+    Each structure contains those before it, and a search also starts at their fits. ``settled`` is free only where a
+    recording begins with the input on and changes it later: if the input begins off it has no effect, and if the input
+    is constant it cannot be distinguished from gain and rest.
+
+    Args:
+        series: Training recordings.
+        structure: The structure, one of ``STRUCTURES``.
+
+    Returns:
+        The spec, with the structure before this one as the nested one.
     """
     ranges, constant = _input_ranges(series)
     step, duration = step_of(series), duration_of(series)
@@ -86,7 +93,7 @@ def _sides(
     step, duration = step_of(series), duration_of(series)
     settled = 1.0 if not constant and begins_on(series, span) else 0.0
     nearest = min(float(np.min(np.abs(s.input))) for s in series)
-    # About a bias, the input before the recording may have been further from 0.
+    # If the input varies about a bias, it may have been further from 0 before the recording.
     settled *= 1.0 + (span / nearest if nearest > 0.5 * span else 0.0)
     prompt = _PROMPT_SHARE * step
     least, most, rest = output_at_zero(ranges._replace(low=0.0) if constant else ranges, 1.0)
@@ -101,7 +108,7 @@ def _sides(
 
 
 def _with_more_poles(parameters: dict, structure: Structure, prompt: float) -> dict:
-    """The parameters of a ``structure`` with the output of the one before it: two poles as a pair, or a prompt pole."""
+    """The parameters of a ``structure`` with the output of the one before it: two poles as a pair, or one fast pole."""
     if structure != "underdamped":
         return parameters | {"second": prompt}
     slow, fast = (float(f(parameters["first"], parameters["second"])) for f in (jnp.maximum, jnp.minimum))
@@ -114,5 +121,5 @@ def _make(parameters: dict, structure: Structure) -> TransferFunction:
     return TransferFunction(**parameters, **dict.fromkeys(_UNUSED[structure], jnp.asarray(1.0)), structure=structure)
 
 
-# One object each: a compiled program is found by it.
+# One object for each structure, since compiled programs are cached by it.
 _makers = {s: functools.partial(_make, structure=s) for s in STRUCTURES}
