@@ -1,4 +1,4 @@
-"""Fits of a soft arm's logs: the plant with every candidate effect, and a prior from data sheets."""
+"""Fits of a soft arm's logs: a plant with all candidate effects, and a prior from data sheets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from smajax.fitting.problem import Problem, build_problem
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording
 
-LEVER = 0.003  # m of wire per rad of bend: a nominal scale, which the largest strain makes up for
+LEVER = 0.003  # m of wire per rad of bend; nominal, since max_transformation_strain scales with it
 
 
 RIG = """
@@ -73,12 +73,12 @@ starts = 1
 """
 
 
-SLOTS = 14
+SLOTS = 14  # most effects' parameters that a fit moves
 
 
-# Prior standard deviations around the rig's values (SI, K): data sheets of such wires, a driver and films of air
-# known to within a factor.
-SPREAD = {
+# Prior standard deviations about the rig's values (SI, K), from data sheets of such wires; drive and convection are
+# known to within a factor only.
+PRIOR_DEVIATION = {
     "drive.supply": 0.5,
     "heat.h0": 30.0,
     "environment.ambient": 2.0,
@@ -91,38 +91,42 @@ SPREAD = {
 }
 
 
-SPREAD_STRENGTH, SPREAD_SHAPE = (
-    1.5,
-    1.0,
-)  # of an effect, in typical strengths around none and in its usual shape's sizes around that
+STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
+SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value
 
 
-BASE_STARTS = 8  # with three, the base may stay where its wire never transforms, and any effect seems to mend it
+BASE_STARTS = 8  # with 3 the base fit may stay where the wire never transforms, so that any effect improves it
 
 
-DENSE, TAIL = 40.0, 1.1
+DENSE_SECONDS = 40.0  # s after the first pulse in which all rows are kept
+TAIL_SECONDS = 1.1  # s between rows after that
 
 
-BLOCK = 2.0
+BLOCK_SECONDS = 2.0  # s; every third block is the selection part
 
 
-def parts(log: Log) -> dict[str, Recording]:
-    """The log as recordings, each from its first row to its last, whose channels are NaN but in their own part.
+def split_log(log: Log) -> dict[str, Recording]:
+    """Split a log into recordings.
 
-    ``train`` and ``select`` make up ``fitted``; ``held`` is scored.
+    Each covers the whole log; its channels are NaN outside the rows of its role. Before the scored part, the slow tail
+    of
+    a pulse is thinned.
+
+    Returns:
+        Recordings by role: ``train`` and ``select`` together make ``fitted``, and ``held`` is scored.
     """
-    keep = [0]
+    kept_rows = [0]
     for k, now in enumerate(log.time):
-        dense = now < log.pulses[0] + DENSE or now >= log.scored
-        if k and (dense or (now - log.time[keep[-1]] >= TAIL and np.isfinite(log.temperature[k]))):
-            keep.append(k)
-    time = log.time[keep]
-    channels = {"temperature": log.temperature[keep], "displacement": np.radians(log.bend[keep]) * LEVER}
+        dense = now < log.pulses[0] + DENSE_SECONDS or now >= log.scored
+        if k and (dense or (now - log.time[kept_rows[-1]] >= TAIL_SECONDS and np.isfinite(log.temperature[k]))):
+            kept_rows.append(k)
+    time = log.time[kept_rows]
+    channels = {"temperature": log.temperature[kept_rows], "displacement": np.radians(log.bend[kept_rows]) * LEVER}
     units = {"duty": "1", "temperature": "degC", "displacement": "mm"}
     fitted = time < log.until
-    chosen = np.floor((time - log.pulses[0]) / BLOCK) % 3 == 2
+    chosen = np.floor((time - log.pulses[0]) / BLOCK_SECONDS) % 3 == 2
     rows = {"train": fitted & ~chosen, "select": fitted & chosen, "fitted": fitted, "held": time > log.scored}
-    duty = {"duty": log.duty[keep]}
+    duty = {"duty": log.duty[kept_rows]}
     return {
         role: Recording.from_arrays(
             log.name, time, duty | {c: np.where(own, v, np.nan) for c, v in channels.items()}, units
@@ -132,37 +136,40 @@ def parts(log: Log) -> dict[str, Recording]:
 
 
 class Model(Module):
-    """A problem whose plant has all candidates.
+    """A fit problem whose plant has all candidate effects, with a Gaussian prior.
 
-    ``fixed``, shape ``(n,)``, and ``moved``, shape ``(n, SLOTS)``, say what the slots move.
-
-    ``usual`` and ``spread`` are mean and standard deviation of the prior of the vector and the slots; infinite where
-    there is none.
+    Attributes:
+        problem: The fit problem.
+        fixed_values: Values of the effects' parameters that no slot moves, shape ``(n,)``.
+        slot_matrix: What one unit of a slot adds to each parameter, shape ``(n, SLOTS)``.
+        prior_mean: Mean of the prior of the vector and the slots.
+        prior_deviation: Its standard deviation; infinite where there is no prior.
+        names: Names of the effects' parameters.
     """
 
     problem: Problem
-    fixed: jax.Array
-    moved: jax.Array
-    usual: jax.Array
-    spread: jax.Array
+    fixed_values: jax.Array
+    slot_matrix: jax.Array
+    prior_mean: jax.Array
+    prior_deviation: jax.Array
     names: tuple[str, ...] = field(static=True)
 
     @property
     def size(self) -> int:
         """Number of residuals."""
-        return self.problem.size + len(self.usual)
+        return self.problem.size + len(self.prior_mean)
 
     def predict(self, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """See ``Problem.predict``."""
+        """Predict the channels, and the error code, as ``Problem.predict``."""
         return self._at(vector).predict(vector[: len(self.problem.unknowns)])
 
     def residual(self, vector: jax.Array) -> jax.Array:
-        """``Problem.residual``'s, then what the prior says, over its spread."""
+        """Return the residuals of the problem, followed by those of the prior over its standard deviation."""
         measured = self._at(vector).residual(vector[: len(self.problem.unknowns)])
-        return jnp.concatenate([measured, (vector - self.usual) / self.spread])
+        return jnp.concatenate([measured, (vector - self.prior_mean) / self.prior_deviation])
 
     def _at(self, vector: jax.Array) -> Problem:
-        values = self.fixed + self.moved @ vector[len(self.problem.unknowns) :]
+        values = self.fixed_values + self.slot_matrix @ vector[len(self.problem.unknowns) :]
         plant = parameters.replace(self.problem.plant, {n: values[i] for i, n in enumerate(self.names)})
         return dataclasses.replace(self.problem, plant=plant)
 
@@ -177,77 +184,119 @@ def _predict(model: Model, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Fitted:
-    """One log's fit.
+class LogFit:
+    """The fit of one log.
 
-    The rig's vector, the effects' parameters by name (internal units), the cost and why it stopped.
+    Attributes:
+        base: The rig's vector.
+        effects: The effects' parameters by name, in internal units.
+        cost: The cost at the end.
+        status: Why the solver stopped.
     """
 
     base: np.ndarray
     effects: Mapping[str, float]
     cost: float
-    stop: least_squares.SolverStatus
+    status: least_squares.SolverStatus
 
 
-class Bench:
-    """All logs on one compiled program, in which every candidate stands at strength 0 until a slot moves it."""
+class LogFitter:
+    """Fits of all logs with one compiled program, in which every candidate has strength 0 until a slot moves it."""
 
     def __init__(self, logs: Sequence[Log], candidates: Sequence[str]):
         rig = parse_rig(RIG, "softlimb.toml")
-        traits = rig.plant.capabilities(tuple(rig.fit.observe))
-        self.kinds = {k: catalogue()[k] for k in candidates if not catalogue()[k].unavailable_reason(traits)}
+        capabilities = rig.plant.capabilities(tuple(rig.fit.observe))
+        self.kinds = {k: catalogue()[k] for k in candidates if not catalogue()[k].unavailable_reason(capabilities)}
         plant = dataclasses.replace(rig.plant, effects=tuple(kind() for kind in self.kinds.values()))
         self.names = tuple(f"effects.{k}.{n}" for k, kind in self.kinds.items() for n in parameters.declarations(kind))
         self.declared = {n: parameters.declaration(plant, n) for n in self.names}
         self.nominal = np.array([float(parameters.get(plant, n)) for n in self.names])
-        self.parts = [parts(log) for log in logs]
+        self.parts = [split_log(log) for log in logs]
         self.problems: list[dict[str, Problem]] = []
         first: Problem | None = None
-        for own in self.parts:
-            built = {role: build_problem(plant, [r], rig.fit, step=2.0, multiple=128) for role, r in own.items()}
+        for recordings in self.parts:
+            built = {role: build_problem(plant, [r], rig.fit, step=2.0, multiple=128) for role, r in recordings.items()}
             first = first or built["train"]
             self.problems.append({role: dataclasses.replace(first, data=p.data) for role, p in built.items()})
         assert first is not None
         self.first, self.noise = first, rig.fit.noise
 
     def scale(self, name: str) -> float:
-        """What a slot that moves a parameter counts in."""
+        """Return the unit of a slot that moves a parameter: its typical strength, or the size of its nominal value."""
         key = name.split(".")[1]
         return (
             self.kinds[key].typical if name.endswith(".strength") else abs(float(self.nominal[self.names.index(name)]))
         )
 
     def model(self, log: int, role: str, effects: Mapping[str, float]) -> tuple[Model, np.ndarray]:
-        """The model in which the slots move these effects' parameters, and the slots' values."""
-        fixed, moved, slots = self.nominal.copy(), np.zeros((len(self.names), SLOTS)), np.zeros(SLOTS)
-        usual, spread = np.zeros(SLOTS), np.full(SLOTS, np.inf)
-        for j, (name, value) in enumerate(effects.items()):
-            i, strength = self.names.index(name), name.endswith(".strength")
-            fixed[i], moved[i, j], slots[j] = 0.0, self.scale(name), value / self.scale(name)
-            usual[j], spread[j] = (
-                (0.0, SPREAD_STRENGTH) if strength else (self.nominal[i] / self.scale(name), SPREAD_SHAPE)
-            )
-        usual = np.append(self.first.nominal, usual)
-        spread = np.append([SPREAD[u.name] / u.scale for u in self.first.unknowns], spread)
-        return Model(self.problems[log][role], *map(jnp.asarray, (fixed, moved, usual, spread)), self.names), slots
+        """Build the model in which the slots move the parameters of some effects.
 
-    def fit(self, log: int, role: str, effects: Mapping[str, float], base: np.ndarray, steps: int) -> Fitted:
-        """Fits one log's part from a start point."""
+        Args:
+            log: Index of the log.
+            role: Role of the recording, a key of ``split_log``.
+            effects: Values of the effects' parameters, by name.
+
+        Returns:
+            The model, and the values of the slots, shape ``(SLOTS,)``.
+        """
+        fixed_values = self.nominal.copy()
+        slot_matrix = np.zeros((len(self.names), SLOTS))
+        slots = np.zeros(SLOTS)
+        prior_mean = np.zeros(SLOTS)
+        prior_deviation = np.full(SLOTS, np.inf)
+        for j, (name, value) in enumerate(effects.items()):
+            i = self.names.index(name)
+            strength = name.endswith(".strength")
+            fixed_values[i] = 0.0
+            slot_matrix[i, j] = self.scale(name)
+            slots[j] = value / self.scale(name)
+            prior_mean[j], prior_deviation[j] = (
+                (0.0, STRENGTH_DEVIATION) if strength else (self.nominal[i] / self.scale(name), SHAPE_DEVIATION)
+            )
+        prior_mean = np.append(self.first.nominal, prior_mean)
+        prior_deviation = np.append([PRIOR_DEVIATION[u.name] / u.scale for u in self.first.unknowns], prior_deviation)
+        return Model(
+            self.problems[log][role],
+            *map(jnp.asarray, (fixed_values, slot_matrix, prior_mean, prior_deviation)),
+            self.names,
+        ), slots
+
+    def fit(self, log: int, role: str, effects: Mapping[str, float], base: np.ndarray, steps: int) -> LogFit:
+        """Fit a part of one log from a start point.
+
+        Args:
+            log: Index of the log.
+            role: Role of the recording.
+            effects: Start values of the effects' parameters, by name.
+            base: Start values of the rig's vector.
+            steps: Largest number of solver steps.
+        """
         model, slots = self.model(log, role, effects)
         lower, upper = self.first.bounds
-        ends = np.zeros((2, SLOTS))
+        slot_bounds = np.zeros((2, SLOTS))
         for j, name in enumerate(effects):
-            ends[:, j] = self.declared[name].lower / self.scale(name), self.declared[name].upper / self.scale(name)
+            slot_bounds[:, j] = (
+                self.declared[name].lower / self.scale(name),
+                self.declared[name].upper / self.scale(name),
+            )
         start = np.concatenate([base, slots])[None]
-        lower, upper = np.concatenate([lower, ends[0]]), np.concatenate([upper, ends[1]])
+        lower = np.concatenate([lower, slot_bounds[0]])
+        upper = np.concatenate([upper, slot_bounds[1]])
         search = MultiStartSolver(_residual, model, start, lower, upper, size=model.size, rtol=1e-5)
-        solved = search.advance(steps).result()
-        point = solved.points[0]
-        found = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}
-        return Fitted(point[: len(base)], found, float(solved.costs[0]), solved.statuses[0])
+        result = search.advance(steps).result()
+        point = result.points[0]
+        values = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}
+        return LogFit(point[: len(base)], values, float(result.costs[0]), result.statuses[0])
 
-    def each(self, role: str, before: Sequence[Fitted], added: Mapping[str, float], steps: int) -> list[Fitted]:
-        """Fits all logs, each from where it stood, with what is added."""
+    def fit_all(self, role: str, before: Sequence[LogFit], added: Mapping[str, float], steps: int) -> list[LogFit]:
+        """Fit a part of all logs, each from its earlier fit.
+
+        Args:
+            role: Role of the recordings.
+            before: The earlier fits, one a log.
+            added: Start values of further effects' parameters.
+            steps: Largest number of solver steps.
+        """
         with ThreadPoolExecutor(2) as pool:
             return list(
                 pool.map(
@@ -256,36 +305,56 @@ class Bench:
                 )
             )
 
-    def drawn(
+    def fit_from_draws(
         self, log: int, role: str, effects: Mapping[str, float], times: int, steps: int, seed: int = 0
-    ) -> list[Fitted]:
-        """Fit one log from the rig's values and from ``times - 1`` points of the search box; the best first."""
+    ) -> list[LogFit]:
+        """Fit one log from the rig's values and from points drawn over the search box.
+
+        Args:
+            log: Index of the log.
+            role: Role of the recording.
+            effects: Start values of the effects' parameters.
+            times: Number of start points, the rig's values included.
+            steps: Largest number of solver steps.
+            seed: Seed of the draws.
+
+        Returns:
+            The fits, the best first.
+        """
         lower, upper = self.first.search_bounds()
         points = np.random.default_rng(seed).uniform(lower, upper, (times - 1, len(lower)))
         with ThreadPoolExecutor(2) as pool:
             fits = list(pool.map(lambda p: self.fit(log, role, effects, p, steps), [self.first.nominal, *points]))
         return sorted(fits, key=lambda f: f.cost if np.isfinite(f.cost) else np.inf)
 
-    def residuals(self, log: int, role: str, fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-        """Measured minus model of a part, K and deg, NaN where nothing was measured."""
+    def residuals(self, log: int, role: str, fitted: LogFit) -> tuple[np.ndarray, np.ndarray]:
+        """Return measured minus modelled temperature (K) and bend (deg) of a part, NaN where nothing was measured.
+
+        Args:
+            log: Index of the log.
+            role: Role of the recording.
+            fitted: The fit of the log.
+        """
         model, slots = self.model(log, role, fitted.effects)
         predicted, _ = _predict(model, jnp.asarray(np.concatenate([fitted.base, slots])))
         data, count = self.problems[log][role].data, len(self.parts[log][role])
-        left = np.where(np.asarray(data.weight[0]) > 0, np.asarray(data.measured[0] - predicted[0]), np.nan)[:, :count]
-        return left[0], np.degrees(left[1] / LEVER)
+        residual = np.where(np.asarray(data.weight[0]) > 0, np.asarray(data.measured[0] - predicted[0]), np.nan)[
+            :, :count
+        ]
+        return residual[0], np.degrees(residual[1] / LEVER)
 
-    def score(self, role: str, fits: Sequence[Fitted]) -> float:
-        """RMS of a part's residuals over their noise, pooled over logs and channels."""
+    def score(self, role: str, fits: Sequence[LogFit]) -> float:
+        """Return the RMS of a part's residuals over their noise, pooled over logs and channels."""
         noise = self.noise["temperature"], float(np.degrees(self.noise["displacement"] / LEVER))
-        left = [self.residuals(i, role, f) for i, f in enumerate(fits)]
-        return rms([r[c] / noise[c] for r in left for c in (0, 1)])
+        residuals = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        return rms([r[c] / noise[c] for r in residuals for c in (0, 1)])
 
-    def errors(self, role: str, fits: Sequence[Fitted]) -> tuple[float, float]:
-        """Pooled RMSE of a part in K and deg."""
-        left = [self.residuals(i, role, f) for i, f in enumerate(fits)]
-        return rms([r[0] for r in left]), rms([r[1] for r in left])
+    def errors(self, role: str, fits: Sequence[LogFit]) -> tuple[float, float]:
+        """Return the pooled RMSE of a part in K and deg."""
+        residuals = [self.residuals(i, role, f) for i, f in enumerate(fits)]
+        return rms([r[0] for r in residuals]), rms([r[1] for r in residuals])
 
 
 def rms(series: Sequence[np.ndarray]) -> float:
-    """Root mean square over all samples that are none of them NaN."""
+    """Return the root mean square over all samples that are not NaN."""
     return float(np.sqrt(np.nanmean(np.concatenate(series) ** 2)))

@@ -1,6 +1,7 @@
-"""Logs of a soft arm: which wire is driven, which thermocouple answers, which tags move, and how far the arm bends.
- A log is a CSV file: a row of headers (``pwm_duty_...``, ``MCPtemp_...``, ``tagid_x_...``, ``tagid_y_...``, the first
-column a stamp in ms), numbers below.
+"""Logs of a soft arm: the driven wire, its thermocouple, the tags that move, and the bend of the arm.
+
+A log is a CSV file with a row of headers (``pwm_duty_...``, ``MCPtemp_...``, ``tagid_x_...``, ``tagid_y_...``; the
+first column is a stamp in ms) and rows of numbers below it.
 """
 
 from __future__ import annotations
@@ -13,21 +14,25 @@ from experiments.common.base import refuse
 
 import numpy as np
 
-GAP, BEFORE, REST = (
-    5.0,
-    10.0,
-    30.0,
-)  # s: without duty between pulses, not fitted before the second one, at rest before it
+GAP = 5.0  # s without duty that separate two pulses
+MARGIN = 10.0  # s before the second pulse that are not fitted
+REST = 30.0  # s before the second pulse in which the arm is at rest
 
 
 @dataclass(frozen=True)
 class Log:
     """One log.
-     Time (s), duty of the wire that is driven, its thermocouple (degC) at refreshes, its bend (deg) where the tags are
-    seen.
 
-        Both are NaN elsewhere. ``pulses`` are the times at which heating begins; ``until`` (s) ends the fitted part;
-        from ``scored`` (s) on the rest is scored. ``found`` says which columns these are.
+    Attributes:
+        name: Stem of the file's name.
+        time: Time, s.
+        duty: Duty of the driven wire.
+        temperature: Its thermocouple, degC; NaN where it was not refreshed.
+        bend: Bend of the arm, deg; NaN where the tags were not seen.
+        pulses: Times at which heating begins, s.
+        until: End of the fitted part, s.
+        scored: Begin of the scored part, s.
+        columns: The columns that these are, in words.
     """
 
     name: str
@@ -38,28 +43,26 @@ class Log:
     pulses: np.ndarray
     until: float
     scored: float
-    found: str
+    columns: str
 
 
 def read_log(path: Path) -> Log:
-    """Reads a log.
-    The driven duty, the thermocouple that answers and the tags that move are read off it. Refuses an unusable one.
-    """
+    """Read a log, and choose the driven wire, its thermocouple and the moving tags from the data."""
     table, time = read_table(path)
     duties = {n: np.abs(c) for n, c in table.items() if n.startswith("pwm_duty_")}
-    driven = max(duties, key=lambda n: float(np.sum(duties[n])))
-    on = time[duties[driven] > 0]
+    duty_name = max(duties, key=lambda n: float(np.sum(duties[n])))
+    on = time[duties[duty_name] > 0]
     pulses = on[np.append(True, np.diff(on) > GAP)] if len(on) else on
-    if len(pulses) < 2 or pulses[1] < BEFORE + REST:
+    if len(pulses) < 2 or pulses[1] < MARGIN + REST:
         refuse(
-            f"{path}: {len(pulses)} pulses of duty are in it: one to fit and, at least {BEFORE + REST:g} s on, "
-            "one to score are needed"
+            f"{path}: {len(pulses)} pulses of duty are in it: two are needed, the second at "
+            f"{MARGIN + REST:g} s or later"
         )
     thermocouples = {n: c for n, c in table.items() if n.startswith("MCPtemp_")}
     if not thermocouples:
         refuse(f"{path}: no column MCPtemp_... is in it: the temperature of the wire is needed")
-    answering = max(thermocouples, key=lambda n: float(np.ptp(thermocouples[n])))
-    fresh = np.append(True, np.any([np.diff(c) != 0 for c in thermocouples.values()], axis=0))
+    thermocouple = max(thermocouples, key=lambda n: float(np.ptp(thermocouples[n])))
+    refreshed = np.append(True, np.any([np.diff(c) != 0 for c in thermocouples.values()], axis=0))
     base, last = moving_tags(path, table)
     bend = chord(table, base, last)
     rest = (time >= pulses[1] - REST) & (time < pulses[1]) & np.isfinite(bend)
@@ -71,22 +74,19 @@ def read_log(path: Path) -> Log:
     bend = bend - np.mean(bend[rest])
     heated = (time > pulses[0] + 2.0) & (time < pulses[1]) & np.isfinite(bend)
     bend = bend * np.sign(bend[heated][np.argmax(np.abs(bend[heated]))])
-    until = float(np.floor((pulses[1] - BEFORE) / 5.0) * 5.0)
-    temperature = np.where(fresh, thermocouples[answering], np.nan)
-    found = f"{driven}, {answering}, tags {base} to {last}"
-    return Log(path.stem, time, duties[driven], temperature, bend, pulses, until, until + 5.0, found)
+    until = float(np.floor((pulses[1] - MARGIN) / 5.0) * 5.0)
+    temperature = np.where(refreshed, thermocouples[thermocouple], np.nan)
+    columns = f"{duty_name}, {thermocouple}, tags {base} to {last}"
+    return Log(path.stem, time, duties[duty_name], temperature, bend, pulses, until, until + 5.0, columns)
 
 
 def read_table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The columns of a log by header, and its time from the stamp in s.
-
-    Rows at which time stands still are left out.
-    """
+    """Read the columns of a log by header, and its time in s; rows in which time does not advance are left out."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = [row for row in csv.reader(file) if row]
     head = next((k for k, row in enumerate(lines) if any(c.strip().startswith("pwm_duty_") for c in row)), None)
     if head is None:
-        refuse(f"{path}: no row of headers has a column pwm_duty_...: this is no log of an arm")
+        refuse(f"{path}: no row of headers has a column pwm_duty_...: this is not a log of an arm")
     names = [c.strip() for c in lines[head]]
     try:
         values = np.array([[float(c) for c in row] for row in lines[head + 1 :] if len(row) == len(names)], float)
@@ -95,20 +95,22 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     if len(values) < 50:
         refuse(f"{path}: {len(values)} whole rows are in it: two pulses need more")
     stamp = (values[:, 0] - values[0, 0]) / 1e3
-    runs = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
-    return {n: values[runs, i] for i, n in enumerate(names)}, stamp[runs]
+    advancing = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
+    return {n: values[advancing, i] for i, n in enumerate(names)}, stamp[advancing]
 
 
 def moving_tags(path: Path, table: dict[str, np.ndarray]) -> tuple[int, int]:
-    """The tags between which the bend is measured.
+    """Return the tags between which the bend is measured.
 
-    From the middle one if the first half of the arm stays, else from the first.
+    They are the middle one and the last if the first half of the arm does not move, else the first and the last.
     """
     tags = sorted(int(n.rsplit("_", 1)[1]) for n in table if n.startswith("tagid_x_") and n.rsplit("_", 1)[1].isdigit())
     tags = [t for t in tags if f"tagid_y_{t}" in table and np.mean(table[f"tagid_x_{t}"] != 0) > 0.5]
     if len(tags) < 3:
         refuse(f"{path}: {len(tags)} tags are seen in it: three are needed, at the arm's root, middle and tip")
-    first, middle, last = tags[0], tags[len(tags) // 2], tags[-1]
+    first = tags[0]
+    middle = tags[len(tags) // 2]
+    last = tags[-1]
     lower, upper = (
         float(np.nanmax(c) - np.nanmin(c)) for c in (chord(table, first, middle), chord(table, middle, last))
     )
@@ -116,45 +118,48 @@ def moving_tags(path: Path, table: dict[str, np.ndarray]) -> tuple[int, int]:
 
 
 def chord(table: dict[str, np.ndarray], start: int, end: int) -> np.ndarray:
-    """Direction of the chord from one tag to another in deg, NaN where either was not seen."""
+    """Return the direction of the chord between two tags in deg, NaN where either was not seen.
+
+    Args:
+        table: The columns of the log.
+        start: Tag at which the chord starts.
+        end: Tag at which it ends.
+    """
     x, y = (table[f"tagid_{c}_{end}"] - table[f"tagid_{c}_{start}"] for c in "xy")
-    seen = np.all([table[f"tagid_{c}_{k}"] != 0 for c in "xy" for k in (start, end)], axis=0)
+    visible = np.all([table[f"tagid_{c}_{k}"] != 0 for c in "xy" for k in (start, end)], axis=0)
     angle = np.full(len(x), np.nan)
-    angle[seen] = np.degrees(np.unwrap(np.arctan2(y[seen], x[seen])))
+    angle[visible] = np.degrees(np.unwrap(np.arctan2(y[visible], x[visible])))
     return angle
 
 
 def read_logs(folder: Path) -> list[Log]:
-    """All logs of a folder. Refuses a folder without any."""
+    """Read all logs of a folder; exit if there is none."""
     if not folder.is_dir():
-        refuse(f"{folder} is no folder: give one with logs of an arm, as CSV files, by --data")
+        refuse(f"{folder} is not a folder: give a folder with logs of an arm, as CSV files, by --data")
     paths = sorted(folder.glob("*.csv"))
     if not paths:
         refuse(f"{folder} holds no CSV file: give a folder with logs of an arm by --data")
     return [read_log(path) for path in paths]
 
 
-def naive(log: Log) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (K, deg) in the scored part of the forecast that the first pulse repeats itself."""
-    then = log.time - (log.pulses[1] - log.pulses[0])
+def repeat_first_pulse(log: Log) -> tuple[np.ndarray, np.ndarray]:
+    """Return the residuals (K, deg) in the scored part of the naive forecast that the first pulse is repeated."""
+    earlier = log.time - (log.pulses[1] - log.pulses[0])
     scored = log.time > log.scored
     residuals = []
     for series in (log.temperature, log.bend):
-        known = np.isfinite(series)
-        residuals.append((series - np.interp(then, log.time[known], series[known]))[scored])
+        measured = np.isfinite(series)
+        residuals.append((series - np.interp(earlier, log.time[measured], series[measured]))[scored])
     return residuals[0], residuals[1]
 
 
-def begun(log: Log) -> str:
-    """Where the first two pulses, of the same duty, begin and how far they go.
-
-    What the first one does not tell of the second.
-    """
-    words = []
-    for first in log.pulses[:2]:
+def describe_pulses(log: Log) -> str:
+    """Return in words at which values the first two pulses begin and which maxima they reach."""
+    texts = []
+    for start in log.pulses[:2]:
         for series, unit in ((log.temperature, "degC"), (log.bend, "deg")):
-            known = np.isfinite(series) & (log.time < first + REST)
-            before = series[known & (log.time >= first - REST) & (log.time <= first)]
-            pulse = series[known & (log.time > first)]
-            words.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
-    return "{}, {}; then {}, {}".format(*words)
+            measured = np.isfinite(series) & (log.time < start + REST)
+            before = series[measured & (log.time >= start - REST) & (log.time <= start)]
+            pulse = series[measured & (log.time > start)]
+            texts.append(f"{np.mean(before) if len(before) else pulse[0]:.1f} to {np.max(pulse):.1f} {unit}")
+    return "{}, {}; then {}, {}".format(*texts)

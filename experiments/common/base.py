@@ -1,9 +1,7 @@
-"""What the experiments share.
+"""Shared parts of the experiments: command line, shipped recordings, timing, and the table with its JSON file.
 
-Their arguments, the shipped recordings, timing side by side, and the table with its JSON file.
-
-An experiment is run as ``python experiments/NAME.py [--quick] [--json FILE] [--out DIR]``. It makes ``Row``s and
-hands them to ``finish``.
+An experiment is run as ``python experiments/FOLDER/NAME.py [--quick] [--json FILE] [--out DIR]``. It makes ``Row``s
+and hands them to ``finish``.
 """
 
 import argparse
@@ -39,9 +37,12 @@ DATA = ROOT.parent / "shared" / "data"  # recordings by others
 class Row:
     """One line of the table.
 
-    What was measured, what it should be, what it is, and whether that is met (``None``: there is no target).
-
-    ``numbers`` go to the JSON file beside the texts.
+    Attributes:
+        what: What was measured.
+        target: What it should be.
+        measured: What it is.
+        met: Whether the target is met; ``None`` where there is none.
+        numbers: The numbers behind the texts, for the JSON file.
     """
 
     what: str
@@ -52,15 +53,23 @@ class Row:
 
 
 def arguments(
-    description: str,
+    description: str | None,
     *,
     data: str = "",
     quick: str = "end within two minutes on two cores, with the same columns",
     more: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> argparse.Namespace:
-    """``quick`` (bool), ``json`` and ``out`` (paths or ``None``) from the command line; makes the folder ``out``.
+    """Read the command line, and make the folder of ``--out``.
 
-    With ``data``, the usual folder of recordings by others, also ``data`` (path); ``more`` are further options.
+    Args:
+        description: Text above the help.
+        data: Usual folder of recordings by others; adds the option ``--data``.
+        quick: Help of ``--quick``.
+        more: Further options, by name, with the keywords of ``add_argument``.
+
+    Returns:
+        ``quick`` (bool), ``json`` and ``out`` (paths or ``None``), ``data`` (path) if it is an option, and the options
+            of ``more``.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     if data:
@@ -69,73 +78,88 @@ def arguments(
             type=Path,
             default=DATA / data,
             metavar="DIR",
-            help="folder of the recordings, or its name among those by others",
+            help="folder of the recordings, or its name in the folder of recordings by others",
         )
     for name, options in more.items():
         parser.add_argument(name, **options)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to FILE")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write the pictures to DIR")
-    given = parser.parse_args()
-    if data and not given.data.exists() and (DATA / given.data).is_dir():
-        given.data = DATA / given.data
-    if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-    return given
+    args = parser.parse_args()
+    if data and not args.data.exists() and (DATA / args.data).is_dir():
+        args.data = DATA / args.data
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+    return args
 
 
 def read_cases(folder: Path | None) -> list[dict[str, Any]]:
-    """The cases of ``cases.jsonl`` in a folder, none without; a line that a killed run left unfinished is none."""
+    """Read the cases of ``cases.jsonl`` in a folder; skip a line that a killed run left unfinished."""
     path = folder / "cases.jsonl" if folder else None
     lines = path.read_text("utf-8").splitlines(keepends=True) if path and path.is_file() else []
     return [json.loads(line) for line in lines if line.endswith("}\n")]
 
 
 def add_case(folder: Path | None, case: dict[str, Any]) -> None:
-    """Append a case that has ended to ``cases.jsonl`` in a folder, so that a later run skips it."""
+    """Append a finished case to ``cases.jsonl`` in a folder, so that a later run skips it."""
     if folder:
         with (folder / "cases.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(case) + "\n")
 
 
-def shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
-    """Rig and recording of a folder in data/recordings/."""
+def read_shipped(name: str, part: str = "train") -> tuple[Rig, Recording]:
+    """Read the rig and a recording of a folder of data/recordings."""
     folder = ROOT / "data" / "recordings" / name
     rig = read_rig(folder / "rig.toml")
     return rig, rig.read(folder / f"{part}.csv")
 
 
-def drawn(plant: Plant, problem: Problem, box: tuple[np.ndarray, np.ndarray], seed: int) -> Plant:
-    """The plant with the shared parameters drawn uniformly between the ends of a box of the problem's vector."""
-    found = np.random.default_rng(1000 + seed).uniform(*box) * np.array([u.scale for u in problem.unknowns])
-    return parameters.replace(plant, {name: found[i] for i, name in enumerate(problem.shared)})
+def draw_plant(plant: Plant, problem: Problem, box: tuple[np.ndarray, np.ndarray], seed: int) -> Plant:
+    """Draw the shared parameters of a plant uniformly within a box.
+
+    Args:
+        plant: The plant.
+        problem: The fit problem, whose shared parameters are drawn.
+        box: Lower and upper ends of the problem's vector.
+        seed: Seed of the draw.
+    """
+    values = np.random.default_rng(1000 + seed).uniform(*box) * np.array([u.scale for u in problem.unknowns])
+    return parameters.replace(plant, {name: values[i] for i, name in enumerate(problem.shared)})
 
 
-def from_elsewhere(
+def fit_from_starts(
     rig: Rig, recordings: Sequence[Recording], settings: Any, times: int, **options: Any
 ) -> list[FitResult]:
-    """Fits from ``times`` points drawn over the search box, each with as many starts as ``settings`` has.
-
-    The best fit first.
+    """Fit from several points drawn over the search box.
 
     The shared parameters are drawn, so that no fit but the first knows the rig file's values.
+
+    Args:
+        rig: The rig.
+        recordings: The recordings that are fitted.
+        settings: Settings of each fit, with its number of starts.
+        times: Number of points; the first is that of the rig file.
+        options: Further arguments of ``fit``.
+
+    Returns:
+        The fits, the best first.
     """
     problem = build_problem(rig.plant, recordings, settings, interpolation=rig.interpolation, step=options.get("step"))
     fits = []
     for k in range(times):
-        plant = drawn(rig.plant, problem, problem.search_bounds(), k) if k else rig.plant
+        plant = draw_plant(rig.plant, problem, problem.search_bounds(), k) if k else rig.plant
         fits.append(fit(plant, recordings, replace(settings, seed=k), interpolation=rig.interpolation, **options))
         say(f"from start point {k + 1} of {times}: cost {fits[-1].cost:.6g}")
     return sorted(fits, key=lambda f: f.cost)
 
 
 def agreement(fits: Sequence[FitResult]) -> Row:
-    """How many of the fits from different start points end at the best one's cost, within 0.1 %."""
-    same = sum(f.cost <= fits[0].cost * 1.001 for f in fits)
+    """Count the fits from different start points that end within 0.1 % of the lowest cost."""
+    matching = sum(f.cost <= fits[0].cost * 1.001 for f in fits)
     costs = [f.cost for f in fits]
-    apart = 100 * (max(costs) / costs[0] - 1)
+    spread = 100 * (max(costs) / costs[0] - 1)
     text = (
-        f"{same} of {len(fits)} end within 0.1 % of the lowest cost, the worst {apart:.2f} % above; "
+        f"{matching} of {len(fits)} end within 0.1 % of the lowest cost, the worst {spread:.2f} % above; "
         f"{fits[0].starts} starts each; "
     )
     text += fits[0].status.text
@@ -143,21 +167,21 @@ def agreement(fits: Sequence[FitResult]) -> Row:
         "is it the best that this model can do?",
         "one optimum from all start points",
         text,
-        same == len(fits),
+        matching == len(fits),
         {"costs": costs},
     )
 
 
 def estimate_rows(result: FitResult, prefix: str = "") -> list[Row]:
-    """One row for each shared parameter with its 95 % interval, and one for each collinear group."""
+    """Return a row for each shared parameter with its 95 % interval, and one for each collinear group."""
     rows = []
     for e in (e for e in result.estimates if "@" not in e.name):
-        known = f"{e.lower95:.5g} .. {e.upper95:.5g}" if e.lower95 is not None else "-"
+        interval = f"{e.lower95:.5g} .. {e.upper95:.5g}" if e.lower95 is not None else "-"
         rows.append(
             Row(
                 f"{prefix}{e.name}",
                 "-",
-                f"{e.estimate:.5g} {e.unit} ({'held at its bound' if e.at_bound else known})",
+                f"{e.estimate:.5g} {e.unit} ({'held at its bound' if e.at_bound else interval})",
                 None,
             )
         )
@@ -168,7 +192,7 @@ def estimate_rows(result: FitResult, prefix: str = "") -> list[Row]:
 
 
 def workbook(path: Path) -> dict[str, list[tuple]]:
-    """The rows of a workbook by sheet, cells as they are stored. Refuses a file that is none."""
+    """Read the rows of a workbook by sheet, cells as they are stored; exit where the file is not a workbook."""
     try:
         import openpyxl
     except ImportError:
@@ -178,44 +202,44 @@ def workbook(path: Path) -> dict[str, list[tuple]]:
             warnings.filterwarnings("ignore", message="Unknown extension")
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             return {name: list(book[name].iter_rows(values_only=True)) for name in book.sheetnames}
-    except Exception as error:  # openpyxl raises whatever it stumbles over
+    except Exception as error:  # openpyxl raises many types
         refuse(f"{path} cannot be read as a workbook: {str(error).splitlines()[0]}")
 
 
 def refuse(sentence: str) -> NoReturn:
-    """Ends the experiment for bad input: one sentence on stderr, exit code 2."""
+    """Exit because of bad input: one sentence on stderr, exit code 2."""
     print(sentence, file=sys.stderr)
     sys.exit(2)
 
 
 def say(text: str) -> None:
-    """What is being done, on stderr."""
+    """Print the progress of an experiment on stderr."""
     print(f"... {text}", file=sys.stderr, flush=True)
 
 
 def medians(repeats: int, functions: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Median wall seconds of each function, called in turn ``repeats`` times after one call to warm up.
+    """Return the median wall time of each function, called in turn ``repeats`` times after one call to warm up.
 
-    In turn, so that whatever else the machine does falls on all of them alike.
+    They are called in turn, so that other load on the machine affects all of them equally.
     """
     for function in functions.values():
         function()
     seconds: dict[str, list[float]] = {name: [] for name in functions}
     for _ in range(repeats):
         for name, function in functions.items():
-            began = time.perf_counter()
+            start = time.perf_counter()
             function()
-            seconds[name].append(time.perf_counter() - began)
-    return {name: float(np.median(taken)) for name, taken in seconds.items()}
+            seconds[name].append(time.perf_counter() - start)
+    return {name: float(np.median(samples)) for name, samples in seconds.items()}
 
 
 def exponent(sizes: Sequence[float], seconds: Sequence[float]) -> float:
-    """Slope of log(seconds) over log(sizes) by least squares."""
+    """Return the slope of log(seconds) over log(sizes) by least squares."""
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
 def experiment_name() -> str:
-    """The path of the running experiment below experiments/, without suffix, as in ``papers/hip/hip_gains``."""
+    """Return the path of the running experiment below experiments/, without suffix, as in ``papers/hip/hip_gains``."""
     path = Path(sys.argv[0]).resolve().with_suffix("")
     return path.relative_to(EXPERIMENTS).as_posix() if path.is_relative_to(EXPERIMENTS) else path.name
 
@@ -228,7 +252,9 @@ def finish(rows: Sequence[Row], args: argparse.Namespace, **facts: Any) -> None:
         args: The command line, as ``arguments`` gives it.
         facts: Further entries of the JSON document.
     """
-    print(table(["what", "target", "measured", "met"], [(r.what, r.target, r.measured, _word(r.met)) for r in rows]))
+    print(
+        table(["what", "target", "measured", "met"], [(r.what, r.target, r.measured, _yes_or_no(r.met)) for r in rows])
+    )
     if args.json:
         document = {
             "experiment": experiment_name(),
@@ -237,13 +263,13 @@ def finish(rows: Sequence[Row], args: argparse.Namespace, **facts: Any) -> None:
             "machine": machine(),
             **facts,
         }
-        part = args.json.with_name(f".{args.json.name}.part")
-        part.write_text(json.dumps(document, indent=1, default=_plain) + "\n", encoding="utf-8")
-        os.replace(part, args.json)
+        partial_file = args.json.with_name(f".{args.json.name}.part")
+        partial_file.write_text(json.dumps(document, indent=1, default=_to_json) + "\n", encoding="utf-8")
+        os.replace(partial_file, args.json)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown, its columns padded so that it reads well in a terminal, too."""
+    """Return a table in Markdown, its columns padded so that it is readable in a terminal."""
     lines = [list(head), *[[str(cell).replace("|", "/") for cell in row] for row in rows]]
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     lines.insert(1, ["-" * width for width in widths])
@@ -253,14 +279,14 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """The machine and the versions that the numbers come from."""
+    """Return the processor, the number of cores, and the versions of Python and of the main packages."""
     versions = {package: version(package) for package in ("jax", "diffrax", "equinox", "numpy", "scipy")}
     return {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()} | versions
 
 
-def _word(met: bool | None) -> str:
+def _yes_or_no(met: bool | None) -> str:
     return "-" if met is None else "yes" if met else "no"
 
 
-def _plain(value: Any) -> Any:
+def _to_json(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,4 +1,4 @@
-"""Line charts for the experiments: one small SVG for a README, one self-contained plotly page to look into."""
+"""Line charts of the experiments: a small SVG for the documentation, and a self-contained plotly page."""
 
 import itertools
 import math
@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
+# Distinguishable with colour blindness.
 _COLOURS = (
     "#0072b2",
     "#d55e00",
@@ -16,7 +19,7 @@ _COLOURS = (
     "#56b4e9",
     "#333333",
     "#999999",
-)  # distinguishable with colour blindness
+)
 _WIDTH, _HEIGHT = 760, 420
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76, 16, 40, 54
 
@@ -25,19 +28,33 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 76, 16, 40, 54
 class Curve:
     """A named line through points.
 
-    ``steps`` holds each value until the next point; ``dashed`` sets a line apart, such as a reference.
+    Attributes:
+        name: Name in the legend.
+        x: Abscissae.
+        y: Ordinates.
+        steps: Hold each value until the next point.
+        dashed: Draw a dashed line, as for a reference.
     """
 
     name: str
-    x: Sequence[float]
-    y: Sequence[float]
+    x: Sequence[float] | np.ndarray
+    y: Sequence[float] | np.ndarray
     steps: bool = False
     dashed: bool = False
 
 
 @dataclass(frozen=True)
 class Chart:
-    """What is drawn. An axis with ``log`` has to have positive values only."""
+    """A chart of several curves.
+
+    Attributes:
+        title: Title.
+        x: Label of the abscissa.
+        y: Label of the ordinate.
+        curves: The curves.
+        log_x: Whether the abscissa is logarithmic; its values are positive then.
+        log_y: Whether the ordinate is.
+    """
 
     title: str
     x: str
@@ -48,7 +65,16 @@ class Chart:
 
 
 def draw(chart: Chart, folder: Path, name: str) -> list[Path]:
-    """Writes name.svg and name.html into the folder and gives their paths."""
+    """Write NAME.svg and NAME.html into a folder.
+
+    Args:
+        chart: The chart.
+        folder: The folder.
+        name: Name of the files.
+
+    Returns:
+        The paths of the files.
+    """
     paths = [folder / f"{name}.svg", folder / f"{name}.html"]
     paths[0].write_text(svg(chart), encoding="utf-8")
     paths[1].write_text(_page(chart), encoding="utf-8")
@@ -59,7 +85,7 @@ def _page(chart: Chart) -> str:
     import plotly.graph_objects as go
 
     figure = go.Figure()
-    for curve, colour in zip(chart.curves, _cycle(len(chart.curves)), strict=True):
+    for curve, colour in zip(chart.curves, _colours(len(chart.curves)), strict=True):
         line = {
             "color": colour,
             "shape": "hv" if curve.steps else "linear",
@@ -73,9 +99,9 @@ def _page(chart: Chart) -> str:
 
 
 def svg(chart: Chart) -> str:
-    """The chart as an SVG document."""
-    across = _Axis([v for c in chart.curves for v in c.x], chart.log_x, _LEFT, _WIDTH - _RIGHT)
-    up = _Axis([v for c in chart.curves for v in c.y], chart.log_y, _HEIGHT - _BOTTOM, _TOP)
+    """Return a chart as an SVG document."""
+    x_axis = _Axis([v for c in chart.curves for v in c.x], chart.log_x, _LEFT, _WIDTH - _RIGHT)
+    y_axis = _Axis([v for c in chart.curves for v in c.y], chart.log_y, _HEIGHT - _BOTTOM, _TOP)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12" fill="#333333">',
@@ -85,17 +111,21 @@ def svg(chart: Chart) -> str:
         f'<text transform="translate(18 {(_TOP + _HEIGHT - _BOTTOM) / 2}) rotate(-90)" '
         f'text-anchor="middle">{escape(chart.y)}</text>',
     ]
-    for value in across.ticks:
-        at = across(value)
-        parts.append(f'<line x1="{at:.1f}" y1="{_TOP}" x2="{at:.1f}" y2="{_HEIGHT - _BOTTOM}" stroke="#e5e5e5"/>')
-        parts.append(f'<text x="{at:.1f}" y="{_HEIGHT - _BOTTOM + 17}" text-anchor="middle">{value:g}</text>')
-    for value in up.ticks:
-        at = up(value)
-        parts.append(f'<line x1="{_LEFT}" y1="{at:.1f}" x2="{_WIDTH - _RIGHT}" y2="{at:.1f}" stroke="#e5e5e5"/>')
-        parts.append(f'<text x="{_LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
-    lines = [[(across(x), up(y)) for x, y in zip(curve.x, curve.y, strict=True)] for curve in chart.curves]
-    left, first = _emptiest([p for points in lines for p in points], 17 * len(lines))
-    for i, (curve, colour, points) in enumerate(zip(chart.curves, _cycle(len(chart.curves)), lines, strict=True)):
+    for value in x_axis.ticks:
+        position = x_axis(value)
+        parts.append(
+            f'<line x1="{position:.1f}" y1="{_TOP}" x2="{position:.1f}" y2="{_HEIGHT - _BOTTOM}" stroke="#e5e5e5"/>'
+        )
+        parts.append(f'<text x="{position:.1f}" y="{_HEIGHT - _BOTTOM + 17}" text-anchor="middle">{value:g}</text>')
+    for value in y_axis.ticks:
+        position = y_axis(value)
+        parts.append(
+            f'<line x1="{_LEFT}" y1="{position:.1f}" x2="{_WIDTH - _RIGHT}" y2="{position:.1f}" stroke="#e5e5e5"/>'
+        )
+        parts.append(f'<text x="{_LEFT - 7}" y="{position + 4:.1f}" text-anchor="end">{value:g}</text>')
+    lines = [[(x_axis(x), y_axis(y)) for x, y in zip(curve.x, curve.y, strict=True)] for curve in chart.curves]
+    left, first = _legend_corner([p for points in lines for p in points], 17 * len(lines))
+    for i, (curve, colour, points) in enumerate(zip(chart.curves, _colours(len(chart.curves)), lines, strict=True)):
         if curve.steps:
             points = [p for (x0, y0), (x1, _) in itertools.pairwise(points) for p in ((x0, y0), (x1, y0))] + points[-1:]
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
@@ -110,8 +140,8 @@ def svg(chart: Chart) -> str:
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
-def _emptiest(points: list[tuple[float, float]], height: int) -> tuple[float, float]:
-    """Left and top, in pixels, of the corner for the names in which the fewest points lie."""
+def _legend_corner(points: list[tuple[float, float]], height: int) -> tuple[float, float]:
+    """Return left and top, in pixels, of the corner in which the fewest points lie."""
     corners = [(left, top) for left in (_WIDTH - 206, _LEFT + 10) for top in (_TOP, _HEIGHT - _BOTTOM - height - 6)]
     return min(
         corners, key=lambda c: sum(c[0] - 10 <= x <= c[0] + 200 and c[1] <= y <= c[1] + height + 6 for x, y in points)
@@ -119,13 +149,14 @@ def _emptiest(points: list[tuple[float, float]], height: int) -> tuple[float, fl
 
 
 class _Axis:
-    """Values to pixels, and where the ticks are."""
+    """An axis: maps values to pixels, and chooses the ticks."""
 
     def __init__(self, values: list[float], log: bool, start: float, stop: float):
         self._log, self._start, self._stop = log, start, stop
         self._low, self._high = (self._scaled(v) for v in (min(values), max(values)))
-        room = 0.04 * (self._high - self._low) or 0.5
-        self._low, self._high = self._low - room, self._high + room
+        margin = 0.04 * (self._high - self._low) or 0.5
+        self._low = self._low - margin
+        self._high = self._high + margin
         self.ticks = self._decades() if log else self._even()
 
     def _scaled(self, value: float) -> float:
@@ -146,5 +177,5 @@ class _Axis:
         return [round(k * step, 12) for k in range(math.ceil(self._low / step), math.floor(self._high / step) + 1)]
 
 
-def _cycle(count: int) -> list[str]:
+def _colours(count: int) -> list[str]:
     return [_COLOURS[i % len(_COLOURS)] for i in range(count)]

@@ -1,6 +1,7 @@
-"""Closes the loop on measured recordings: which effects the residual asks for, and what they do to the error held out.
- The effects are traced on a training part and accepted by a selection part; then the rig, without and with them, is
-fitted to both parts together and predicts the held-out part, which nothing else has looked at.
+"""Selection of effects on measured recordings: which the residual calls for, and what they do to the held-out error.
+
+The effects are searched for on a training part and accepted by a selection part. Then the rig, without and with them,
+is fitted to both parts together and predicts the held-out part, which nothing else uses.
 """
 
 from __future__ import annotations
@@ -22,22 +23,30 @@ from smajax.files.rig_file import Rig
 
 
 @dataclass(frozen=True)
-class Closed:
-    """The diagnosis, and the residuals (model minus measurement, SI, by channel) of the last fits by part."""
+class TraceResult:
+    """The selected effects, and the fits without and with them.
 
-    story: SelectionState
+    Attributes:
+        state: State at the end of the forward selection.
+        before: Residuals of the fit without effects by channel, model minus measurement, SI: fitted part, held-out
+            part.
+        after: Those of the fit with effects.
+        refit: The fit with effects.
+    """
+
+    state: SelectionState
     before: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
     after: tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
     refit: Refit
 
     def rmse(self, channel: str) -> tuple[float, float, float, float]:
-        """Fitted and held out before, fitted and held out after."""
+        """Return the RMSE of a channel: fitted and held out without effects, fitted and held out with them."""
         values = (self.before[0], self.before[1], self.after[0], self.after[1])
-        fitted, held, fitted_after, held_after = (float(np.sqrt(np.mean(v[channel] ** 2))) for v in values)
-        return fitted, held, fitted_after, held_after
+        fitted, held_out, fitted_after, held_out_after = (float(np.sqrt(np.mean(v[channel] ** 2))) for v in values)
+        return fitted, held_out, fitted_after, held_out_after
 
 
-def close_loop(
+def trace_effects(
     rig: Rig,
     parts: Sequence[DataSplit],
     whole: DataSplit,
@@ -46,49 +55,67 @@ def close_loop(
     starts: int,
     step: float | None = None,
     seed: int = 0,
-) -> Closed:
-    """Traces on the first of ``parts`` with the second selecting, fits again to ``whole``, and predicts the third."""
-    layout: dict[str, Any] = {"interpolation": rig.interpolation, "step": step}
-    bench = DiagnosisProblem(rig.plant, parts, rig.fit, **layout)
-    # A measured recording lies far above its noise whatever is added: what predicts the selection part better is taken.
-    options = {"min_explained_fraction": 0.0, "min_score_gain": 0.0, "report_progress": say}
-    _, story = select_effects(bench, seed=seed, starts=starts, **options)
-    say("fitting to the training and the selection part together")
-    final = DiagnosisProblem(rig.plant, [whole, parts[2]], rig.fit, **layout)
-    final.set_noise(bench.noise)
+) -> TraceResult:
+    """Select effects, fit without and with them, and predict the held-out part.
 
-    def last(effect_set: EffectSet, near: np.ndarray) -> Refit:
-        starts = [np.append(near[: final.shared_count], final.nominal[final.shared_count :]), final.nominal]
-        return min((final.fit(effect_set, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
+    Args:
+        rig: The rig.
+        parts: Training part, selection part and held-out part.
+        whole: Training and selection part together, for the last fits.
+        say: Reports progress.
+        starts: Start points of the base fit.
+        step: Largest time step, s.
+        seed: Seed of the diagnosis.
+    """
+    layout: dict[str, Any] = {"interpolation": rig.interpolation, "step": step}
+    problem = DiagnosisProblem(rig.plant, parts, rig.fit, **layout)
+    # The residual of a measured recording stays far above its noise, so that only the selection part decides.
+    options = {"min_explained_fraction": 0.0, "min_score_gain": 0.0, "report_progress": say}
+    _, state = select_effects(problem, seed=seed, starts=starts, **options)
+    say("fitting to the training and the selection part together")
+    final_problem = DiagnosisProblem(rig.plant, [whole, parts[2]], rig.fit, **layout)
+    final_problem.set_noise(problem.noise)
+
+    def refit_best(effect_set: EffectSet, base: np.ndarray) -> Refit:
+        starts = [
+            np.append(base[: final_problem.shared_count], final_problem.nominal[final_problem.shared_count :]),
+            final_problem.nominal,
+        ]
+        return min((final_problem.fit(effect_set, p, max_steps=100, rtol=1e-8) for p in starts), key=lambda r: r.chi2)
 
     def residuals(refit: Refit) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        predicted = final.predict(refit.effect_set, refit.base, 1)
-        fitted, held = final.series(refit.residual), final.series(predicted, 1)
-        return {c: v * final.noise[c] for c, v in fitted.items()}, {c: v * final.noise[c] for c, v in held.items()}
+        predicted = final_problem.predict(refit.effect_set, refit.base, 1)
+        fitted = final_problem.series(refit.residual)
+        held_out = final_problem.series(predicted, 1)
+        return {c: v * final_problem.noise[c] for c, v in fitted.items()}, {
+            c: v * final_problem.noise[c] for c, v in held_out.items()
+        }
 
-    before = last(EffectSet(), story.base_fit.refit.base)
-    after = last(story.current.refit.effect_set, story.current.refit.base)
-    return Closed(story, residuals(before), residuals(after), after)
+    before = refit_best(EffectSet(), state.base_fit.refit.base)
+    after = refit_best(state.current.refit.effect_set, state.current.refit.base)
+    return TraceResult(state, residuals(before), residuals(after), after)
 
 
-def effect_rows(closed: Closed, prefix: str = "") -> list[Row]:
-    """What the trace says, as rows without a target."""
-    story, rows = closed.story, []
-    for key in story.accepted:
-        own = ", ".join(f"{n.split('.')[2]} {v:.4g}" for n, v in closed.refit.values.items() if n.split(".")[1] == key)
-        same = ", ".join(story.equivalent.get(key, ())) or "none"
-        rows.append(Row(f"{prefix}effect accepted: {key}", "-", f"{own}; as good: {same}", None))
-    for key, why in story.rejected:
-        rows.append(Row(f"{prefix}left out: {key}", "-", why, None))
-    tried = sorted(
-        (r for r in story.ranking.values() if r.refit_rmse_select is not None), key=lambda r: r.refit_rmse_select or 0.0
+def effect_rows(result: TraceResult, prefix: str = "") -> list[Row]:
+    """Return what the selection found, as rows without a target."""
+    state, rows = result.state, []
+    for key in state.accepted:
+        values = ", ".join(
+            f"{n.split('.')[2]} {v:.4g}" for n, v in result.refit.values.items() if n.split(".")[1] == key
+        )
+        equivalents = ", ".join(state.equivalent.get(key, ())) or "none"
+        rows.append(Row(f"{prefix}effect accepted: {key}", "-", f"{values}; as good: {equivalents}", None))
+    for key, reason in state.rejected:
+        rows.append(Row(f"{prefix}left out: {key}", "-", reason, None))
+    summaries = sorted(
+        (r for r in state.ranking.values() if r.refit_rmse_select is not None), key=lambda r: r.refit_rmse_select or 0.0
     )
-    told = ", ".join(f"{r.detectability.key} {r.refit_rmse_select:.3g}" for r in tried[:6])
+    errors = ", ".join(f"{r.detectability.key} {r.refit_rmse_select:.3g}" for r in summaries[:6])
     rows.append(
         Row(
             f"{prefix}one effect, error on the selection part (SI)",
             "-",
-            f"without {story.base_fit.rmse_select:.3g}; {told}",
+            f"without {state.base_fit.rmse_select:.3g}; {errors}",
             None,
         )
     )

@@ -1,4 +1,4 @@
-"""What a simulation, a Jacobian, a batch and a whole command cost: the speed rows of gradient_vs_population.py."""
+"""Cost of a simulation, a Jacobian, a batch and a whole command: rows of speed/gradient_vs_population.py."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from experiments.common.base import ROOT, Row, exponent, medians, say, shipped
+from experiments.common.base import ROOT, Row, exponent, medians, read_shipped, say
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ from smajax.simulation.inputs import Inputs
 
 THREADS = 2
 DESIGNS = 1024
-EIGHT = ("material.clausius_clapeyron_austenite", "material.clausius_clapeyron_martensite")
+EXTRA_PARAMETERS = ("material.clausius_clapeyron_austenite", "material.clausius_clapeyron_martensite")
 
 
 @filter_jit
@@ -38,46 +38,46 @@ def _model(problem: Problem, vector: jax.Array) -> jax.Array:
 
 @filter_jit
 def _linearised(problem: Problem, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-    def twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def residual_twice(v: jax.Array) -> tuple[jax.Array, jax.Array]:
         residual = problem.residual(v)
         return residual, residual
 
-    return jax.jacfwd(twice, has_aux=True)(vector)
+    return jax.jacfwd(residual_twice, has_aux=True)(vector)
 
 
 def _ready(function: Callable[..., Any], *args: Any) -> Callable[[], Any]:
     return lambda: jax.block_until_ready(function(*args))
 
 
-def _problem(recordings: Sequence[Recording], more: Sequence[str] = ()) -> Problem:
-    rig, _ = shipped("dead-weight")
+def _problem(recordings: Sequence[Recording], extra: Sequence[str] = ()) -> Problem:
+    rig, _ = read_shipped("dead-weight")
     settings = SimpleNamespace(
-        free=(*rig.fit.free, *more), observe=rig.fit.observe, noise={c: 1e-5 for c in rig.fit.observe}
+        free=(*rig.fit.free, *extra), observe=rig.fit.observe, noise={c: 1e-5 for c in rig.fit.observe}
     )
     settings.per_recording, settings.initial, settings.bounds = (), (), {}
     return build_problem(rig.plant, recordings, settings, interpolation=rig.interpolation)
 
 
 def jacobian_row(quick: bool) -> Row:
-    """Row 4: residual and Jacobian of 8 parameters over one simulation."""
-    _, recording = shipped("dead-weight")
-    problem = _problem([recording], EIGHT)
+    """Time the residual with its Jacobian of 8 parameters over one simulation."""
+    _, recording = read_shipped("dead-weight")
+    problem = _problem([recording], EXTRA_PARAMETERS)
     vector = jnp.asarray(problem.nominal)
-    taken = medians(
+    seconds = medians(
         20 if quick else 60, {"one": _ready(_model, problem, vector), "all": _ready(_linearised, problem, vector)}
     )
-    ratio = taken["all"] / taken["one"]
+    ratio = seconds["all"] / seconds["one"]
     return Row(
         f"residual and Jacobian of {len(vector)} parameters, {len(recording)} samples, over one simulation",
         "<= 2x",
-        f"{ratio:.2f}x ({1e3 * taken['all']:.1f} ms against {1e3 * taken['one']:.1f} ms)",
+        f"{ratio:.2f}x ({1e3 * seconds['all']:.1f} ms against {1e3 * seconds['one']:.1f} ms)",
         ratio <= 2,
-        {"ratio": ratio, "jacobian_seconds": taken["all"], "simulation_seconds": taken["one"]},
+        {"ratio": ratio, "jacobian_seconds": seconds["all"], "simulation_seconds": seconds["one"]},
     )
 
 
 def _batch_row(fast_loop: Any, rig: Rig, problem: Any, recording: Recording, substeps: int, quick: bool) -> Row:
-    """A batch of designs, in chunks on one and more threads, against the hand-compiled loop."""
+    """Time a batch of designs, in chunks on one and more threads, against the hand-compiled loop."""
     inputs = jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
     current = np.asarray(recording.channels["current"])
     factors = 1 + 0.05 * np.random.default_rng(0).standard_normal((DESIGNS, len(problem.unknowns)))
@@ -92,7 +92,7 @@ def _batch_row(fast_loop: Any, rig: Rig, problem: Any, recording: Recording, sub
     def loops() -> np.ndarray:
         return fast_loop.dead_weight_batch(designs, recording.time, current, linear=True, substeps=substeps)
 
-    taken = medians(
+    seconds_by_kind = medians(
         3 if quick else 7,
         {"loop": loops}
         | {
@@ -101,10 +101,10 @@ def _batch_row(fast_loop: Any, rig: Rig, problem: Any, recording: Recording, sub
             for threads in (1, THREADS)
         },
     )
-    ms = {kind: 1e3 * seconds / DESIGNS for kind, seconds in taken.items()}
+    ms = {kind: 1e3 * seconds / DESIGNS for kind, seconds in seconds_by_kind.items()}
     say("batch of designs, ms each: " + ", ".join(f"{kind}: {each:.3f}" for kind, each in ms.items()))
-    name = min((k for k in taken if k != "loop"), key=lambda k: taken[k])
-    ratio = taken[name] / taken["loop"]
+    name = min((k for k in seconds_by_kind if k != "loop"), key=lambda k: seconds_by_kind[k])
+    ratio = seconds_by_kind[name] / seconds_by_kind["loop"]
     return Row(
         f"a batch of {DESIGNS:,} designs against the hand-compiled loop on {THREADS} threads, each design",
         "<= 1x",
@@ -115,7 +115,7 @@ def _batch_row(fast_loop: Any, rig: Rig, problem: Any, recording: Recording, sub
 
 
 def loop_rows(quick: bool) -> list[Row]:
-    """Row 5: against the hand-compiled exact loop, one design and a batch."""
+    """Time one design and a batch against the hand-compiled loop."""
     try:
         import numba
 
@@ -123,72 +123,82 @@ def loop_rows(quick: bool) -> list[Row]:
     except ImportError as missing:
         return [Row("one simulation against the hand-compiled exact loop", "<= 5x", f"not measured: {missing}", None)]
     numba.set_num_threads(min(THREADS, numba.config.NUMBA_NUM_THREADS))
-    rig, recording = shipped("dead-weight")
+    rig, recording = read_shipped("dead-weight")
     problem = _problem([recording])
     inputs = jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
-    parts = (inputs.time.shape[0] - 1) // (len(recording) - 1)
+    substeps = (inputs.time.shape[0] - 1) // (len(recording) - 1)
     current = np.asarray(recording.channels["current"])
     design = _design(fast_loop.Design, rig.plant, {})
 
     def loop() -> np.ndarray:
-        return fast_loop.dead_weight(design, recording.time, current, linear=True, substeps=parts)
+        return fast_loop.dead_weight(design, recording.time, current, linear=True, substeps=substeps)
 
     vector = jnp.asarray(problem.nominal)
-    taken = medians(20 if quick else 60, {"loop": loop, "smajax": _ready(_model, problem, vector)})
-    single = taken["smajax"] / taken["loop"]
-    apart = float(np.max(np.abs(np.asarray(problem.predict(vector)[0])[0, 0] - loop())))
+    seconds = medians(20 if quick else 60, {"loop": loop, "smajax": _ready(_model, problem, vector)})
+    ratio = seconds["smajax"] / seconds["loop"]
+    difference = float(np.max(np.abs(np.asarray(problem.predict(vector)[0])[0, 0] - loop())))
     rows = [
         Row(
-            f"one simulation of {len(recording)} samples against the hand-compiled loop, {parts} steps a sample",
+            f"one simulation of {len(recording)} samples against the hand-compiled loop, {substeps} steps a sample",
             "<= 5x",
-            f"{single:.2f}x ({1e3 * taken['smajax']:.2f} ms against {1e3 * taken['loop']:.2f} ms; largest "
-            f"difference {1e3 * apart:.2g} mm)",
-            single <= 5,
-            {"ratio": single, "seconds": taken["smajax"], "loop_seconds": taken["loop"], "largest_difference": apart},
+            f"{ratio:.2f}x ({1e3 * seconds['smajax']:.2f} ms against {1e3 * seconds['loop']:.2f} ms; largest "
+            f"difference {1e3 * difference:.2g} mm)",
+            ratio <= 5,
+            {
+                "ratio": ratio,
+                "seconds": seconds["smajax"],
+                "loop_seconds": seconds["loop"],
+                "largest_difference": difference,
+            },
         )
     ]
     rows.append(
-        _equally_exact(
-            fast_loop, design, recording, current, np.asarray(problem.predict(vector)[0])[0, 0], taken["smajax"]
+        _equally_exact_row(
+            fast_loop, design, recording, current, np.asarray(problem.predict(vector)[0])[0, 0], seconds["smajax"]
         )
     )
-    rows.append(_batch_row(fast_loop, rig, problem, recording, parts, quick))
+    rows.append(_batch_row(fast_loop, rig, problem, recording, substeps, quick))
     return rows
 
 
-def _equally_exact(
+def _equally_exact_row(
     loop: Any, design: Any, recording: Recording, current: np.ndarray, ours: np.ndarray, seconds: float
 ) -> Row:
     """Time the loop with as many steps a sample as bring its error below a quarter of the noise."""
-    near, parts = 5e-6, 1
-    limit = loop.dead_weight(design, recording.time, current, linear=True, substeps=512)
+    tolerance, substeps = 5e-6, 1
+    exact = loop.dead_weight(design, recording.time, current, linear=True, substeps=512)
     while (
-        parts < 512
-        and np.max(np.abs(loop.dead_weight(design, recording.time, current, linear=True, substeps=parts) - limit))
-        > near
+        substeps < 512
+        and np.max(np.abs(loop.dead_weight(design, recording.time, current, linear=True, substeps=substeps) - exact))
+        > tolerance
     ):
-        parts *= 2
-    taken = medians(
-        5, {"loop": lambda: loop.dead_weight(design, recording.time, current, linear=True, substeps=parts)}
+        substeps *= 2
+    loop_seconds = medians(
+        5, {"loop": lambda: loop.dead_weight(design, recording.time, current, linear=True, substeps=substeps)}
     )["loop"]
-    apart = float(np.max(np.abs(ours - limit)))
+    error = float(np.max(np.abs(ours - exact)))
     return Row(
-        f"the same, the loop at {parts} steps a sample, where it errs by less than {1e3 * near:g} mm",
+        f"the same, the loop at {substeps} steps a sample, where it errs by less than {1e3 * tolerance:g} mm",
         "-",
-        f"{seconds / taken:.2f}x ({1e3 * seconds:.2f} ms against {1e3 * taken:.2f} ms; ours errs by at most "
-        f"{1e3 * apart:.2g} mm)",
+        f"{seconds / loop_seconds:.2f}x ({1e3 * seconds:.2f} ms against {1e3 * loop_seconds:.2f} ms; ours errs by at "
+        f"most {1e3 * error:.2g} mm)",
         None,
-        {"ratio": seconds / taken, "loop_seconds": taken, "steps_a_sample": parts, "largest_error": apart},
+        {
+            "ratio": seconds / loop_seconds,
+            "loop_seconds": loop_seconds,
+            "steps_a_sample": substeps,
+            "largest_error": error,
+        },
     )
 
 
 def _design(kind: Any, plant: Any, values: dict[str, float]) -> Any:
     plant = parameters.replace(plant, values)
-    known = {name.split(".", 1)[1]: float(parameters.get(plant, name)) for name in parameters.all_declarations(plant)}
+    fields = {name.split(".", 1)[1]: float(parameters.get(plant, name)) for name in parameters.all_declarations(plant)}
     for phase in ("austenite", "martensite"):
         for end in ("start", "finish"):
-            known[f"{phase}_{end}"] += known[f"{phase}_shift"]
-    return kind(**{field: known.get(field, 0.0) for field in kind._fields})
+            fields[f"{phase}_{end}"] += fields[f"{phase}_shift"]
+    return kind(**{field: fields.get(field, 0.0) for field in kind._fields})
 
 
 def _in_chunks(
@@ -196,25 +206,25 @@ def _in_chunks(
 ) -> Callable[[], Any]:
     chunks = [{n: jnp.asarray(v[k : k + size]) for n, v in values.items()} for k in range(0, DESIGNS, size)]
 
-    def one(chunk: dict[str, jax.Array]) -> np.ndarray:
+    def simulate_chunk(chunk: dict[str, jax.Array]) -> np.ndarray:
         return np.asarray(simulate.simulate_batch(plant, chunk, inputs, tuple(channels))[0][channels[0]])
 
     def run() -> list[np.ndarray]:
         if threads == 1:
-            return [one(chunk) for chunk in chunks]
+            return [simulate_chunk(chunk) for chunk in chunks]
         with ThreadPoolExecutor(threads) as pool:
-            return list(pool.map(one, chunks))
+            return list(pool.map(simulate_chunk, chunks))
 
-    one(chunks[0])
+    simulate_chunk(chunks[0])
     return run
 
 
 def growth_rows(quick: bool) -> list[Row]:
-    """Row 6: the exponents with which the cost grows."""
-    rig, whole = shipped("dead-weight")
-    short = whole.slice(whole.time[0], whole.time[0] + 30.0)
+    """Return the exponents with which the cost grows with samples, recordings and designs."""
+    rig, recording = read_shipped("dead-weight")
+    short = recording.slice(recording.time[0], recording.time[0] + 30.0)
     rows = []
-    for what, kinds in (
+    for quantity, kinds in (
         (
             "samples",
             {f"{k} x {len(short)}": (k, [_repeated(short, k)]) for k in ((1, 4) if quick else (1, 2, 4, 8, 16))},
@@ -231,30 +241,30 @@ def growth_rows(quick: bool) -> list[Row]:
         for label, (_, recordings) in kinds.items():
             problem = _problem(recordings)
             tasks[label] = _ready(_model if quick else _linearised, problem, jnp.asarray(problem.nominal))
-        rows.append(_growth(what, [size for size, _ in kinds.values()], medians(9 if quick else 15, tasks)))
+        rows.append(_growth_row(quantity, [size for size, _ in kinds.values()], medians(9 if quick else 15, tasks)))
     problem = _problem([short])
     inputs = jax.tree.map(lambda leaf: leaf[0], problem.data.inputs)
     tasks, sizes = {}, (64, 1024) if quick else (64, 128, 256, 512, 1024)
     for size in sizes:
         values = {u.name: jnp.linspace(0.9, 1.1, size) * u.nominal for u in problem.unknowns}
         tasks[str(size)] = _ready(simulate.simulate_batch, rig.plant, values, inputs, tuple(rig.fit.observe))
-    rows.append(_growth("designs", sizes, medians(3 if quick else 7, tasks)))
+    rows.append(_growth_row("designs", sizes, medians(3 if quick else 7, tasks)))
     return rows
 
 
-def _growth(what: str, sizes: Sequence[int], taken: dict[str, float]) -> Row:
-    power = exponent(sizes, list(taken.values()))
+def _growth_row(quantity: str, sizes: Sequence[int], seconds: dict[str, float]) -> Row:
+    power = exponent(sizes, list(seconds.values()))
     return Row(
-        f"growth of the cost with {what}, exponent",
+        f"growth of the cost with {quantity}, exponent",
         "<= 1.05",
-        f"{power:.2f} ({', '.join(f'{label}: {1e3 * t:.1f} ms' for label, t in taken.items())})",
+        f"{power:.2f} ({', '.join(f'{label}: {1e3 * t:.1f} ms' for label, t in seconds.items())})",
         power <= 1.05,
-        {"exponent": power, "sizes": list(sizes), "seconds": list(taken.values())},
+        {"exponent": power, "sizes": list(sizes), "seconds": list(seconds.values())},
     )
 
 
 def _repeated(recording: Recording, times: int) -> Recording:
-    """The recording ``times`` over, one after the other."""
+    """Return the recording ``times`` times in sequence."""
     length = recording.time[-1] - recording.time[0] + (recording.time[1] - recording.time[0])
     time_ = np.concatenate([recording.time + k * length for k in range(times)])
     return Recording.from_arrays(
@@ -263,7 +273,7 @@ def _repeated(recording: Recording, times: int) -> Recording:
 
 
 def command_row(quick: bool) -> Row:
-    """Row 7: the whole command, in a process of its own, with an empty compilation cache and with the one it left."""
+    """Time the whole command in its own process, with an empty compilation cache and with a warm one."""
     rig = ROOT / "data" / "recordings" / "dead-weight" / "rig.toml"
     cold, warm = [], []
     for _ in range(1 if quick else 5):
@@ -271,7 +281,8 @@ def command_row(quick: bool) -> Row:
             for times in (cold, warm):
                 times.append(_command(rig, Path(folder)))
     numbers = {"cold_seconds": cold, "warm_seconds": warm}
-    first, second = float(np.median(cold)), float(np.median(warm))
+    first = float(np.median(cold))
+    second = float(np.median(warm))
     return Row(
         "smajax fit on 6,000 samples, the whole process: cold start, compilation cache warm",
         "<= 15 s, <= 6 s",
@@ -285,10 +296,10 @@ def _command(rig: Path, folder: Path) -> float:
     files = [str(rig), str(rig.with_name("train.csv"))]
     command = [sys.executable, "-m", "smajax", "fit", *files, "--out", str(folder / "out"), "--quiet"]
     environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(ROOT)}
-    began = time.perf_counter()
-    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True)
-    taken = time.perf_counter() - began
-    if done.returncode:
-        raise RuntimeError(f"smajax fit failed with exit code {done.returncode}: {done.stderr}")
-    say(f"smajax fit: {taken:.1f} s")
-    return taken
+    start = time.perf_counter()
+    result = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True)
+    seconds = time.perf_counter() - start
+    if result.returncode:
+        raise RuntimeError(f"smajax fit failed with exit code {result.returncode}: {result.stderr}")
+    say(f"smajax fit: {seconds:.1f} s")
+    return seconds

@@ -1,21 +1,19 @@
-"""What else could be done about a residual.
-
-The diagnosis and three other methods on the same recordings with the same hidden effects.
+"""The diagnosis and three other methods on the same recordings with the same hidden effects.
 
     python experiments/diagnosis/alternative_methods.py [--quick] [--seeds N] [--json FILE] [--out DIR]
 
-- Exhaustive refit with BIC: every effect of the catalogue is fitted to the training recording, the best is kept while
-  the Bayesian information criterion falls. No projection, no classes, no selection recording.
-- Sparse regression on estimated states (SINDy, by pysindy): the rate of the error of the fitted model as a sparse
-  linear function of the error, the model's temperature and martensite fraction, their rates, the input and the time;
-  its threshold is chosen on the selection recording. Its largest term counts as a name where it is that of the hidden
-  effect.
+- Exhaustive refit with BIC (schwarz1978): every effect of the catalogue is fitted to the training recording, and the
+  best is added as long as the Bayesian information criterion falls. There is no projection, no equivalence class and
+  no selection recording.
+- Sparse regression on estimated states (SINDy, by pysindy): the rate of the fitted model's error is a sparse linear
+  function of the error, the model's temperature and martensite fraction, their rates, the input and the time. The
+  selection recording chooses its threshold. Its largest term counts as a name if it is that of the hidden effect.
 - Universal differential equation: a small network of temperature, martensite fraction and stress adds heat to the
-  balance, fitted together with the rig's parameters from two draws of weights, of which the selection recording
-  chooses. It names nothing.
+  balance. It is fitted together with the rig's parameters from two draws of weights, of which the selection recording
+  chooses one. It names nothing.
 
-Cases, truth and noise are those of diagnosis_bench.py. With --out, each answer is written to DIR/cases.jsonl as it
-comes, and none that is there is sought again. Needs pysindy: ``pip install "smajax[rivals]"``.
+Cases, truth and noise are those of hidden_effects.py. With ``--out``, each answer is appended to DIR/cases.jsonl, and
+answers that are there are not computed again. Needs pysindy: ``pip install "smajax[rivals]"``.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, add_case, arguments, finish, read_cases, say
-from experiments.diagnosis.hidden_effects import NOISE, draw, record
+from experiments.common.hidden_recordings import NOISE, draw_strengths, record
 
 import jax
 import jax.numpy as jnp
@@ -61,14 +59,17 @@ TERMS = {
     "sensor-lag": ("martensite rate",),
     "creep": ("martensite",),
 }
-HIDDEN = 6  # neurons
+NEURONS = 6  # of the network in the heat balance
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What one method says of one case.
+    """The answer of one method to one case.
 
-    The effect it names (empty: none), held-out error over the noise, and seconds.
+    Attributes:
+        named: The effect that it names; empty for none.
+        ratio: Its held-out error over the noise.
+        seconds: Wall time.
     """
 
     named: str
@@ -76,55 +77,82 @@ class Answer:
     seconds: float
 
 
-def ours(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
-    """The diagnosis."""
-    found = diagnose(DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation))
-    return found.effects[0] if found.effects else "", found.rmse["displacement"]["holdout_after"] / NOISE
+def run_diagnosis(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
+    """Run the diagnosis.
+
+    Args:
+        rig: The rig.
+        recordings: Training, selection and held-out recording.
+        key: The hidden effect; not used.
+
+    Returns:
+        The effect named first, and the held-out error over the noise.
+    """
+    diagnosis = diagnose(DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation))
+    return diagnosis.effects[0] if diagnosis.effects else "", diagnosis.rmse["displacement"]["holdout_after"] / NOISE
 
 
-def exhaustive(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
-    """Refits of everything, chosen by BIC on the training recording."""
-    bench = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
-    bench.wait_for_compilation()
-    best = bench.fit(EffectSet(), bench.nominal, max_steps=60, rtol=1e-8)
+def run_exhaustive_refit(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
+    """Refit with every effect in turn, and choose by the BIC on the training recording.
+
+    Args:
+        rig: The rig.
+        recordings: Training, selection and held-out recording.
+        key: The hidden effect; not used.
+
+    Returns:
+        The effect added first, and the held-out error over the noise.
+    """
+    problem = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
+    problem.wait_for_compilation()
+    best = problem.fit(EffectSet(), problem.nominal, max_steps=60, rtol=1e-8)
 
     def criterion(refit: Refit) -> float:
-        samples = len(bench.counted_samples(refit.residual))
-        free = bench.size + len(bench.free_effect_parameters(refit.effect_set))
+        samples = len(problem.counted_samples(refit.residual))
+        free = problem.size + len(problem.free_effect_parameters(refit.effect_set))
         return (
-            samples * math.log(bench.reduced_chi2(refit.residual, 0)) + free * math.log(samples)
+            samples * math.log(problem.reduced_chi2(refit.residual, 0)) + free * math.log(samples)
             if math.isfinite(refit.chi2)
             else math.inf
         )
 
     for _ in range(3):
         starts = []
-        for effect in (k for k in bench.effects if k not in best.effect_set.keys):
-            for base, size in ((best.base, 0.1), (bench.nominal, 0.4)):
-                values = {f"effects.{effect}.strength": size * bench.effects[effect].typical}
-                values |= {f"effects.{effect}.{n}": v for n, v in bench.shape_grid(effect)[0]}
+        for effect in (k for k in problem.effects if k not in best.effect_set.keys):
+            for base, size in ((best.base, 0.1), (problem.nominal, 0.4)):
+                values = {f"effects.{effect}.strength": size * problem.effects[effect].typical}
+                values |= {f"effects.{effect}.{n}": v for n, v in problem.shape_grid(effect)[0]}
                 starts.append((best.effect_set.with_effect(effect, values), base))
-        refits = map_in_pairs(lambda start: bench.fit(*start), starts)
+        refits = map_in_pairs(lambda start: problem.fit(*start), starts)
         next_best = min(refits, key=criterion)
         if criterion(next_best) >= criterion(best):
             break
         best = next_best
-    held = bench.predict(best.effect_set, best.base, 2)
+    residual = problem.predict(best.effect_set, best.base, 2)
     first = best.effect_set.keys[0] if best.effect_set.keys else ""
-    return first, math.sqrt(bench.reduced_chi2(held, 2)) * bench.noise["displacement"] / NOISE
+    return first, math.sqrt(problem.reduced_chi2(residual, 2)) * problem.noise["displacement"] / NOISE
 
 
-def sparse(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
-    """Sparse regression of the error's rate on estimated states."""
+def run_sparse_regression(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
+    """Regress the error's rate on estimated states.
+
+    Args:
+        rig: The rig.
+        recordings: Training, selection and held-out recording.
+        key: The hidden effect, whose terms count as its name.
+
+    Returns:
+        The effect or term, and the held-out error over the noise.
+    """
     pysindy = importlib.import_module("pysindy")
-    bench = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
-    bench.wait_for_compilation()
-    fitted = bench.fit(EffectSet(), bench.nominal, max_steps=60, rtol=1e-8)
+    problem = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
+    problem.wait_for_compilation()
+    fitted = problem.fit(EffectSet(), problem.nominal, max_steps=60, rtol=1e-8)
     errors, tables = [], []
     for k, recording in enumerate(recordings):
-        left = bench.predict(EffectSet(), fitted.base, k)
-        errors.append(-bench.series(left, k)["displacement"] * bench.noise["displacement"] * 1e3)
-        states = bench.states(fitted, jax.tree.map(lambda leaf: leaf[0], bench.problems[k].data.inputs))
+        residual = problem.predict(EffectSet(), fitted.base, k)
+        errors.append(-problem.series(residual, k)["displacement"] * problem.noise["displacement"] * 1e3)
+        states = problem.states(fitted, jax.tree.map(lambda leaf: leaf[0], problem.problems[k].data.inputs))
         count, time_ = len(recording), recording.time
         excess = np.asarray(states.temperature)[:count, 0] - float(rig.plant.environment.ambient)
         martensite = np.asarray(states.fractions.martensite)[:count, 0]
@@ -153,8 +181,10 @@ def sparse(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
             warnings.simplefilter("ignore")
             model.fit(errors[0][:, None], t=recordings[0].time, u=columns[0])
         weights = np.asarray(model.coefficients())[0]
-        wrong = [errors[k] - _linear(weights, columns[k], recordings[k].time, errors[k][0]) for k in (1, 2)]
-        rms = [float(np.sqrt(np.mean(w**2))) for w in wrong]
+        remainders = [
+            errors[k] - _integrate_linear_model(weights, columns[k], recordings[k].time, errors[k][0]) for k in (1, 2)
+        ]
+        rms = [float(np.sqrt(np.mean(w**2))) for w in remainders]
         if rms[0] < best[1]:
             sizes = np.abs(weights[2:]) * np.std(columns[0], axis=0)
             term = names[int(np.argmax(sizes))] if np.any(sizes) else ""
@@ -162,23 +192,23 @@ def sparse(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
     return key if key and best[0] in TERMS[key] else best[0], best[2] * 1e-3 / NOISE
 
 
-def _linear(weights: np.ndarray, columns: np.ndarray, seconds: np.ndarray, first: float) -> np.ndarray:
-    """The error that a linear model of its rate predicts.
-
-    Constant, error, columns; exact over each step under a held input.
-    """
-    driven, values = weights[0] + columns @ weights[2:], [first]
+def _integrate_linear_model(weights: np.ndarray, columns: np.ndarray, seconds: np.ndarray, first: float) -> np.ndarray:
+    """Integrate the error from a linear model of its rate (constant, error, columns), exact under a held input."""
+    drive = weights[0] + columns @ weights[2:]
+    values = [first]
     pole = min(weights[1], 0.0)
     for k, step in enumerate(np.diff(seconds)):
-        grown = math.exp(pole * step)
-        values.append(values[-1] * grown + driven[k] * ((grown - 1.0) / pole if pole < -1e-12 else step))
+        growth = math.exp(pole * step)
+        values.append(values[-1] * growth + drive[k] * ((growth - 1.0) / pole if pole < -1e-12 else step))
     return np.array(values)
 
 
 class NeuralHeat(HeatEffect):
     """Heat added by a network of temperature, martensite fraction and stress.
 
-    ``weights`` of shape ``(5 HIDDEN + 1,)``.
+    Attributes:
+        weights: Weights of the network, shape ``(5 NEURONS + 1,)``.
+        strength: Heat of one unit of its output, W/m^3.
     """
 
     weights: jax.Array
@@ -188,24 +218,35 @@ class NeuralHeat(HeatEffect):
     source = "a network"
 
     def power(self, now: WireState, memory: Any, where: StageContext) -> jax.Array:
-        """See ``HeatEffect``."""
-        inner, outer = self.weights[: 4 * HIDDEN].reshape(4, HIDDEN), self.weights[4 * HIDDEN :]
-        seen = ((now.temperature - where.environment.ambient) / 50.0, now.fractions.martensite, now.stress / 2e8)
-        neurons = jnp.tanh(sum(s[:, None] * w[None] for s, w in zip(seen, inner[:3], strict=True)) + inner[3][None])
-        return self.strength * (neurons @ outer[:HIDDEN] + outer[HIDDEN])
+        """Return the network's heat in each wire, W/m^3."""
+        inner = self.weights[: 4 * NEURONS].reshape(4, NEURONS)
+        outer = self.weights[4 * NEURONS :]
+        features = ((now.temperature - where.environment.ambient) / 50.0, now.fractions.martensite, now.stress / 2e8)
+        neurons = jnp.tanh(sum(s[:, None] * w[None] for s, w in zip(features, inner[:3], strict=True)) + inner[3][None])
+        return self.strength * (neurons @ outer[:NEURONS] + outer[NEURONS])
 
 
-def universal(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
-    """A network in the heat balance, fitted with the rig's parameters."""
-    size = 5 * HIDDEN + 1
+def run_universal_equation(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
+    """Fit a network in the heat balance together with the rig's parameters.
+
+    Args:
+        rig: The rig.
+        recordings: Training, selection and held-out recording.
+        key: The hidden effect; not used.
+
+    Returns:
+        No name, and the held-out error over the noise.
+    """
+    size = 5 * NEURONS + 1
     per_kelvin = float(rig.plant.heat.conductance(rig.plant.environment.ambient, rig.plant.wire))
     net = NeuralHeat(weights=jnp.zeros(size), strength=jnp.asarray(20.0 * per_kelvin))
     plant = dataclasses.replace(rig.plant, effects=(net,))
-    whole = build_problem(plant, recordings, rig.fit, interpolation=rig.interpolation)
+    whole_problem = build_problem(plant, recordings, rig.fit, interpolation=rig.interpolation)
     parts = [
-        dataclasses.replace(whole, data=jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], whole.data)) for k in range(3)
+        dataclasses.replace(whole_problem, data=jax.tree.map(lambda leaf, k=k: leaf[k : k + 1], whole_problem.data))
+        for k in range(3)
     ]
-    free = len(whole.unknowns)
+    free = len(whole_problem.unknowns)
 
     def residual(vector: jax.Array, problem: Problem) -> jax.Array:
         changed = dataclasses.replace(net, weights=vector[free:])
@@ -213,15 +254,17 @@ def universal(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
             vector[:free]
         )
 
-    lower, upper = (np.append(side, np.full(size, far)) for side, far in zip(whole.bounds, (-20.0, 20.0), strict=True))
+    lower, upper = (
+        np.append(side, np.full(size, far)) for side, far in zip(whole_problem.bounds, (-20.0, 20.0), strict=True)
+    )
     best = (math.inf, math.inf)
     for seed in (0, 1):
         weights = (
             0.5
             * np.random.default_rng(seed).standard_normal(size)
-            * np.append(np.ones(4 * HIDDEN), np.full(HIDDEN + 1, 0.02))
+            * np.append(np.ones(4 * NEURONS), np.full(NEURONS + 1, 0.02))
         )
-        start = np.append(whole.nominal, weights)
+        start = np.append(whole_problem.nominal, weights)
         point = (
             MultiStartSolver(residual, parts[0], start[None], lower, upper, size=parts[0].size)
             .advance(60)
@@ -229,23 +272,23 @@ def universal(rig: Rig, recordings: list, key: str) -> tuple[str, float]:
             .points[0]
         )
         searches = [MultiStartSolver(residual, parts[k], point[None], lower, upper, size=parts[0].size) for k in (1, 2)]
-        tested = [search.advance(1).result() for search in searches]
-        scale = 1.0 / float(np.max(whole.data.weight)) / NOISE
-        rms = [float(np.sqrt(np.mean(t.residuals[0] ** 2))) * scale for t in tested]
+        validations = [search.advance(1).result() for search in searches]
+        scale = 1.0 / float(np.max(whole_problem.data.weight)) / NOISE
+        rms = [float(np.sqrt(np.mean(t.residuals[0] ** 2))) * scale for t in validations]
         best = min(best, (rms[0], rms[1]))
     return "", best[1]
 
 
 METHODS: dict[str, Callable[[Rig, list, str], tuple[str, float]]] = {
-    "smajax diagnose": ours,
-    "exhaustive refit, BIC": exhaustive,
-    "SINDy on estimated states": sparse,
-    "universal differential equation": universal,
+    "smajax diagnose": run_diagnosis,
+    "exhaustive refit, BIC": run_exhaustive_refit,
+    "SINDy on estimated states": run_sparse_regression,
+    "universal differential equation": run_universal_equation,
 }
 
 
 def main() -> None:
-    """Runs all methods on all cases and prints the table."""
+    """Run all methods on all cases and print the table."""
     args = arguments(__doc__, quick="one hidden effect", more={"--seeds": {"type": int, "default": 2}})
     if importlib.util.find_spec("pysindy") is None:
         sys.exit('sparse regression needs pysindy: pip install "smajax[rivals]"')
@@ -257,12 +300,12 @@ def main() -> None:
     for seed in range(1 if args.quick else args.seeds):
         for key in CASES[:1] if args.quick else CASES:
             rng = np.random.default_rng([seed, 7, *key.encode()])
-            recordings = record(rig, draw(rng, (key,)) if key else {}, rng)
+            recordings = record(draw_strengths(rng, (key,)) if key else {}, rng)
             for name, method in METHODS.items():
                 if (seed, key, name) not in done:
-                    began = time.perf_counter()
+                    start = time.perf_counter()
                     named, ratio = method(rig, recordings, key)
-                    done[seed, key, name] = Answer(named, ratio, time.perf_counter() - began)
+                    done[seed, key, name] = Answer(named, ratio, time.perf_counter() - start)
                     add_case(
                         args.out,
                         {"seed": seed, "case": key, "method": name, **dataclasses.asdict(done[seed, key, name])},
@@ -270,20 +313,21 @@ def main() -> None:
                     say(f"{key or 'nothing'} ({seed}), {name}: {named or 'nothing'}, {ratio:.2f} of the noise")
                 answers[name].append((key, done[seed, key, name]))
     rows = []
-    for name, all_of_them in answers.items():
-        hidden = [(key, a) for key, a in all_of_them if key]
-        right = sum(a.named == key for key, a in hidden)
-        alarms = sum(bool(a.named) for key, a in all_of_them if not key)
-        ratios, seconds = [a.ratio for _, a in hidden], [a.seconds for _, a in all_of_them]
-        told = (
-            f"{right} of {len(hidden)} named, {alarms} false alarms; held-out error over the noise "
+    for name, method_answers in answers.items():
+        hidden = [(key, a) for key, a in method_answers if key]
+        correct = sum(a.named == key for key, a in hidden)
+        false_alarms = sum(bool(a.named) for key, a in method_answers if not key)
+        ratios = [a.ratio for _, a in hidden]
+        seconds = [a.seconds for _, a in method_answers]
+        text = (
+            f"{correct} of {len(hidden)} named, {false_alarms} false alarms; held-out error over the noise "
             f"{np.median(ratios):.2f} (median), "
         )
-        told += f"{max(ratios):.2f} (worst); {np.median(seconds):.0f} s"
-        facts = [{"case": key, **dataclasses.asdict(a)} for key, a in all_of_them]
-        rows.append(Row(name, "-", told, None, {"cases": facts}))
-    words = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
-    finish(rows, args, words=words)
+        text += f"{max(ratios):.2f} (worst); {np.median(seconds):.0f} s"
+        facts = [{"case": key, **dataclasses.asdict(a)} for key, a in method_answers]
+        rows.append(Row(name, "-", text, None, {"cases": facts}))
+    options = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
+    finish(rows, args, words=options)
 
 
 if __name__ == "__main__":

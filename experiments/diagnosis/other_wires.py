@@ -1,18 +1,16 @@
-"""Does a diagnosis name what is hidden in other wires than the shipped ones?
-
-Truth from tests/reference, of which smajax shares nothing.
+"""Whether a diagnosis names the hidden effect in wires other than the shipped ones.
 
     python experiments/diagnosis/other_wires.py [--quick] [--seeds N] [--json FILE] [--out DIR]
 
-As diagnosis_bench.py and diagnosis_two_wires.py, but every case draws a rig of its own: diameter from 0.1 to 0.31 mm,
-length, load or prestrain and pulley, the room's temperature, and an alloy, whose transformation temperatures,
-Clausius-Clapeyron coefficients, moduli, transformation strain and resistivities are nominal values of the rig file;
-convection goes with the diameter. The free parameters are drawn near these, strengths log-uniformly from 0.2 to 2 of
-a usual one, and the currents go with the wire. Recordings are as long as 100 of the wire's thermal time constants,
-between 60 and 120 s.
+The truth is made by tests/reference, which shares no code with smajax. The cases are those of hidden_effects.py and
+two_wires.py, but each draws its own rig: a diameter from 0.1 to 0.31 mm, length, load or prestrain and pulley, the
+ambient temperature, and an alloy, whose transformation temperatures, Clausius-Clapeyron coefficients, moduli,
+transformation strain and resistivities are nominal values of the rig file. Convection depends on the diameter. The free
+parameters are drawn near these values, strengths log-uniformly from 0.2 to 2 times a typical one, and the currents are
+scaled to the wire. A recording lasts 100 thermal time constants of the wire, but at least 60 and at most 120 s.
 
-With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick``
-runs one case.
+With ``--out``, each case is appended to DIR/cases.jsonl when it ends, and cases that are there are not run again.
+``--quick`` runs one case.
 """
 
 from __future__ import annotations
@@ -27,15 +25,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import ROOT, Row, arguments, finish, say
-from experiments.diagnosis.hidden_effects import NOISE, SINGLES, Facts, answers, named, near
+from experiments.common.base import ROOT, Row, arguments
+from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, verdict_rows
+from experiments.common.hidden_recordings import EFFECTS, NOISE, perturb_rig
 from experiments.diagnosis.hidden_effects import PAIRS as PAIRS_OF_ONE
 from experiments.diagnosis.hidden_effects import UNLISTED as UNLISTED_OF_ONE
 from experiments.diagnosis.two_wires import NOISE as NOISE_OF_ANGLE
+from experiments.diagnosis.two_wires import PAIR_EFFECTS, measure_angle
 from experiments.diagnosis.two_wires import PAIRS as PAIRS_OF_TWO
 from experiments.diagnosis.two_wires import UNLISTED as UNLISTED_OF_TWO
-from experiments.diagnosis.two_wires import USUAL as OF_TWO
-from experiments.diagnosis.two_wires import count, seen_angle
 
 import numpy as np
 
@@ -50,18 +48,19 @@ from tests.reference.rig_file import read_rig as reference_rig
 
 KINDS = {"one wire": "dead-weight", "two wires": "rotary"}
 NOISES = {"displacement": NOISE, "angle": NOISE_OF_ANGLE}
-DIAMETERS = (0.1, 0.125, 0.15, 0.2, 0.25, 0.31)  # mm, as they are sold
-Case = tuple[str, str, tuple[str, ...], dict[str, float], int]
+DIAMETERS = (0.1, 0.125, 0.15, 0.2, 0.25, 0.31)  # mm, sold sizes
 
 
-def other_rig(rng: np.random.Generator, kind: str) -> str:
-    """The text of a rig file of a shipped kind for a wire that is drawn."""
-    diameter, moved, wider = rng.choice(DIAMETERS), rng.uniform(-6.0, 12.0), rng.uniform(-3.0, 5.0)
+def draw_rig_text(rng: np.random.Generator, kind: str) -> str:
+    """Return the text of a rig file of a shipped kind, for a drawn wire."""
+    diameter = rng.choice(DIAMETERS)
+    shift = rng.uniform(-6.0, 12.0)
+    widening = rng.uniform(-3.0, 5.0)
     values = {
-        "martensite_start": f"{50.0 + moved - wider:.1f} degC",
-        "martensite_finish": f"{36.0 + moved - wider - rng.uniform(-3.0, 4.0):.1f} degC",
-        "austenite_start": f"{64.0 + moved + wider:.1f} degC",
-        "austenite_finish": f"{80.0 + moved + wider + rng.uniform(-3.0, 4.0):.1f} degC",
+        "martensite_start": f"{50.0 + shift - widening:.1f} degC",
+        "martensite_finish": f"{36.0 + shift - widening - rng.uniform(-3.0, 4.0):.1f} degC",
+        "austenite_start": f"{64.0 + shift + widening:.1f} degC",
+        "austenite_finish": f"{80.0 + shift + widening + rng.uniform(-3.0, 4.0):.1f} degC",
         "clausius_clapeyron_austenite": f"{rng.uniform(5.5, 8.5):.2f} MPa/K",
         "clausius_clapeyron_martensite": f"{rng.uniform(5.5, 8.5):.2f} MPa/K",
         "modulus_austenite": f"{rng.uniform(28.0, 60.0):.1f} GPa",
@@ -89,8 +88,8 @@ def other_rig(rng: np.random.Generator, kind: str) -> str:
     return text
 
 
-def amperes(rig: RigFile, temperature: float) -> float:
-    """The current that holds a wire of half martensite at a temperature in degC."""
+def holding_current(rig: RigFile, temperature: float) -> float:
+    """Return the current in A that holds a wire of half martensite at a temperature in degC."""
     material, heat, wire = rig.material, rig.heat, rig.wire
     rho = 0.5 * (material.resistivity_austenite + material.resistivity_martensite)
     flux = (heat.h0 + heat.h1 * temperature + heat.h2 * temperature**2) * (temperature - wire.ambient)
@@ -98,75 +97,70 @@ def amperes(rig: RigFile, temperature: float) -> float:
 
 
 def record(rig: RigFile, hidden: Hidden, rng: np.random.Generator) -> list[Recording]:
-    """Three recordings under three inputs of a wire whose free parameters are near the rig file's."""
-    truth, material, wire, recordings = near(rng, rig), rig.material, rig.wire, []
-    late = rig.heat.capacity_austenite * wire.diameter / (4.0 * rig.heat.h0)
-    seconds = clock(round(min(max(100.0 * late, 60.0), 120.0)))
+    """Make three recordings under three inputs of a wire whose free parameters are near the rig file's.
+
+    Args:
+        rig: The rig of the reference simulator.
+        hidden: What is hidden.
+        rng: Random generator.
+    """
+    truth, material, wire, recordings = perturb_rig(rng, rig), rig.material, rig.wire, []
+    time_constant = rig.heat.capacity_austenite * wire.diameter / (4.0 * rig.heat.h0)
+    seconds = clock(round(min(max(100.0 * time_constant, 60.0), 120.0)))
     for part in ("train", "select", "holdout"):
         if rig.kind == "dead-weight":
             stress = 9.81 * rig.mechanism["mass"] / (0.25 * math.pi * wire.diameter**2)
-            cold, hot = stress / material.clausius_clapeyron_martensite, stress / material.clausius_clapeyron_austenite
-            finish, full = material.austenite_finish + hot, amperes(rig, material.austenite_finish + hot + 22.0)
+            cold = stress / material.clausius_clapeyron_martensite
+            hot = stress / material.clausius_clapeyron_austenite
+            finish = material.austenite_finish + hot
+            full = holding_current(rig, material.austenite_finish + hot + 22.0)
             low = (material.martensite_finish + cold - 7.0, material.martensite_start + cold - 6.0)
             bands = np.array([low, (material.austenite_start + hot + 4.0, finish + 3.0)])
             current = turns(
                 rng, seconds, rig, (0.0, 0.42 * full), (0.93 * full, 1.1 * full), bands, finish + 28.0
             ).round(4)
-            lifted = displacement(truth, hidden, seconds, current) + NOISE * rng.standard_normal(len(seconds))
-            channels, units = {"current": current, "displacement": lifted}, {"displacement": "mm"}
+            measured = displacement(truth, hidden, seconds, current) + NOISE * rng.standard_normal(len(seconds))
+            channels, units = {"current": current, "displacement": measured}, {"displacement": "mm"}
             recordings.append(Recording.from_arrays(part, seconds, channels, units))
         else:
-            full, slow = amperes(rig, material.austenite_finish + 25.0), late / 0.98
-            both = taking_turns(rng, seconds, (1.5 * slow, 6.0 * slow), (0.75 * full, 1.2 * full)).round(4)
-            recordings.append(seen_angle(truth, hidden, part, seconds, both, rng))
+            full = holding_current(rig, material.austenite_finish + 25.0)
+            slow = time_constant / 0.98
+            currents = taking_turns(rng, seconds, (1.5 * slow, 6.0 * slow), (0.75 * full, 1.2 * full)).round(4)
+            recordings.append(measure_angle(truth, hidden, part, seconds, currents, rng))
     return recordings
 
 
-def run(rigs: None, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
-    """Diagnoses a case."""
+def run(rigs: None, case: Case) -> Facts:
+    """Draw the rig of a case, record and diagnose it."""
+    group, name, _, hidden, seed = case
     rng = np.random.default_rng([seed, *f"{group}, {name}".encode()])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.toml"
-        path.write_text(other_rig(rng, KINDS[group]), "utf-8")
+        path.write_text(draw_rig_text(rng, KINDS[group]), "utf-8")
         rig: Rig = read_rig(path)
         recordings = record(reference_rig(path), Hidden(**hidden), rng)
-    began = time.perf_counter()
-    found = diagnose(DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation), seed=seed)
-    seconds = time.perf_counter() - began
-    before, after = (
-        max(found.rmse[c][f"holdout_{when}"] / NOISES[c] for c in found.rmse) for when in ("before", "after")
-    )
-    say(
-        f"{group}, {name} ({seed}): {found.verdict} {', '.join(found.effects)}; {before:.2f} -> {after:.2f} of "
-        f"the noise, {seconds:.0f} s"
-    )
-    return {
-        "group": group,
-        "case": name,
-        "seed": seed,
-        "keys": keys,
-        "hidden": hidden,
-        "verdict": found.verdict,
-        "effects": found.effects,
-        "equivalent": found.equivalent,
-        "unresolved_stage": found.unresolved_stage,
-        "before_over_noise": before,
-        "holdout_over_noise": after,
-        "seconds": seconds,
-    }
+    start = time.perf_counter()
+    problem = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
+    diagnosis = diagnose(problem, seed=seed)
+    seconds = time.perf_counter() - start
+    facts = scored_facts(f"{group}, {name}", case, diagnosis, NOISES, seconds)
+    return facts | {"unresolved_stage": diagnosis.unresolved_stage}
 
 
 def cases(seeds: range, quick: bool) -> Iterator[Case]:
-    """Group, name, hidden keys, their fields and seed of every case."""
-    kinds = {"one wire": (SINGLES, PAIRS_OF_ONE, UNLISTED_OF_ONE), "two wires": (OF_TWO, PAIRS_OF_TWO, UNLISTED_OF_TWO)}
+    """Yield all cases of a range of seeds."""
+    kinds = {
+        "one wire": (EFFECTS, PAIRS_OF_ONE, UNLISTED_OF_ONE),
+        "two wires": (PAIR_EFFECTS, PAIRS_OF_TWO, UNLISTED_OF_TWO),
+    }
     for seed in seeds:
-        for group, (usual, pairs, unlisted) in kinds.items():
+        for group, (effects, pairs, unlisted) in kinds.items():
             rng = np.random.default_rng([seed, 4, *group.encode()])
-            for keys in [(key,) for key in usual] + [()] + list(pairs):
+            for keys in [(key,) for key in effects] + [()] + list(pairs):
                 fields: dict[str, float] = {}
                 for key in keys:
-                    field, size, _, more = usual[key]
-                    fields |= {field: size * math.exp(rng.uniform(math.log(0.2), math.log(2.0)))} | more
+                    field, size, _, extra = effects[key]
+                    fields |= {field: size * math.exp(rng.uniform(math.log(0.2), math.log(2.0)))} | extra
                 yield group, " + ".join(keys) or "nothing", keys, fields, seed
                 if quick:
                     return
@@ -175,58 +169,34 @@ def cases(seeds: range, quick: bool) -> Iterator[Case]:
 
 
 def rows(facts: list[Facts]) -> list[Row]:
-    """The table."""
+    """Return the rows of the table."""
     table = []
     for group in KINDS:
-        of = [c for c in facts if c["group"] == group]
-        singles, pairs = ([c for c in of if len(c["keys"]) == n] for n in (1, 2))
-        nulls = [c for c in of if c["case"] == "nothing"]
-        outside = [c for c in of if not c["keys"] and c["case"] != "nothing"]
-        if not of:
+        group_facts = [c for c in facts if c["group"] == group]
+        singles, pairs = ([c for c in group_facts if len(c["keys"]) == n] for n in (1, 2))
+        nulls = [c for c in group_facts if c["case"] == "nothing"]
+        outside = [c for c in group_facts if not c["keys"] and c["case"] != "nothing"]
+        if not group_facts:
             continue
-        table += [
-            count(
-                f"{group}, one effect: first, or in the class declared", [named(c, c["keys"][0]) for c in singles], 0.90
-            ),
-            count(
-                f"{group}, one effect: exactly and first",
-                [list(c["effects"][:1]) == list(c["keys"]) for c in singles],
-                0.80,
-            ),
-            count(f"{group}, one effect: no other named", [len(c["effects"]) <= 1 for c in singles], 0.90),
-            count(
-                f"{group}, one effect: held-out error within 1.2 of the noise",
-                [c["holdout_over_noise"] <= 1.2 for c in singles],
-                0.90,
-            ),
-            count(f"{group}, nothing hidden: no effect named", [not c["effects"] for c in nulls], 0.98),
-            count(f"{group}, two effects: both named", [all(named(c, k) for k in c["keys"]) for c in pairs], 0.80),
-            count(
-                f"{group}, in no catalogue: partial or unresolved",
-                [c["verdict"] in ("partial", "unresolved") for c in outside],
-                0.95,
-            ),
-        ]
-        seconds = [c["seconds"] for c in of]
-        told = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
-        table.append(Row(f"{group}: seconds a case, median and longest", "<= 60 s", told, max(seconds) <= 60.0))
-        for name in dict.fromkeys(c["case"] for c in of):
-            told = "; ".join(
+        table += verdict_rows(f"{group}, ", singles, nulls, pairs, outside)
+        seconds = [c["seconds"] for c in group_facts]
+        text = f"{np.median(seconds):.0f}, {max(seconds):.0f}"
+        table.append(Row(f"{group}: seconds a case, median and longest", "<= 60 s", text, max(seconds) <= 60.0))
+        for name in dict.fromkeys(c["case"] for c in group_facts):
+            text = "; ".join(
                 f"{c['verdict']}: {', '.join(c['effects']) or 'none'}, {c['before_over_noise']:.1f} -> "
                 f"{c['holdout_over_noise']:.2f}"
-                for c in of
+                for c in group_facts
                 if c["case"] == name
             )
-            table.append(Row(f"{group}, {name}: verdict, error over noise", "-", told, None))
+            table.append(Row(f"{group}, {name}: verdict, error over noise", "-", text, None))
     return table
 
 
 def main() -> None:
-    """Runs all cases and prints the table."""
+    """Run all cases and print the table."""
     args = arguments(__doc__, quick="one case", more={"--seeds": {"type": int, "default": 1}})
-    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), None, run, args.out)
-    words = "" if args.quick or args.seeds == 1 else f" --seeds {args.seeds}"
-    finish(rows(facts), args, cases=facts, words=words)
+    report_cases(args, 1, None, cases, run, rows)
 
 
 if __name__ == "__main__":

@@ -1,16 +1,15 @@
-"""Does a diagnosis name what is hidden in two wires on a pulley?
-
-Truth from tests/reference/hidden_pair.py, of which smajax shares nothing.
+"""Whether a diagnosis names the effect that is hidden in recordings of two wires on a pulley.
 
     python experiments/diagnosis/two_wires.py [--quick] [--seeds N] [--json FILE] [--out DIR]
 
-As diagnosis_bench.py, for the rig whose fit is the harder one: the angle remembers every turn of both wires, so that
-a large effect bends the first fit beyond coming to rest. Every case draws the rig's free parameters near their
-nominal values, the strength log-uniformly from 0.3 to 1.5 of a usual one, and three inputs of 80 s; the angle has
-noise of 0.06 degrees and is rounded to 0.025 degrees.
+The truth is tests/reference/hidden_pair.py, which shares no code with smajax. This rig is harder to fit than that of
+hidden_effects.py: the angle depends on the whole history of both wires, so that the first fit may not converge if an
+effect is large. Every case draws the rig's free parameters near their nominal values, the strength log-uniformly from
+0.3 to 1.5 times a typical one, and three inputs of 80 s. The angle has noise of 0.06 degrees and is rounded to 0.025
+degrees.
 
-With --out, each case is written to DIR/cases.jsonl as it ends, and a case that is there is not run again. ``--quick``
-runs one hidden effect and one case without.
+With ``--out``, each case is appended to DIR/cases.jsonl when it ends, and cases that are there are not run again.
+``--quick`` runs one hidden effect and one case without.
 """
 
 from __future__ import annotations
@@ -24,8 +23,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import ROOT, Row, arguments, finish, say
-from experiments.diagnosis.hidden_effects import SINGLES, Facts, answers, draw, named, nearby
+from experiments.common.base import ROOT, Row, arguments
+from experiments.common.diagnosis_cases import Case, Facts, report_cases, scored_facts, verdict_rows
+from experiments.common.hidden_recordings import EFFECTS, draw_shipped_rig, draw_strengths
 
 import numpy as np
 
@@ -39,9 +39,10 @@ from tests.reference.make_data import rotary
 from tests.reference.rig_file import RigFile
 
 DEGREE = math.pi / 180.0
-SPREAD, ROUNDED = 0.06 * DEGREE, 0.025 * DEGREE
-NOISE = math.sqrt(SPREAD**2 + ROUNDED**2 / 12.0)
-USUAL = SINGLES | {  # play in rad, drift of the encoder in rad/s
+NOISE_DEVIATION = 0.06 * DEGREE
+RESOLUTION = 0.025 * DEGREE
+NOISE = math.sqrt(NOISE_DEVIATION**2 + RESOLUTION**2 / 12.0)
+PAIR_EFFECTS = EFFECTS | {  # sizes in rad and rad/s
     "backlash": ("play", 7.5e-3, None, {}),
     "encoder-drift": ("encoder_drift", 7.5e-4, None, {}),
     "wire-crosstalk": ("crosstalk", 0.06, None, {}),
@@ -55,10 +56,17 @@ PAIRS = (
 UNLISTED = {"kinetics by half off": {"pace": 0.5}, "bent sensor": {"cubic": 0.1}}
 
 
-def read_angle(truth: RigFile, hidden: Hidden, part: str, rng: np.random.Generator) -> Recording:
-    """A recording of a pair of wires under an input that is drawn."""
+def record_angle(truth: RigFile, hidden: Hidden, part: str, rng: np.random.Generator) -> Recording:
+    """Make a recording of a pair of wires under a drawn input.
+
+    Args:
+        truth: The rig of the reference simulator.
+        hidden: What is hidden.
+        part: Name of the recording.
+        rng: Random generator.
+    """
     columns = rotary(rng)
-    return seen_angle(
+    return measure_angle(
         truth,
         hidden,
         part,
@@ -68,102 +76,78 @@ def read_angle(truth: RigFile, hidden: Hidden, part: str, rng: np.random.Generat
     )
 
 
-def seen_angle(
+def measure_angle(
     truth: RigFile, hidden: Hidden, part: str, seconds: np.ndarray, currents: np.ndarray, rng: np.random.Generator
 ) -> Recording:
-    """What is recorded of a pair of wires under two currents (n, 2)."""
-    turned = angle(truth, hidden, seconds, currents, 30) + SPREAD * rng.standard_normal(len(seconds))
-    channels = {"current_1": currents[:, 0], "current_2": currents[:, 1], "angle": ROUNDED * np.round(turned / ROUNDED)}
+    """Make a recording of a pair of wires under two currents.
+
+    Args:
+        truth: The rig of the reference simulator.
+        hidden: What is hidden.
+        part: Name of the recording.
+        seconds: Times, s, shape ``(n,)``.
+        currents: Currents, A, shape ``(n, 2)``.
+        rng: Random generator.
+    """
+    exact = angle(truth, hidden, seconds, currents, 30) + NOISE_DEVIATION * rng.standard_normal(len(seconds))
+    channels = {
+        "current_1": currents[:, 0],
+        "current_2": currents[:, 1],
+        "angle": RESOLUTION * np.round(exact / RESOLUTION),
+    }
     return Recording.from_arrays(part, seconds, channels, {"angle": "deg"})
 
 
 def record(hidden: dict[str, float], rng: np.random.Generator) -> list[Recording]:
-    """Three recordings of one pair of wires under three inputs."""
-    truth = nearby(rng, "rotary")
-    return [read_angle(truth, Hidden(**hidden), part, rng) for part in ("train", "select", "holdout")]
+    """Make three recordings of one pair of wires under three inputs."""
+    truth = draw_shipped_rig(rng, "rotary")
+    return [record_angle(truth, Hidden(**hidden), part, rng) for part in ("train", "select", "holdout")]
 
 
-def run(rig: Rig, group: str, name: str, keys: tuple[str, ...], hidden: dict[str, float], seed: int) -> Facts:
-    """Diagnoses a case."""
+def run(rig: Rig, case: Case) -> Facts:
+    """Record and diagnose a case."""
+    _, name, _, hidden, seed = case
     recordings = record(hidden, np.random.default_rng([seed, *name.encode()]))
-    began = time.perf_counter()
-    found = diagnose(DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation), seed=seed)
-    seconds = time.perf_counter() - began
-    before, after = (found.rmse["angle"][f"holdout_{when}"] / NOISE for when in ("before", "after"))
-    say(
-        f"{name} ({seed}): {found.verdict} {', '.join(found.effects)}; {before:.2f} -> {after:.2f} of the noise, "
-        f"{seconds:.0f} s"
-    )
-    return {
-        "group": group,
-        "case": name,
-        "seed": seed,
-        "keys": keys,
-        "hidden": hidden,
-        "verdict": found.verdict,
-        "effects": found.effects,
-        "equivalent": found.equivalent,
-        "unresolved_stage": found.unresolved_stage,
-        "before_over_noise": before,
-        "holdout_over_noise": after,
-        "seconds": seconds,
-    }
+    start = time.perf_counter()
+    problem = DiagnosisProblem(rig.plant, recordings, rig.fit, interpolation=rig.interpolation)
+    diagnosis = diagnose(problem, seed=seed)
+    seconds = time.perf_counter() - start
+    facts = scored_facts(name, case, diagnosis, {"angle": NOISE}, seconds)
+    return facts | {"unresolved_stage": diagnosis.unresolved_stage}
 
 
-def cases(seeds: range, quick: bool) -> Iterator[tuple[str, str, tuple[str, ...], dict[str, float], int]]:
-    """Group, name, hidden keys, their fields and seed of every case."""
+def cases(seeds: range, quick: bool) -> Iterator[Case]:
+    """Yield all cases of a range of seeds."""
     for seed in seeds:
         rng = np.random.default_rng([seed, 2])
-        for key in list(USUAL)[: 1 if quick else None]:
-            yield "one effect", key, (key,), draw(rng, (key,), USUAL), seed
+        for key in list(PAIR_EFFECTS)[: 1 if quick else None]:
+            yield "one effect", key, (key,), draw_strengths(rng, (key,), PAIR_EFFECTS), seed
         yield "nothing", "nothing", (), {}, seed
         if quick:
             return
         for keys in PAIRS:
-            yield "two effects", " + ".join(keys), keys, draw(rng, keys, USUAL), seed
+            yield "two effects", " + ".join(keys), keys, draw_strengths(rng, keys, PAIR_EFFECTS), seed
         for name, fields in UNLISTED.items():
             yield "in no catalogue", name, (), fields, seed
 
 
 def main() -> None:
-    """Runs all cases and prints the table."""
+    """Run all cases and print the table."""
     args = arguments(
         __doc__, quick="one hidden effect and one case without", more={"--seeds": {"type": int, "default": 2}}
     )
     rig = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
-    facts = answers(cases(range(1 if args.quick else args.seeds), args.quick), rig, run, args.out)
-    words = "" if args.quick or args.seeds == 2 else f" --seeds {args.seeds}"
-    finish(rows(facts), args, cases=facts, words=words)
-
-
-def count(what: str, hits: list[bool], target: float) -> Row:
-    """The line of how many of some cases are hit, and whether these are enough."""
-    met = float(np.mean(hits)) >= target if hits else None
-    return Row(
-        what, f">= {100 * target:.0f} %", f"{sum(hits)} of {len(hits)}", met, {"hits": sum(hits), "cases": len(hits)}
-    )
+    report_cases(args, 2, rig, cases, run, rows)
 
 
 def rows(facts: list[Facts]) -> list[Row]:
-    """The table."""
+    """Return the rows of the table."""
     singles, nulls, pairs, outside = (
         [c for c in facts if c["group"] == g] for g in ("one effect", "nothing", "two effects", "in no catalogue")
     )
     seconds = [c["seconds"] for c in singles]
     table = [
-        count("one effect: first, or in the class declared", [named(c, c["keys"][0]) for c in singles], 0.90),
-        count("one effect: exactly and first", [list(c["effects"][:1]) == list(c["keys"]) for c in singles], 0.80),
-        count("one effect: no other named", [len(c["effects"]) <= 1 for c in singles], 0.90),
-        count(
-            "one effect: held-out error within 1.2 of the noise",
-            [c["holdout_over_noise"] <= 1.2 for c in singles],
-            0.90,
-        ),
-        count("nothing hidden: no effect named", [not c["effects"] for c in nulls], 0.98),
-        count("two effects: both named", [all(named(c, k) for k in c["keys"]) for c in pairs], 0.80),
-        count(
-            "in no catalogue: partial or unresolved", [c["verdict"] in ("partial", "unresolved") for c in outside], 0.95
-        ),
+        *verdict_rows("", singles, nulls, pairs, outside),
         Row(
             "seconds a case, median and longest (one effect)",
             "<= 60 s",
@@ -171,13 +155,13 @@ def rows(facts: list[Facts]) -> list[Row]:
             max(seconds) <= 60.0,
         ),
     ]
-    for key in USUAL:
-        seen = [c for c in singles if c["keys"][0] == key]
-        if seen:
-            said = Counter(c["effects"][0] if c["effects"] else "none" for c in seen)
-            errors = ", ".join(f"{c['before_over_noise']:.3g} -> {c['holdout_over_noise']:.3g}" for c in seen)
-            told = f"{', '.join(f'{k} {n}' for k, n in said.most_common())}; held-out error over noise {errors}"
-            table.append(Row(f"hidden {key}, named first", "-", told, None, dict(said)))
+    for key in PAIR_EFFECTS:
+        same_key = [c for c in singles if c["keys"][0] == key]
+        if same_key:
+            counts = Counter(c["effects"][0] if c["effects"] else "none" for c in same_key)
+            errors = ", ".join(f"{c['before_over_noise']:.3g} -> {c['holdout_over_noise']:.3g}" for c in same_key)
+            text = f"{', '.join(f'{k} {n}' for k, n in counts.most_common())}; held-out error over noise {errors}"
+            table.append(Row(f"hidden {key}, named first", "-", text, None, dict(counts)))
     return table
 
 

@@ -1,10 +1,10 @@
-"""Put the tables of experiments into the benchmark pages.
+"""Tables of experiments, inserted into the benchmark pages.
 
     python experiments/docs/benchmark_tables.py FILE.json ...
 
 The files are written by experiments with ``--json``. A table goes between ``<!-- NAME -->`` and ``<!-- end -->`` on a
-page of docs/benchmarks, under the command that prints it. Numbers reach the pages in no other way. Of recordings by
-others only the rows with a target go in, and of estimates only those at a bound and those that the data cannot
+page of docs/benchmarks, under the command that prints it. The pages get their numbers only from here. Of recordings by
+others only the rows with a target are inserted, and of estimates only those at a bound and those that the data cannot
 distinguish.
 """
 
@@ -26,9 +26,11 @@ MET = {True: "yes", False: "no", None: "-"}
 
 
 def block(document: dict[str, Any]) -> str:
-    """The table of one experiment as Markdown, under its command.
-     Args: document: The experiment's JSON document: ``experiment`` (its path below experiments/), ``rows``, ``quick``,
-    ``words``.
+    """Return the table of one experiment as Markdown, under its command.
+
+    Args:
+        document: The experiment's JSON document: ``experiment`` (its path below experiments/), ``rows``, ``quick``,
+            ``words``.
     """
     by_others = document["experiment"].startswith("measured/")
     rows = [
@@ -42,18 +44,18 @@ def block(document: dict[str, Any]) -> str:
 
 
 def insert(name: str, text: str) -> None:
-    """Replace the table of that name on the page that has a place for it; exits with a sentence if no page has."""
-    place = re.compile(f"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+    """Replace the table of that name on the page that has a place for it; exit if no page has."""
+    marker = re.compile(f"(<!-- {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
     for page in sorted(PAGES.glob("*.md")):
         content = page.read_text(encoding="utf-8")
-        if place.search(content):
-            page.write_text(place.sub(lambda match: f"{match[1]}{text}\n{match[2]}", content), encoding="utf-8")
+        if marker.search(content):
+            page.write_text(marker.sub(lambda match: f"{match[1]}{text}\n{match[2]}", content), encoding="utf-8")
             return
     sys.exit(f"no page of docs/benchmarks has a place for {name}: add the lines <!-- {name} --> and <!-- end -->")
 
 
 def main() -> None:
-    """Insert the tables of all files that are named on the command line."""
+    """Insert the tables of all files on the command line."""
     for path in sys.argv[1:]:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
         suffix = "" if document.get("backend", "cpu") == "cpu" else " on an accelerator"

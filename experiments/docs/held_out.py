@@ -1,8 +1,8 @@
-"""The figure of the README: the contraction of the shipped wire on a recording that the fit has not seen.
+"""The figure of the README: the contraction of the shipped wire on a recording that the fit has not used.
 
     python experiments/docs/held_out.py [--json FILE] [--out DIR]
 
-Draws the measured and the modelled contraction and fifty times their difference.
+It shows the measured and the modelled contraction, and fifty times their difference.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import ROOT, Row, arguments, finish, shipped
+from experiments.common.base import ROOT, Row, arguments, finish, read_shipped
 from experiments.common.charts import Chart, Curve, draw
 
 import numpy as np
@@ -23,8 +23,8 @@ from smajax.fitting.fit import fit
 def main() -> None:
     """Fit train.csv, predict holdout.csv, and draw both."""
     args = arguments(__doc__)
-    rig, train = shipped("dead-weight")
-    _, holdout = shipped("dead-weight", "holdout")
+    rig, train = read_shipped("dead-weight")
+    _, holdout = read_shipped("dead-weight", "holdout")
     result = fit(rig.plant, [train], rig.fit, holdout=[holdout], interpolation=rig.interpolation)
     response = result.responses[1]
     measured, model = (1e3 * np.asarray(values["displacement"]) for values in (holdout.channels, response.model))

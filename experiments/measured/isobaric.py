@@ -1,18 +1,14 @@
-"""One thermal cycle of a wire at several constant stresses, measured by others.
-
-Fit all levels but one, predict that one.
+"""A thermal cycle of a wire at several constant stresses, measured by others: fit all levels but one, predict that one.
 
     python experiments/measured/isobaric.py [--data DIR] [--holdout MPA | --each] [--quick] [--json FILE] [--out DIR]
 
 DIR holds one text file a level, ``...MPa.txt``, with columns temperature (degC), strain (fraction, or percent:
-distinguished by size) and stress (MPa).
-The stress is that of the file's name, since the column is the noisy measured one.
-Where the originals lie next to text files that were resampled from them (.mat with the curves of the figure), these
-are read instead. Strain was zeroed by those who recorded it, so each level has an offset; that of the held-out level
-is the one with which the model meets its hottest row, where the recording was zeroed. Start values and bounds come
-from where the fitted levels transform. Then the residual is traced to effects: they are searched for on all fitted
-levels but the one next to the held-out one, which selects, and all fitted levels are fitted again with what was
-accepted.
+distinguished by size) and stress (MPa). The stress is that of the file's name, since the column is a noisy measurement.
+If the folder also has the originals from which the text files were resampled (.mat with the curves of a figure), these
+are read instead. The strain was zeroed when it was recorded, so each level has an offset; that of the held-out level
+makes the model agree with its hottest row, where the recording was zeroed. Start values and bounds come from the
+temperatures at which the fitted levels transform. Then effects are selected: they are searched for on all fitted levels
+except the one next to the held-out level, which selects, and all fitted levels are fitted again with those accepted.
 """
 
 from __future__ import annotations
@@ -25,9 +21,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import DATA, Row, agreement, arguments, estimate_rows, finish, from_elsewhere, refuse, say
+from experiments.common.base import DATA, Row, agreement, arguments, estimate_rows, finish, fit_from_starts, refuse, say
 from experiments.common.charts import Chart, Curve, draw
-from experiments.common.effect_trace import Closed, close_loop, effect_rows
+from experiments.common.effect_trace import TraceResult, effect_rows, trace_effects
 
 import numpy as np
 import scipy.io
@@ -78,24 +74,24 @@ starts = 10
 "material.thermal_expansion_austenite" = ["-3e-4 1/K", "3e-4 1/K"]
 "material.thermal_expansion_martensite" = ["-3e-4 1/K", "3e-4 1/K"]
 """
-# The columns of a .mat with the curves of a figure, and into how many rows each curve is averaged.
-_WARM, _LONG, _STRETCHES = "Xdata_SampTemp_degC", "Ydata_TrueStrain_pct", 200
-# Held-out RMSE in percent that others' small models reach, without and with effects, by folder and level held out.
+# Variables of a .mat with the curves of a figure, and number of rows into which each curve is averaged.
+_TEMPERATURE_KEY, _STRAIN_KEY, _STRETCHES = "Xdata_SampTemp_degC", "Ydata_TrueStrain_pct", 200
+# Held-out RMSE in percent of small models by others, without and with effects, by folder and held-out level.
 USUAL = ("tamu-flexinol-isobaric", 150)
 PEERS = {USUAL: (0.20, 0.075), ("nasa-bigelow-nitihf", 200): (0.112, 0.062)}
 
 
 def rig_text(levels: Sequence[Recording]) -> str:
-    """The rig for these levels.
-
-    Its start values and bounds stand where the strain is half way, on heating and on cooling.
-    """
-    found = np.array([_halves(r) for r in levels])
+    """Return the rig file for some levels, with start values and bounds about the half-transformed states."""
+    transitions = np.array([_half_transformation(r) for r in levels])
     stress = np.array([r.channels["stress"][0] for r in levels]) / 1e6
-    heat, cool, band, stroke = found[:, 0], found[:, 1], float(np.median(found[:, 2])), float(np.max(found[:, 3]))
-    seen = found[:, 3] > 0.25 * stroke
-    heat50 = float(np.median(heat[seen] - stress[seen] / 8.0))
-    cool50 = float(np.median(cool[seen] - stress[seen] / 7.5))
+    heat = transitions[:, 0]
+    cool = transitions[:, 1]
+    band = float(np.median(transitions[:, 2]))
+    stroke = float(np.max(transitions[:, 3]))
+    transforming = transitions[:, 3] > 0.25 * stroke
+    heat50 = float(np.median(heat[transforming] - stress[transforming] / 8.0))
+    cool50 = float(np.median(cool[transforming] - stress[transforming] / 7.5))
     values = {
         "ms": cool50 + 7.0,
         "mf": cool50 - 50.0,
@@ -103,68 +99,68 @@ def rig_text(levels: Sequence[Recording]) -> str:
         "af": heat50 + 0.5 * band,
         "stroke": 100 * stroke,
     }
-    ends = {
+    bounds = {
         "heat50": heat50,
         "as_low": heat50 - 60.0,
         "af_high": heat50 + 80.0,
         "ms_low": cool50 - 49.0,
         "ms_high": cool50 + 70.0,
     }
-    ends |= {"strain_low": 33 * stroke, "strain_high": min(160 * stroke, 12.0)}
-    return RIG.format(**values, **ends)
+    bounds |= {"strain_low": 33 * stroke, "strain_high": min(160 * stroke, 12.0)}
+    return RIG.format(**values, **bounds)
 
 
 def _branches(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the rows that belong to heating and to cooling.
-
-    The recording turns once, at its hottest or at its coldest row.
-    """
+    """Return masks of the heating and of the cooling rows; the recording turns once, at its hottest or coldest row."""
     temperature, count = recording.channels["temperature"], len(recording)
-    hottest, coldest = int(np.argmax(temperature)), int(np.argmin(temperature))
-    inside = hottest if min(hottest, count - 1 - hottest) >= min(coldest, count - 1 - coldest) else coldest
-    first = np.arange(count) <= inside
-    return (first, ~first) if inside == hottest else (~first, first)
+    hottest = int(np.argmax(temperature))
+    coldest = int(np.argmin(temperature))
+    turning_row = hottest if min(hottest, count - 1 - hottest) >= min(coldest, count - 1 - coldest) else coldest
+    first = np.arange(count) <= turning_row
+    return (first, ~first) if turning_row == hottest else (~first, first)
 
 
-def _halves(recording: Recording) -> tuple[float, float, float, float]:
-    """Temperatures (degC) half way on heating and cooling, three times the spread of the middle half, the stroke."""
+def _half_transformation(recording: Recording) -> tuple[float, float, float, float]:
+    """Return where a recording is half transformed.
+
+    Returns:
+        Temperatures on heating and on cooling (degC), three times the spread of the middle half (K), and the stroke.
+    """
     temperature, strain = recording.channels["temperature"], recording.channels["strain"]
-    stroke, places = float(np.quantile(strain, 0.98) - np.quantile(strain, 0.02)), []
+    stroke = float(np.quantile(strain, 0.98) - np.quantile(strain, 0.02))
+    temperatures = []
     for mask in _branches(recording):
         share = (strain[mask] - np.quantile(strain, 0.02)) / stroke
-        places.append(
+        temperatures.append(
             [
-                float(np.median(temperature[mask][np.abs(share - at) <= np.min(np.abs(share - at)) + 0.02]))
-                for at in (0.75, 0.5, 0.25)
+                float(np.median(temperature[mask][np.abs(share - level) <= np.min(np.abs(share - level)) + 0.02]))
+                for level in (0.75, 0.5, 0.25)
             ]
         )
-    (first, heat, last), (_, cool, _) = places
+    (first, heat, last), (_, cool, _) = temperatures
     return heat, cool, float(np.clip(3.0 * abs(last - first), 6.0, 60.0)), stroke
 
 
 def read_levels(folder: Path) -> dict[int, Recording]:
-    """The recordings of a folder by stress in MPa.
-
-    Of its *MPa.txt files, or of the originals from which these were resampled.
-    """
+    """Read the recordings of a folder by stress in MPa, from the *MPa.txt files or from the originals."""
     tables: dict[int, tuple[str, np.ndarray]] = {}
     for path in sorted(folder.glob("*MPa.txt")):
-        found = re.search(r"(\d+)\s*MPa", path.name)
-        if not found:
+        match = re.search(r"(\d+)\s*MPa", path.name)
+        if not match:
             continue
         columns = np.loadtxt(path, ndmin=2)
         if columns.shape[1] < 2 or len(columns) < 20:
             refuse(
                 f"{path}: {columns.shape[1]} columns and {len(columns)} rows: temperature, strain and stress are needed"
             )
-        tables[int(found[1])] = (path.name, columns)
-    tables |= originals(folder, sorted(tables, reverse=True))
-    percent = (
-        max((np.ptp(columns[:, 1]) for _, columns in tables.values()), default=0.0) > 0.3
-    )  # of all together: some hardly strain
+        tables[int(match[1])] = (path.name, columns)
+    tables |= read_originals(folder, sorted(tables, reverse=True))
+    # Over all levels, since some have little strain.
+    percent = max((np.ptp(columns[:, 1]) for _, columns in tables.values()), default=0.0) > 0.3
     levels = {}
     for level, (name, columns) in tables.items():
-        strain, stress = columns[:, 1] / (100.0 if percent else 1.0), np.full(len(columns), level * 1e6)
+        strain = columns[:, 1] / (100.0 if percent else 1.0)
+        stress = np.full(len(columns), level * 1e6)
         channels = {"temperature": columns[:, 0], "stress": stress, "strain": strain}
         levels[level] = Recording.from_arrays(
             name, None, channels, {"temperature": "degC", "stress": "MPa", "strain": "%"}
@@ -172,24 +168,26 @@ def read_levels(folder: Path) -> dict[int, Recording]:
     return dict(sorted(levels.items()))
 
 
-def originals(folder: Path, levels: Sequence[int]) -> dict[int, tuple[str, np.ndarray]]:
-    """The curves of a published figure kept as .mat, from the highest stress to the lowest.
+def read_originals(folder: Path, levels: Sequence[int]) -> dict[int, tuple[str, np.ndarray]]:
+    """Read the curves of a published figure kept as .mat, from the highest stress to the lowest.
 
-    Temperature and strain, shape ``(n, 2)``.
+    Each level has two curves, heating and cooling, both in the order of the temperature. They have thousands of rows,
+    so
+    that the means of ``_STRETCHES`` stretches of equal length are taken.
 
-    Each level has two curves, heating and cooling, both in the order of the temperature. They hold thousands of rows:
-    the means of ``_STRETCHES`` stretches of equal length of each are taken.
+    Returns:
+        Name, and temperature and strain, shape ``(n, 2)``, by level.
     """
     for path in sorted(folder.glob("*.mat")):
         document = scipy.io.loadmat(path)
-        if not {_WARM, _LONG} <= set(document):
+        if not {_TEMPERATURE_KEY, _STRAIN_KEY} <= set(document):
             continue
         curves = [
             np.column_stack([np.ravel(x), np.ravel(y)])
-            for x, y in zip(document[_WARM].ravel(), document[_LONG].ravel(), strict=True)
+            for x, y in zip(document[_TEMPERATURE_KEY].ravel(), document[_STRAIN_KEY].ravel(), strict=True)
         ]
         if len(curves) != 2 * len(levels):
-            refuse(f"{path}: {len(curves)} curves for {len(levels)} files *MPa.txt beside it: two for each are needed")
+            refuse(f"{path}: {len(curves)} curves for {len(levels)} files *MPa.txt next to it: each needs two")
         means = [
             np.array([np.mean(stretch, axis=0) for stretch in np.array_split(curve, _STRETCHES)]) for curve in curves
         ]
@@ -201,10 +199,19 @@ def originals(folder: Path, levels: Sequence[int]) -> dict[int, tuple[str, np.nd
 
 
 def hold_out(levels: dict[int, Recording], level: int, times: int) -> tuple[list[FitResult], np.ndarray]:
-    """Fits to all other levels from ``times`` starts, best first, and the best one's residual at ``level``."""
+    """Fit all other levels, and predict the held-out one.
+
+    Args:
+        levels: The recordings by stress, MPa.
+        level: The held-out level.
+        times: Number of start points.
+
+    Returns:
+        The fits, best first, and the best one's residual at the held-out level.
+    """
     fitted = [r for k, r in levels.items() if k != level]
     rig = parse_rig(rig_text(fitted), "isobaric.toml")
-    fits = from_elsewhere(rig, fitted, rig.fit, times, max_steps=200)
+    fits = fit_from_starts(rig, fitted, rig.fit, times, max_steps=200)
     result = fits[0]
     plant = parameters.replace(result.plant, {"sensor.strain_offset": 0.0})
     response = simulate_responses([plant], [levels[level]], ["holdout"], ("strain",), "hold", None)[0][0]
@@ -213,40 +220,56 @@ def hold_out(levels: dict[int, Recording], level: int, times: int) -> tuple[list
     return fits, residual - residual[hottest]
 
 
-def traced(levels: dict[int, Recording], level: int) -> tuple[int, Closed]:
-    """The loop closed with ``level`` held out: which level selected, and what was found."""
+def trace_residual(levels: dict[int, Recording], level: int) -> tuple[int, TraceResult]:
+    """Select effects with a level held out; return the level that selected, and the result."""
     others = [k for k in levels if k != level]
     select = min(others[1:-1] or others, key=lambda k: (abs(k - level), -k))
     rig = parse_rig(rig_text([levels[k] for k in others]), "isobaric.toml")
 
-    def part(*chosen: int) -> DataSplit:
-        recordings = tuple(levels[k] for k in chosen)
+    def make_part(*stresses: int) -> DataSplit:
+        recordings = tuple(levels[k] for k in stresses)
         hottest = tuple(np.arange(len(r)) == np.argmax(r.channels["temperature"]) for r in recordings)
         return DataSplit(recordings, anchor=hottest)
 
-    return select, close_loop(
-        rig, [part(*(k for k in others if k != select)), part(select), part(level)], part(*others), say, starts=4
+    return select, trace_effects(
+        rig,
+        [make_part(*(k for k in others if k != select)), make_part(select), make_part(level)],
+        make_part(*others),
+        say,
+        starts=4,
     )
 
 
-def repeated(levels: dict[int, Recording], level: int) -> tuple[int, float]:
-    """The naive forecast.
+def repeat_nearest_level(levels: dict[int, Recording], level: int) -> tuple[int, float]:
+    """Return the nearest level, and the RMSE (fraction) of the naive forecast that it is repeated.
 
-    The nearest level's strain at the same temperature of the same branch; its RMSE as a fraction.
+    The forecast is its strain at the same temperature of the same branch.
     """
     nearest = min((k for k in levels if k != level), key=lambda k: (abs(k - level), -k))
-    held, near = levels[level], levels[nearest]
-    wrong = np.zeros(len(held))
-    for mine, its in zip(_branches(held), _branches(near), strict=True):
-        order = np.argsort(near.channels["temperature"][its])
-        at, strain = near.channels["temperature"][its][order], near.channels["strain"][its][order]
-        wrong[mine] = np.interp(held.channels["temperature"][mine], at, strain) - held.channels["strain"][mine]
-    hottest = int(np.argmax(held.channels["temperature"]))
-    return nearest, float(np.sqrt(np.mean((wrong - wrong[hottest]) ** 2)))
+    held_out, neighbour = levels[level], levels[nearest]
+    error = np.zeros(len(held_out))
+    for held_rows, neighbour_rows in zip(_branches(held_out), _branches(neighbour), strict=True):
+        order = np.argsort(neighbour.channels["temperature"][neighbour_rows])
+        temperature, strain = (
+            neighbour.channels["temperature"][neighbour_rows][order],
+            neighbour.channels["strain"][neighbour_rows][order],
+        )
+        error[held_rows] = (
+            np.interp(held_out.channels["temperature"][held_rows], temperature, strain)
+            - held_out.channels["strain"][held_rows]
+        )
+    hottest = int(np.argmax(held_out.channels["temperature"]))
+    return nearest, float(np.sqrt(np.mean((error - error[hottest]) ** 2)))
 
 
 def residual_row(levels: dict[int, Recording], level: int, residual: np.ndarray) -> Row:
-    """Shares of the held-out residual on heating and cooling, in the warmer and the colder half."""
+    """Return the shares of the held-out residual on heating and cooling, in the warmer and the colder half.
+
+    Args:
+        levels: The recordings by stress, MPa.
+        level: The held-out level.
+        residual: Its residual.
+    """
     temperature = levels[level].channels["temperature"]
     warm = temperature > np.median(temperature)
     heating = np.arange(len(temperature)) <= np.argmax(temperature)
@@ -257,12 +280,19 @@ def residual_row(levels: dict[int, Recording], level: int, residual: np.ndarray)
         "cooling, colder half": ~heating & ~warm,
     }
     shares = {k: float(np.sum(residual[m] ** 2) / np.sum(residual**2)) for k, m in parts.items() if np.any(m)}
-    lives = ", ".join(f"{100 * v:.0f} % {k}" for k, v in sorted(shares.items(), key=lambda kv: -kv[1]))
-    return Row(f"{level} MPa held out: where the residual lives", "-", lives, None, shares)
+    text = ", ".join(f"{100 * v:.0f} % {k}" for k, v in sorted(shares.items(), key=lambda kv: -kv[1]))
+    return Row(f"{level} MPa held out: where the residual lives", "-", text, None, shares)
 
 
 def pictures(levels: dict[int, Recording], level: int, residual: np.ndarray, folder: Path) -> None:
-    """Draw the held-out level against its temperature, and its residual row by row."""
+    """Draw the held-out level against its temperature, and its residual row by row.
+
+    Args:
+        levels: The recordings by stress, MPa.
+        level: The held-out level.
+        residual: Its residual.
+        folder: Where the pictures go.
+    """
     temperature = levels[level].channels["temperature"]
     measured = 100 * levels[level].channels["strain"]
     curves = [
@@ -283,7 +313,7 @@ def pictures(levels: dict[int, Recording], level: int, residual: np.ndarray, fol
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     more = {
         "--holdout": {"type": int, "default": USUAL[1], "metavar": "MPA"},
         "--each": {"action": "store_true", "help": "hold out each level in turn"},
@@ -291,7 +321,7 @@ def main() -> None:
     quick = "one level only, whatever --each says, and no search for effects"
     args = arguments(__doc__, data=USUAL[0], quick=quick, more=more)
     if not args.data.is_dir():
-        refuse(f"{args.data} is no folder: give one with ...MPa.txt files by --data")
+        refuse(f"{args.data} is not a folder: give one with ...MPa.txt files by --data")
     levels = read_levels(args.data)
     if args.holdout not in levels or len(levels) < 3:
         refuse(
@@ -303,37 +333,47 @@ def main() -> None:
         say(f"holding out {level} MPa")
         fits, residual = hold_out(levels, level, 3 if args.quick else 10)
         result = fits[0]
-        train, held = 100 * (result.rmse("strain") or np.nan), 100 * float(np.sqrt(np.mean(residual**2)))
-        base, reach = PEERS.get((args.data.resolve().name, level), (None, None))
-        rows.append(_reached(f"{level} MPa held out: RMSE train / held out", base, train, held))
-        nearest, naive = repeated(levels, level)
-        rows.append(Row(f"{level} MPa held out: {nearest} MPa repeated, held out", "-", f"{100 * naive:.3f} %", None))
+        train = 100 * (result.rmse("strain") or np.nan)
+        held_out = 100 * float(np.sqrt(np.mean(residual**2)))
+        target, target_with_effects = PEERS.get((args.data.resolve().name, level), (None, None))
+        rows.append(_error_row(f"{level} MPa held out: RMSE train / held out", target, train, held_out))
+        nearest, naive_error = repeat_nearest_level(levels, level)
+        rows.append(
+            Row(f"{level} MPa held out: {nearest} MPa repeated, held out", "-", f"{100 * naive_error:.3f} %", None)
+        )
         if not args.quick:
             say("tracing the residual")
-            select, closed = traced(levels, level)
-            *_, train_after, held_after = (100 * v for v in closed.rmse("strain"))
-            named = " + ".join(closed.refit.hypothesis.keys) or "no effect"
+            select, traced = trace_residual(levels, level)
+            *_, train_after, held_out_after = (100 * v for v in traced.rmse("strain"))
+            effects = " + ".join(traced.refit.effect_set.keys) or "no effect"
             rows.append(
-                _reached(f"{level} MPa held out, with {named}: RMSE train / held out", reach, train_after, held_after)
+                _error_row(
+                    f"{level} MPa held out, with {effects}: RMSE train / held out",
+                    target_with_effects,
+                    train_after,
+                    held_out_after,
+                )
             )
-            rows += effect_rows(closed, f"{level} MPa held out, {select} MPa selecting: ")
-        same = agreement(fits)
-        rows.append(dataclasses.replace(same, what=f"{level} MPa held out: {same.what}"))
+            rows += effect_rows(traced, f"{level} MPa held out, {select} MPa selecting: ")
+        agreement_row = agreement(fits)
+        rows.append(dataclasses.replace(agreement_row, what=f"{level} MPa held out: {agreement_row.what}"))
         rows += estimate_rows(result, f"{level} MPa held out: ")
         rows.append(residual_row(levels, level, residual))
         if args.out:
             pictures(levels, level, residual, args.out)
-    usual = (args.data, args.holdout) == (DATA / USUAL[0], USUAL[1])
+    is_usual = (args.data, args.holdout) == (DATA / USUAL[0], USUAL[1])
     finish(
         rows,
         args,
-        words="" if usual else f" --data {args.data.resolve().name} --holdout {args.holdout}",
+        words="" if is_usual else f" --data {args.data.resolve().name} --holdout {args.holdout}",
     )
 
 
-def _reached(what: str, target: float | None, train: float, held: float) -> Row:
-    goal, met = ("-", None) if target is None else (f"<= {target:g} % held out", held <= target)
-    return Row(what, goal, f"{train:.3f} % / {held:.3f} %", met, {"train_percent": train, "held_percent": held})
+def _error_row(what: str, target: float | None, train: float, held_out: float) -> Row:
+    target_text, met = ("-", None) if target is None else (f"<= {target:g} % held out", held_out <= target)
+    return Row(
+        what, target_text, f"{train:.3f} % / {held_out:.3f} %", met, {"train_percent": train, "held_percent": held_out}
+    )
 
 
 if __name__ == "__main__":

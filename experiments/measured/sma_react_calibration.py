@@ -1,15 +1,15 @@
-"""Lagoudas' law calibrated to isobaric thermal cycles, against SMA-REACT and SciPy's least squares.
+"""Calibration of the law of lagoudas2012 to isobaric thermal cycles, against SMA-REACT and SciPy's least squares.
 
     python experiments/measured/sma_react_calibration.py [--data DIR] [--originals DIR] [--sample N]
         [--quick] [--json FILE] [--out DIR]
 
-DIR holds the cycles as they were prepared for SMA-REACT, ``fed_sample<N>_<stress>MPa.csv`` with columns T_K,
-stress_Pa and strain: sample 2 is NiTiHf at six stresses, sample 1 another alloy at four. The 17 parameters and their
-bounds are SMA-REACT's, widened as its peers were. Each fit starts from a point drawn within the bounds, draws 48 more
-and goes on from the best of them: what is measured is the whole of that, from a fresh random point, in CPU seconds of
-one process, held to one core where the system can: these problems are too small to share. Compiling, which happens
-once for all, is reported separately. On the originals of sample 2 (``--originals``, a folder such as
-measured_isobaric.py reads) each stress is left out in turn and predicted.
+DIR holds the cycles as they were prepared for SMA-REACT, ``fed_sample<N>_<stress>MPa.csv`` with columns T_K, stress_Pa
+and strain: sample 2 is NiTiHf at six stresses, sample 1 another alloy at four. The 17 parameters and their bounds are
+those of SMA-REACT, widened as in the comparison with SciPy. Each fit starts from a point drawn within the bounds, draws
+48 more, and continues from the best of them. All of that is timed, from a new random point, in CPU seconds of one
+process, on one core where the system allows it, since these problems are too small to share among cores. Compilation,
+which happens once for all, is reported separately. With the originals of sample 2 (``--originals``, a folder as
+isobaric.py reads it) each stress is left out in turn and predicted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import DATA, ROOT, Row, arguments, drawn, estimate_rows, finish, refuse, say
+from experiments.common.base import DATA, ROOT, Row, arguments, draw_plant, estimate_rows, finish, refuse, say
 from experiments.common.charts import Chart, Curve, draw
 from experiments.measured.isobaric import read_levels
 
@@ -100,17 +100,21 @@ free = [
 
 @dataclasses.dataclass(frozen=True)
 class Peer:
-    """What others reach on a sample.
+    """The results of the other programs on a sample.
 
-    Pooled RMSE to be met (fraction), CPU seconds of SMA-REACT and of SciPy on its forward model.
+    Seconds on sample 1 are published as ranges, 16 to 36 and 4 to 7: these are their middles.
 
-    Sample 1's seconds are told as ranges, 16 to 36 and 4 to 7: these are their middles. ``start`` are the middles of
-    the ranges of M_s and A_s, and half their width, K; ``stiff`` the lower bound of the moduli, GPa.
+    Attributes:
+        rmse: Pooled RMSE that is to be reached, a fraction.
+        react_seconds: CPU seconds of SMA-REACT.
+        scipy_seconds: CPU seconds of SciPy on SMA-REACT's forward model.
+        start: Middles of the ranges of M_s and A_s, and half their width, K.
+        stiff: Lower bound of the moduli, GPa.
     """
 
     rmse: float
-    react: float
-    scipy: float
+    react_seconds: float
+    scipy_seconds: float
     start: tuple[float, float, float]
     stiff: float = 10.0
 
@@ -118,16 +122,16 @@ class Peer:
 PEERS = {2: Peer(6.21e-4, 56.0, 10.0, (450.0, 500.0, 50.0)), 1: Peer(1.02e-3, 26.0, 5.5, (250.0, 260.0, 40.0), 20.0)}
 
 
-def rig_of(peer: Peer) -> Rig:
-    """The rig with a sample's ranges."""
+def make_rig(peer: Peer) -> Rig:
+    """Return the rig with a sample's ranges."""
     ms, as_, half = peer.start
     values = {"ms": ms, "mf": ms - 30.0, "as_": as_, "af": as_ + 30.0, "half": half, "stiff": peer.stiff}
-    ends = {"mf_low": ms - 50.0, "mf_high": ms - 10.0, "af_low": as_ + 10.0, "af_high": as_ + 50.0}
-    return parse_rig(RIG.format(**values, **ends), "sma-react.toml")
+    bounds = {"mf_low": ms - 50.0, "mf_high": ms - 10.0, "af_low": as_ + 10.0, "af_high": as_ + 50.0}
+    return parse_rig(RIG.format(**values, **bounds), "sma-react.toml")
 
 
 def read_cycles(folder: Path, sample: int) -> list[Recording]:
-    """The cycles of a sample, from the lowest stress to the highest."""
+    """Read the cycles of a sample, from the lowest stress to the highest."""
     cycles = []
     for path in folder.glob(f"fed_sample{sample}_*MPa.csv"):
         columns = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
@@ -142,58 +146,80 @@ def read_cycles(folder: Path, sample: int) -> list[Recording]:
     return sorted(cycles, key=lambda r: float(np.median(r.channels["stress"])))
 
 
-def elsewhere(rig: Rig, problem: Problem, seed: int) -> Rig:
-    """The rig at a point drawn uniformly within its bounds."""
+def draw_rig(rig: Rig, problem: Problem, seed: int) -> Rig:
+    """Return the rig at a point drawn uniformly within its bounds.
+
+    Args:
+        rig: The rig.
+        problem: The fit problem, which has the bounds.
+        seed: Seed of the draw, and of the fit's starts.
+    """
     return dataclasses.replace(
-        rig, plant=drawn(rig.plant, problem, problem.bounds, seed), fit=dataclasses.replace(rig.fit, seed=seed)
+        rig, plant=draw_plant(rig.plant, problem, problem.bounds, seed), fit=dataclasses.replace(rig.fit, seed=seed)
     )
 
 
 def calibrate(rig: Rig, cycles: Sequence[Recording], times: int) -> tuple[list[FitResult], list[float], float]:
-    """Fits from ``times`` random points, the CPU seconds of each without compiling, and of the first with it."""
+    """Fit from random points.
+
+    Args:
+        rig: The rig.
+        cycles: The cycles.
+        times: Number of points.
+
+    Returns:
+        The fits, the CPU seconds of each without compilation, and those of the compilation.
+    """
     fits, seconds, first = [], [], 0.0
     problem = build_problem(rig.plant, cycles, rig.fit, interpolation=rig.interpolation)
-    for k in range(-1, times):  # the first one compiles, and is done again
-        began = time.process_time()
-        there = elsewhere(rig, problem, max(k, 0))
-        found = fit(there.plant, cycles, there.fit, max_steps=200)
-        spent = time.process_time() - began
+    for k in range(-1, times):  # the first point is fitted twice, since its first fit compiles
+        start = time.process_time()
+        start_rig = draw_rig(rig, problem, max(k, 0))
+        result = fit(start_rig.plant, cycles, start_rig.fit, max_steps=200)
+        elapsed = time.process_time() - start
         if k < 0:
-            first = spent
+            first = elapsed
             continue
-        fits.append(found)
-        seconds.append(spent)
-        say(f"from point {k + 1} of {times}: {found.rmse('strain'):.4e}, {found.steps} steps, {spent:.2f} s")
+        fits.append(result)
+        seconds.append(elapsed)
+        say(f"from point {k + 1} of {times}: {result.rmse('strain'):.4e}, {result.steps} steps, {elapsed:.2f} s")
     return fits, seconds, first - seconds[0]
 
 
-def rows_of(sample: int, fits: Sequence[FitResult], seconds: Sequence[float], compiling: float) -> list[Row]:
-    """The table's lines for one sample."""
+def sample_rows(sample: int, fits: Sequence[FitResult], seconds: Sequence[float], compiling: float) -> list[Row]:
+    """Return the rows of one sample.
+
+    Args:
+        sample: Number of the sample.
+        fits: Its fits.
+        seconds: Their CPU seconds.
+        compiling: CPU seconds of the compilation.
+    """
     peer, name = PEERS[sample], f"sample {sample}: "
     errors = [float(f.rmse("strain") or np.inf) for f in fits]
     samples = sum(len(r.recording) for r in fits[0].responses)
-    reached = sum(e <= peer.rmse for e in errors)
-    told = f"{reached} of {len(fits)}: {min(errors):.3e} to {max(errors):.3e}, {samples} samples"
+    met_count = sum(e <= peer.rmse for e in errors)
+    text = f"{met_count} of {len(fits)}: {min(errors):.3e} to {max(errors):.3e}, {samples} samples"
     cost = f"{np.median(seconds):.2f} s on one core (median; compiling {compiling:.1f} s more, once)"
-    ratios = [peer.react / float(np.median(seconds)), peer.scipy / float(np.median(seconds))]
+    ratios = [peer.react_seconds / float(np.median(seconds)), peer.scipy_seconds / float(np.median(seconds))]
     numbers = {"rmse": errors, "seconds": list(seconds), "compiling": compiling, "steps": [f.steps for f in fits]}
     return [
         Row(
             f"{name}strain RMSE from random starts",
             f"<= {peer.rmse:.2e} from each",
-            told,
-            reached == len(fits),
+            text,
+            met_count == len(fits),
             numbers,
         ),
         Row(f"{name}CPU time of a calibration", "-", cost, None),
         Row(
-            f"{name}SMA-REACT's genetic algorithm and SLSQP, {peer.react:g} s",
+            f"{name}SMA-REACT's genetic algorithm and SLSQP, {peer.react_seconds:g} s",
             ">= 50x",
             f"{ratios[0]:.0f}x",
             ratios[0] >= 50.0,
         ),
         Row(
-            f"{name}SciPy's least squares on its model, {peer.scipy:g} s",
+            f"{name}SciPy's least squares on its model, {peer.scipy_seconds:g} s",
             ">= 10x",
             f"{ratios[1]:.0f}x",
             ratios[1] >= 10.0,
@@ -208,37 +234,45 @@ def rows_of(sample: int, fits: Sequence[FitResult], seconds: Sequence[float], co
 
 
 def stiffness_rows(sample: int, rig: Rig, best: FitResult, cycles: Sequence[Recording]) -> list[Row]:
-    """Why the modulus of martensite runs to its bound.
+    """Show why the modulus of martensite runs to its bound: the fits with it fixed at other values.
 
-    What the error and the other strain parameters do if it is held elsewhere.
+    Cold wires were measured at a few stresses only. Their strain is sigma / E_M + H(sigma), and H, which is nearly
+    linear
+    over these stresses, can replace what a stiffer martensite does not strain.
 
-    Cold wires were measured at a few stresses only. What they strain is sigma / E_M + H(sigma), and H, rising nearly
-    linearly over these stresses, can take over what a stiffer martensite no longer does.
+    Args:
+        sample: Number of the sample.
+        rig: The rig.
+        best: The best fit.
+        cycles: The cycles.
     """
     free = tuple(name for name in rig.fit.free if name != "material.modulus_martensite")
     rows = []
-    for stiff in (15e9, 20e9, 40e9, 80e9):
-        plant = parameters.replace(best.plant, {"material.modulus_martensite": stiff})
-        held = fit(plant, cycles, dataclasses.replace(rig.fit, free=free, starts=1), max_steps=300)
-        law = held.plant.material
+    for modulus in (15e9, 20e9, 40e9, 80e9):
+        plant = parameters.replace(best.plant, {"material.modulus_martensite": modulus})
+        result = fit(plant, cycles, dataclasses.replace(rig.fit, free=free, starts=1), max_steps=300)
+        law = result.plant.material
         stresses = [float(np.median(r.channels["stress"])) for r in cycles]
-        cold = [float(s / stiff + law.current_transformation_strain(s)) for s in (stresses[0], stresses[-1])]
-        told = (
-            f"RMSE {held.rmse('strain'):.3e}, H_sat {100 * float(law.max_transformation_strain):.2f} %; cold "
-            f"strain {100 * cold[0]:.2f} % at "
+        cold_strains = [float(s / modulus + law.current_transformation_strain(s)) for s in (stresses[0], stresses[-1])]
+        text = (
+            f"RMSE {result.rmse('strain'):.3e}, H_sat {100 * float(law.max_transformation_strain):.2f} %; cold "
+            f"strain {100 * cold_strains[0]:.2f} % at "
         )
-        told += f"{stresses[0] / 1e6:.0f} MPa, {100 * cold[1]:.2f} % at {stresses[-1] / 1e6:.0f} MPa"
+        text += f"{stresses[0] / 1e6:.0f} MPa, {100 * cold_strains[1]:.2f} % at {stresses[-1] / 1e6:.0f} MPa"
         rows.append(
-            Row(f"sample {sample}: E_M held at {stiff / 1e9:.0f} GPa", "-", told, None, {"rmse": held.rmse("strain")})
+            Row(
+                f"sample {sample}: E_M held at {modulus / 1e9:.0f} GPa",
+                "-",
+                text,
+                None,
+                {"rmse": result.rmse("strain")},
+            )
         )
     return rows
 
 
 def left_out_rows(folder: Path, quick: bool) -> list[Row]:
-    """Each level of the originals predicted by a fit to the others.
-
-    Cycles begin at their coldest row, as martensite.
-    """
+    """Predict each level of the originals by a fit to the others; cycles begin at their coldest row, as martensite."""
     cycles = {}
     for level, r in read_levels(folder).items():
         first = int(np.argmin(r.channels["temperature"]))
@@ -246,20 +280,26 @@ def left_out_rows(folder: Path, quick: bool) -> list[Row]:
         cycles[level] = Recording.from_arrays(r.name, None, channels, {"stress": "MPa", "strain": "%"})
     if len(cycles) < 3:
         refuse(f"{folder} holds {len(cycles)} files *MPa.txt: at least three are needed to leave one out")
-    rows, rig, errors = [], rig_of(PEERS[2]), []
+    rows, rig, errors = [], make_rig(PEERS[2]), []
     for level in list(cycles)[3:4] if quick else cycles:
         train = [r for k, r in cycles.items() if k != level]
-        found = fit(rig.plant, train, rig.fit, holdout=[cycles[level]], max_steps=200)
-        held, fitted = (100 * float(found.rmse("strain", role) or np.inf) for role in ("holdout", "train"))
-        errors.append(held)
-        say(f"{level} MPa left out: {held:.4f} %")
-        told = f"{held:.4f} % strain; the others fitted to {fitted:.4f} %"
-        rows.append(Row(f"originals, {level} MPa predicted", "-", told, None, {"rmse": held}))
+        result = fit(rig.plant, train, rig.fit, holdout=[cycles[level]], max_steps=200)
+        held_out, fitted = (100 * float(result.rmse("strain", role) or np.inf) for role in ("holdout", "train"))
+        errors.append(held_out)
+        say(f"{level} MPa left out: {held_out:.4f} %")
+        text = f"{held_out:.4f} % strain; the others fitted to {fitted:.4f} %"
+        rows.append(Row(f"originals, {level} MPa predicted", "-", text, None, {"rmse": held_out}))
     return [*rows, Row("originals, mean over those left out", "-", f"{np.mean(errors):.4f} %", None)]
 
 
 def pictures(sample: int, best: FitResult, folder: Path) -> None:
-    """Measured and fitted cycles."""
+    """Draw measured and fitted cycles.
+
+    Args:
+        sample: Number of the sample.
+        best: Its best fit.
+        folder: Where the pictures go.
+    """
     for r in best.responses:
         temperature = r.recording.channels["temperature"]
         curves = [
@@ -275,7 +315,7 @@ def pictures(sample: int, best: FitResult, folder: Path) -> None:
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(
         __doc__,
         quick="sample 2 only, three random starts",
@@ -288,10 +328,10 @@ def main() -> None:
     rows: list[Row] = []
     for sample in [args.sample] if args.sample else [2] if args.quick else [2, 1]:
         cycles = read_cycles(args.data, sample)
-        rig = rig_of(PEERS[sample])
+        rig = make_rig(PEERS[sample])
         fits, seconds, compiling = calibrate(rig, cycles, 3 if args.quick else 10)
         best = min(fits, key=lambda f: f.cost)
-        rows += rows_of(sample, fits, seconds, compiling)
+        rows += sample_rows(sample, fits, seconds, compiling)
         rows += estimate_rows(best, f"sample {sample}: ") + stiffness_rows(sample, rig, best, cycles)
         if args.out:
             pictures(sample, best, args.out)

@@ -2,24 +2,24 @@
 
     python experiments/measured/superelastic.py [--data DIR] [--quick] [--json FILE] [--out DIR]
 
-DIR holds one workbook a temperature, ``pseudoelastic_...C.xlsx``. What is done with them:
+DIR holds one workbook a temperature, ``pseudoelastic_...C.xlsx``.
 
 - Columns are found by their headers: those of the 40 degC workbook are shifted. Stress is load over area and strain
   extensometer over gauge length, since the sheets' own columns of them are partly absolute values and partly zeroed.
-- A row whose extensometer reads more than 10 % is a dropout, and left out (one, in the workbook of 0 degC, of 41.76
-  %).
-- A loop starts where the wire is last under its preload (3 N) before it is stretched: warming and cooling before it
-  are cut. The clock of 40 degC is reset twice; a row stands for a second, as in the other two.
-- The wire is slack where the load reads about -4 N (-30 MPa), because it cannot push. That is taken for the load
+- A row whose extensometer reads more than 10 % is a dropout, and left out (one row, with 41.76 %, in the workbook of
+  0 degC).
+- A loop starts where the wire is last under its preload (3 N) before it is stretched: earlier warming and cooling are
+  cut. The clock of 40 degC is reset twice; a row counts as a second, as in the other two.
+- The wire is slack where the load reads about -4 N (-30 MPa), because it cannot push. That is assumed to be the load
   cell's zero: the median of the negative readings of the fitted loops is subtracted from all loads, and what is still
-  negative is zero.
+  negative is set to zero.
 - Every twelfth row is fitted; all rows are scored.
 
-Effects are chosen by the middle one of every three of twelve stretches of each fitted loop: models are fitted to the
-other stretches, both ends of the loop among them, and led through these. Neither loop can be spared as a whole, since
-it takes two temperatures to know what depends on temperature, and the last third of a loop cannot either, since only
-there the wire turns back. The loop at 40 degC is only predicted. Effects are added one after the other by
-``experiments.common.greedy_search``. Which ones cannot show here is said in ``WITHOUT``.
+Each fitted loop is divided into twelve stretches, and the middle one of every three selects effects. Models are fitted
+to the other stretches, which include both ends of the loop, and simulated through these. Neither loop can be held out
+as a whole, since two temperatures are needed to determine what depends on temperature, and neither can the last third
+of a loop, since the wire turns back only there. The loop at 40 degC is only predicted. Effects are added one by one by
+``experiments.common.greedy_search``; ``EXCLUDED`` lists those that these data cannot show.
 """
 
 from __future__ import annotations
@@ -33,7 +33,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.base import Row, agreement, arguments, estimate_rows, finish, refuse, workbook
 from experiments.common.charts import Chart, Curve, draw
-from experiments.common.greedy_search import Outcome, Search, close_loop, path_of, rms, round_rows, scored
+from experiments.common.greedy_search import (
+    Outcome,
+    Search,
+    count_scored_rows,
+    path_recording,
+    rms,
+    round_rows,
+    search_and_predict,
+)
 
 import numpy as np
 
@@ -41,13 +49,13 @@ from smajax.diagnosis.data_split import DataSplit
 from smajax.fitting.result import FitResult
 from smajax.recordings.recording import Recording
 
-FITTED, HELD = (0, 100), 40  # degC
-DROPOUT = 0.10  # strain
+FITTED, HELD = (0, 100), 40  # degC: fitted loops, held-out loop
+DROPOUT = 0.10  # strain above which a row is a dropout
 PRELOAD = 3.0  # N
-THINNED = 12  # rows
-STRETCHES = 12  # of a fitted loop's rows, the middle one of every three of which chooses between effects
+THINNED = 12  # distance of the fitted rows
+STRETCHES = 12  # of a fitted loop; the middle one of every three selects effects
 TARGET = 33.0  # MPa
-WITHOUT = {
+EXCLUDED = {
     "encoder-gain": "the strain is prescribed",
     "encoder-drift": "the strain is prescribed",
     "sensor-lag": "the strain is prescribed",
@@ -100,7 +108,15 @@ starts = 4
 
 @dataclasses.dataclass(frozen=True)
 class Loop:
-    """One loop: temperature (degC), load (N), strain, each of shape ``(n,)``, area (m^2), dropouts left out."""
+    """One stress-strain loop.
+
+    Attributes:
+        temperature: Temperature, degC, shape ``(n,)``.
+        load: Load, N, shape ``(n,)``.
+        strain: Strain, shape ``(n,)``.
+        area: Cross-section, m^2.
+        dropouts: Number of dropouts, which are left out.
+    """
 
     temperature: np.ndarray
     load: np.ndarray
@@ -109,115 +125,131 @@ class Loop:
     dropouts: int
 
     def recording(self, name: str, zero: float, rows: np.ndarray) -> Recording:
-        """These rows as a path whose time is the row number, the load counted from ``zero`` (N)."""
+        """Return some rows as a path whose time is the row number.
+
+        Args:
+            name: Name of the recording.
+            zero: Reading of the load cell without load, N.
+            rows: Row numbers.
+        """
         stress = np.maximum(self.load[rows] - zero, 0.0) / self.area
         channels = {"temperature": self.temperature[rows], "strain": self.strain[rows], "stress": stress}
-        return path_of(name, rows, channels)
+        return path_recording(name, rows, channels)
 
 
 def read_loop(path: Path) -> Loop:
-    """The loop of a workbook."""
+    """Read the loop of a workbook."""
     rows = next(iter(workbook(path).values()))
-    heads = [k for k, row in enumerate(rows[:20]) if any(str(cell).strip().startswith("Laser") for cell in row)]
-    if not heads:
-        refuse(
-            f"{path}: none of the first rows has a header 'Laser' with 'Load', 'Temperature', 'Area' and 'Lo' beside it"
-        )
-    header = [str(cell).split("(")[0].strip() for cell in rows[heads[0]]]
+    header_rows = [k for k, row in enumerate(rows[:20]) if any(str(cell).strip().startswith("Laser") for cell in row)]
+    if not header_rows:
+        refuse(f"{path}: none of the first rows has a header 'Laser' with 'Load', 'Temperature', 'Area' and 'Lo'")
+    header = [str(cell).split("(")[0].strip() for cell in rows[header_rows[0]]]
     missing = [name for name in ("Load", "Temperature", "Area", "Lo") if name not in header]
     if missing:
         refuse(
-            f"{path}: row {heads[0] + 1} has no header '{missing[0]}'; it has "
+            f"{path}: row {header_rows[0] + 1} has no header '{missing[0]}'; it has "
             f"{', '.join(h for h in header if h != 'None')}"
         )
-    at = {name: header.index(name) for name in ("Load", "Temperature", "Laser", "Area", "Lo")}
-    body = [row for row in rows[heads[0] + 1 :] if len(row) > max(at.values())]
-    once = {name: [row[at[name]] for row in body if isinstance(row[at[name]], int | float)] for name in ("Area", "Lo")}
-    cells = [[row[at[name]] for name in ("Temperature", "Load", "Laser")] for row in body]
+    columns = {name: header.index(name) for name in ("Load", "Temperature", "Laser", "Area", "Lo")}
+    body = [row for row in rows[header_rows[0] + 1 :] if len(row) > max(columns.values())]
+    constants = {
+        name: [row[columns[name]] for row in body if isinstance(row[columns[name]], int | float)]
+        for name in ("Area", "Lo")
+    }
+    cells = [[row[columns[name]] for name in ("Temperature", "Load", "Laser")] for row in body]
     table = np.array([c for c in cells if all(isinstance(v, int | float) for v in c)], float)
-    if len(table) < 100 or not once["Area"] or not once["Lo"]:
+    if len(table) < 100 or not constants["Area"] or not constants["Lo"]:
         refuse(
-            f"{path}: {len(table)} rows of numbers, {len(once['Area'])} areas, {len(once['Lo'])} gauge lengths: "
-            "100, 1 and 1 are needed"
+            f"{path}: {len(table)} rows of numbers, {len(constants['Area'])} areas, {len(constants['Lo'])} gauge "
+            "lengths: 100, 1 and 1 are needed"
         )
-    table[:, 2] /= once["Lo"][0]
-    sound = table[:, 2] < DROPOUT
-    kept = table[sound]
-    before = np.flatnonzero(kept[: np.argmax(kept[:, 2]), 1] < PRELOAD)
-    loop = kept[before[-1] if len(before) else 0 :]
-    return Loop(loop[:, 0], loop[:, 1], loop[:, 2], once["Area"][0] * 1e-6, int(np.sum(~sound)))
+    table[:, 2] /= constants["Lo"][0]
+    valid = table[:, 2] < DROPOUT
+    valid_rows = table[valid]
+    unloaded = np.flatnonzero(valid_rows[: np.argmax(valid_rows[:, 2]), 1] < PRELOAD)
+    loop = valid_rows[unloaded[-1] if len(unloaded) else 0 :]
+    return Loop(loop[:, 0], loop[:, 1], loop[:, 2], constants["Area"][0] * 1e-6, int(np.sum(~valid)))
 
 
 def load_zero(loops: dict[int, Loop]) -> float:
-    """What the load cell reads where the wire is slack, N: the median of the negative readings of the fitted loops."""
+    """Return the load cell's reading of a slack wire, N: the median of the negative readings of the fitted loops."""
     return float(np.median(np.concatenate([loops[t].load[loops[t].load < 0.0] for t in FITTED])))
 
 
-def chooses(loop: Loop, rows: np.ndarray) -> np.ndarray:
-    """Which rows of a fitted loop lie in the stretches that choose between effects."""
+def selection_rows(loop: Loop, rows: np.ndarray) -> np.ndarray:
+    """Return which rows of a fitted loop lie in the stretches that select effects."""
     return (rows * STRETCHES // len(loop.load)) % 3 == 1
 
 
-def train(loops: dict[int, Loop], every: int) -> DataSplit:
-    """What models are fitted to while effects are chosen.
+def train_part(loops: dict[int, Loop], every: int) -> DataSplit:
+    """Return the training part.
 
-    The row of the largest strain is among it, so that each turns where it did.
+    It includes the row of the largest strain, so that each loop turns where it did.
     """
     zero, parts = load_zero(loops), []
     for t in FITTED:
         rows = np.arange(0, len(loops[t].load), every)
-        rows = np.union1d(rows[~chooses(loops[t], rows)], [int(np.argmax(loops[t].strain))])
+        rows = np.union1d(rows[~selection_rows(loops[t], rows)], [int(np.argmax(loops[t].strain))])
         parts.append(loops[t].recording(f"{t} degC", zero, rows))
     return DataSplit(tuple(parts))
 
 
-def select(loops: dict[int, Loop], every: int) -> DataSplit:
-    """What chooses between effects."""
-    whole = fitted(loops, every).recordings
-    return DataSplit(whole, tuple(chooses(loops[t], r.time.astype(int)) for t, r in zip(FITTED, whole, strict=True)))
+def select_part(loops: dict[int, Loop], every: int) -> DataSplit:
+    """Return the selection part."""
+    recordings = fitted_part(loops, every).recordings
+    return DataSplit(
+        recordings, tuple(selection_rows(loops[t], r.time.astype(int)) for t, r in zip(FITTED, recordings, strict=True))
+    )
 
 
-def fitted(loops: dict[int, Loop], every: int) -> DataSplit:
-    """What the chosen models are fitted to in the end."""
+def fitted_part(loops: dict[int, Loop], every: int) -> DataSplit:
+    """Return training and selection part together, for the last fits."""
     zero = load_zero(loops)
     return DataSplit(
         tuple(loops[t].recording(f"{t} degC", zero, np.arange(0, len(loops[t].load), every)) for t in FITTED)
     )
 
 
-def holdout(loops: dict[int, Loop]) -> DataSplit:
-    """What is only predicted: all rows of its loop."""
+def holdout_part(loops: dict[int, Loop]) -> DataSplit:
+    """Return the held-out part, with all its rows."""
     return DataSplit((loops[HELD].recording(f"{HELD} degC", load_zero(loops), np.arange(len(loops[HELD].load))),))
 
 
-def between(loops: dict[int, Loop]) -> np.ndarray:
-    """Residual in Pa of the held-out loop if its stress were interpolated in temperature from the fitted loops.
+def interpolate_loops(loops: dict[int, Loop]) -> np.ndarray:
+    """Return the residual in Pa of the naive forecast: stress interpolated in temperature from the fitted loops.
 
-    Compared at the same strain, stretching for stretching.
+    The loops are compared at the same strain of the same branch.
     """
-    zero, held = load_zero(loops), loops[HELD]
+    zero, held_out = load_zero(loops), loops[HELD]
     low, high = (loops[t] for t in FITTED)
     share = (HELD - FITTED[0]) / (FITTED[1] - FITTED[0])
 
     def branches(loop: Loop) -> list[np.ndarray]:
         return np.split(np.arange(len(loop.strain)), [int(np.argmax(loop.strain)) + 1])
 
-    left = []
-    for k, rows in enumerate(branches(held)):
-        said = 0.0
+    residuals = []
+    for k, rows in enumerate(branches(held_out)):
+        forecast = 0.0
         for loop, weight in ((low, 1.0 - share), (high, share)):
-            known = branches(loop)[k]
-            known = known[np.argsort(loop.strain[known])]
-            said = said + weight * np.interp(
-                held.strain[rows], loop.strain[known], np.maximum(loop.load[known] - zero, 0.0) / loop.area
+            reference = branches(loop)[k]
+            reference = reference[np.argsort(loop.strain[reference])]
+            forecast = forecast + weight * np.interp(
+                held_out.strain[rows], loop.strain[reference], np.maximum(loop.load[reference] - zero, 0.0) / loop.area
             )
-        left.append(np.maximum(held.load[rows] - zero, 0.0) / held.area - said)
-    return np.concatenate(left)
+        residuals.append(np.maximum(held_out.load[rows] - zero, 0.0) / held_out.area - forecast)
+    return np.concatenate(residuals)
 
 
-def pictures(held: DataSplit, fits: Sequence[FitResult], residuals: Sequence[np.ndarray], folder: Path) -> None:
-    """Draw the held-out loop without and with effects, and the fitted loops with all of them."""
-    strain, stress = (held.recordings[0].channels[c] * f for c, f in (("strain", 100.0), ("stress", 1e-6)))
+def pictures(held_out: DataSplit, fits: Sequence[FitResult], residuals: Sequence[np.ndarray], folder: Path) -> None:
+    """Draw the held-out loop without and with effects, and the fitted loops with all of them.
+
+    Args:
+        held_out: Held-out part.
+        fits: Fits of the base model and of the growing sets of effects.
+        residuals: Their residuals in the held-out part, Pa.
+        folder: Where the pictures go.
+    """
+    strain, stress = (held_out.recordings[0].channels[c] * f for c, f in (("strain", 100.0), ("stress", 1e-6)))
     curves = [Curve("measured", strain, stress)]
     for label, r in (("without effects", residuals[0]), (f"with {len(fits) - 1} effects", residuals[-1])):
         curves.append(Curve(label, strain, stress - r / 1e6, dashed=True))
@@ -227,7 +259,8 @@ def pictures(held: DataSplit, fits: Sequence[FitResult], residuals: Sequence[np.
         "measured_superelastic_held",
     )
     for response in fits[-1].responses:
-        strain, stress = (100 * response.recording.channels["strain"], response.recording.channels["stress"] / 1e6)
+        strain = 100 * response.recording.channels["strain"]
+        stress = response.recording.channels["stress"] / 1e6
         curves = [
             Curve("measured", strain, stress),
             Curve("model", strain, response.model["stress"] / 1e6, dashed=True),
@@ -237,12 +270,12 @@ def pictures(held: DataSplit, fits: Sequence[FitResult], residuals: Sequence[np.
         draw(chart, folder, f"measured_superelastic_{name}")
 
 
-def score_rows(found: Outcome, loops: dict[int, Loop]) -> list[Row]:
-    """RMSE fitted and held out, by the number of effects, and next to the naive forecast."""
+def score_rows(outcome: Outcome, loops: dict[int, Loop]) -> list[Row]:
+    """Return the RMSE fitted and held out, by the number of effects, and that of the naive forecast."""
     rows = []
-    fits, left = found.fits, found.left
-    for label, each, r in zip(found.labels(), fits, left, strict=True):
-        for response in each.responses:
+    fits, residuals = outcome.fits, outcome.residuals
+    for label, result, r in zip(outcome.labels(), fits, residuals, strict=True):
+        for response in result.responses:
             rows.append(
                 Row(
                     f"{label}: RMSE fitted, {response.recording.name}",
@@ -254,7 +287,8 @@ def score_rows(found: Outcome, loops: dict[int, Loop]) -> list[Row]:
         rows.append(
             Row(f"{label}: held out, {HELD} degC", "-", f"{rms(r) / 1e6:.1f} MPa", None, {"rmse_MPa": rms(r) / 1e6})
         )
-    ours, naive = rms(left[-1]) / 1e6, rms(between(loops)) / 1e6
+    ours = rms(residuals[-1]) / 1e6
+    naive = rms(interpolate_loops(loops)) / 1e6
     rows.append(
         Row(
             f"all effects: held out, {HELD} degC",
@@ -277,22 +311,23 @@ def score_rows(found: Outcome, loops: dict[int, Loop]) -> list[Row]:
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(
         __doc__, data="tamu-muscle-superelastic", quick="every 24th row, one effect, one round, two start points"
     )
     paths = {t: args.data / f"pseudoelastic_{t}C.xlsx" for t in (*FITTED, HELD)}
     for path in paths.values():
         if not path.is_file():
-            refuse(f"{path} is no file: give the folder of pseudoelastic_...C.xlsx by --data")
+            refuse(f"{path} is not a file: give the folder of pseudoelastic_...C.xlsx by --data")
     loops = {t: read_loop(path) for t, path in paths.items()}
     every = 2 * THINNED if args.quick else THINNED
-    search = Search(RIG, "stress", train(loops, every), select(loops, every), 30 if args.quick else 50)
-    final, held = fitted(loops, every), holdout(loops)
-    candidates = [c for c in search.candidates(WITHOUT) if not args.quick or c.label == "slip"]
+    search = Search(RIG, "stress", train_part(loops, every), select_part(loops, every), 30 if args.quick else 50)
+    final = fitted_part(loops, every)
+    held_out = holdout_part(loops)
+    candidates = [c for c in search.candidates(EXCLUDED) if not args.quick or c.label == "slip"]
     rounds, starts, times = (1, 1, 2) if args.quick else (5, 4, 5)
-    found = close_loop(search, final, held, candidates, rounds=rounds, starts=starts, times=times)
-    fits, left = found.fits, found.left
+    outcome = search_and_predict(search, final, held_out, candidates, rounds=rounds, starts=starts, times=times)
+    fits, residuals = outcome.fits, outcome.residuals
     zero = load_zero(loops)
 
     parts = (
@@ -301,8 +336,8 @@ def main() -> None:
     )
     rows = [
         Row("parts", "-", parts, None),
-        Row("rows fitted", "-", f"every {every}. row: {scored(final)}", None),
-        Row("rows scored", "-", f"all: {scored(held)}", None),
+        Row("rows fitted", "-", f"every {every}. row: {count_scored_rows(final)}", None),
+        Row("rows scored", "-", f"all: {count_scored_rows(held_out)}", None),
         Row(
             "rows left out as dropouts",
             "-",
@@ -310,14 +345,14 @@ def main() -> None:
             None,
         ),
         Row("zero of the load cell, subtracted", "-", f"{zero:.2f} N, {zero / loops[HELD].area / 1e6:.1f} MPa", None),
-        Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in WITHOUT.items()), None),
-        *round_rows(found.rounds, lambda error: f"{error / 1e6:.1f} MPa"),
+        Row("not tried: they cannot show here", "-", ", ".join(f"{k} ({v})" for k, v in EXCLUDED.items()), None),
+        *round_rows(outcome.rounds, lambda error: f"{error / 1e6:.1f} MPa"),
     ]
-    rows += score_rows(found, loops)
-    rows.append(dataclasses.replace(agreement(found.bases), what="base model: is it the best that it can do?"))
+    rows += score_rows(outcome, loops)
+    rows.append(dataclasses.replace(agreement(outcome.bases), what="base model: is it the best that it can do?"))
     rows += estimate_rows(fits[-1])
     if args.out:
-        pictures(held, fits, left, args.out)
+        pictures(held_out, fits, residuals, args.out)
     finish(rows, args)
 
 

@@ -1,10 +1,11 @@
-"""What gradients buy.
+"""Cost of fits by gradients against population searches, and of simulations, Jacobians and commands.
 
-The fit against population searches on one compiled simulator, and what simulations, Jacobians and commands cost.
+    python experiments/speed/gradient_vs_population.py [--quick] [--json FILE] [--out DIR]
 
-The recording is data/recordings/dead-weight/train.csv, made by the exact simulator in tests/reference and not by
-smajax. Walls leave compiling out except where the row says otherwise. ``--quick`` takes the recording's first 20 s
-for the searches, stops them at their goal, and takes fewer seeds and sizes.
+All searches use the same compiled simulator. The recording is data/recordings/dead-weight/train.csv, made by the exact
+simulator in tests/reference, which shares no code with smajax. Wall times exclude compilation except where the row says
+otherwise. A row compares the genetic algorithm at the settings of fast_rotary_actuator. ``--quick`` takes the
+recording's first 20 s for the searches, stops them at their goal, and takes fewer seeds and sizes.
 """
 
 import argparse
@@ -15,7 +16,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
-from experiments.common.base import Row, arguments, finish, say, shipped
+from experiments.common.base import Row, arguments, finish, read_shipped, say
 from experiments.common.charts import Chart, Curve, draw
 from experiments.common.speed import command_row, growth_rows, jacobian_row, loop_rows
 
@@ -25,20 +26,20 @@ from smajax.fitting import baselines
 from smajax.fitting.baselines import BaselineResult
 from smajax.fitting.problem import Problem, build_problem
 
-NEAR = 1.01  # "to within 1 % of the best RMSE known"
+GOAL_FACTOR = 1.01  # of the RMSE: the goal is 1 % above the best one
 
 
 class Contest:
-    """One problem, and all that was searched on it. Costs become RMSEs in the recording's unit."""
+    """One fit problem, and all searches that were run on it; costs are converted to RMSE in the recording's unit."""
 
     def __init__(self, name: str, seconds: float | None, free: Sequence[str] | None = None):
-        rig, recording = shipped(name)
+        rig, recording = read_shipped(name)
         if seconds is not None:
             recording = recording.slice(recording.time[0], recording.time[0] + seconds)
-        settings = rig.fit if free is None else _Only(rig.fit, free)
+        settings = rig.fit if free is None else _FreeParameters(rig.fit, free)
         self.problem: Problem = build_problem(rig.plant, [recording], settings, interpolation=rig.interpolation)
         channel = rig.fit.observe[0]
-        self.unit = {"m": "mm", "rad": "deg"}[_si(channel)]
+        self.unit = {"m": "mm", "rad": "deg"}[_si_unit(channel)]
         in_unit = {"mm": 1e3, "deg": 180 / math.pi}[self.unit]
         self._scale = in_unit / float(self.problem.data.weight[0, 0, 0]) / math.sqrt(len(recording))
         self.starts, self.samples = rig.fit.starts, len(recording)
@@ -47,26 +48,32 @@ class Contest:
     def run(
         self, search: Callable[..., BaselineResult], seeds: Sequence[int], **options: object
     ) -> list[BaselineResult]:
-        """Runs a search from each seed and files it under its name."""
-        found = [search(self.problem, seed=seed, **options) for seed in seeds]
-        self.searches.setdefault(found[0].name, []).extend(found)
+        """Run a search from each seed, and file the results under its name.
+
+        Args:
+            search: The search.
+            seeds: The seeds.
+            options: Further arguments of the search.
+        """
+        results = [search(self.problem, seed=seed, **options) for seed in seeds]
+        self.searches.setdefault(results[0].name, []).extend(results)
         say(
-            f"{found[0].name}: RMSE {', '.join(f'{self.rmse(s.cost):.4g}' for s in found)} {self.unit}, "
-            f"{found[0].wall_time:.2f} s"
+            f"{results[0].name}: RMSE {', '.join(f'{self.rmse(s.cost):.4g}' for s in results)} {self.unit}, "
+            f"{results[0].wall_time:.2f} s"
         )
-        return found
+        return results
 
     def rmse(self, cost: float) -> float:
-        """In the channel's unit."""
+        """Return the RMSE of a cost, in the channel's unit."""
         return self._scale * math.sqrt(cost)
 
     @property
     def goal(self) -> float:
-        """The cost at 1 % above the least RMSE that any search found."""
-        return NEAR**2 * min(s.cost for found in self.searches.values() for s in found)
+        """The cost at 1 % above the least RMSE of all searches."""
+        return GOAL_FACTOR**2 * min(s.cost for results in self.searches.values() for s in results)
 
 
-class _Only:
+class _FreeParameters:
     """Fit settings with other free parameters."""
 
     def __init__(self, settings: object, free: Sequence[str]):
@@ -76,22 +83,22 @@ class _Only:
         return getattr(self._settings, name)
 
 
-def _si(channel: str) -> str:
+def _si_unit(channel: str) -> str:
     from smajax.channels import channel_unit
 
     return channel_unit(channel)
 
 
-def _median_reach(found: Sequence[BaselineResult], cost: float) -> tuple[float, float]:
-    """Median simulations and seconds to a cost; infinite where most searches never get there."""
-    reached = [s.effort_to_reach(cost) or (math.inf, math.inf) for s in found]
-    return float(np.median([n for n, _ in reached])), float(np.median([w for _, w in reached]))
+def _median_reach(results: Sequence[BaselineResult], cost: float) -> tuple[float, float]:
+    """Return median simulations and seconds to a cost; infinite where most searches never reach it."""
+    efforts = [s.effort_to_reach(cost) or (math.inf, math.inf) for s in results]
+    return float(np.median([n for n, _ in efforts])), float(np.median([w for _, w in efforts]))
 
 
 def evolution_rows(contest: Contest, quick: bool) -> list[Row]:
-    """Row 1: wall time to within 1 % of the best RMSE known, against SciPy's differential evolution."""
+    """Compare the wall time to within 1 % of the best RMSE with that of SciPy's differential evolution."""
     starts, seeds = f"gradient, {contest.starts} starts", [0] if quick else [0, 1, 2]
-    for seed in seeds:  # before and after each long search, since the machine's speed wanders
+    for seed in seeds:  # before and after each long search, since the machine's speed varies
         contest.run(baselines.run_gradient_search, [seed] * 4)
         contest.run(baselines.run_gradient_search, [seed] * 4, starts=contest.starts)
         contest.run(baselines.run_differential_evolution, [seed], budget=60_000, target=contest.goal if quick else None)
@@ -106,19 +113,20 @@ def evolution_rows(contest: Contest, quick: bool) -> list[Row]:
     )
     contest.run(baselines.run_evosax, seeds, budget=15_000, target=contest.goal)
     rows = []
-    for mine, theirs, target in (
+    for our_method, their_method, target in (
         (starts, "SciPy DE", ">= 100x less wall time, never a worse RMSE"),
         ("gradient", "SciPy DE", ">= 100x less wall time, never a worse RMSE"),
         (starts, "SciPy DE, batched", "-"),
         (starts, "evosax CMA_ES", "-"),
     ):
-        ours, others = contest.searches[mine], contest.searches[theirs]
+        ours, others = contest.searches[our_method], contest.searches[their_method]
         (few, fast), (many, slow) = _median_reach(ours, contest.goal), _median_reach(others, contest.goal)
-        rmse, rival = (max(contest.rmse(s.cost) for s in ours), min(contest.rmse(s.cost) for s in others))
+        rmse = max(contest.rmse(s.cost) for s in ours)
+        rival = min(contest.rmse(s.cost) for s in others)
         met = bool(slow >= 100 * fast and rmse <= rival * 1.0001) if target != "-" else None
         rows.append(
             Row(
-                f"{mine} against {theirs}, to within 1 % of the best RMSE",
+                f"{our_method} against {their_method}, to within 1 % of the best RMSE",
                 target,
                 f"{slow / fast:.0f}x ({fast:.3g} s against {slow:.3g} s, {few:.0f} against {many:.0f} simulations); "
                 f"worst RMSE {rmse:.5g} {contest.unit}, its best {rival:.5g} {contest.unit}",
@@ -136,39 +144,45 @@ def evolution_rows(contest: Contest, quick: bool) -> list[Row]:
     return rows
 
 
-def genetic_row(contest: Contest, what: str, seeds: Sequence[int]) -> Row:
-    """Row 2: simulations against the genetic algorithm at fast_rotary_actuator's settings."""
+def genetic_row(contest: Contest, label: str, seeds: Sequence[int]) -> Row:
+    """Compare the simulations with those of the genetic algorithm at the settings of fast_rotary_actuator.
+
+    Args:
+        contest: The fit problem.
+        label: Name of the row.
+        seeds: Seeds of the genetic algorithm.
+    """
     fits = contest.searches.get("gradient") or contest.run(baselines.run_gradient_search, [0])
-    bred = contest.run(baselines.run_genetic_algorithm, seeds)
-    best, median = min(s.cost for s in bred), float(np.median([s.cost for s in bred]))
+    genetic = contest.run(baselines.run_genetic_algorithm, seeds)
+    best = min(s.cost for s in genetic)
+    median = float(np.median([s.cost for s in genetic]))
     ours = fits[0]
-    below = next((n for n, _, cost in ours.history if cost < best), math.inf)
-    ratio, whole = bred[0].simulations / below, bred[0].simulations / ours.simulations
+    simulations_below = next((n for n, _, cost in ours.history if cost < best), math.inf)
+    ratio = genetic[0].simulations / simulations_below
+    whole = genetic[0].simulations / ours.simulations
     return Row(
-        f"{what}: gradient from the nominal values against the genetic algorithm ({len(bred)} seeds)",
+        f"{label}: gradient from the nominal values against the genetic algorithm ({len(genetic)} seeds)",
         ">= 20x fewer simulations and a lower RMSE",
-        f"{ratio:.0f}x to below the best of its RMSEs ({below:.0f} against {bred[0].simulations}), {whole:.0f}x "
-        "to its own end "
-        f"({ours.simulations}); RMSE {contest.rmse(ours.cost):.4g} {contest.unit}, its best "
-        f"{contest.rmse(best):.4g}, median "
-        f"{contest.rmse(median):.4g} {contest.unit}",
+        f"{ratio:.0f}x to below the best of its RMSEs ({simulations_below:.0f} against {genetic[0].simulations}), "
+        f"{whole:.0f}x to its own end ({ours.simulations}); RMSE {contest.rmse(ours.cost):.4g} {contest.unit}, "
+        f"its best {contest.rmse(best):.4g}, median {contest.rmse(median):.4g} {contest.unit}",
         bool(ratio >= 20 and ours.cost < best),
         {
-            "simulations": below,
+            "simulations": simulations_below,
             "simulations_to_the_end": ours.simulations,
-            "other_simulations": bred[0].simulations,
+            "other_simulations": genetic[0].simulations,
             "rmse": contest.rmse(ours.cost),
-            "other_rmse": [contest.rmse(s.cost) for s in bred],
+            "other_rmse": [contest.rmse(s.cost) for s in genetic],
         },
     )
 
 
 def pictures(contest: Contest, args: argparse.Namespace) -> None:
-    """Best RMSE over time and over simulations, one curve a method: its first seed."""
+    """Draw the best RMSE over time and over simulations, one curve a method, from its first seed."""
     for axis, label, name in ((1, "wall time in s, compiling left out", "time"), (0, "simulations", "simulations")):
         curves = []
-        for method, found in contest.searches.items():
-            rows = found[0].history
+        for method, results in contest.searches.items():
+            rows = results[0].history
             curves.append(Curve(method, [r[axis] for r in rows], [contest.rmse(r[2]) for r in rows], steps=True))
         ends = [min(x for c in curves for x in c.x), max(x for c in curves for x in c.x)]
         curves.append(Curve("1 % above the best", ends, [contest.rmse(contest.goal)] * 2, dashed=True))
@@ -181,8 +195,8 @@ def pictures(contest: Contest, args: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    """Runs all rows."""
-    args = arguments(__doc__.splitlines()[0])
+    """Print the table."""
+    args = arguments((__doc__ or "").splitlines()[0])
     contest = Contest("dead-weight", 20.0 if args.quick else None)
     rows = evolution_rows(contest, args.quick)
     rows.append(genetic_row(contest, "dead weight, six parameters", range(2 if args.quick else 10)))
@@ -203,8 +217,8 @@ def main() -> None:
             "rmse": contest.rmse(s.cost),
             "history": s.history,
         }
-        for name, found in contest.searches.items()
-        for i, s in enumerate(found)
+        for name, results in contest.searches.items()
+        for i, s in enumerate(results)
     ]
     finish(rows, args, searches=searches, unit=contest.unit)
 

@@ -1,9 +1,12 @@
-"""A sweep that dies: runs and workers are killed at random moments, and the sweep is resumed until it is done.
- A sweep runs once in one process, and once on two workers. Then it runs again and again from what is there, in one
-process or on a local Dask cluster of worker processes; at a random moment the whole run is killed (SIGKILL), of a
-cluster one of its workers first. A sweep that is done is followed by another, until both kinds have died often
-enough. In the end the tables have to be the same, byte for byte: no row lost, none doubled; and no chunk that was
-there before a death may be lost or made again.
+"""A sweep whose runs and workers are killed at random moments and resumed until it is complete.
+
+    python experiments/speed/sweep_interruptions.py [--quick] [--json FILE] [--out DIR]
+
+A sweep runs once in one process, and once on two workers, without interruption. Then it is resumed again and again, in
+one process or on a local Dask cluster of worker processes, and the whole run is killed (SIGKILL) at a random moment; of
+a cluster one worker is killed first. When the sweep is complete another one starts, until enough runs and workers have
+been killed. The tables must be the same, byte for byte: no row lost, none doubled; and no chunk that was written before
+a kill may be lost or computed again.
 """
 
 import contextlib
@@ -47,42 +50,43 @@ stroke = "max"
 """
 
 
-def interrupt(folder: Path, died: dict[str, int], deaths: int, span: float) -> tuple[int, int]:
+def interrupt(folder: Path, kills: dict[str, int], deaths: int, span: float) -> tuple[int, int]:
     """Resume the sweep and kill a run or a worker at a random moment.
 
     Args:
         folder: Where the sweep works.
-        died: Runs and workers killed so far; counted on.
-        deaths: How many of each kind are wanted.
-        span: Seconds that an undisturbed sweep takes.
+        kills: Runs and workers killed so far, which is updated.
+        deaths: How many of each kind are to be killed.
+        span: Seconds that an uninterrupted sweep takes.
 
     Returns:
-        The chunks that were there before, and how many of them were lost or made again.
+        The number of chunks that were there before, and of those that were lost or computed again.
     """
-    kept = again = 0
-    # Runs of one process and of a cluster in turn, until one kind has died often enough.
-    clustered = died["workers"] < deaths and (died["runs"] >= deaths or died["workers"] <= died["runs"])
-    process = command(folder, "torn", "--resume", *(("--scheduler", "local") if clustered else ()))
+    chunks_before = lost_chunks = 0
+    # Runs of one process and of a cluster alternate until enough of one kind have been killed.
+    clustered = kills["workers"] < deaths and (kills["runs"] >= deaths or kills["workers"] <= kills["runs"])
+    process = start_sweep(folder, "torn", "--resume", *(("--scheduler", "local") if clustered else ()))
     before = chunks_in(folder)
-    at_work = wait_for_more(process, folder, before)
+    at_work = wait_for_chunk(process, folder, before)
     time.sleep(random.uniform(0.0, 0.2) * span if at_work else 0.0)
     if clustered and (workers := workers_of(process.pid)):
         random.choice(workers).kill()
-        died["workers"] += 1
+        kills["workers"] += 1
         time.sleep(random.uniform(0.5, 3.0))
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
-        died["runs"] += 1
+        kills["runs"] += 1
     process.communicate()
     after = chunks_in(folder)
     if not (folder / "torn").is_dir():
-        kept = len(before)
-        again = sum(after.get(file) != made for file, made in before.items())
-    say(f"{died['runs']} runs and {died['workers']} workers killed, {len(after)} chunks there")
-    return kept, again
+        chunks_before = len(before)
+        lost_chunks = sum(after.get(file) != made for file, made in before.items())
+    say(f"{kills['runs']} runs and {kills['workers']} workers killed, {len(after)} chunks there")
+    return chunks_before, lost_chunks
 
 
 def main() -> None:
+    """Print the table."""
     args = arguments(__doc__ or "")
     deaths, count = (2, 8_000) if args.quick else (20, 40_000)
     random.seed(0)
@@ -91,73 +95,95 @@ def main() -> None:
         (folder / "sweep.toml").write_text(
             SWEEP.format(rig=ROOT / "data" / "recordings" / "dead-weight" / "rig.toml", count=count), "utf-8"
         )
-        began = time.perf_counter()
+        start = time.perf_counter()
         say("once, undisturbed")
-        command(folder, "whole").communicate()
-        span = time.perf_counter() - began
+        start_sweep(folder, "whole").communicate()
+        span = time.perf_counter() - start
         say("once on two workers, undisturbed")
-        command(folder, "shared", "--scheduler", "local").communicate()
+        start_sweep(folder, "shared", "--scheduler", "local").communicate()
         whole = (folder / "whole" / "sweep.parquet").read_bytes()
         shared = (folder / "shared" / "sweep.parquet").read_bytes() == whole
-        died = {"runs": 0, "workers": 0}
-        kept, again, laps = 0, 0, []
-        while min(died.values()) < deaths:
+        kills = {"runs": 0, "workers": 0}
+        chunks_before, lost_total, results = 0, 0, []
+        while min(kills.values()) < deaths:
             if (folder / "torn").is_dir():
-                laps.append(lap(folder, whole, count))
-            before, lost_chunks = interrupt(folder, died, deaths, span)
-            kept, again = kept + before, again + lost_chunks
-        _, errors = command(folder, "torn", "--resume").communicate()
-        laps.append(lap(folder, whole, count))
-    lost, doubled = (sum(one[key] for one in laps) for key in ("lost", "doubled"))
-    same = not errors and all(one["same"] for one in laps)
-    told = f"{died['runs']} runs and {died['workers']} workers killed"
-    finish(
-        [
-            Row(
-                "two workers against one process, undisturbed",
-                "the same bytes",
-                "the same" if shared else "others",
-                shared,
-            ),
-            Row("deaths", f"{deaths} runs and {deaths} workers", told, min(died.values()) >= deaths, died),
-            Row(
-                "chunks there before a death that were lost or made again",
-                "none",
-                f"{again:,} of {kept:,}",
-                not again if kept else None,
-            ),
-            Row(
-                "rows lost or doubled",
-                "none",
-                f"{lost} and {doubled} of {count:,}, in {len(laps)} sweeps",
-                not lost and not doubled,
-                {"lost": lost, "doubled": doubled, "sweeps": len(laps)},
-            ),
-            Row("the table against the undisturbed one's", "the same bytes", "the same" if same else "others", same),
-        ],
-        args,
-        designs=count,
-    )
+                results.append(check_table(folder, whole, count))
+            before, lost_chunks = interrupt(folder, kills, deaths, span)
+            chunks_before = chunks_before + before
+            lost_total = lost_total + lost_chunks
+        _, errors = start_sweep(folder, "torn", "--resume").communicate()
+        results.append(check_table(folder, whole, count))
+    text = f"{kills['runs']} runs and {kills['workers']} workers killed"
+    rows = [
+        Row(
+            "two workers against one process, undisturbed",
+            "the same bytes",
+            "the same" if shared else "others",
+            shared,
+        ),
+        Row("deaths", f"{deaths} runs and {deaths} workers", text, min(kills.values()) >= deaths, kills),
+        Row(
+            "chunks there before a death that were lost or made again",
+            "none",
+            f"{lost_total:,} of {chunks_before:,}",
+            not lost_total if chunks_before else None,
+        ),
+    ]
+    finish([*rows, *table_rows(results, count, not errors)], args, designs=count)
 
 
-def lap(folder: Path, whole: bytes, count: int) -> dict[str, int]:
-    """What a sweep that was done after deaths has.
+def table_rows(results: list[dict[str, int]], count: int, ended_well: bool) -> list[Row]:
+    """Return the rows about the tables of the sweeps.
 
-    Rows lost and doubled, and whether it is the undisturbed one's table; removes it.
+    Args:
+        results: What ``check_table`` has found of each sweep.
+        count: Number of designs.
+        ended_well: Whether the last run printed no error.
+    """
+    lost, doubled = (sum(result[key] for result in results) for key in ("lost", "doubled"))
+    is_same = ended_well and all(result["same"] for result in results)
+    return [
+        Row(
+            "rows lost or doubled",
+            "none",
+            f"{lost} and {doubled} of {count:,}, in {len(results)} sweeps",
+            not lost and not doubled,
+            {"lost": lost, "doubled": doubled, "sweeps": len(results)},
+        ),
+        Row("the table against the undisturbed one's", "the same bytes", "the same" if is_same else "others", is_same),
+    ]
+
+
+def check_table(folder: Path, whole: bytes, count: int) -> dict[str, int]:
+    """Check the table of a sweep that was killed and completed, and remove it.
+
+    Args:
+        folder: Where the sweep works.
+        whole: The uninterrupted sweep's table.
+        count: Number of designs.
+
+    Returns:
+        Rows lost and doubled, and whether the table is that of the uninterrupted sweep.
     """
     table = folder / "torn" / "sweep.parquet"
     rows = read_table(table)["design"]
-    found = {
+    result = {
         "lost": count - len(np.unique(rows)),
         "doubled": len(rows) - len(np.unique(rows)),
         "same": table.read_bytes() == whole,
     }
     shutil.rmtree(folder / "torn")
-    return found
+    return result
 
 
-def wait_for_more(process: subprocess.Popen, folder: Path, before: dict[str, int]) -> bool:
-    """Waits until a run has written a chunk, so that a death is one at work; False if it ended."""
+def wait_for_chunk(process: subprocess.Popen, folder: Path, before: dict[str, int]) -> bool:
+    """Wait until a run has written a chunk, so that it is killed at work; return False if it ended.
+
+    Args:
+        process: The run.
+        folder: Where the sweep works.
+        before: The chunks that were there before.
+    """
     while process.poll() is None:
         if len(chunks_in(folder)) > len(before):
             return True
@@ -165,8 +191,8 @@ def wait_for_more(process: subprocess.Popen, folder: Path, before: dict[str, int
     return False
 
 
-def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
-    """The sweep as a user runs it, in a group of processes of its own."""
+def start_sweep(folder: Path, out: str, *options: str) -> subprocess.Popen:
+    """Start the sweep as a user does, in its own process group."""
     call = [
         sys.executable,
         "-m",
@@ -176,7 +202,7 @@ def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
         "--out",
         str(folder / out),
         "--quiet",
-        *more,
+        *options,
     ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
@@ -185,12 +211,12 @@ def command(folder: Path, out: str, *more: str) -> subprocess.Popen:
 
 
 def chunks_in(folder: Path) -> dict[str, int]:
-    """Chunks on the disk by name, with the time at which each was written."""
-    found = {}
+    """Return the chunks on disk by name, with the time at which each was written."""
+    times = {}
     for path in (folder / "torn.partial").glob("chunk-*.parquet"):
-        with contextlib.suppress(FileNotFoundError):  # the run is done and clears up
-            found[path.name] = path.stat().st_mtime_ns
-    return found
+        with contextlib.suppress(FileNotFoundError):  # the run has ended and removes its chunks
+            times[path.name] = path.stat().st_mtime_ns
+    return times
 
 
 if __name__ == "__main__":

@@ -1,16 +1,15 @@
-"""A sweep of 100,000 antagonistic rotary actuators, ten seconds of motion each.
+"""A sweep of 100,000 antagonistic rotary actuators, ten seconds of motion each: throughput, memory, refinement.
 
-Throughput, memory, and what gradients add.
+    python experiments/speed/sweep_throughput.py [--quick] [--json FILE] [--out DIR]
 
-The same designs go through the sweep as the command runs it (chunks, tables on the disk) and through a loop compiled
-by numba that shares designs among the same cores, in turn, chunk by chunk, so that whatever else the machine does
-falls on both. The loop takes as many parts of a step as it needs to be as exact as the sweep; its own limit with 64
-parts is the truth. Beside them, the same loop in plain Python, and one simulation after the other. Then: memory and
-cost against the number of designs, and the best of all samples against a refined one. On an accelerator the sweep
+The same designs go through the sweep as the command runs it (chunks, tables on disk) and through a loop compiled by
+numba that shares designs among the same cores. They are run in turn, chunk by chunk, so that other load on the machine
+affects both. The loop takes as many substeps as it needs to be as exact as the sweep; its own limit with 64 substeps is
+the truth. Next to them are the same loop in plain Python, and one simulation after the other. Further rows are memory
+and cost against the number of designs, and the best of all samples against a refined one. On an accelerator the sweep
 also runs on the processor alone, and its numbers are compared.
 """
 
-import json
 import os
 import resource
 import subprocess
@@ -24,7 +23,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
 
 from experiments.common.base import ROOT, Row, arguments, exponent, finish, say
-from experiments.common.compiled_loop import SAMPLE, Loop
+from experiments.common.compiled_loop import SAMPLE, Loop, time_interpreted
 
 import jax
 import jax.numpy as jnp
@@ -60,20 +59,8 @@ stroke = "max"
 peak_temperature = {{ at_most = "110 degC" }}
 """
 CHECKED = 256
-# Runs the reference loop without numba: a fresh interpreter, since numba reads this at its import.
-PLAIN = """
-import json, sys, time
-sys.path.insert(0, sys.argv[1])
-import numpy as np
-from tests.reference import fast_loop
-rows, grid, current, parts = json.load(sys.stdin)
-began = time.perf_counter()
-for row in rows:
-    fast_loop.rotary(fast_loop.Design(*row), np.array(grid), np.array(current), substeps=parts)
-print((time.perf_counter() - began) / len(rows))
-"""
-# Some of a sweep's chunks on the processor alone: its seconds, the program being compiled; the tables go to a folder
-# next to the sweep.
+# Evaluates some of a sweep's chunks on the processor alone, and prints the seconds without compilation; the tables go
+# to a folder next to the sweep.
 PROCESSOR = """
 import sys, time
 from pathlib import Path
@@ -89,10 +76,11 @@ submit = own.chunks.submit_locally(problem, False)
 own.chunks.run_chunks(parts, problem.names, folder, submit, lambda count: None, lambda: False)
 print(time.perf_counter() - began)
 """
-COLD = 110.0  # degC, the largest peak temperature of a design that counts
+MAX_TEMPERATURE = 110.0  # degC, largest peak temperature of a feasible design
 
 
 def main() -> None:
+    """Print the table."""
     args = arguments(__doc__ or "")
     numba.set_num_threads(min(count_cores(), numba.config.NUMBA_NUM_THREADS))
     count = 2_048 if args.quick else 100_000
@@ -121,9 +109,9 @@ def scaling_rows(
         first: Number of designs in the first lot.
     """
     rows = []
-    # In the order of the sequence: chunks of a sweep hold designs that do alike, and some cost more than others.
+    # In the order of the sequence, since the designs of a chunk are similar, and some chunks cost more than others.
     sizes = [count // 16, count // 4, count]
-    slope = exponent(sizes, [timed(problem, designs[:n], sweep.chunk) for n in sizes[:2]] + [seconds])
+    slope = exponent(sizes, [time_sweep(problem, designs[:n], sweep.chunk) for n in sizes[:2]] + [seconds])
     rows.append(
         Row(
             "growth of cost with the number of designs",
@@ -147,8 +135,8 @@ def scaling_rows(
     return rows
 
 
-def equally_exact(loop: Any, designs: np.ndarray, truth: np.ndarray, error: float) -> list[tuple[int, float]]:
-    """Steps a sample of the loop and its RMS error of the stroke, until it is as exact as the sweep.
+def match_exactness(loop: Any, designs: np.ndarray, truth: np.ndarray, error: float) -> list[tuple[int, float]]:
+    """Return the substeps of the loop and its RMS error of the stroke, until it is as exact as the sweep.
 
     Args:
         loop: The compiled loop.
@@ -156,167 +144,197 @@ def equally_exact(loop: Any, designs: np.ndarray, truth: np.ndarray, error: floa
         truth: Their strokes, shape ``(n,)``.
         error: RMS error of the sweep, in the stroke's unit.
     """
-    tried: list[tuple[int, float]] = []
+    errors: list[tuple[int, float]] = []
     for n in (1, 2, 3, 4, 8, 16, 32, 48):
-        tried.append((n, float(np.sqrt(np.mean((loop.strokes(designs, n) - truth) ** 2)))))
-        if tried[-1][1] <= error:
+        errors.append((n, float(np.sqrt(np.mean((loop.strokes(designs, n) - truth) ** 2)))))
+        if errors[-1][1] <= error:
             break
-    return tried
+    return errors
 
 
 def throughput_rows(count: int, seconds: dict[str, float], exactness: tuple, compiling: float) -> list[Row]:
-    """Designs a second next to the compiled loop, how exact both are, and the time to compile.
+    """Return designs a second next to the compiled loop, how exact both are, and the time to compile.
 
     Args:
         count: Number of designs.
-        seconds: What the sweep ("ours") and the loop took.
-        exactness: RMS errors of the stroke: the sweep's, and the loop's by its steps a sample.
-        compiling: Seconds.
+        seconds: Wall time of the sweep ("ours") and of the loop.
+        exactness: RMS errors of the stroke: the sweep's, and the loop's by its substeps.
+        compiling: Seconds of compilation.
     """
-    error, tried = exactness
-    each = {n: 1e3 * s / count for n, s in seconds.items()}
+    error, loop_errors = exactness
+    milliseconds = {n: 1e3 * s / count for n, s in seconds.items()}
     place, theirs = f"{count_cores()} cores", "the same cores"
     if compilation.on_accelerator():
-        place, theirs = jax.devices()[0].device_kind, f"{count_cores()} cores of that machine"
+        place = jax.devices()[0].device_kind
+        theirs = f"{count_cores()} cores of that machine"
     ratio = seconds["loop"] / seconds["ours"]
     text = (
-        f"{ratio:.2f}x ({each['ours']:.3f} ms a design, {count / seconds['ours']:,.0f} a second, against "
-        f"{each['loop']:.3f} ms)"
+        f"{ratio:.2f}x ({milliseconds['ours']:.3f} ms a design, {count / seconds['ours']:,.0f} a second, against "
+        f"{milliseconds['loop']:.3f} ms)"
     )
     return [
         Row("designs simulated, ten seconds of motion each", "-", f"{count:,} on {place}", None),
-        Row(f"throughput against a compiled loop at least as exact, {theirs}", ">= 1x", text, ratio >= 1.0, each),
+        Row(
+            f"throughput against a compiled loop at least as exact, {theirs}", ">= 1x", text, ratio >= 1.0, milliseconds
+        ),
         Row(
             "how exact: RMS error of the stroke",
             "-",
-            exact_text(error, tried),
+            exactness_text(error, loop_errors),
             None,
-            {"sweep_rad": error, "loop_rad": tried},
+            {"sweep_rad": error, "loop_rad": loop_errors},
         ),
         Row("compiling, once", "-", f"{compiling:.1f} s", None, {"seconds": compiling}),
     ]
 
 
 def sweep_rows(sweep, folder: Path, count: int, quick: bool) -> list[Row]:
-    problem, designs = sweep.problem(), sweep.designs()
+    """Run the sweep and the compiled loop in turn, and return the rows.
+
+    Args:
+        sweep: The sweep file.
+        folder: Where the sweep works.
+        count: Number of designs.
+        quick: Whether the sweep is small.
+    """
+    problem = sweep.problem()
+    designs = sweep.designs()
     parts = chunks.split_into_chunks(problem, designs, sweep.chunk)
     groups = chunks.group_chunks(problem, parts, False)
     loop = Loop(sweep)
     say("compiling")
     checked = designs[:CHECKED]
-    began = time.perf_counter()
-    found = chunks.evaluate_designs(
+    start = time.perf_counter()
+    metrics = chunks.evaluate_designs(
         problem, checked, parts[0].steps, workers=compilation.parallel_batches(), new_program=True
     )
-    compiling = time.perf_counter() - began
+    compiling = time.perf_counter() - start
     warm(problem, groups)
     truth = loop.strokes(checked, 64)
-    error = np.sqrt(np.mean((found["stroke"] - truth) ** 2))
-    tried = equally_exact(loop, checked, truth, error)
-    substeps = tried[-1][0]
+    error = np.sqrt(np.mean((metrics["stroke"] - truth) ** 2))
+    loop_errors = match_exactness(loop, checked, truth, error)
+    substeps = loop_errors[-1][0]
     seconds = {"ours": 0.0, "loop": 0.0}
     memory: list[float] = []
 
     def submit(missing):
         """Chunks as the sweep has them worked on and written; after each lot the loop has its turn."""
-        began = time.perf_counter()
+        start = time.perf_counter()
         for lot in chunks.submit_locally(problem, False)(missing):
             yield lot
             middle = time.perf_counter()
             for part, _ in lot:
                 loop.strokes(part.designs, substeps)
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-            seconds["ours"] += middle - began
-            began = time.perf_counter()
-            seconds["loop"] += began - middle
+            seconds["ours"] += middle - start
+            start = time.perf_counter()
+            seconds["loop"] += start - middle
 
     chunks.run_chunks(parts, problem.names, folder, submit, lambda k: say(f"{k} of {len(parts)} chunks"), lambda: False)
     columns = chunks.read_chunks(parts, folder)
-    fine = np.flatnonzero(columns["peak_temperature"] <= COLD)
-    top = fine[np.argmax(columns["stroke"][fine])]
-    best = columns["stroke"][top], designs[top]
-    rows = throughput_rows(count, seconds, (error, tried), compiling)
-    rows += loops(loop, sweep, 1e3 * seconds["ours"] / count, substeps, quick)
+    feasible = np.flatnonzero(columns["peak_temperature"] <= MAX_TEMPERATURE)
+    best_row = feasible[np.argmax(columns["stroke"][feasible])]
+    best = columns["stroke"][best_row], designs[best_row]
+    rows = throughput_rows(count, seconds, (error, loop_errors), compiling)
+    rows += interpreted_rows(loop, sweep, 1e3 * seconds["ours"] / count, substeps, quick)
     if compilation.on_accelerator():
-        rows.append(processor(folder, problem, parts, 1e3 * seconds["ours"] / count))
+        rows.append(processor_row(folder, problem, parts, 1e3 * seconds["ours"] / count))
     first = sum(len(part.rows) for part in groups[0])
     rows += scaling_rows(sweep, problem, designs, count, seconds["ours"], memory, first)
-    return [*rows, refinement(sweep, parts, best, count)]
+    return [*rows, refinement_row(sweep, parts, best, count)]
 
 
-def exact_text(error: float, tried: list[tuple[int, float]]) -> str:
-    """The sweep's error, and those of the loop with ever more parts of a step."""
-    theirs = ", ".join(f"{np.degrees(e):.4f} deg with {n}" for n, e in tried)
+def exactness_text(error: float, loop_errors: list[tuple[int, float]]) -> str:
+    """Return the sweep's error, and those of the loop with more and more substeps, in words."""
+    theirs = ", ".join(f"{np.degrees(e):.4f} deg with {n}" for n, e in loop_errors)
     return f"{np.degrees(error):.4f} deg; the loop's with parts of {1e3 * SAMPLE:.0f} ms: {theirs}"
 
 
-def timed(problem, designs: np.ndarray, size: int) -> float:
-    """Seconds for a sweep of these designs, its program being compiled."""
+def time_sweep(problem, designs: np.ndarray, size: int) -> float:
+    """Return the seconds of a sweep of some designs, without compilation.
+
+    Args:
+        problem: The sweep problem.
+        designs: The designs.
+        size: Number of designs of a chunk.
+    """
     groups = chunks.group_chunks(problem, chunks.split_into_chunks(problem, designs, size), False)
     warm(problem, groups)
-    began = time.perf_counter()
+    start = time.perf_counter()
     for group in groups:
         list(chunks.submit_locally(problem, False)(group))
-    return time.perf_counter() - began
+    return time.perf_counter() - start
 
 
 def warm(problem, groups) -> None:
-    """Compiles what the groups of chunks need.
+    """Compile what the groups of chunks need.
 
-    One program for each number of steps, on an accelerator for each size of batch, too.
+    It is one program for each number of steps, and on an accelerator for each size of batch as well.
     """
-    seen = set()
+    compiled = set()
     for group in groups:
         kind = (group[0].steps, sum(len(part.rows) for part in group) if compilation.on_accelerator() else 0)
-        if kind not in seen:
+        if kind not in compiled:
             list(
                 chunks.submit_locally(problem, False)(
                     group if compilation.on_accelerator() else [replace(group[0], designs=group[0].designs[:1])]
                 )
             )
-        seen.add(kind)
+        compiled.add(kind)
 
 
-def processor(folder: Path, problem, parts, ours: float) -> Row:
-    """Some of the chunks on this machine's processor, in a process that does not see the accelerator."""
+def processor_row(folder: Path, problem, parts, ours: float) -> Row:
+    """Compare some of the chunks on this machine's processor, in a process that does not see the accelerator.
+
+    Args:
+        folder: Where the sweep works.
+        problem: The sweep problem.
+        parts: All chunks.
+        ours: Milliseconds a design of the sweep.
+    """
     stride = -(-len(parts) // 8)
-    few = parts[::stride]
-    words = [sys.executable, "-c", PROCESSOR, str(Path(__file__).parent), str(folder), str(stride)]
-    told = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
-    each = 1e3 * float(told.stdout) / sum(len(part.rows) for part in few)
-    here, there = ([read_table(place / part.file) for part in few] for place in (folder, folder / "processor"))
-    here, there = ({n: np.concatenate([one[n] for one in tables]) for n in tables[0]} for tables in (here, there))
-    apart = {n: float(np.nanmax(np.abs(here[n] - there[n])) / np.nanmax(np.abs(there[n]))) for n in problem.units}
+    subset = parts[::stride]
+    command = [sys.executable, "-c", PROCESSOR, str(Path(__file__).parent), str(folder), str(stride)]
+    result = subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"}
+    )
+    each = 1e3 * float(result.stdout) / sum(len(part.rows) for part in subset)
+    here, there = ([read_table(place / part.file) for part in subset] for place in (folder, folder / "processor"))
+    here, there = ({n: np.concatenate([table[n] for table in tables]) for n in tables[0]} for tables in (here, there))
+    differences = {n: float(np.nanmax(np.abs(here[n] - there[n])) / np.nanmax(np.abs(there[n]))) for n in problem.units}
     text = f"{each / ours:.1f}x ({each:.3f} ms a design); apart by " + ", ".join(
-        f"{v:.1e} of the largest {n}" for n, v in apart.items()
+        f"{v:.1e} of the largest {n}" for n, v in differences.items()
     )
     text += f"; {np.sum(here['code'] != there['code'])} of {len(here['code']):,} end otherwise"
     return Row(
-        f"against the same on the {count_cores()} cores of that machine", "-", text, None, {"ms": each, "apart": apart}
+        f"against the same on the {count_cores()} cores of that machine",
+        "-",
+        text,
+        None,
+        {"ms": each, "apart": differences},
     )
 
 
-def loops(loop: Loop, sweep, ours: float, substeps: int, quick: bool) -> list[Row]:
-    """The same loop interpreted, and one simulation by the sweep's program after the other."""
+def interpreted_rows(loop: Loop, sweep, ours: float, substeps: int, quick: bool) -> list[Row]:
+    """Compare with the same loop interpreted, and with one simulation after the other by the sweep's program.
+
+    Args:
+        loop: The compiled loop.
+        sweep: The sweep file.
+        ours: Milliseconds a design of the sweep.
+        substeps: Substeps of the loop.
+        quick: Whether the loop runs one design only.
+    """
     designs = sweep.designs()[: 1 if quick else 4]
-    told = json.dumps([loop.rows(designs).tolist(), loop.time.tolist(), loop.current.tolist(), substeps])
-    plain = subprocess.run(
-        [sys.executable, "-c", PLAIN, str(ROOT)],
-        input=told,
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-    )
-    each = 1e3 * float(plain.stdout)
+    each = 1e3 * time_interpreted(loop, designs, substeps)
     problem = sweep.problem()
     steps = int(problem.steps(designs).max())
-    one = jax.jit(lambda design: problem.evaluate(design, steps)[0]["stroke"])
-    one(jnp.asarray(designs[0])).block_until_ready()
-    began = time.perf_counter()
+    stroke = jax.jit(lambda design: problem.evaluate(design, steps)[0]["stroke"])
+    stroke(jnp.asarray(designs[0])).block_until_ready()
+    start = time.perf_counter()
     for k in range(16):
-        one(jnp.asarray(designs[k % len(designs)])).block_until_ready()
-    alone = 1e3 * (time.perf_counter() - began) / 16
+        stroke(jnp.asarray(designs[k % len(designs)])).block_until_ready()
+    alone = 1e3 * (time.perf_counter() - start) / 16
     return [
         Row(
             "against that loop in plain Python",
@@ -335,22 +353,33 @@ def loops(loop: Loop, sweep, ours: float, substeps: int, quick: bool) -> list[Ro
     ]
 
 
-def refinement(sweep, parts, best, count: int) -> Row:
-    """From the best few of the first 256 designs by gradients, against the best of all."""
+def refinement_row(sweep, parts, best, count: int) -> Row:
+    """Refine the best few of the first 256 designs by gradients, and compare with the best of all.
+
+    Args:
+        sweep: The sweep file.
+        parts: All chunks.
+        best: Stroke and design of the best sample.
+        count: Number of samples.
+    """
     problem = sweep.problem()
-    few = sweep.designs()[:CHECKED]
+    designs = sweep.designs()[:CHECKED]
     steps = int(max(part.steps for part in parts))
-    found = chunks.evaluate_designs(problem, few, steps, workers=compilation.parallel_batches())
-    fine = np.flatnonzero(found["peak_temperature"] <= COLD)
-    shares = np.column_stack([axis.share(few[:, k]) for k, axis in enumerate(sweep.axes)])
-    order = fine[np.argsort(-found["stroke"][fine])]
+    metrics = chunks.evaluate_designs(problem, designs, steps, workers=compilation.parallel_batches())
+    feasible = np.flatnonzero(metrics["peak_temperature"] <= MAX_TEMPERATURE)
+    shares = np.column_stack([axis.share(designs[:, k]) for k, axis in enumerate(sweep.axes)])
+    order = feasible[np.argsort(-metrics["stroke"][feasible])]
     refined = []
     for row in separated_starts(shares, order, 3):
         say(f"refining design {row}")
-        refined.append(refine(problem, sweep.axes, few[row], {"stroke": "max"}, {"peak_temperature": (-np.inf, COLD)}))
-    top = max(refined, key=lambda one: one.metrics["stroke"])
-    spent = CHECKED + sum(one.simulations for one in refined)
-    text = f"{np.degrees(top.metrics['stroke']):.2f} deg in {spent:,} simulations, "
+        refined.append(
+            refine(
+                problem, sweep.axes, designs[row], {"stroke": "max"}, {"peak_temperature": (-np.inf, MAX_TEMPERATURE)}
+            )
+        )
+    top = max(refined, key=lambda result: result.metrics["stroke"])
+    simulations = CHECKED + sum(result.simulations for result in refined)
+    text = f"{np.degrees(top.metrics['stroke']):.2f} deg in {simulations:,} simulations, "
     text += f"the best of {count:,} samples {np.degrees(best[0]):.2f} deg; "
     text += ", ".join(f"{axis.name} {value:.4g}" for axis, value in zip(sweep.axes, top.design, strict=True))
     return Row(
@@ -358,7 +387,7 @@ def refinement(sweep, parts, best, count: int) -> Row:
         f"better than the best of {count:,}",
         text,
         bool(top.metrics["stroke"] > best[0]),
-        {"refined_rad": top.metrics["stroke"], "best_rad": float(best[0]), "simulations": spent},
+        {"refined_rad": top.metrics["stroke"], "best_rad": float(best[0]), "simulations": simulations},
     )
 
 

@@ -2,9 +2,9 @@
 
     python experiments/papers/flexible_actuator/elbow_stroke.py [--quick] [--json FILE] [--out DIR]
 
-What the paper prints is a stroke, a length and a number of wires; forces, friction and motion over time are ours,
-from the rig files in data/templates, where each number has its source. The elbow is heated from the hanging arm until
-nothing more transforms, and cooled again.
+Source: copaci2020. The paper prints a stroke, a length and a number of wires; forces, friction and motion over time
+come from the rig files in data/templates, which give the source of each number. The elbow is heated from the hanging
+arm until the transformation ends, and cooled again.
 """
 
 from __future__ import annotations
@@ -29,14 +29,23 @@ from smajax.simulation.inputs import discretise
 from smajax.simulation.run import simulate_batch
 from tests.support.plants import recording
 
-RATED = 3562e-3 * 9.81  # N, the pull for which the maker rates a wire of 0.51 mm (172 MPa)
-HEATING, COOLING, REST = 14.0, 60.0, 1.0
+RATED = 3562e-3 * 9.81  # N, rated pull of a wire of 0.51 mm (172 MPa; dynalloy)
+HEATING, COOLING, REST = 14.0, 60.0, 1.0  # s
 CURRENT = {"elbow": 3.0, "wrist": 2.0, "glove-finger": 2.0}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A limb heated and cooled: series over time in degrees, degC, Pa and m of tendon."""
+    """A limb that is heated and cooled.
+
+    Attributes:
+        time: Time, s, shape ``(n,)``, as all series.
+        angle: Angle, degrees.
+        temperature: Temperature, degC.
+        stress: Stress, Pa.
+        strain: Strain.
+        tendon: Motion of the tendon, m.
+    """
 
     time: np.ndarray
     angle: np.ndarray
@@ -46,22 +55,28 @@ class Motion:
     tendon: np.ndarray
 
     @property
-    def top(self) -> int:
+    def end_of_heating(self) -> int:
         """The row at which heating ends."""
         return int(np.searchsorted(self.time, REST + HEATING)) - 1
 
-    def reaches(self, share: float) -> float:
-        """Time in s from the start of heating to a share of the angle at its end."""
-        return float(self.time[np.argmax(self.angle >= share * self.angle[self.top])] - REST)
+    def time_to_share(self, share: float) -> float:
+        """Return the time in s from the start of heating to a share of the angle at its end."""
+        return float(self.time[np.argmax(self.angle >= share * self.angle[self.end_of_heating])] - REST)
 
 
-def template(kind: str) -> Rig:
-    """The rig file that ``smajax init`` writes."""
+def read_template(kind: str) -> Rig:
+    """Read the rig file that ``smajax init`` writes."""
     return read_rig(ROOT / "data" / "templates" / f"{kind}.toml")
 
 
-def move(plant: Plant, current: float, changes: dict[str, list[float]]) -> list[Motion]:
-    """The plant at rest, heated and cooled, once for each of the values in ``changes``."""
+def heat_and_cool(plant: Plant, current: float, changes: dict[str, list[float]]) -> list[Motion]:
+    """Simulate the plant at rest, heated and cooled, for each of several values.
+
+    Args:
+        plant: The plant.
+        current: Heating current, A.
+        changes: Values of parameters, one a simulation.
+    """
     time = np.arange(0.0, REST + HEATING + COOLING, 0.05)
     drive = np.where((time >= REST) & (time < REST + HEATING), current, 0.0)
     inputs = discretise(plant, recording({"current": drive, "angle": 0.0 * time}, time))
@@ -71,25 +86,26 @@ def move(plant: Plant, current: float, changes: dict[str, list[float]]) -> list[
     if np.any(np.asarray(codes)):
         raise SystemExit(f"a simulation ended with codes {np.asarray(codes)}")
     arm = float(plant.mechanism.wire_motion_per_coordinate * parameters.get(plant, "transmission.ratio"))
-    found = []
+    motions = []
     for k in range(len(codes)):
         angle, temperature, stress, strain = (
             np.asarray(channels[c][k]) for c in ("angle", "temperature", "stress", "strain")
         )
-        found.append(Motion(time, np.degrees(angle), temperature, stress, strain, arm * angle))
-    return found
+        motions.append(Motion(time, np.degrees(angle), temperature, stress, strain, arm * angle))
+    return motions
 
 
-def arithmetic(plant: Plant) -> list[Row]:
-    """What follows from the printed numbers alone."""
+def printed_number_rows(plant: Plant) -> list[Row]:
+    """Return what follows from the printed numbers alone."""
     assert isinstance(plant.mechanism, TendonLimb)
     value = {n: float(parameters.get(plant, n)) for n in parameters.all_declarations(plant)}
     radius, length = value["pulley.radius"], value["wire.length"]
     stroke = radius * math.radians(150.0)
-    strain, pull = stroke / length, 3 * RATED
+    strain = stroke / length
+    pull = 3 * RATED
     moment = float(plant.mechanism.limb.moment(np.pi / 2, 9.81))
     share = moment / (pull * radius)
-    grip = math.exp(value["sheath.friction"] * value["sheath.wrap_angle"])
+    friction_ratio = math.exp(value["sheath.friction"] * value["sheath.wrap_angle"])
     rows = [
         Row(
             "elbow: strain of 150 degrees on the wire",
@@ -115,14 +131,20 @@ def arithmetic(plant: Plant) -> list[Row]:
         Row(
             "elbow: moment of the forearm at 90 degrees",
             "lifted by 3 wires; 3.09 N m of a man of 80 kg, within 10 %",
-            f"{moment:.2f} N m: {100 * share:.0f} % of the rated pull without friction, {100 * share * grip:.0f} "
-            "% through the sheath. The "
+            f"{moment:.2f} N m: {100 * share:.0f} % of the rated pull without friction, "
+            f"{100 * share * friction_ratio:.0f} % through the sheath. The "
             "wire's diameter is not printed (0.51 mm here); so the design has no margin",
             abs(moment / 3.09 - 1.0) < 0.1,
-            {"moment": moment, "share": share, "share_with_friction": share * grip},
+            {"moment": moment, "share": share, "share_with_friction": share * friction_ratio},
         ),
     ]
-    glove = template("glove-finger").plant
+    return rows + glove_rows()
+
+
+def glove_rows() -> list[Row]:
+    """Return the strain of the glove's wires that follows from the printed stroke and lengths."""
+    rows = []
+    glove = read_template("glove-finger").plant
     doubled = (float(parameters.get(glove, "wire.length")), float(parameters.get(glove, "transmission.ratio")))
     for (length, ratio), expected, printed in (
         ((2.0, 1.0), (2.5, 3.0), "2 m"),
@@ -132,50 +154,58 @@ def arithmetic(plant: Plant) -> list[Row]:
         text = f"{low:.1f} to {high:.1f} %" + (
             "" if ratio == 1.0 else ", at half the force: the glove uses about 3 % of its wires, not 4 %"
         )
-        close = all(abs(ours - e) < 0.05 for ours, e in zip((low, high), expected, strict=True))
+        is_close = all(abs(ours - e) < 0.05 for ours, e in zip((low, high), expected, strict=True))
         target = f"{expected[0]} to {expected[1]} %, of the printed lengths"
         rows.append(
-            Row(f"glove: strain of 5 to 6 cm on {printed}", target, text, close, {"low": low / 100, "high": high / 100})
+            Row(
+                f"glove: strain of 5 to 6 cm on {printed}",
+                target,
+                text,
+                is_close,
+                {"low": low / 100, "high": high / 100},
+            )
         )
     return rows
 
 
-def elbow(plant: Plant) -> tuple[list[Row], list[Motion]]:
-    """The arm lifted and lowered, with and without friction in the sheath."""
+def elbow_rows(plant: Plant) -> tuple[list[Row], list[Motion]]:
+    """Lift and lower the arm, without and with friction in the sheath."""
     friction = float(parameters.get(plant, "sheath.friction"))
-    motions = move(plant, CURRENT["elbow"], {"sheath.friction": [0.0, friction], "wire.length": [1.85, 1.85]})
+    motions = heat_and_cool(plant, CURRENT["elbow"], {"sheath.friction": [0.0, friction], "wire.length": [1.85, 1.85]})
     rows = []
     for name, motion in zip(
         ("no friction, as the paper says of PTFE", "friction of the rig file"), motions, strict=True
     ):
-        top, end = motion.top, len(motion.time) - 1
-        hot = motion.stress[top] / float(plant.material.modulus_austenite)
-        warm = float(plant.material.thermal_expansion_austenite) * (motion.temperature[top] - 20.0)
-        left = motion.strain[top] - hot - warm
-        why = (
-            f"the hot wire keeps {100 * hot:.2f} % elastic and {100 * warm:.2f} % thermal strain, "
-            f"{100 * left:.2f} % are untransformed"
+        top = motion.end_of_heating
+        end = len(motion.time) - 1
+        elastic = motion.stress[top] / float(plant.material.modulus_austenite)
+        thermal = float(plant.material.thermal_expansion_austenite) * (motion.temperature[top] - 20.0)
+        untransformed = motion.strain[top] - elastic - thermal
+        explanation = (
+            f"the hot wire keeps {100 * elastic:.2f} % elastic and {100 * thermal:.2f} % thermal strain, "
+            f"{100 * untransformed:.2f} % are untransformed"
         )
         rows.append(
             Row(
                 f"elbow, {name}: stroke",
                 "7.5 cm, 150 deg",
-                f"{100 * motion.tendon[top]:.2f} cm, {motion.angle[top]:.1f} deg; {why}",
+                f"{100 * motion.tendon[top]:.2f} cm, {motion.angle[top]:.1f} deg; {explanation}",
                 None,
                 {
                     "tendon": motion.tendon[top],
                     "angle": motion.angle[top],
-                    "elastic": hot,
-                    "thermal": warm,
-                    "untransformed": left,
+                    "elastic": elastic,
+                    "thermal": thermal,
+                    "untransformed": untransformed,
                 },
             )
         )
+        rise = motion.time_to_share(0.9) - motion.time_to_share(0.1)
         rows.append(
             Row(
                 f"elbow, {name}: lifting and lowering",
                 "not printed",
-                f"10 to 90 % in {motion.reaches(0.9) - motion.reaches(0.1):.1f} s at {CURRENT['elbow']:g} A in "
+                f"10 to 90 % in {rise:.1f} s at {CURRENT['elbow']:g} A in "
                 "each wire; at most "
                 f"{np.max(motion.stress) / 1e6:.0f} MPa, {np.max(motion.temperature):.0f} degC; after "
                 f"{COOLING:.0f} s of cooling at "
@@ -191,13 +221,14 @@ def elbow(plant: Plant) -> tuple[list[Row], list[Motion]]:
     return rows, motions
 
 
-def needed_length(plant: Plant) -> Row:
-    """The length of wire at which the arm of the rig file comes to 150 degrees."""
-    length, friction = [1.85, 2.2], float(parameters.get(plant, "sheath.friction"))
+def length_row(plant: Plant) -> Row:
+    """Return the length of wire at which the arm of the rig file reaches 150 degrees."""
+    length = [1.85, 2.2]
+    friction = float(parameters.get(plant, "sheath.friction"))
     for _ in range(6):
         first, second = (
-            m.angle[m.top]
-            for m in move(plant, CURRENT["elbow"], {"sheath.friction": [friction] * 2, "wire.length": length})
+            m.angle[m.end_of_heating]
+            for m in heat_and_cool(plant, CURRENT["elbow"], {"sheath.friction": [friction] * 2, "wire.length": length})
         )
         if abs(second - 150.0) < 1e-3 or first == second:
             break
@@ -212,20 +243,20 @@ def needed_length(plant: Plant) -> Row:
     )
 
 
-def liner(plant: Plant) -> Row:
-    """What the PTFE does to heating and cooling."""
-    cooled = []
+def liner_row(plant: Plant) -> Row:
+    """Return the effect of the PTFE liner on cooling."""
+    cooling_times = []
     for conduction in (0.0, float(parameters.get(plant, "sheath.conductance_ratio"))):
-        (motion,) = move(plant, CURRENT["elbow"], {"sheath.conductance_ratio": [conduction]})
-        over = motion.temperature - 20.0
-        top = int(np.argmax(over))
-        cooled.append(
+        (motion,) = heat_and_cool(plant, CURRENT["elbow"], {"sheath.conductance_ratio": [conduction]})
+        excess = motion.temperature - 20.0
+        top = int(np.argmax(excess))
+        cooling_times.append(
             [
-                float(motion.time[top + np.argmax(over[top:] <= share * over[top])] - motion.time[top])
+                float(motion.time[top + np.argmax(excess[top:] <= share * excess[top])] - motion.time[top])
                 for share in (0.5, 0.2)
             ]
         )
-    bare, lined = cooled
+    bare, lined = cooling_times
     return Row(
         "elbow: time to cool to 50 % and to 20 % of the rise",
         "not printed",
@@ -237,47 +268,53 @@ def liner(plant: Plant) -> Row:
     )
 
 
-def others() -> list[Row]:
-    """Wrist and glove, as their rig files have them."""
+def other_limb_rows() -> list[Row]:
+    """Return the strokes of wrist and glove, as in their rig files."""
     rows = []
     for kind, printed in (("wrist", "extension; no number"), ("glove-finger", "5 to 6 cm of tendon")):
-        plant = template(kind).plant
-        (motion,) = move(plant, CURRENT[kind], {"environment.ambient": [20.0]})
-        stroke = 100 * motion.tendon[motion.top]
+        plant = read_template(kind).plant
+        (motion,) = heat_and_cool(plant, CURRENT[kind], {"environment.ambient": [20.0]})
+        stroke = 100 * motion.tendon[motion.end_of_heating]
         text = (
-            f"{stroke:.2f} cm of tendon, {motion.angle[motion.top]:.0f} deg, at most "
+            f"{stroke:.2f} cm of tendon, {motion.angle[motion.end_of_heating]:.0f} deg, at most "
             f"{np.max(motion.stress) / 1e6:.0f} MPa"
         )
         if kind == "glove-finger":
             text += "; load, diameter and prestrain are ours, the last so that the stroke is like the printed one"
         rows.append(
-            Row(f"{kind}: stroke", printed, text, None, {"tendon": stroke / 100, "angle": motion.angle[motion.top]})
+            Row(
+                f"{kind}: stroke",
+                printed,
+                text,
+                None,
+                {"tendon": stroke / 100, "angle": motion.angle[motion.end_of_heating]},
+            )
         )
     return rows
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(__doc__, quick="without the search for the wire's length")
-    plant = template("elbow").plant
-    rows = arithmetic(plant)
+    plant = read_template("elbow").plant
+    rows = printed_number_rows(plant)
     say("elbow")
-    found, motions = elbow(plant)
-    rows += found
+    new_rows, motions = elbow_rows(plant)
+    rows += new_rows
     if not args.quick:
         say("the length for 150 degrees")
-        rows.append(needed_length(plant))
+        rows.append(length_row(plant))
     say("the liner's heat, wrist and glove")
-    rows += [liner(plant), *others()]
+    rows += [liner_row(plant), *other_limb_rows()]
     if args.out:
-        for what, unit, of in (
+        for what, unit, field in (
             ("angle", "deg", "angle"),
             ("temperature", "degC", "temperature"),
             ("stress", "MPa", "stress"),
         ):
             scale = 1e-6 if unit == "MPa" else 1.0
             curves = [
-                Curve(name, m.time[::4], scale * getattr(m, of)[::4], dashed=k == 0)
+                Curve(name, m.time[::4], scale * getattr(m, field)[::4], dashed=k == 0)
                 for k, (name, m) in enumerate(zip(("no friction", "friction of the sheath"), motions, strict=True))
             ]
             draw(Chart(f"Elbow: {what}", "time [s]", f"{what} [{unit}]", curves), args.out, f"elbow_{what}")

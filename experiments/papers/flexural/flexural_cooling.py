@@ -1,13 +1,11 @@
-"""How fast a flexural actuator cools, against the diameter and the number of its wires.
-
-Figures 4 and 5 of dauksher2021.
+"""Cooling time of a flexural actuator, by diameter and number of its wires: figures 4 and 5 of dauksher2021.
 
     python experiments/papers/flexural/flexural_cooling.py [--quick] [--json FILE] [--out DIR]
 
-Half the cross-section is cooled from the paper's start (wires at 80 degC, elastomers at 50 degC) until the hottest
-wire is down at 55 degC. The paper's curves are pictures only, so that its sentences are compared, and the numbers
-with an independent finite-element program (tests/reference). What the answer hinges on is told by its derivatives:
-percent of cooling time for each percent of a parameter.
+Source: dauksher2021. Half the cross-section cools from the paper's start (wires at 80 degC, elastomers at 50 degC)
+until the hottest wire is at 55 degC. The paper shows its curves only as pictures, so its statements are compared, and
+the numbers are compared with an independent finite-element program (tests/reference). The elasticities show what the
+cooling time depends on: percent of cooling time for each percent of a parameter.
 """
 
 from __future__ import annotations
@@ -51,56 +49,57 @@ NAMES = {
 
 
 @filter_jit
-def course_of(section: CrossSection) -> tuple[CoolingCurve, jax.Array, jax.Array]:
-    """The course of the cooling, when it is down at the target, and the hottest temperature after the pause."""
-    course = section.cool(jnp.asarray(DURATION))
-    return course, course.time_to_reach(TARGET), course.temperature_at(PAUSE)
+def cool_section(section: CrossSection) -> tuple[CoolingCurve, jax.Array, jax.Array]:
+    """Return the cooling curve, the time to the target (s), and the hottest temperature after the pause (degC)."""
+    curve = section.cool(jnp.asarray(DURATION))
+    return curve, curve.time_to_reach(TARGET), curve.temperature_at(PAUSE)
 
 
-def cooled(machine: FlexuralActuator, **values: float) -> tuple[CoolingCurve, float, float]:
-    """As ``course_of``, of the machine with other values (``wire_diameter`` for ``wire.diameter``)."""
-    changed = parameters.replace(machine, {name.replace("_", ".", 1): value for name, value in values.items()})
-    course, seconds, later = course_of(changed.section)
-    return course, float(seconds), float(later)
+def cool_actuator(actuator: FlexuralActuator, **values: float) -> tuple[CoolingCurve, float, float]:
+    """As ``cool_section``, with other values of the actuator (``wire_diameter`` for ``wire.diameter``)."""
+    changed = parameters.replace(actuator, {name.replace("_", ".", 1): value for name, value in values.items()})
+    curve, seconds, later = cool_section(changed.section)
+    return curve, float(seconds), float(later)
 
 
-def elasticities(machine: FlexuralActuator) -> tuple[dict[str, float], dict[str, float]]:
-    """d ln t / d ln p of the cooling time, and wall seconds of a simulation without and with all derivatives."""
-    nominal = jnp.stack([parameters.get(machine, name) for name in NAMES])
+def elasticities(actuator: FlexuralActuator) -> tuple[dict[str, float], dict[str, float]]:
+    """Return d ln t / d ln p of the cooling time, and wall seconds of a simulation without and with all derivatives."""
+    nominal = jnp.stack([parameters.get(actuator, name) for name in NAMES])
 
     def seconds(factors: jax.Array) -> jax.Array:
-        at = parameters.replace(machine, {name: factors[i] * nominal[i] for i, name in enumerate(NAMES)})
-        return at.section.cool(DURATION).time_to_reach(TARGET)
+        changed = parameters.replace(actuator, {name: factors[i] * nominal[i] for i, name in enumerate(NAMES)})
+        return changed.section.cool(DURATION).time_to_reach(TARGET)
 
-    value, slopes = jax.jit(seconds), jax.jit(jax.jacfwd(seconds))
-    one = jnp.ones(len(NAMES))
+    value = jax.jit(seconds)
+    slopes = jax.jit(jax.jacfwd(seconds))
+    ones = jnp.ones(len(NAMES))
     walls = medians(
-        5, {"value": lambda: value(one).block_until_ready(), "jacobian": lambda: slopes(one).block_until_ready()}
+        5, {"value": lambda: value(ones).block_until_ready(), "jacobian": lambda: slopes(ones).block_until_ready()}
     )
-    return dict(zip(NAMES, np.asarray(slopes(one) / value(one)).tolist(), strict=True)), walls
+    return dict(zip(NAMES, np.asarray(slopes(ones) / value(ones)).tolist(), strict=True)), walls
 
 
-def cycle_rows(machine: FlexuralActuator, base: float) -> list[Row]:
-    """The cooling time of two wires of 300 um, and the cycle that follows from it."""
+def cycle_rows(actuator: FlexuralActuator, base: float) -> list[Row]:
+    """Return the cooling time of two wires of 300 um, and the frequency of the cycle with it."""
     rows: list[Row] = []
-    frequency = float(filter_jit(lambda m: m.metrics()["bandwidth"])(machine))
+    frequency = float(filter_jit(lambda m: m.metrics()["bandwidth"])(actuator))
     rows.append(
         Row("300 um, 2 wires: time to 55 degC", "order of 1 s", f"{base:.3f} s", 0.3 < base < 3.0, {"seconds": base})
     )
-    told = (
+    text = (
         f"{frequency:.2f} Hz: heated by 3.5 A without losses, then cooled without the latent heat, which the "
         "paper leaves out, too"
     )
-    rows.append(Row("and the cycle", "did not reach 1 Hz", told, None, {"hertz": frequency}))
+    rows.append(Row("and the cycle", "did not reach 1 Hz", text, None, {"hertz": frequency}))
 
     return rows
 
 
-def diameter_rows(machine: FlexuralActuator) -> tuple[list[Row], dict[int, float]]:
-    """Cooling times against the wire's diameter, and these times (s) by diameter (um)."""
+def diameter_rows(actuator: FlexuralActuator) -> tuple[list[Row], dict[int, float]]:
+    """Return the rows of the cooling time against the wire's diameter, and the times (s) by diameter (um)."""
     rows: list[Row] = []
     say("diameters")
-    by_diameter = {d: cooled(machine, wire_diameter=d * 1e-6)[1] for d in DIAMETERS}
+    by_diameter = {d: cool_actuator(actuator, wire_diameter=d * 1e-6)[1] for d in DIAMETERS}
     listed = ", ".join(f"{d} um {t:.3f} s" for d, t in by_diameter.items())
     rising = bool(np.all(np.diff(list(by_diameter.values())) > 0.0))
     rows.append(
@@ -110,43 +109,52 @@ def diameter_rows(machine: FlexuralActuator) -> tuple[list[Row], dict[int, float
     return rows, by_diameter
 
 
-def count_rows(machine: FlexuralActuator) -> tuple[list[Row], dict[int, tuple]]:
-    """Temperatures after 2 s against the number of wires, and the courses by number."""
+def count_rows(actuator: FlexuralActuator) -> tuple[list[Row], dict[int, tuple]]:
+    """Return the rows of the temperature after 2 s against the number of wires, and the cooling curves by number."""
     rows: list[Row] = []
     say("numbers of wires")
-    courses = {n: cooled(machine, body_count=float(n)) for n in COUNTS}
-    later = {n: courses[n][2] for n in COUNTS}
-    alike, slower = later[5] - later[2], later[25] - later[5]
+    curves_by_count = {n: cool_actuator(actuator, body_count=float(n)) for n in COUNTS}
+    later = {n: curves_by_count[n][2] for n in COUNTS}
+    few_difference = later[5] - later[2]
+    many_difference = later[25] - later[5]
     listed = ", ".join(f"{n}: {t:.2f}" for n, t in later.items())
     rows.append(
         Row(
             "degC after 2 s against wires",
             "to 5 wires as 1, beyond 5 slower",
             listed,
-            alike < 0.1 < 1.0 < slower,
+            few_difference < 0.1 < 1.0 < many_difference,
             {"degC": later},
         )
     )
-    listed = ", ".join(f"{n}: {courses[n][1]:.3f}" for n in COUNTS)
-    why = "the wires feel each other only after they are down at 55 degC, up to some 12 of them"
+    listed = ", ".join(f"{n}: {curves_by_count[n][1]:.3f}" for n in COUNTS)
+    explanation = "the wires feel each other only after they are down at 55 degC, up to some 12 of them"
     rows.append(
         Row(
             "s to 55 degC against wires",
             "as above",
-            f"{listed}; {why}",
+            f"{listed}; {explanation}",
             None,
-            {"seconds": {n: courses[n][1] for n in COUNTS}},
+            {"seconds": {n: curves_by_count[n][1] for n in COUNTS}},
         )
     )
-    squeezed = dataclasses.replace(machine.section, placement=SpacedWires(25, 13e-3 / 24))
-    tight = float(course_of(squeezed)[1])
-    rows.append(Row("25 wires within the 13 mm of the U", "-", f"{tight:.2f} s to 55 degC", None, {"seconds": tight}))
+    narrow = dataclasses.replace(actuator.section, placement=SpacedWires(25, 13e-3 / 24))
+    narrow_seconds = float(cool_section(narrow)[1])
+    rows.append(
+        Row(
+            "25 wires within the 13 mm of the U",
+            "-",
+            f"{narrow_seconds:.2f} s to 55 degC",
+            None,
+            {"seconds": narrow_seconds},
+        )
+    )
 
-    return rows, courses
+    return rows, curves_by_count
 
 
-def element_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
-    """Cooling times next to those of the independent finite-element program."""
+def element_rows(actuator: FlexuralActuator, quick: bool) -> list[Row]:
+    """Compare cooling times with those of the independent finite-element program."""
     rows: list[Row] = []
     say("finite elements")
     sections = {"300 um": {}, "500 um": {"diameter": 500e-6}}
@@ -158,17 +166,19 @@ def element_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
     ours = {"diameter": "wire_diameter", "count": "body_count", "offset": "wire_offset"}
     for name, changes in sections.items():
         time, hottest = reference.cool(reference.Section(**changes), PAUSE, rings=5 if quick else 8)
-        wanted = reference.cooled(time, hottest, TARGET)
-        _, seconds, after = cooled(machine, **{ours[key]: value for key, value in changes.items()})
-        text = f"{seconds:.4f} s, {after:.3f} degC: {100 * (seconds / wanted - 1):+.2f} %, {after - hottest[-1]:+.3f} K"
-        fine = abs(seconds / wanted - 1) < 0.01 and abs(after - hottest[-1]) < 0.05
-        numbers = {"seconds": seconds, "reference": wanted, "degC": after, "reference_degC": float(hottest[-1])}
+        expected = reference.cooled(time, hottest, TARGET)
+        _, seconds, after = cool_actuator(actuator, **{ours[key]: value for key, value in changes.items()})
+        text = (
+            f"{seconds:.4f} s, {after:.3f} degC: {100 * (seconds / expected - 1):+.2f} %, {after - hottest[-1]:+.3f} K"
+        )
+        is_close = abs(seconds / expected - 1) < 0.01 and abs(after - hottest[-1]) < 0.05
+        numbers = {"seconds": seconds, "reference": expected, "degC": after, "reference_degC": float(hottest[-1])}
         rows.append(
             Row(
                 f"{name}, finite elements",
-                f"{wanted:.4f} s, {hottest[-1]:.3f} degC, within 1 % and 0.05 K",
+                f"{expected:.4f} s, {hottest[-1]:.3f} degC, within 1 % and 0.05 K",
                 text,
-                fine,
+                is_close,
                 numbers,
             )
         )
@@ -176,22 +186,28 @@ def element_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
     return rows
 
 
-def grid_rows(machine: FlexuralActuator, course: Any, quick: bool) -> list[Row]:
-    """Convergence with the cells across a wire, and conservation of heat."""
+def grid_rows(actuator: FlexuralActuator, curve: Any, quick: bool) -> list[Row]:
+    """Check convergence with the number of cells across a wire, and conservation of heat.
+
+    Args:
+        actuator: The actuator.
+        curve: Its cooling curve.
+        quick: Fewer grids.
+    """
     rows: list[Row] = []
     say("grids")
     grids = {}
     for cells in (8, 12, 16) if quick else (8, 10, 12, 16, 24, 40):
-        grids[cells] = cooled(dataclasses.replace(machine, cells=cells))[1]
-    fine = [seconds for cells, seconds in grids.items() if cells >= machine.cells]
+        grids[cells] = cool_actuator(dataclasses.replace(actuator, cells=cells))[1]
+    fine = [seconds for cells, seconds in grids.items() if cells >= actuator.cells]
     spread = max(fine) / min(fine) - 1.0
     listed = ", ".join(f"{cells}: {seconds:.4f} s" for cells, seconds in grids.items())
-    target = f"within 1 % from {machine.cells}, the default, on"
+    target = f"within 1 % from {actuator.cells}, the default, on"
     rows.append(
         Row("cells across a wire", target, f"{listed}; {100 * spread:.2f} %", spread < 0.01, {"seconds": grids})
     )
-    held = np.asarray(course.stored + course.lost)
-    leak = float(np.max(np.abs(held / held[0] - 1.0)))
+    heat = np.asarray(curve.stored + curve.lost)
+    leak = float(np.max(np.abs(heat / heat[0] - 1.0)))
     rows.append(
         Row(
             "heat in the section and lost to the air, of the heat at the start",
@@ -204,33 +220,45 @@ def grid_rows(machine: FlexuralActuator, course: Any, quick: bool) -> list[Row]:
     return rows
 
 
-def derivative_rows(machine: FlexuralActuator) -> list[Row]:
-    """Elasticities of the cooling time, its dependence on the elastomers' start, and the cost of a simulation."""
+def derivative_rows(actuator: FlexuralActuator) -> list[Row]:
+    """Return the elasticities of the cooling time, its change with the elastomers' start, and a simulation's cost."""
     rows: list[Row] = []
     say("derivatives")
-    slopes, walls = elasticities(machine)
+    slopes, walls = elasticities(actuator)
     listed = ", ".join(f"{NAMES[name]} {slope:+.3f}" for name, slope in slopes.items())
     rows.append(Row("percent of cooling time for a percent of", "-", listed, None, {"elasticities": slopes}))
-    starts = {t: cooled(machine, cooling_elastomer_start=t)[1] for t in (45.0, 50.0, 52.0)}
-    hinge = (
+    starts = {t: cool_actuator(actuator, cooling_elastomer_start=t)[1] for t in (45.0, 50.0, 52.0)}
+    start_text = (
         ", ".join(f"{t:.0f} degC: {seconds:.3f} s" for t, seconds in starts.items())
         + "; the assumed 50 degC are 5 K below the target"
     )
     rows.append(
-        Row("time to 55 degC against the elastomers' temperature", "50 degC assumed", hinge, None, {"seconds": starts})
+        Row(
+            "time to 55 degC against the elastomers' temperature",
+            "50 degC assumed",
+            start_text,
+            None,
+            {"seconds": starts},
+        )
     )
-    speed = (
+    speed_text = (
         f"{1e3 * walls['value']:.1f} ms, with its {len(NAMES)} derivatives "
         f"{walls['jacobian'] / walls['value']:.2f} times that"
     )
-    rows.append(Row("one simulation", "-", speed, None, walls))
+    rows.append(Row("one simulation", "-", speed_text, None, walls))
 
     return rows
 
 
-def pictures(by_diameter: dict[int, float], courses: dict[int, tuple], folder: Path) -> None:
-    """Draw the cooling time over the diameter, the hottest wire over time, and its temperature after 2 s."""
-    later = {n: courses[n][2] for n in COUNTS}
+def pictures(by_diameter: dict[int, float], curves_by_count: dict[int, tuple], folder: Path) -> None:
+    """Draw the cooling time over the diameter, the hottest wire over time, and its temperature after 2 s.
+
+    Args:
+        by_diameter: Cooling times (s) by diameter (um).
+        curves_by_count: Cooling curves, times and temperatures by number of wires.
+        folder: Where the pictures go.
+    """
+    later = {n: curves_by_count[n][2] for n in COUNTS}
     d = list(by_diameter)
     curve = Curve("time to 55 degC", d, list(by_diameter.values()))
     draw(
@@ -239,7 +267,8 @@ def pictures(by_diameter: dict[int, float], courses: dict[int, tuple], folder: P
         "flexural_cooling_diameter",
     )
     shown = [
-        Curve(f"{n} wires", np.asarray(courses[n][0].time), np.asarray(courses[n][0].hottest)) for n in (2, 10, 15, 25)
+        Curve(f"{n} wires", np.asarray(curves_by_count[n][0].time), np.asarray(curves_by_count[n][0].hottest))
+        for n in (2, 10, 15, 25)
     ]
     shown = [Curve(c.name, *(np.asarray(v)[np.asarray(c.x) <= PAUSE] for v in (c.x, c.y))) for c in shown]
     draw(
@@ -256,20 +285,20 @@ def pictures(by_diameter: dict[int, float], courses: dict[int, tuple], folder: P
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(__doc__)
-    machine = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
-    assert isinstance(machine, FlexuralActuator)
-    course, base, _ = cooled(machine)
-    rows = cycle_rows(machine, base)
-    diameters, by_diameter = diameter_rows(machine)
-    counts, courses = count_rows(machine)
+    actuator = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
+    assert isinstance(actuator, FlexuralActuator)
+    curve, base, _ = cool_actuator(actuator)
+    rows = cycle_rows(actuator, base)
+    diameters, by_diameter = diameter_rows(actuator)
+    counts, curves_by_count = count_rows(actuator)
     rows += diameters + counts
-    rows += element_rows(machine, args.quick)
-    rows += grid_rows(machine, course, args.quick)
-    rows += derivative_rows(machine)
+    rows += element_rows(actuator, args.quick)
+    rows += grid_rows(actuator, curve, args.quick)
+    rows += derivative_rows(actuator)
     if args.out:
-        pictures(by_diameter, courses, args.out)
+        pictures(by_diameter, curves_by_count, args.out)
     finish(rows, args)
 
 

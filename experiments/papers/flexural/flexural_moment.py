@@ -1,12 +1,10 @@
-"""Moment, blocking force, work and efficiency of a flexural actuator against its wires.
-
-Figures of dauksher2021: 7, 9, 11 and table 2.
+"""Moment, blocking force, work and efficiency of a flexural actuator: figures 7, 9, 11 and table 2 of dauksher2021.
 
     python experiments/papers/flexural/flexural_moment.py [--quick] [--json FILE] [--out DIR]
 
-Blocking forces and efficiencies are measured in the paper and modelled here (smajax.actuators.flexural), from a
-stress-strain curve that gives the paper's yield diameter; its own curve is a picture only. Its work on the cantilever
-is told as printed and as the force does it.
+Source: dauksher2021. Blocking forces and efficiencies are measured in the paper and modelled here
+(smajax.actuators.flexural), with a stress-strain curve that gives the paper's yield diameter; its own curve is only a
+picture. The work on the cantilever is given by the paper's formula and as the work of the force.
 """
 
 from __future__ import annotations
@@ -33,43 +31,49 @@ from smajax.plant.materials.brinson import Brinson
 
 TESTED = (125, 250, 300, 375)
 COUNTS = (2, 4, 6)
-Tested = dict[int, dict[str, float]]  # figures by diameter in um
+Tested = dict[int, dict[str, float]]  # metrics by diameter in um
 # Position from the clamp, deflection of the tip, and the work that the paper prints (table 2), in m and J.
 TABLE_2 = ((109.2e-3, 22e-3, 1.559e-3), (157.5e-3, 30e-3, 1.470e-3), (88.9e-3, 18e-3, 1.536e-3))
 
 
-def by_quadrature(law: BilinearStressStrain, diameter: float, curvature: float) -> float:
-    """The moment as the sum of its fibres."""
+def moment_by_quadrature(law: BilinearStressStrain, diameter: float, curvature: float) -> float:
+    """Return the moment as the integral over the fibres.
+
+    Args:
+        law: The stress-strain curve.
+        diameter: Diameter of the wire, m.
+        curvature: Curvature, 1/m.
+    """
     radius = diameter / 2
     modulus, tangent, limit = (float(v) for v in (law.modulus, law.tangent_modulus, law.yield_stress / law.modulus))
 
     def fibre(angle: float) -> float:
         y = radius * np.sin(angle)
-        beyond = max(curvature * y - limit, 0.0)
-        return 4.0 * (radius * np.cos(angle)) ** 2 * y * (modulus * (curvature * y - beyond) + tangent * beyond)
+        yielded = max(curvature * y - limit, 0.0)
+        return 4.0 * (radius * np.cos(angle)) ** 2 * y * (modulus * (curvature * y - yielded) + tangent * yielded)
 
     edge = np.arcsin(min(limit / curvature / radius, 1.0))
     return sum(quad(fibre, a, b, epsabs=0.0, epsrel=1e-13)[0] for a, b in ((0.0, edge), (edge, np.pi / 2)) if b > a)
 
 
 @filter_jit
-def figures(machine: FlexuralActuator) -> dict[str, jax.Array]:
-    """All but what needs the cooling."""
+def compute_metrics(actuator: FlexuralActuator) -> dict[str, jax.Array]:
+    """Return all metrics except those that need the cooling."""
     return {
         name: value
-        for name, value in machine.metrics().items()
+        for name, value in actuator.metrics().items()
         if name not in ("time_to_cool", "temperature_after", "bandwidth")
     }
 
 
-def of(machine: FlexuralActuator, **values: float) -> dict[str, float]:
-    """Figures of the machine with other values (``wire_diameter`` for ``wire.diameter``)."""
-    changed = parameters.replace(machine, {name.replace("_", ".", 1): value for name, value in values.items()})
-    return {name: float(value) for name, value in figures(changed).items()}
+def metrics_with(actuator: FlexuralActuator, **values: float) -> dict[str, float]:
+    """Return the metrics with other values of the actuator (``wire_diameter`` for ``wire.diameter``)."""
+    changed = parameters.replace(actuator, {name.replace("_", ".", 1): value for name, value in values.items()})
+    return {name: float(value) for name, value in compute_metrics(changed).items()}
 
 
 def yield_row(law: BilinearStressStrain, curvature: float) -> Row:
-    """The diameter from which on a wire yields at a curvature (1/m), next to that of Brinson's wire."""
+    """Return the diameter from which a wire yields at a curvature (1/m), next to that of Brinson's wire."""
     ours = 1e6 * float(law.yield_diameter(curvature))
     brinson = Brinson(
         18.4,
@@ -102,14 +106,14 @@ def yield_row(law: BilinearStressStrain, curvature: float) -> Row:
     )
 
 
-def moment_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
-    """The moment of one bent wire against quadrature, its limits, and how it grows with the diameter."""
-    law, curvature = machine.bending, float(machine.body.curvature)
+def moment_rows(actuator: FlexuralActuator, quick: bool) -> list[Row]:
+    """Compare the moment of one bent wire with quadrature and its limits, and show its growth with the diameter."""
+    law, curvature = actuator.bending, float(actuator.body.curvature)
     rows: list[Row] = []
     grid = [(d * 1e-6, k) for d in ((100, 300, 500) if quick else range(100, 501, 25)) for k in (20.0, 60.0, 120.0)]
-    apart = max(abs(float(law.moment(d, k)) / by_quadrature(law, d, k) - 1.0) for d, k in grid)
-    text = f"{apart:.1e} over {len(grid)} diameters and curvatures"
-    rows.append(Row("eqs. 2 and 3 against quadrature of the fibres", "1e-12", text, apart < 1e-12, {"relative": apart}))
+    error = max(abs(float(law.moment(d, k)) / moment_by_quadrature(law, d, k) - 1.0) for d, k in grid)
+    text = f"{error:.1e} over {len(grid)} diameters and curvatures"
+    rows.append(Row("eqs. 2 and 3 against quadrature of the fibres", "1e-12", text, error < 1e-12, {"relative": error}))
     hinge = BilinearStressStrain(law.yield_stress / 6e-6, 0.0, law.yield_stress)
     ratio = float(hinge.moment(3e-4, curvature) / (4 / 3 * law.yield_stress * 1.5e-4**3))
     rows.append(
@@ -125,9 +129,17 @@ def moment_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
     slope = jax.jit(jax.vmap(jax.grad(lambda d: jnp.log(law.moment(jnp.exp(d), curvature)))))
     powers = {d: float(slope(jnp.log(jnp.asarray([d * 1e-6])))[0]) for d in (100, 200, 250, 300, 375, 500)}
     text = ", ".join(f"{d} um: {p:.2f}" for d, p in powers.items())
-    why = "a power law between the fourth (elastic) and the third (plastic), where the abstract says exponentially"
+    explanation = (
+        "a power law between the fourth (elastic) and the third (plastic), where the abstract says exponentially"
+    )
     rows.append(
-        Row("d ln M / d ln d", "superlinear", f"{text}; {why}", min(powers.values()) > 1.0, {"exponents": powers})
+        Row(
+            "d ln M / d ln d",
+            "superlinear",
+            f"{text}; {explanation}",
+            min(powers.values()) > 1.0,
+            {"exponents": powers},
+        )
     )
     moments = {d: 1e3 * float(law.moment(d * 1e-6, curvature)) for d in (100, 125, 200, 250, 300, 375, 400, 500)}
     text = ", ".join(f"{d} um: {m:.4g}" for d, m in moments.items())
@@ -135,22 +147,26 @@ def moment_rows(machine: FlexuralActuator, quick: bool) -> list[Row]:
     return rows
 
 
-def force_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
-    """Blocking forces of two wires, and the currents that heat them."""
+def force_rows(actuator: FlexuralActuator, tested: Tested) -> list[Row]:
+    """Return the blocking forces of two wires, and the ratio of the currents that heat them."""
     rows: list[Row] = []
-    whole = [tested[d]["blocking_force"] for d in TESTED]
-    yielding = [tested[d]["blocking_force_of_yielding"] for d in TESTED]
-    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, yielding, strict=True))
-    ordered = yielding[0] == 0.0 and all(np.diff(yielding) > 0.0)
+    forces = [tested[d]["blocking_force"] for d in TESTED]
+    yielding_forces = [tested[d]["blocking_force_of_yielding"] for d in TESTED]
+    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, yielding_forces, strict=True))
+    ordered = yielding_forces[0] == 0.0 and all(np.diff(yielding_forces) > 0.0)
     rows.append(
         Row(
-            "blocking force of what yields, N, 2 wires", "125 um: none; the others rise", text, ordered, {"N": yielding}
+            "blocking force of what yields, N, 2 wires",
+            "125 um: none; the others rise",
+            text,
+            ordered,
+            {"N": yielding_forces},
         )
     )
-    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, whole, strict=True))
-    fits = 0.5 <= max(whole) / 0.25 <= 2.0
-    factor = 0.25 / max(whole)
-    why = (
+    text = ", ".join(f"{d} um: {f:.4f}" for d, f in zip(TESTED, forces, strict=True))
+    is_close = 0.5 <= max(forces) / 0.25 <= 2.0
+    factor = 0.25 / max(forces)
+    explanation = (
         f"{factor:.2f} times lower: lever (55 mm taken), stress-strain curve and the tests' temperatures are "
         "not published"
     )
@@ -158,12 +174,12 @@ def force_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
         Row(
             "blocking force of the whole moment, N",
             "up to ~0.25, within a factor 2",
-            f"{text}; {why}",
-            fits,
-            {"N": whole},
+            f"{text}; {explanation}",
+            is_close,
+            {"N": forces},
         )
     )
-    needed = 1e3 * 2 * float(machine.bending.moment(375e-6, machine.body.curvature)) / 0.25
+    needed = 1e3 * 2 * float(actuator.bending.moment(375e-6, actuator.body.curvature)) / 0.25
     rows.append(Row("lever that would give 0.25 N at 375 um", "-", f"{needed:.1f} mm", None, {"mm": needed}))
     ratio = tested[250]["resistance"] / tested[375]["resistance"]
     rows.append(
@@ -178,50 +194,57 @@ def force_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
     return rows
 
 
-def work_rows(machine: FlexuralActuator) -> list[Row]:
-    """The work on the bench of table 2, as printed and as the force does it."""
+def work_rows(actuator: FlexuralActuator) -> list[Row]:
+    """Return the work on the bench of table 2, by the printed formula and as the work of the force."""
     rows: list[Row] = []
-    for place, tip, printed in TABLE_2:
-        bench = parameters.replace(machine, {"bench.position": place}).bench
-        as_printed, done = float(bench.work_as_printed(tip)), float(bench.work(tip))
+    for position, tip, printed in TABLE_2:
+        bench = parameters.replace(actuator, {"bench.position": position}).bench
+        as_printed = float(bench.work_as_printed(tip))
+        work = float(bench.work(tip))
         text = (
             f"{1e3 * as_printed:.3f} N mm as printed, with L = {1e3 * float(bench.length):.0f} mm; "
-            f"{1e3 * done:.3f} done by the force"
+            f"{1e3 * work:.3f} done by the force"
         )
-        fine = abs(as_printed / printed - 1) < 0.01
+        is_close = abs(as_printed / printed - 1) < 0.01
         rows.append(
             Row(
-                f"work at {1e3 * place:.1f} mm",
+                f"work at {1e3 * position:.1f} mm",
                 f"{1e3 * printed:.3f} N mm within 1 %",
                 text,
-                fine,
-                {"printed": as_printed, "done": done},
+                is_close,
+                {"printed": as_printed, "done": work},
             )
         )
-    done = works(machine)
-    text = f"{max(done) / min(done):.2f} times from place to place: eq. 7 takes the tip's path for the force's"
-    rows.append(Row("is the work the same wherever the actuator stands?", "yes", text, None, {"joule": done}))
+    work = bench_works(actuator)
+    text = f"{max(work) / min(work):.2f} times from place to place: eq. 7 takes the tip's path for the force's"
+    rows.append(Row("is the work the same wherever the actuator stands?", "yes", text, None, {"joule": work}))
     return rows
 
 
-def works(machine: FlexuralActuator) -> list[float]:
-    """The work that the force does at each place of table 2, J."""
-    return [float(parameters.replace(machine, {"bench.position": p}).bench.work(t)) for p, t, _ in TABLE_2]
+def bench_works(actuator: FlexuralActuator) -> list[float]:
+    """Return the work that the force does at each place of table 2, J."""
+    return [float(parameters.replace(actuator, {"bench.position": p}).bench.work(t)) for p, t, _ in TABLE_2]
 
 
-def efficiency_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
-    """The efficiency, and how it goes with diameter and number of wires."""
+def efficiency_rows(actuator: FlexuralActuator, tested: Tested) -> list[Row]:
+    """Return the efficiency, and its dependence on diameter and number of wires."""
     rows: list[Row] = []
-    heat, work = tested[300]["energy_per_cycle"], works(machine)[0]
+    heat, work = tested[300]["energy_per_cycle"], bench_works(actuator)[0]
     measured = f"{100 * 1.559e-3 / heat:.4f} % as printed, {100 * work / heat:.4f} % with the force's work; "
     measured += f"ours {100 * tested[300]['efficiency']:.4f} %, "
     measured += f"at most {100 * tested[300]['limit_efficiency']:.4f} % if all work of yielding came out"
-    why = (
-        f"the heat is {heat:.2f} J to warm and transform {1e3 * float(machine.wire_length):.0f} mm of wire, "
+    explanation = (
+        f"the heat is {heat:.2f} J to warm and transform {1e3 * float(actuator.wire_length):.0f} mm of wire, "
         "none of it lost to the sheets"
     )
     rows.append(
-        Row("efficiency, 300 um, 2 wires", "table 2's work over ideal heat", f"{measured}; {why}", None, {"heat": heat})
+        Row(
+            "efficiency, 300 um, 2 wires",
+            "table 2's work over ideal heat",
+            f"{measured}; {explanation}",
+            None,
+            {"heat": heat},
+        )
     )
     by_diameter = [100 * tested[d]["efficiency"] for d in TESTED]
     limits = [100 * tested[d]["limit_efficiency"] for d in TESTED]
@@ -238,20 +261,22 @@ def efficiency_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
         )
     )
     wide = np.unique(np.geomspace(250, 1500, 60).round())
-    curve = [100 * of(machine, wire_diameter=d * 1e-6)["efficiency"] for d in wide]
+    curve = [100 * metrics_with(actuator, wire_diameter=d * 1e-6)["efficiency"] for d in wide]
     peak = wide[int(np.argmax(curve))]
     text = f"at {peak:.0f} um, where actuator and beam are about as stiff, if no heat is lost"
     rows.append(Row("where it stops rising, by stiffness alone", "-", text, None, {"um": float(peak)}))
-    rows.append(plateau(machine))
-    by_count = [100 * of(machine, body_count=float(n))["efficiency"] for n in COUNTS]
+    rows.append(plateau_row(actuator))
+    by_count = [100 * metrics_with(actuator, body_count=float(n))["efficiency"] for n in COUNTS]
     text = ", ".join(f"{n}: {e:.5f} %" for n, e in zip(COUNTS, by_count, strict=True))
     shares = [e / by_count[0] / (n / 2) for n, e in zip(COUNTS, by_count, strict=True)]
-    why = f"{', '.join(f'{s:.2f}' for s in shares)} of proportional: less as the actuator gets stiff against the beam"
+    explanation = (
+        f"{', '.join(f'{s:.2f}' for s in shares)} of proportional: less as the actuator gets stiff against the beam"
+    )
     rows.append(
         Row(
             "efficiency against wires",
             "rises in proportion, then less",
-            f"{text}; {why}",
+            f"{text}; {explanation}",
             by_count[0] < by_count[1] < by_count[2],
         )
     )
@@ -260,37 +285,35 @@ def efficiency_rows(machine: FlexuralActuator, tested: Tested) -> list[Row]:
 
 
 @filter_jit
-def sinking(machine: FlexuralActuator) -> jax.Array:
-    """Time constant in s with which the wires' heat goes into the silicone, as they cool down to the target."""
-    cooling = machine.cooling
-    seconds = machine.metrics()["time_to_cool"]
-    fall = (cooling.wire_start - cooling.elastomer_start) / (machine.test.target - cooling.elastomer_start)
+def heat_loss_time_constant(actuator: FlexuralActuator) -> jax.Array:
+    """Return the time constant in s of the heat flow from the wires into the silicone while they cool to the target."""
+    cooling = actuator.cooling
+    seconds = actuator.metrics()["time_to_cool"]
+    fall = (cooling.wire_start - cooling.elastomer_start) / (actuator.test.target - cooling.elastomer_start)
     return seconds / jnp.log(fall)
 
 
-def plateau(machine: FlexuralActuator) -> Row:
-    """Where the efficiency stops rising if the heated wires lose heat to silicone at ambient temperature.
+def plateau_row(actuator: FlexuralActuator) -> Row:
+    """Return where the efficiency stops rising if the heated wires lose heat to silicone at ambient temperature.
 
-    The wires' heat balance with a loss to the silicone by ``sinking``, and the latent heat spread over the rise in
-    temperature.
+    The wires' heat balance has a loss to the silicone with ``heat_loss_time_constant``, and the latent heat is spread
+    over
+    the rise in temperature.
     """
-    rise = float(machine.cooling.wire_start - machine.cooling.ambient)
-    wire, heating = machine.wire, machine.heating
-    storing = 1.0 + float(heating.latent_heat / (wire.heat_capacity * rise))
-    found = {}
+    rise = float(actuator.cooling.wire_start - actuator.cooling.ambient)
+    wire, heating = actuator.wire, actuator.heating
+    storage_factor = 1.0 + float(heating.latent_heat / (wire.heat_capacity * rise))
+    efficiency = {}
     for d in range(250, 451, 5):
-        one, tau = (
-            of(machine, wire_diameter=d * 1e-6),
-            float(sinking(parameters.replace(machine, {"wire.diameter": d * 1e-6}))),
-        )
-        power = one["energy_per_cycle"] / one["heating_time"]
-        steady = (
-            power * tau * storing * rise / one["energy_per_cycle"]
-        )  # what the current would hold, K above the silicone
-        seconds = storing * tau * np.log(steady / (steady - rise)) if steady > rise else np.inf
-        found[d] = 100 * one["work_per_cycle"] / (power * seconds)
-    peak = max(found, key=lambda d: found[d])
-    end = min(d for d in found if found[d] == 0.0)
+        metrics = metrics_with(actuator, wire_diameter=d * 1e-6)
+        tau = float(heat_loss_time_constant(parameters.replace(actuator, {"wire.diameter": d * 1e-6})))
+        power = metrics["energy_per_cycle"] / metrics["heating_time"]
+        # Steady excess temperature over the silicone under the current, K.
+        steady = power * tau * storage_factor * rise / metrics["energy_per_cycle"]
+        seconds = storage_factor * tau * np.log(steady / (steady - rise)) if steady > rise else np.inf
+        efficiency[d] = 100 * metrics["work_per_cycle"] / (power * seconds)
+    peak = max(efficiency, key=lambda d: efficiency[d])
+    end = min(d for d in efficiency if efficiency[d] == 0.0)
     text = (
         f"at {peak} um: the thicker the wire, the longer {float(heating.current):g} A take, and the more goes "
         "into silicone at 20 degC;"
@@ -300,13 +323,13 @@ def plateau(machine: FlexuralActuator) -> Row:
         "warm the silicone was by"
     )
     text += " then, is not printed"
-    what = "and with what the silicone takes meanwhile"
-    return Row(what, "within 250 to 375 um", text, 250 <= peak <= 375, {"um": peak, "percent": found})
+    label = "and with what the silicone takes meanwhile"
+    return Row(label, "within 250 to 375 um", text, 250 <= peak <= 375, {"um": peak, "percent": efficiency})
 
 
-def pictures(machine: FlexuralActuator, folder: Path) -> None:
-    """Moment, blocking force and efficiency against the diameter."""
-    law, diameters = machine.bending, np.arange(100, 501, 5.0)
+def pictures(actuator: FlexuralActuator, folder: Path) -> None:
+    """Draw moment, blocking force and efficiency against the diameter."""
+    law, diameters = actuator.bending, np.arange(100, 501, 5.0)
     curves = []
     for k in (30.0, 60.0, 120.0):
         curves.append(Curve(f"{k:.0f} 1/m", diameters, [1e3 * float(law.moment(d * 1e-6, k)) for d in diameters]))
@@ -316,9 +339,9 @@ def pictures(machine: FlexuralActuator, folder: Path) -> None:
     curves.append(Curve("yield", [1e6 * d for d in onset], yields, dashed=True))
     draw(Chart("Moment of one bent wire", "wire diameter [um]", "moment [mN m]", curves), folder, "flexural_moment")
     line = np.arange(125, 401, 5.0)
-    found = [of(machine, wire_diameter=d * 1e-6) for d in line]
-    forces = [Curve("whole moment", line, [f["blocking_force"] for f in found])]
-    forces.append(Curve("what yields", line, [f["blocking_force_of_yielding"] for f in found]))
+    metrics = [metrics_with(actuator, wire_diameter=d * 1e-6) for d in line]
+    forces = [Curve("whole moment", line, [f["blocking_force"] for f in metrics])]
+    forces.append(Curve("what yields", line, [f["blocking_force_of_yielding"] for f in metrics]))
     draw(
         Chart("Blocking force of two wires", "wire diameter [um]", "force [N]", forces),
         folder,
@@ -326,8 +349,8 @@ def pictures(machine: FlexuralActuator, folder: Path) -> None:
     )
     efficiency = []
     for n in COUNTS:
-        found = [of(machine, wire_diameter=d * 1e-6, body_count=float(n))["efficiency"] for d in line]
-        efficiency.append(Curve(f"{n} wires", line, [100 * e for e in found]))
+        metrics = [metrics_with(actuator, wire_diameter=d * 1e-6, body_count=float(n))["efficiency"] for d in line]
+        efficiency.append(Curve(f"{n} wires", line, [100 * e for e in metrics]))
     draw(
         Chart("Efficiency on the bench", "wire diameter [um]", "efficiency [%]", efficiency),
         folder,
@@ -336,19 +359,19 @@ def pictures(machine: FlexuralActuator, folder: Path) -> None:
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(__doc__)
-    machine = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
-    assert isinstance(machine, FlexuralActuator)
-    tested = {d: of(machine, wire_diameter=d * 1e-6) for d in TESTED}
+    actuator = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
+    assert isinstance(actuator, FlexuralActuator)
+    tested = {d: metrics_with(actuator, wire_diameter=d * 1e-6) for d in TESTED}
     rows = (
-        moment_rows(machine, args.quick)
-        + force_rows(machine, tested)
-        + work_rows(machine)
-        + efficiency_rows(machine, tested)
+        moment_rows(actuator, args.quick)
+        + force_rows(actuator, tested)
+        + work_rows(actuator)
+        + efficiency_rows(actuator, tested)
     )
     if args.out:
-        pictures(machine, args.out)
+        pictures(actuator, args.out)
     finish(rows, args)
 
 

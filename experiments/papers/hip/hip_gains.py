@@ -1,21 +1,26 @@
-"""The hip exoskeleton's transfer functions with the paper's gains, with ours, and with those of differential evolution.
+"""PID gains for the transfer functions of ali2026: the paper's, ours, and those of differential evolution.
 
     python experiments/papers/hip/hip_gains.py [--quick] [--json FILE] [--out DIR]
 
-Flexion and extension answer a unit step; the PID is in parallel form, its derivative acts on the error. Asked for is
-the shortest settling time (2 %) with at most 2 % of overshoot. A rollout counts one, a rollout with its derivatives
-in p gains 1 + p. The paper's integral gain of the flexion is printed as 1e-5, with which the loop creeps for half an
-hour; 1.178e-4, the others inside their rounding, gives what the paper tells. Then the same at the paper's own
-sampling, every 50 ms, with the duty between 0 and 1 and a step of 100 degrees, and the shortest settling time by the
-overshoot that is allowed, as a curve. What does not say every 50 ms is sampled every 10 ms.
+Source: ali2026. Flexion and extension of a hip exoskeleton respond to a unit step; the PID has parallel form, and its
+derivative acts on the error. The objective is the shortest settling time (2 %) with at most 2 % of overshoot. A rollout
+counts as one, a rollout with its derivatives in p gains as 1 + p. The integral gain of the flexion is printed as 1e-5,
+with which the loop takes half an hour to settle; 1.178e-4, with the other gains within their rounding, gives the
+paper's figures.
+
+Then the same is done at the paper's sampling period of 50 ms, and with the duty between 0 and 1 and a step of 100
+degrees; and a curve shows the shortest settling time over the overshoot that is allowed. The sampling period is 10 ms
+where it is not 50 ms.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))  # the checkout: smajax, tests/reference, experiments
 
@@ -39,37 +44,43 @@ from smajax.control.tuning.problem import TuningProblem, simulate_gains
 from smajax.control.tuning.tune import TuningResult, tune
 from smajax.laws.transfer_function import TransferFunction
 
-FREE = 1e9  # no limit
+NO_LIMIT = 1e9  # larger than any command
 NAMES = ("kp", "ki", "kd", "filter_time")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A transfer function K / (a s^2 + b s + 1) e^(-delay s), the paper's gains and figures, and the targets.
+    """A transfer function K / (a s^2 + b s + 1) e^(-delay s), with the paper's gains and figures.
 
-    ``told`` are rise and settling in s and overshoot in percent; ``within`` are their tolerances: shares, and points of
-    percent.
+    Attributes:
+        function: K, a, b and delay.
+        published: The printed gains: kp, ki, kd.
+        corrected: The gains with the digits that the print has lost.
+        published_response: Rise and settling time (s) and overshoot (percent).
+        tolerances: Their tolerances: two fractions, and points of percent.
+        seconds: Duration of a rollout, s.
+        settling: Settling time that our gains should reach, s.
     """
 
     function: tuple[float, float, float, float]
     published: tuple[float, float, float]
     corrected: tuple[float, float, float]
-    told: tuple[float, float, float]
-    within: tuple[float, float, float]
+    published_response: tuple[float, float, float]
+    tolerances: tuple[float, float, float]
     seconds: float
     settling: float
 
     @property
     def target(self) -> str:
-        """What the paper tells, and how near ours has to be."""
-        (rise, settling, over), (a, b, c) = self.told, self.within
+        """The paper's figures with their tolerances, in words."""
+        (rise, settling, over), (a, b, c) = self.published_response, self.tolerances
         return f"{rise:g} / {settling:g} s, {over:g} %, within {100 * a:g} %, {100 * b:g} %, {c:g} points"
 
-    def met(self, found: metrics.StepResponse) -> bool:
-        """Whether an answer is that of the paper."""
-        (rise, settling, over), (a, b, c) = self.told, self.within
-        near = abs(found.rise / rise - 1.0) <= a and abs(found.settling / settling - 1.0) <= b
-        return bool(near and abs(100.0 * found.overshoot - over) <= c)
+    def met(self, response: metrics.StepResponse) -> bool:
+        """Return whether a response agrees with the paper's."""
+        (rise, settling, over), (a, b, c) = self.published_response, self.tolerances
+        is_close = abs(response.rise / rise - 1.0) <= a and abs(response.settling / settling - 1.0) <= b
+        return bool(is_close and abs(100.0 * response.overshoot - over) <= c)
 
 
 CASES = {
@@ -77,8 +88,8 @@ CASES = {
         function=(648.2, 348.8, 37.35, 6.46),
         published=(0.00518, 1e-5, 0.05697),
         corrected=(0.005175, 1.178e-4, 0.056966),
-        told=(8.7, 56.8, 6.9),
-        within=(0.01, 0.1, 0.2),
+        published_response=(8.7, 56.8, 6.9),
+        tolerances=(0.01, 0.1, 0.2),
         seconds=200.0,
         settling=21.0,
     ),
@@ -86,25 +97,34 @@ CASES = {
         function=(0.003174, 281.2, 15.33, 22.4),
         published=(120.3254, 5.7343, 631.2162),
         corrected=(120.3254, 5.7343, 631.2162),
-        told=(39.3, 290.0, 8.15),
-        within=(0.01, 0.01, 0.1),
+        published_response=(39.3, 290.0, 8.15),
+        tolerances=(0.01, 0.01, 0.1),
         seconds=600.0,
         settling=68.5,
     ),
 }
-PERIOD, PAPER = 0.01, 0.05  # s
+PERIOD, PAPER_PERIOD = 0.01, 0.05  # s
 
 
-def tuning(
+def make_problem(
     case: Case,
     gains: tuple[float, ...],
     *,
     size: float = 1.0,
-    limits: tuple[float, float] = (-FREE, FREE),
+    limits: tuple[float, float] = (-NO_LIMIT, NO_LIMIT),
     seconds: float = 0.0,
     period: float = PERIOD,
 ) -> TuningProblem:
-    """The loop around a case with start gains, and bounds of a tenth and ten times these; a filter of 0.05 to 1 s."""
+    """Return the tuning problem of a case; the bounds are a tenth and ten times the start gains, and 0.05 to 1 s.
+
+    Args:
+        case: The case.
+        gains: Start gains: kp, ki, kd.
+        size: Size of the step.
+        limits: Limits of the command.
+        seconds: Duration, s; that of the case by default.
+        period: Sampling period, s.
+    """
     gain, second, first, delay = case.function
     tau = np.sqrt(second)
     function = TransferFunction(
@@ -117,165 +137,221 @@ def tuning(
     return TuningProblem.of(SampledTransferFunction.of(function, "angle", period), loop, scenario, bounds)
 
 
-def answer(one: TuningProblem, gains: tuple[float, ...], filter_time: float) -> tuple[metrics.StepResponse, np.ndarray]:
-    """How the loop answers with given gains."""
-    value = np.asarray(simulate_gains(one, as_gains(gains, filter_time)).channels["angle"])[0]
-    return metrics.step_responses(value, np.asarray(one.reference.values), one.jumps, one.loop.controller.inner.period)[
-        0
-    ], value
+def simulate_response(
+    problem: TuningProblem, gains: tuple[float, ...], filter_time: float
+) -> tuple[metrics.StepResponse, np.ndarray]:
+    """Return the response of the loop with some gains, and its angle over time.
+
+    Args:
+        problem: The tuning problem.
+        gains: kp, ki, kd.
+        filter_time: Filter time of the derivative, s.
+    """
+    value = np.asarray(simulate_gains(problem, gains_by_name(gains, filter_time)).channels["angle"])[0]
+    return metrics.step_responses(
+        value, np.asarray(problem.reference.values), problem.jumps, problem.loop.controller.inner.period
+    )[0], value
 
 
-def as_gains(gains: tuple[float, ...], filter_time: float) -> dict[str, jax.Array]:
-    """Gains by name; arrays, so that none of them asks for another program."""
+def simulate_named(problem: TuningProblem, gains: Mapping[str, Any]) -> metrics.StepResponse:
+    """Return the response of the loop with gains by name."""
+    response, _ = simulate_response(problem, tuple(float(gains[n]) for n in NAMES[:3]), float(gains["filter_time"]))
+    return response
+
+
+def gains_by_name(gains: tuple[float, ...], filter_time: float) -> dict[str, jax.Array]:
+    """Return the gains by name, as arrays, so that other values need no new compilation."""
     return {n: jnp.asarray(float(v)) for n, v in zip(NAMES, (*gains, filter_time), strict=True)}
 
 
-def told(found: metrics.StepResponse) -> str:
-    """Rise, settling and overshoot."""
-    return f"{found.rise:.2f} / {found.settling:.1f} s, {100 * found.overshoot:.2f} %"
+def response_text(response: metrics.StepResponse) -> str:
+    """Return rise time, settling time and overshoot in words."""
+    return f"{response.rise:.2f} / {response.settling:.1f} s, {100 * response.overshoot:.2f} %"
 
 
-def evolved(one: TuningProblem, budget: int) -> tuple[np.ndarray, int, list[tuple[int, float]]]:
-    """SciPy's differential evolution on the settling time, overshoot beyond 2 % paid for.
+def differential_evolution(problem: TuningProblem, budget: int) -> tuple[np.ndarray, int, list[tuple[int, float]]]:
+    """Minimise the settling time by SciPy's differential evolution, with a penalty on overshoot beyond 2 %.
 
-    Best point, rollouts, and how it got there.
+    Returns:
+        The best point, the number of rollouts, and the best objective by the number of rollouts.
     """
-    best: list[tuple[int, float]] = []
-    counted = 0
+    history: list[tuple[int, float]] = []
+    rollouts = 0
 
     def cost(x: np.ndarray) -> float:
-        nonlocal counted
-        counted += 1
-        value = np.asarray(simulate_gains(one, one.gains(x)).channels["angle"])[0]
+        nonlocal rollouts
+        rollouts += 1
+        value = np.asarray(simulate_gains(problem, problem.gains(x)).channels["angle"])[0]
         if not np.all(np.isfinite(value)):
             return 1e6
-        found = metrics.step_responses(value, np.asarray(one.reference.values), one.jumps, PERIOD)[0]
-        total = min(found.settling, 10.0 * one.reference.since_jump.shape[0] * PERIOD) + 1e4 * max(
-            found.overshoot - 0.02, 0.0
+        response = metrics.step_responses(value, np.asarray(problem.reference.values), problem.jumps, PERIOD)[0]
+        total = min(response.settling, 10.0 * problem.reference.since_jump.shape[0] * PERIOD) + 1e4 * max(
+            response.overshoot - 0.02, 0.0
         )
-        if not best or total < best[-1][1]:
-            best.append((counted, total))
+        if not history or total < history[-1][1]:
+            history.append((rollouts, total))
         return total
 
     size = 15 * 4
-    solved = scipy.optimize.differential_evolution(
+    result = scipy.optimize.differential_evolution(
         cost, [(0.0, 1.0)] * 4, popsize=15, maxiter=budget // size - 1, rng=0, polish=False, tol=0.0
     )
-    return solved.x, counted, best
+    return result.x, rollouts, history
 
 
-def rows_of(name: str, case: Case, quick: bool, curves: dict[str, list[Curve]]) -> tuple[list[Row], tuple[float, ...]]:
-    """The lines of one transfer function without limits, and our gains."""
-    one = tuning(case, case.corrected)
-    rows, seconds = [], PERIOD * np.arange(len(one.reference.values))
-    long = tuning(case, case.corrected, seconds=2000.0 if name == "flexion" else case.seconds)
-    printed, _ = answer(long, case.published, 0.0)
-    why = "" if case.corrected == case.published else ": the integral gain, 0.00001, has lost digits in print"
-    rows.append(Row(f"{name}, gains as printed", case.target, told(printed) + why, case.met(printed)))
+def published_rows(name: str, case: Case, problem: TuningProblem) -> list[Row]:
+    """Return the responses with the paper's gains, as printed and corrected.
+
+    Args:
+        name: Name of the case.
+        case: The case.
+        problem: Its tuning problem.
+    """
+    printed_problem = make_problem(case, case.corrected, seconds=2000.0 if name == "flexion" else case.seconds)
+    printed, _ = simulate_response(printed_problem, case.published, 0.0)
+    remark = "" if case.corrected == case.published else ": the integral gain, 0.00001, has lost digits in print"
+    rows = [Row(f"{name}, gains as printed", case.target, response_text(printed) + remark, case.met(printed))]
     if case.corrected != case.published:
-        corrected, _ = answer(one, case.corrected, 0.0)
-        rows.append(Row(f"{name}, integral gain 1.178e-4", case.target, told(corrected), case.met(corrected)))
-    began = time.perf_counter()
-    found = tune(one, {}, {"overshoot": 0.02}, settle=True)
-    first = time.perf_counter() - began
-    began = time.perf_counter()
-    tune(one, {}, {"overshoot": 0.02}, settle=True)
-    again = time.perf_counter() - began
-    gains = tuple(found.gains[n] for n in NAMES)
-    ours, value = answer(one, gains[:3], gains[3])
+        corrected, _ = simulate_response(problem, case.corrected, 0.0)
+        rows.append(Row(f"{name}, integral gain 1.178e-4", case.target, response_text(corrected), case.met(corrected)))
+    return rows
+
+
+def case_rows(
+    name: str, case: Case, quick: bool, curves: dict[str, list[Curve]]
+) -> tuple[list[Row], tuple[float, ...]]:
+    """Return the rows of one transfer function without limits, and our gains.
+
+    Args:
+        name: Name of the case.
+        case: The case.
+        quick: Whether differential evolution has a smaller budget.
+        curves: Curves by case, to which the responses are added.
+    """
+    problem = make_problem(case, case.corrected)
+    rows = published_rows(name, case, problem)
+    start = time.perf_counter()
+    tuned = tune(problem, {}, {"overshoot": 0.02}, settle=True)
+    first_seconds = time.perf_counter() - start
+    start = time.perf_counter()
+    tune(problem, {}, {"overshoot": 0.02}, settle=True)
+    second_seconds = time.perf_counter() - start
+    gains = tuple(tuned.gains[n] for n in NAMES)
+    ours, value = simulate_response(problem, gains[:3], gains[3])
     met = ours.settling <= case.settling and ours.overshoot <= 0.02
-    numbers = {"gains": found.gains, "settling": ours.settling, "overshoot": ours.overshoot, "rollouts": found.rollouts}
-    rows.append(Row(f"{name}, ours", f"<= {case.settling:g} s, <= 2 %", told(ours), met, numbers))
-    rows.append(Row(f"{name}, our gains", "-", ", ".join(f"{n} {v:.7g}" for n, v in found.gains.items()), None))
-    reached = next((n for n, s in found.history if s <= case.settling), found.rollouts)
+    numbers = {"gains": tuned.gains, "settling": ours.settling, "overshoot": ours.overshoot, "rollouts": tuned.rollouts}
+    rows.append(Row(f"{name}, ours", f"<= {case.settling:g} s, <= 2 %", response_text(ours), met, numbers))
+    rows.append(Row(f"{name}, our gains", "-", ", ".join(f"{n} {v:.7g}" for n, v in tuned.gains.items()), None))
+    rollouts_to_target = next((n for n, s in tuned.history if s <= case.settling), tuned.rollouts)
     rows.append(
         Row(
             f"{name}, rollouts",
             "<= 183",
-            f"{found.rollouts} in all, {reached} to {case.settling:g} s",
-            found.rollouts <= 183,
+            f"{tuned.rollouts} in all, {rollouts_to_target} to {case.settling:g} s",
+            tuned.rollouts <= 183,
         )
     )
-    rows.append(Row(f"{name}, seconds", "-", f"{first:.1f}, compiling included; {again:.2f} again", None))
-    for what, values in (("published", (*case.corrected, 0.06)), ("ours", gains)):
-        told_margins = stability_margins(one.system, one.loop_with(as_gains(values[:3], values[3])), one.scenario)
-        text = (
-            f"gain {told_margins.gain:.2f}, phase {told_margins.phase:.0f} deg, sensitivity "
-            f"{told_margins.sensitivity:.2f}"
-        )
-        rows.append(Row(f"{name}, margins, {what}", "-", text, None, told_margins._asdict()))
-    say(f"{name}: {told(ours)} in {found.rollouts} rollouts")
-    point, counted, way = evolved(one, 600 if quick else 3660)
-    theirs = one.gains(point)
-    by_evolution, _ = answer(one, tuple(float(theirs[n]) for n in NAMES[:3]), float(theirs["filter_time"]))
     rows.append(
-        Row(f"{name}, differential evolution", "-", f"{told(by_evolution)} in {counted:,} rollouts", None, {"way": way})
+        Row(f"{name}, seconds", "-", f"{first_seconds:.1f}, compiling included; {second_seconds:.2f} again", None)
     )
-    _, published = answer(one, case.corrected, 0.0)
+    for label, values in (("published", (*case.corrected, 0.06)), ("ours", gains)):
+        margins = stability_margins(
+            problem.system, problem.loop_with(gains_by_name(values[:3], values[3])), problem.scenario
+        )
+        text = f"gain {margins.gain:.2f}, phase {margins.phase:.0f} deg, sensitivity {margins.sensitivity:.2f}"
+        rows.append(Row(f"{name}, margins, {label}", "-", text, None, margins._asdict()))
+    say(f"{name}: {response_text(ours)} in {tuned.rollouts} rollouts")
+    point, rollouts, history = differential_evolution(problem, 600 if quick else 3660)
+    evolved = simulate_named(problem, problem.gains(point))
+    text = f"{response_text(evolved)} in {rollouts:,} rollouts"
+    rows.append(Row(f"{name}, differential evolution", "-", text, None, {"way": history}))
+    _, published = simulate_response(problem, case.corrected, 0.0)
+    seconds = PERIOD * np.arange(len(problem.reference.values))
     curves[name] = [Curve("published", seconds[::20], published[::20]), Curve("ours", seconds[::20], value[::20])]
     return rows + sampled_rows(name, case, gains), gains
 
 
 def sampled_rows(name: str, case: Case, ours: tuple[float, ...]) -> list[Row]:
-    """What gains do where the loop is sampled as the paper's is.
+    """Return the responses with the paper's sampling period: its gains, ``ours`` for 10 ms, and gains tuned for it.
 
-    Its own, ``ours`` for 10 ms, and those that are tuned for it.
+    Args:
+        name: Name of the case.
+        case: The case.
+        ours: Our gains for 10 ms.
     """
-    one, what = tuning(case, case.corrected, period=PAPER), f"{name}, every 50 ms"
-    found = tune(one, {}, {"overshoot": 0.02}, settle=True)
-    again = tuple(found.gains[n] for n in NAMES)
-    tried = (("published", (*case.corrected, 0.0)), ("ours for 10 ms", ours), ("ours for 50 ms", again))
-    answers = {label: answer(one, gains[:3], gains[3])[0] for label, gains in tried}
-    rows = [Row(f"{what}, {label}", "-", told(found), None, found._asdict()) for label, found in answers.items()]
-    text = ", ".join(f"{n} {v:.7g}" for n, v in found.gains.items())
+    problem, what = make_problem(case, case.corrected, period=PAPER_PERIOD), f"{name}, every 50 ms"
+    tuned = tune(problem, {}, {"overshoot": 0.02}, settle=True)
+    paper_gains = tuple(tuned.gains[n] for n in NAMES)
+    gain_sets = (("published", (*case.corrected, 0.0)), ("ours for 10 ms", ours), ("ours for 50 ms", paper_gains))
+    responses = {label: simulate_response(problem, gains[:3], gains[3])[0] for label, gains in gain_sets}
+    rows = [
+        Row(f"{what}, {label}", "-", response_text(response), None, response._asdict())
+        for label, response in responses.items()
+    ]
+    text = ", ".join(f"{n} {v:.7g}" for n, v in tuned.gains.items())
     return [
         *rows,
-        Row(f"{what}, gains for it", "-", f"{text} in {found.rollouts} rollouts", None, {"gains": found.gains}),
+        Row(f"{what}, gains for it", "-", f"{text} in {tuned.rollouts} rollouts", None, {"gains": tuned.gains}),
     ]
 
 
-def limited_rows(name: str, case: Case, free: tuple[float, ...], quick: bool) -> list[Row]:
-    """The same with the duty between 0 and 1, begun at the gains that were found without limits.
-     The flexion steps by 100 degrees, which holds 15 % of the duty. The extension's input has another unit, which the
-    paper does not tell: its unit step is taken to hold the same share of the largest input.
+def limited_rows(name: str, case: Case, unlimited: tuple[float, ...], quick: bool) -> list[Row]:
+    """Tune the gains with the duty between 0 and 1, from the gains that were tuned without limits.
+
+    The flexion steps by 100 degrees, which needs 15 % of the duty. The extension's input has another unit, which the
+    paper
+    does not state: its unit step is assumed to need the same share of the largest input.
+
+    Args:
+        name: Name of the case.
+        case: The case.
+        unlimited: The gains tuned without limits.
+        quick: Whether differential evolution has a smaller budget.
     """
     size, largest = (
         (100.0, 1.0) if name == "flexion" else (1.0, CASES["flexion"].function[0] / 100.0 / case.function[0])
     )
-    one = tuning(case, free[:3], size=size, limits=(0.0, largest))
-    before, _ = answer(one, case.corrected, 0.0)
-    found = tune(one, {}, {"overshoot": 0.02}, settle=True)
-    ours, _ = answer(one, tuple(found.gains[n] for n in NAMES[:3]), found.gains["filter_time"])
-    drawn = tuning(case, case.corrected, size=size, limits=(0.0, largest))  # about the paper's gains, as without limits
-    point, counted, _ = evolved(drawn, 600 if quick else 3660)
-    theirs = drawn.gains(point)
-    by_evolution, _ = answer(one, tuple(float(theirs[n]) for n in NAMES[:3]), float(theirs["filter_time"]))
-    met = ours.settling <= by_evolution.settling * (1.0 + 1e-3) and ours.overshoot <= 0.02 and found.rollouts <= 183
-    what = f"{name}, duty 0..1, {size:g} deg"
+    problem = make_problem(case, unlimited[:3], size=size, limits=(0.0, largest))
+    before, _ = simulate_response(problem, case.corrected, 0.0)
+    tuned = tune(problem, {}, {"overshoot": 0.02}, settle=True)
+    ours, _ = simulate_response(problem, tuple(tuned.gains[n] for n in NAMES[:3]), tuned.gains["filter_time"])
+    # Differential evolution searches about the paper's gains, as without limits.
+    evolution_problem = make_problem(case, case.corrected, size=size, limits=(0.0, largest))
+    point, rollouts, _ = differential_evolution(evolution_problem, 600 if quick else 3660)
+    evolved_gains = evolution_problem.gains(point)
+    evolved = simulate_named(problem, evolved_gains)
+    met = ours.settling <= evolved.settling * (1.0 + 1e-3) and ours.overshoot <= 0.02 and tuned.rollouts <= 183
+    label = f"{name}, duty 0..1, {size:g} deg"
     return [
-        Row(f"{what}, published", "-", told(before), None),
+        Row(f"{label}, published", "-", response_text(before), None),
         Row(
-            f"{what}, ours",
+            f"{label}, ours",
             "evolution's, 183 rollouts",
-            f"{told(ours)} in {found.rollouts} rollouts",
+            f"{response_text(ours)} in {tuned.rollouts} rollouts",
             met,
-            {"gains": found.gains},
+            {"gains": tuned.gains},
         ),
-        Row(f"{what}, differential evolution", "-", f"{told(by_evolution)} in {counted:,} rollouts", None),
+        Row(f"{label}, differential evolution", "-", f"{response_text(evolved)} in {rollouts:,} rollouts", None),
     ]
 
 
 def trade_off(name: str, case: Case, quick: bool) -> tuple[list[Row], Curve]:
-    """The shortest settling time by the overshoot that is allowed, and how fast each of these loops rises."""
+    """Return the shortest settling time over the overshoot that is allowed, and the curve of settling over rise time.
+
+    Args:
+        name: Name of the case.
+        case: The case.
+        quick: Only two points.
+    """
     points: list[tuple[float, float, float]] = []
     best: TuningResult | None = None
     for over in (0.02, 0.005) if quick else (0.02, 0.015, 0.01, 0.005, 0.002, 0.0):
-        one = tuning(case, case.corrected)
+        problem = make_problem(case, case.corrected)
         starts = [case.corrected] + ([tuple(best.gains[n] for n in NAMES[:3])] if best else [])
-        tried = [tune(tuning(case, start), {}, {"overshoot": over}, settle=True) for start in starts]
-        best = min(tried, key=lambda t: (not t.feasible, t.settling))
-        found, _ = answer(one, tuple(best.gains[n] for n in NAMES[:3]), best.gains["filter_time"])
-        points.append((over, found.rise, found.settling))
+        results = [tune(make_problem(case, start), {}, {"overshoot": over}, settle=True) for start in starts]
+        best = min(results, key=lambda t: (not t.feasible, t.settling))
+        response, _ = simulate_response(problem, tuple(best.gains[n] for n in NAMES[:3]), best.gains["filter_time"])
+        points.append((over, response.rise, response.settling))
     text = "; ".join(f"{100 * o:g} %: {r:.1f} / {s:.1f} s" for o, r, s in points)
     return [Row(f"{name}, rise / settling by overshoot", "-", text, None, {"points": points})], Curve(
         name, [r for _, r, _ in points], [s for *_, s in points]
@@ -283,24 +359,26 @@ def trade_off(name: str, case: Case, quick: bool) -> tuple[list[Row], Curve]:
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(__doc__, quick="600 rollouts for differential evolution, two points of the trade-off")
     rows: list[Row] = []
     curves: dict[str, list[Curve]] = {}
-    trades = []
+    trade_off_curves = []
     for name, case in CASES.items():
-        found, ours = rows_of(name, case, args.quick, curves)
-        rows += found + limited_rows(name, case, ours, args.quick)
-        found, curve = trade_off(name, case, args.quick)
-        rows += found
-        trades.append(curve)
+        new_rows, ours = case_rows(name, case, args.quick, curves)
+        rows += new_rows + limited_rows(name, case, ours, args.quick)
+        new_rows, curve = trade_off(name, case, args.quick)
+        rows += new_rows
+        trade_off_curves.append(curve)
     if args.out:
-        for name, drawn in curves.items():
+        for name, case_curves in curves.items():
             draw(
-                Chart(f"Hip, {name}: answer to a unit step", "time [s]", "angle", drawn), args.out, f"hip_gains_{name}"
+                Chart(f"Hip, {name}: answer to a unit step", "time [s]", "angle", case_curves),
+                args.out,
+                f"hip_gains_{name}",
             )
         draw(
-            Chart("Settling by rise", "rise [s]", "settling [s]", trades, log_x=True, log_y=True),
+            Chart("Settling by rise", "rise [s]", "settling [s]", trade_off_curves, log_x=True, log_y=True),
             args.out,
             "hip_gains_trade_off",
         )

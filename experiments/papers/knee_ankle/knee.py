@@ -1,13 +1,11 @@
-"""The knee of a knee-ankle orthosis.
-
-Springs, motor, clutch and its working states, against the figures of hybrid_knee_ankle_orthosis.
+"""The knee of hybrid_knee_ankle_orthosis: springs, motor, clutch and its working states.
 
     python experiments/papers/knee_ankle/knee.py [--quick] [--json FILE] [--out DIR]
 
-What the paper prints is printed next to what its own numbers give, and what the equations give once they are put right
-(smajax.actuators.knee). The paper has three working states: springs alone, motor alone, and the hybrid of both, in
-which the clutch passes a set torque. The hybrid one stands here twice, with a clutch that holds and with one that
-slips.
+Source: hybrid_knee_ankle_orthosis. The paper's figures are shown next to those that follow from its own numbers, and
+those of the corrected equations (smajax.actuators.knee). The paper has three working states: springs alone, motor
+alone, and the hybrid of both, in which the clutch transmits a set torque. The hybrid state is simulated twice, with a
+clutch that holds and with one that slips.
 """
 
 from __future__ import annotations
@@ -43,23 +41,24 @@ VOLTAGES = (2.5, 3.5, 5.0, 5.5)
 
 
 @filter_jit
-def roll(knee: Knee) -> tuple[KneeState, jax.Array, jax.Array]:
-    """The states over the command's duration, the springs' forces and the clutch's slip."""
-    way = knee.trajectory(SHARE)
-    return way, jax.vmap(knee.forces)(way), jax.vmap(knee.slip)(way)
+def simulate_knee(knee: Knee) -> tuple[KneeState, jax.Array, jax.Array]:
+    """Return the states over the command's duration, the springs' forces and the clutch's slip."""
+    trajectory = knee.trajectory(SHARE)
+    return trajectory, jax.vmap(knee.forces)(trajectory), jax.vmap(knee.slip)(trajectory)
 
 
 def with_command(knee: Knee, **command: float) -> Knee:
-    """The knee under another command."""
+    """Return the knee with another command."""
     return parameters.replace(knee, {f"command.{key}": value for key, value in command.items()})
 
 
 def displacement_rows(knee: Knee) -> list[Row]:
-    """The displacement of an unloaded spring at 50 degC and at the end of heating."""
+    """Return the displacement of an unloaded spring at 50 degC and at the end of heating."""
     rows = []
     linear = (62.0 - 50.0) / 28.0
     cosine = 0.5 * (1.0 + math.cos(math.pi * (50.0 - 34.0) / 28.0))
-    warm, none = jnp.full(2, 50.0), jnp.zeros(2)
+    warm = jnp.full(2, 50.0)
+    none = jnp.zeros(2)
     law = knee.material.evolve(Fractions(jnp.ones(2), none), (warm, warm), (none, none))
     ours = 50.0 * (1.0 - float(law.martensite[0]))
     rows.append(
@@ -86,30 +85,33 @@ def displacement_rows(knee: Knee) -> list[Row]:
     return rows
 
 
-def spring(knee: Knee) -> list[Row]:
-    """Stiffness, stroke and force of one spring."""
-    rows, stiff = [], {}
-    # Of eqs. 9 and 10, with Table 2's numbers in either reading, in N/m.
+def spring_rows(knee: Knee) -> list[Row]:
+    """Return stiffness, length and force of one spring."""
+    rows, stiffnesses = [], {}
+    # Stiffnesses in N/m by equations 9 and 10, with the numbers of table 2 as radii and as diameters.
     for name, scale, expected in (
         ("as printed, radii", 2.0, (596.2, 238.5)),
         ("read as diameters", 1.0, (298.1, 119.2)),
     ):
-        read = parameters.replace(knee, {"wire.diameter": scale * 1e-3, "wire.coil_diameter": scale * 6e-3})
-        hot, cold = (float(read.stiffness(jnp.asarray(xi))) for xi in (0.0, 1.0))
-        solid, stiff[name] = 1e3 * float(read.wire.solid_length), (hot, cold)
-        close = all(abs(ours / k - 1.0) < 1e-3 for ours, k in zip((hot, cold), expected, strict=True))
+        changed = parameters.replace(knee, {"wire.diameter": scale * 1e-3, "wire.coil_diameter": scale * 6e-3})
+        hot, cold = (float(changed.stiffness(jnp.asarray(xi))) for xi in (0.0, 1.0))
+        solid = 1e3 * float(changed.wire.solid_length)
+        stiffnesses[name] = (hot, cold)
+        is_close = all(abs(ours / k - 1.0) < 1e-3 for ours, k in zip((hot, cold), expected, strict=True))
         text = f"{hot:.2f} and {cold:.2f} N/m, by the coil that the knee has"
         target = f"{expected[0]} and {expected[1]} N/m within 0.1 %, by eqs. 9 and 10"
-        rows.append(Row(f"k_A and k_M of table 2, {name}", target, text, close, {"austenite": hot, "martensite": cold}))
+        rows.append(
+            Row(f"k_A and k_M of table 2, {name}", target, text, is_close, {"austenite": hot, "martensite": cold})
+        )
         text = f"{solid:.0f} mm, side by side" + (
             ": they do not fit, so 6 and 1 mm are diameters" if solid > 80.0 else ""
         )
         rows.append(Row(f"56 turns, {name}", "within the length of 80 mm", text, solid <= 80.0, {"mm": solid}))
-    hot, cold = stiff["as printed, radii"]
+    hot, cold = stiffnesses["as printed, radii"]
     xi = np.linspace(0.0, 1.0, 100_001)
     force = 0.05 * xi * (hot - xi * (hot - cold))
     at = float(xi[np.argmax(force)])
-    for name, (hot, cold) in stiff.items():
+    for name, (hot, cold) in stiffnesses.items():
         most = float(np.max(0.05 * xi * (hot - xi * (hot - cold))))
         rows.append(
             Row(
@@ -124,13 +126,14 @@ def spring(knee: Knee) -> list[Row]:
     return rows
 
 
-def heating(knee: Knee) -> tuple[list[Row], list[Curve]]:
-    """The time to the austenite's finish at the paper's voltages: in closed form, and on the way that the knee goes."""
+def heating_rows(knee: Knee) -> tuple[list[Row], list[Curve]]:
+    """Return the time to the austenite finish at the paper's voltages, in closed form and simulated, and the curves."""
     formula, motion, curves = [], [], []
     for voltage in VOLTAGES:
         formula.append(float(knee.heating_time(jnp.asarray(voltage))))
-        way, _, _ = roll(with_command(knee, second=voltage, duration=60.0))
-        time, temperature = 60.0 * np.asarray(SHARE), np.asarray(way.temperature)[:, 1]
+        trajectory, _, _ = simulate_knee(with_command(knee, second=voltage, duration=60.0))
+        time = 60.0 * np.asarray(SHARE)
+        temperature = np.asarray(trajectory.temperature)[:, 1]
         motion.append(float(np.interp(62.0, temperature, time, right=math.inf)))
         curves.append(Curve(f"{voltage:g} V", time, temperature))
     ordered = all(a >= b for a, b in pairwise(motion)) and motion[-1] < motion[0]
@@ -156,45 +159,51 @@ def heating(knee: Knee) -> tuple[list[Row], list[Curve]]:
     return rows, curves
 
 
-def drive(knee: Knee) -> list[Row]:
-    """Motor and clutch."""
+def drive_rows(knee: Knee) -> list[Row]:
+    """Return speed and torque of the motor, and torque of the clutch."""
     turns = 60.0 / (2.0 * math.pi)
     speed = float(knee.motor_speed(jnp.asarray(24.0))) * turns
-    way, _, _ = roll(with_command(knee, second=0.0, motor=24.0, clutch=0.0, duration=2.0))
-    moved = float(way.shaft_rate[-1]) * turns
-    torque, belt = float(knee.motor.torque_constant * knee.motor.current), float(knee.clutch.belt)
-    passed = float(knee.clutch.transmitted_torque(jnp.asarray(10.0), knee.clutch.current)) * belt
-    twice = belt * torque * float(knee.motor.reduction)
-    why = "its constants are those of the output, so that the reduction in the equations would count twice"
+    trajectory, _, _ = simulate_knee(with_command(knee, second=0.0, motor=24.0, clutch=0.0, duration=2.0))
+    simulated_speed = float(trajectory.shaft_rate[-1]) * turns
+    torque = float(knee.motor.torque_constant * knee.motor.current)
+    belt = float(knee.clutch.belt)
+    transmitted = float(knee.clutch.transmitted_torque(jnp.asarray(10.0), knee.clutch.current)) * belt
+    doubled = belt * torque * float(knee.motor.reduction)
+    explanation = "its constants are those of the output, so that the reduction in the equations would count twice"
     return [
         Row(
             "motor at 24 V without load",
             "588 rpm, of 24.48 rpm/V",
-            f"{speed:.0f} rpm, {moved:.0f} rpm with the friction assumed",
+            f"{speed:.0f} rpm, {simulated_speed:.0f} rpm with the friction assumed",
             abs(speed - 588) < 1,
         ),
         Row(
             "motor at 10 A",
             "3.0 N m, of 0.3 N m/A",
-            f"{torque:.2f} N m at the output, {belt * torque:.2f} N m at the knee; {why}: {twice:.0f} N m",
+            f"{torque:.2f} N m at the output, {belt * torque:.2f} N m at the knee; {explanation}: {doubled:.0f} N m",
             abs(torque - 3.0) < 1e-9,
         ),
         Row(
             "clutch at its rated current",
             "6 N m",
-            f"{passed:.2f} N m at the knee, behind the belt of {belt:.3f}",
-            abs(passed - 14.27) < 0.01,
-            {"torque": passed},
+            f"{transmitted:.2f} N m at the knee, behind the belt of {belt:.3f}",
+            abs(transmitted - 14.27) < 0.01,
+            {"torque": transmitted},
         ),
     ]
 
 
-def states(knee: Knee) -> tuple[list[Row], dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """The knee in its working states: the hybrid one with the clutch holding, and slipping."""
+def state_rows(knee: Knee) -> tuple[list[Row], dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Simulate the working states: the hybrid one with the clutch holding, and slipping.
+
+    Returns:
+        The rows, and time (s), angle (deg) and force (N) by state.
+    """
     rows, series = [], {}
     for name, command in STATES.items():
-        way, force, slip = roll(with_command(knee, **command))
-        angle, most = np.degrees(np.asarray(way.angle)), np.asarray(force)[:, 1]
+        trajectory, force, slip = simulate_knee(with_command(knee, **command))
+        angle = np.degrees(np.asarray(trajectory.angle))
+        most = np.asarray(force)[:, 1]
         time = command["duration"] * np.asarray(SHARE)
         series[name] = (time, angle, most)
         text = (
@@ -210,17 +219,17 @@ def states(knee: Knee) -> tuple[list[Row], dict[str, tuple[np.ndarray, np.ndarra
 
 
 def main() -> None:
-    """Prints the table."""
+    """Print the table."""
     args = arguments(__doc__, quick="the same: it takes less than two minutes")
     knee = actuator_file.read_actuator(ROOT / "data" / "actuators" / "knee" / "rig.toml")
     assert isinstance(knee, Knee)
     say("spring, motor and clutch")
-    rows = spring(knee)
-    warm, curves = heating(knee)
-    rows += warm + drive(knee)
+    rows = spring_rows(knee)
+    warm_rows, curves = heating_rows(knee)
+    rows += warm_rows + drive_rows(knee)
     say("working states")
-    moved, series = states(knee)
-    rows += moved
+    new_rows, series = state_rows(knee)
+    rows += new_rows
     if args.out:
         draw(Chart("Spring 2 of the knee", "time [s]", "temperature [degC]", curves), args.out, "knee_heating")
         angles = [Curve(name, time, angle) for name, (time, angle, _) in series.items()]

@@ -1,11 +1,15 @@
-"""fast_rotary_actuator's identification of h(T), repeated with gradients and with its genetic algorithm.
- For each cooling mode (free air, fan low, fan high) the exact reference simulator turns the pulley with the paper's
-wire (its Table 1) and the second-order h(T) = h0 + h2 T^2 of its Table 4, driven by complementary square currents at
-0.1 Hz. An encoder of 3600 counts a turn and 0.06 degrees of noise read the angle. From one current, first- and
-second-order h(T) are identified; another current tests them. The published Table 3 is printed beside: its errors are
-those of real wires, which lack nothing that a real wire has (latent heat, friction), so they are much larger than
-ours and not a target. What can be compared is that the second order beats the first, that h is found in the band of
-temperatures where the wire transforms and not outside it, and what the search costs.
+"""Identification of h(T) as in fast_rotary_actuator, repeated with gradients and with its genetic algorithm.
+
+    python experiments/papers/rotary/rotary_identification.py [--quick] [--json FILE] [--out DIR]
+
+Source: fast_rotary_actuator. For each cooling mode (free air, fan low, fan high) the exact reference simulator turns
+the
+pulley with the paper's wire (its table 1) and the second-order h(T) = h0 + h2 T^2 of its table 4, driven by
+complementary square currents at 0.1 Hz. An encoder of 3600 counts a turn with 0.06 degrees of noise measures the angle.
+From one current, first- and second-order h(T) are identified; another current tests them. The published table 3 is
+shown next to the results. Its errors are those of real wires, which have latent heat and friction, so they are much
+larger than ours and not a target. Three things can be compared: that the second order is better than the first, that h
+is identified at the temperatures at which the wire transforms and not outside them, and what the search costs.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))  # the checkout: sm
 
 from experiments.common.base import Row, arguments, finish, say
 from experiments.common.charts import Chart, Curve, draw
+from experiments.common.reference import reference_material
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +35,6 @@ from smajax.fitting.problem import build_problem
 from smajax.fitting.result import FitResult
 from smajax.recordings.recording import Recording
 from tests.reference import rigs
-from tests.reference.brinson import Material
 from tests.reference.wire import Heat, Wire
 
 RIG = """
@@ -60,9 +64,8 @@ noise = {{ angle = "0.061 deg" }}
 starts = 6
 """
 ORDERS = {"first": ("h1", "0.2 W/m^2/K^2", "W/m^2/K^2"), "second": ("h2", "0.01 W/m^2/K^3", "W/m^2/K^3")}
-# Cooling mode: h0 and h2 of Table 4, training and test current in A (chosen here: the paper prints only one),
-# published RMSE (train, test)
-# by order.
+# By cooling mode: h0 and h2 of table 4, training and test current in A (chosen here, since the paper prints only one),
+# published RMSE (train, test) by order of h(T).
 MODES = {
     "free": ((100.614, 0.001), 0.45, 0.55, {"second": (1.99, 2.15), "first": (4.42, 4.63)}),
     "low": ((160.381, 0.041), 0.90, 1.10, {"second": (1.25, 2.39), "first": (3.49, 4.25)}),
@@ -72,10 +75,17 @@ BAND = (40.0, 60.0, 80.0, 90.0)
 
 
 def record(mode: str, current: float, seconds: float, seed: int) -> Recording:
-    """The angle of the exact rig under complementary square currents at 0.1 Hz, as the encoder reads it."""
+    """Simulate the angle under complementary square currents at 0.1 Hz, as the encoder measures it.
+
+    Args:
+        mode: The cooling mode.
+        current: The current, A.
+        seconds: Duration, s.
+        seed: Seed of the noise.
+    """
     (h0, h2), *_ = MODES[mode]
-    plant = rig_of("second").plant
-    material = Material(**{k: float(getattr(plant.material, k)) for k in Material._fields})
+    plant = make_rig("second").plant
+    material = reference_material(plant)
     time = np.arange(round(seconds * 50) + 1) / 50.0
     first = np.where((time % 10.0) < 5.0, current, 0.0)
     signal = np.column_stack([first, current - first])
@@ -90,21 +100,27 @@ def record(mode: str, current: float, seconds: float, seed: int) -> Recording:
     )
 
 
-def rig_of(order: str) -> Rig:
-    """The rig as the experimenter writes it down, with h(T) of that order."""
+def make_rig(order: str) -> Rig:
+    """Return the rig with nominal values, with h(T) of an order."""
     coefficient, start, unit = ORDERS[order]
     return parse_rig(RIG.format(coefficient=coefficient, start=start, unit=unit), f"rotary-{order}.toml")
 
 
 def convection(result: FitResult, temperatures: tuple[float, ...]) -> np.ndarray:
-    """Fitted h at temperatures in degC."""
+    """Return the fitted h at temperatures in degC."""
     return np.asarray(result.plant.heat.convection(jnp.asarray(temperatures)))
 
 
-def genetic(rig: Rig, train: Recording, generations: int) -> tuple[float, int, float] | None:
-    """RMSE in degrees, simulations and seconds of the genetic algorithm at the paper's settings.
+def run_genetic(rig: Rig, train: Recording, generations: int) -> tuple[float, int, float] | None:
+    """Run the genetic algorithm at the paper's settings.
 
-    ``None`` where pymoo is not installed.
+    Args:
+        rig: The rig.
+        train: Training recording.
+        generations: Number of generations.
+
+    Returns:
+        RMSE in degrees, simulations and seconds; ``None`` where pymoo is not installed.
     """
     problem = build_problem(rig.plant, [train], rig.fit)
     try:
@@ -116,14 +132,14 @@ def genetic(rig: Rig, train: Recording, generations: int) -> tuple[float, int, f
 
 
 def order_rows(
-    case: str, result: FitResult, bred: tuple | None, published: tuple, coefficients: tuple[float, float]
+    case: str, result: FitResult, genetic_result: tuple | None, published: tuple, coefficients: tuple[float, float]
 ) -> tuple[list[Row], float, np.ndarray]:
-    """Rows of one cooling mode and order of h(T): the fit next to the published errors and the genetic algorithm's.
+    """Return the rows of one cooling mode and order of h(T), next to the published errors and the genetic algorithm.
 
     Args:
         case: The mode and the order, in words.
         result: The fit.
-        bred: The genetic algorithm's RMSE (deg), simulations and seconds; ``None`` where it is not installed.
+        genetic_result: The genetic algorithm's RMSE (deg), simulations and seconds; ``None`` where it is not installed.
         published: The paper's errors on training and test, deg.
         coefficients: h0 and h2 of the truth.
 
@@ -131,64 +147,73 @@ def order_rows(
         The rows, the RMSE on the test recording (deg), and h over the true one at the temperatures of ``BAND``.
     """
     h0, h2 = coefficients
-    fitted, held = (float(np.degrees(result.rmse("angle", role) or np.nan)) for role in ("train", "holdout"))
+    train_rmse, test_rmse = (float(np.degrees(result.rmse("angle", role) or np.nan)) for role in ("train", "holdout"))
     rows = []
     truth = h0 + h2 * np.array(BAND) ** 2
     ratio = convection(result, BAND) / truth
-    twins = [g for g in result.collinear_groups if len(g.parameters) > 1]
+    groups = [g for g in result.collinear_groups if len(g.parameters) > 1]
     rows.append(
         Row(
             f"{case}: RMSE train / test",
             f"{published[0]} / {published[1]} deg published",
-            f"{fitted:.3f} / {held:.3f} deg; h / true at 40, 60, 80, 90 degC: {', '.join(f'{r:.3f}' for r in ratio)}",
+            f"{train_rmse:.3f} / {test_rmse:.3f} deg; h / true at 40, 60, 80, 90 degC: "
+            f"{', '.join(f'{r:.3f}' for r in ratio)}",
             None,
             {
-                "train_deg": fitted,
-                "test_deg": held,
+                "train_deg": train_rmse,
+                "test_deg": test_rmse,
                 "published": published,
                 "h_ratio": ratio,
                 "band_degC": BAND,
                 "estimates": [dataclasses.asdict(e) for e in result.estimates],
                 "simulations": result.simulations,
                 "wall_s": result.wall_time,
-                "indistinct": [dataclasses.asdict(g) for g in twins],
+                "indistinct": [dataclasses.asdict(g) for g in groups],
                 "starts_at_best": result.starts_at_best,
             },
         )
     )
-    if bred:
+    if genetic_result:
         rows.append(
             Row(
                 f"{case}: gradients against the genetic algorithm",
                 "lower RMSE, fewer simulations",
-                f"{fitted:.4f} deg in {result.simulations} simulations against {bred[0]:.4f} deg in {bred[1]}",
-                fitted <= bred[0] and result.simulations < bred[1],
-                {"genetic_deg": bred[0], "genetic_simulations": bred[1], "genetic_wall_s": bred[2]},
+                f"{train_rmse:.4f} deg in {result.simulations} simulations against {genetic_result[0]:.4f} deg in "
+                f"{genetic_result[1]}",
+                train_rmse <= genetic_result[0] and result.simulations < genetic_result[1],
+                {
+                    "genetic_deg": genetic_result[0],
+                    "genetic_simulations": genetic_result[1],
+                    "genetic_wall_s": genetic_result[2],
+                },
             )
         )
-    return rows, held, ratio
+    return rows, test_rmse, ratio
 
 
 def main() -> None:
-    """Prints the table."""
-    args = arguments(__doc__.splitlines()[0])
+    """Print the table."""
+    args = arguments((__doc__ or "").splitlines()[0])
     seconds, generations = (20.0, 25) if args.quick else (20.0, 100)
     rows, charts = [], []
-    for number, (mode, ((h0, h2), current, other, published)) in enumerate(MODES.items()):
-        train, test = record(mode, current, seconds, 2 * number), record(mode, other, seconds, 2 * number + 1)
+    for number, (mode, ((h0, h2), current, test_current, published)) in enumerate(MODES.items()):
+        train = record(mode, current, seconds, 2 * number)
+        test = record(mode, test_current, seconds, 2 * number + 1)
         errors = {}
         for order in ("first", "second"):
             say(f"{mode}, {order} order")
-            rig = rig_of(order)
+            rig = make_rig(order)
             result = fit(rig.plant, [train], rig.fit, holdout=[test])
-            bred = genetic(rig, train, generations)
-            more, errors[order], ratio = order_rows(f"{mode}, {order} order", result, bred, published[order], (h0, h2))
-            rows += more
+            genetic_result = run_genetic(rig, train, generations)
+            new_rows, errors[order], ratio = order_rows(
+                f"{mode}, {order} order", result, genetic_result, published[order], (h0, h2)
+            )
+            rows += new_rows
             response = result.responses[1]
             if order == "first":
                 lines = [Curve("measured", test.time, np.degrees(test.channels["angle"]))]
             lines.append(Curve(f"{order} order", test.time, np.degrees(response.model["angle"])))
-        charts.append(Chart(f"{mode}: test at {other} A", "time [s]", "angle [deg]", lines))
+        charts.append(Chart(f"{mode}: test at {test_current} A", "time [s]", "angle [deg]", lines))
         rows.append(
             Row(
                 f"{mode}: second order tests better than first",
