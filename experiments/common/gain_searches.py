@@ -134,7 +134,7 @@ def verdict_under_budget(holds: bool, quick: bool) -> bool | None:
 
 
 def rollouts_to_optimum(reference: TuningResult) -> int:
-    """Return the rollouts after which the reference search was within 1 % of its own last cost."""
+    """Return the rollouts after which the reference search was within 1 % of its final cost."""
     return next(count for count, cost in reference.history if cost <= 1.01 * reference.history[-1][1])
 
 

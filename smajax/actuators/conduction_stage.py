@@ -116,6 +116,7 @@ class ConductionStage(dfx.AbstractSolver):
             return end, (end - excess) / (_GAMMA * step)
 
         def advance(carry: tuple, _: None) -> tuple[tuple, tuple]:
+            """Advance the excess temperatures and the lost heat by one step of the SDIRK rule."""
             excess, lost = carry
             early, rate = solve(excess)
             late, rate = solve(excess + (1.0 - _GAMMA) * step * rate)

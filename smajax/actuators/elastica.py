@@ -114,6 +114,7 @@ def _inverse_and_sign(matrix: jax.Array) -> tuple[jax.Array, jax.Array]:
     size = len(matrix)
 
     def eliminate(k: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        """Eliminate column ``k`` of the rows, with the largest pivot."""
         rows, sign = state
         candidates = jnp.where(jnp.arange(size) >= k, jnp.abs(rows[:, k]), -1.0)
         best = jnp.argmax(candidates)
@@ -141,6 +142,7 @@ def _continued_solution(pull: jax.Array, turn: jax.Array) -> jax.Array:
         return (share < 1.0) & (step > _SMALLEST_STEP) & (count < _MAX_STEPS)
 
     def load_step(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        """Increase the share of the load, or shorten the step where the solution is not accepted."""
         share, curvature, step, count = state
         next_share = jnp.minimum(share + step, 1.0)
         inverse, _ = _inverse_and_sign(jax.jacfwd(residual)(curvature, share))

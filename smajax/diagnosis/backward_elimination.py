@@ -58,6 +58,6 @@ def swap_confusable_effects(evaluator: CandidateEvaluator, state: SelectionState
         best = min(refit_confusable_effects(evaluator, last), key=lambda fit: fit.total_chi2, default=None)
         fall = MIN_CHI2_FALL * max(1.0, current.train_chi2) / samples
         if best is not None and best.total_chi2 < current.total_chi2 - fall:
-            state.rejected.append((key, f"explains less, next to the other effects, than {best.key} in its place"))
+            state.rejected.append((key, f"together with the other effects it explains less than {best.key}"))
             state.current = evaluator.refit_to_convergence(best)
             state.equivalent.pop(key, None)

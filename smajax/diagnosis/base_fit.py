@@ -18,7 +18,7 @@ from smajax.fitting.noise import rounding_noise
 from smajax.fitting.problem import Problem
 
 # Norm of the residual's projection on the free parameters' Jacobian, relative to the residual, up to which a fit is
-# stationary. Chosen by trial; the prototype study of the diagnosis used 1e-3.
+# stationary. Chosen by trial.
 _STATIONARY = 2e-2
 # Number of starts after which a fit is accepted although no second start has the same cost: a stationary fit, and one
 # that is not stationary. With a large missing effect there may be no stationary point. Chosen by trial.

@@ -34,8 +34,8 @@ _MAX_STEP_ERROR = 0.01
 _NEGLIGIBLE = 1e-3
 # Distance from a bound, relative to 1 plus the absolute value, up to which a parameter is on it: rounding.
 _ON_BOUND = 1e-9
-# Largest number of steps of a refit to convergence, from the prototype study of the diagnosis, and its relative
-# tolerances, chosen by trial; on some of the samples the optimum need not be exact.
+# Largest number of steps of a refit to convergence, and its relative tolerances; on some of the samples the optimum
+# need not be exact. Chosen by trial.
 _CONVERGENCE_STEPS = 60
 _CONVERGENCE_RTOL = 1e-9
 _CONVERGENCE_RTOL_STRIDED = 1e-6

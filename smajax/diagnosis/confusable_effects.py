@@ -25,7 +25,7 @@ _START_STRENGTH = 0.3
 
 
 def refit_confusable_effects(evaluator: CandidateEvaluator, fit: CandidateFit) -> list[CandidateFit]:
-    """Refit with each effect that may be confused with the last effect of a fit, in its place.
+    """Replace the last effect of a fit by each effect that may be confused with it, and refit.
 
     The searches start at the point of the fit, with its shape where the other effect has a shape of the same name, and
     else with each usual shape. Shapes are held at first, because they drift away if they are freed too early. A search

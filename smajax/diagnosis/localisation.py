@@ -22,7 +22,7 @@ from smajax.diagnosis.screening import orthonormal_basis, project_out
 STAGES = ("drive", "heat", "material", "mechanism", "sensor")
 # A stage ties with the one of the largest share if its share is within the first number of the largest, or at least the
 # second times the largest. Of tied stages the most upstream is named, since a cause there acts on all that follow. 0.1
-# is from the prototype study of the diagnosis.
+# is chosen by trial.
 _TIE = 0.1
 _TIE_FRACTION = 0.5
 # Largest share up to which no stage is named. Chosen by trial; tests/unit/diagnosis holds it.

@@ -25,8 +25,8 @@ from smajax.diagnosis.screening import orthonormal_basis, project_out
 from smajax.fitting.problem import Problem
 from smajax.recordings.recording import Recording
 
-# Largest number of inputs that are evaluated. From the prototype study of the diagnosis, where the distance between two
-# effects varied by factors of 3 to 14 among 24 random inputs, and the best of them was worth four times as much data.
+# Largest number of inputs that are evaluated. Chosen by trial; tests/unit/diagnosis holds that the proposed one
+# distinguishes the effects.
 _MAX_EVALUATED = 24
 # Least distance in standard deviations with which an input is proposed, and its least ratio to that of the training
 # input. Chosen by trial.

@@ -26,13 +26,13 @@ from jaxtyping import Float
 
 from smajax.fitting.autoregression import fit_autoregression
 
-# Number of standard errors from which a strength is detectable (two-sided probability 0.05 %). From the prototype study
-# of the diagnosis.
+# Number of standard errors from which a strength is detectable (two-sided probability 0.05 %). Chosen by
+# trial.
 DETECTABLE = 3.5
 # Half width of a 95 % interval of the normal distribution, in standard deviations.
 NORMAL_95 = 1.96
 # Singular values of the normalised Jacobian below this share of the largest are directions that the data do not
-# determine; from the prototype study of the diagnosis.
+# determine. Chosen by trial.
 _RANK_TOLERANCE = 1e-6
 # Highest order of the autoregression by which a residual is whitened; chosen by trial.
 _MAX_ORDER = 12

@@ -8,12 +8,12 @@ import numpy as np
 from smajax.diagnosis.candidates import AT_NOISE, CandidateFit
 from smajax.diagnosis.detectability import Detectability, NominalScore
 
-# Significance level of the score test over the whole catalogue. From the prototype study of the diagnosis, where it
-# gave no false alarm in 128 recordings without a hidden effect, and a level of 0.05 gave 4.7 %.
+# Significance level of the score test over the whole catalogue. experiments/diagnosis/hidden_effects.py prints the
+# false alarms where nothing is hidden.
 SIGNIFICANCE = 0.01
 # The threshold of the reduced chi-squared in its standard deviations, and the number of independent values for each
-# sample. Both from the prototype study of the diagnosis, where the threshold flagged 15 of 15 causes outside of the
-# catalogue.
+# sample. Both chosen by trial; experiments/diagnosis/hidden_effects.py prints how many causes outside of the catalogue
+# are recognised as such.
 _STANDARD_DEVIATIONS = 4.0
 _INDEPENDENT_SHARE = 0.8
 
@@ -55,7 +55,7 @@ class SelectionState:
             there mislead.
         base_fit_converged: Whether the base fit is stationary; a large effect can prevent that.
         accepted_fits: The accepted fits, one for each round.
-        alternatives: For each accepted effect, the best fits with another one in its place.
+        alternatives: For each accepted effect, the best fits with another effect instead.
         equivalent: For each accepted effect, those that explain both recordings as well.
         rejected: Effects that were not accepted, each with the reason.
         ranking: Summary of every effect after the first round.

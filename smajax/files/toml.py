@@ -128,7 +128,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def line_numbers(text: str) -> dict[str, int]:
-    """Return the row of each ``section.key`` that has a row of its own, counted from 1."""
+    """Return the row, counted from 1, in which each ``section.key`` stands."""
     section, rows = "", {}
     for row, line in enumerate(text.splitlines(), 1):
         if heading := _HEADING.match(line):

@@ -43,8 +43,8 @@ def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.A
 def invert_positive_definite(matrix: Float[Array, "c c"]) -> Float[Array, "c c"]:
     """Invert a symmetric positive definite matrix by the sweep operator, one pivot after the other.
 
-    LAPACK would distribute such a small matrix over threads that wait for each other; on a busy machine they wait a
-    hundred times as long as they compute.
+    LAPACK would distribute such a small matrix over threads that wait for each other; on a busy machine they wait
+    for much longer than they compute.
 
     Args:
         matrix: The matrix, shape ``(c, c)``.

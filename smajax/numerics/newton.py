@@ -90,6 +90,7 @@ def solve(residual: Residual, guess: Float[Array, " unknowns"], wires: int) -> S
         return (count == 0) | ((_norm(change, scale) > 1.0) & (count < _MAX_ITERATIONS))
 
     def iterate(carry: tuple) -> tuple:
+        """Try the damped Newton step, and shorten it if it is not accepted."""
         z, error, change, jacobian, fraction, count = carry
         trial = z + fraction * change
         value, trial_jacobian, trial_change = _newton_step(residual, trial)

@@ -1,6 +1,6 @@
 """Least-squares fits of three connected straight lines to a branch of a thermal cycle.
 
-The lines are those of the cold plateau, the transformation and the hot plateau (ASTM E3097 draws them by hand):
+The lines are those of the cold plateau, the transformation and the hot plateau (in ASTM E3097 they are drawn by hand):
 
     strain(T) = c_0 + c_1 T + c_2 max(T - b_1, 0) + c_3 max(T - b_2, 0)
 

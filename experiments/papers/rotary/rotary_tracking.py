@@ -165,9 +165,8 @@ def make_scenario(mode: Mode, seed: int = 1) -> Scenario:
 def start_gains(mode: Mode) -> dict[str, float]:
     """Return start gains (A/rad, A/rad/s, A s/rad, A), which track without oscillation in all modes.
 
-    They are three tenths of the largest current at the amplitude, an integral time of 0.4 s, a derivative time of 10
-    ms,
-    and four tenths of the largest current in both wires.
+    They are three tenths of the largest current at the amplitude, an integral time of 0.4 s, a derivative time of
+    10 ms, and four tenths of the largest current in both wires.
     """
     kp = 0.3 * mode.largest / AMPLITUDE
     return {"kp": kp, "ki": 2.5 * kp, "kd": 0.01 * kp, "co_contraction": 0.4 * mode.largest}

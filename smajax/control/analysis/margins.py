@@ -138,7 +138,7 @@ def margins_of_draws(
     scenario: Scenario,
     draws: Mapping[str, Float[np.ndarray, " draws"]],
 ) -> list[Margins]:
-    """Compute the margins of a loop around each of several plants, each at fewer samples of its own rollout.
+    """Compute the margins of a loop around each of several plants, at a part of the samples of each rollout.
 
     Args:
         system: The sampled plant.

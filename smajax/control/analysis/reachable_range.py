@@ -1,4 +1,4 @@
-"""The range of the channel that a rig reaches within its limits, whatever the controller."""
+"""The range of the channel that a rig can reach within its limits with any controller."""
 
 import math
 from collections.abc import Callable, Mapping

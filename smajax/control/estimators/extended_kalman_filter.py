@@ -160,6 +160,7 @@ class ExtendedKalmanFilter(AbstractFilter):
         def initial_numbers(
             error: Float[Array, " k"], values: Float[Array, " p"]
         ) -> tuple[Float[Array, " n"], KalmanState]:
+            """Return the estimated numbers and the state at rest, for errors of the state and parameter values."""
             system = self._with_parameters(values)
             numbers, to_state = self._estimated_numbers(system.start())
             state = to_state(numbers + error)
@@ -269,6 +270,7 @@ class ExtendedKalmanFilter(AbstractFilter):
         core, split = self._core(filter_state)
 
         def after_period(core: Float[Array, " core"]) -> tuple[Float[Array, " numbers"], KalmanState]:
+            """Return the estimated numbers and the state after the period."""
             state, thermocouples, values = split(core)
             values = nominal + decay * (values - nominal)
             system = self._with_parameters(values)

@@ -239,6 +239,7 @@ class GainSearch:
         free = np.asarray(self.problem.upper > self.problem.lower)
 
         def log_cost_and_gradient(point: np.ndarray) -> tuple[float, np.ndarray]:
+            """Evaluate the logarithm of the cost and its gradient; infinite where they are not finite."""
             value, derivative = _cost_and_gradient(jnp.asarray(point), arguments)
             self.rollouts += _GRADIENT_ROLLOUTS * problem.count
             cost, gradient = float(value), np.where(free, np.asarray(derivative), 0.0)
@@ -281,6 +282,7 @@ class GainSearch:
         free, meaningless = np.asarray(self.problem.upper > self.problem.lower), 0
 
         def cost_and_gradient(x: np.ndarray) -> tuple[float, np.ndarray]:
+            """Evaluate the cost and its gradient, and keep the best point."""
             nonlocal best, meaningless
             value, derivative = _cost_and_gradient(jnp.asarray(x / scale), arguments)
             self.rollouts += _GRADIENT_ROLLOUTS * self.problem.count
@@ -332,6 +334,7 @@ class GainSearch:
         cache = {start[free].tobytes(): best}  # COBYQA evaluates terms and limits of a point in separate calls
 
         def candidate_at(packed: bytes) -> Candidate:
+            """Return the terms and limits at a point, evaluated once."""
             nonlocal best
             if packed in cache:
                 return cache[packed]

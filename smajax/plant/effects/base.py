@@ -2,7 +2,7 @@
 
 An effect is a nested extension of the plant: with strength 0 it is absent. It derives from the base class of its stage
 and overrides the hooks that it needs. Hooks are pure functions. The value of a hook is added to that of the stage, so
-effects can be combined. An effect may have a state of its own in the plant's memory (``initial_memory``,
+effects can be combined. An effect may keep a state in the plant's memory (``initial_memory``,
 ``update_memory``).
 
 The derivative with respect to the strength has to exist at 0, and to be finite and different from 0. A dead zone or a

@@ -6,8 +6,7 @@ f falls from 1 at the start of the band to 0 at the finish. The laws use f limit
 that size never transforms, so that ratios of f and their derivatives are finite at the finish.
 
 Measures for speed, all in this file: the cosine is a polynomial, since the cosine of the library is not vectorised on a
-CPU (batches would take six times as long), and its derivative is written out, since that of the polynomial would cost
-twice as much.
+CPU, which would slow down batches, and its derivative is written out, since that of the polynomial would cost more.
 """
 
 import math
