@@ -66,11 +66,14 @@ def fit(
     Raises:
         InputError: A channel is missing, a parameter does not exist, or nothing is free.
         NumericsError: The simulation fails at every start.
+        KeyboardInterrupt: The search was interrupted in its first step; later, the best point is returned.
     """
     began = time.perf_counter()
     problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
     search = _search(problem, settings, len(recordings), max_steps, progress, began)
     _check_starts(search, problem, plant)
+    if not np.any(np.isfinite(search.result.costs)):
+        raise KeyboardInterrupt  # before the first step had ended
     best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, search.result)
     return _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
 
@@ -210,7 +213,7 @@ def _fit_result(
         starts=len(search.starts),
         status=result.statuses[best],
         steps=result.steps,
-        simulations=result.simulations + search.screening_simulations,
+        simulations=recordings * result.simulations + search.screening_simulations,
         wall_time=result.wall_time,
         compile_time=search.screening_time + _first_step_excess(result),
         history=tuple(result.history),

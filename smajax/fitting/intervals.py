@@ -69,6 +69,23 @@ def covariance_under_autocorrelation(
     return covariance
 
 
+def unit_noise_variances(jacobian: Float[np.ndarray, "m p"]) -> Float[np.ndarray, " p"]:
+    """Compute the variances of estimates under white noise of variance 1, the diagonal of (J' J)^-1.
+
+    A cost that is a sum of squares rises by d^2 / v_i to second order if parameter i is held at a distance d from its
+    estimate and the others are fitted again.
+
+    Args:
+        jacobian: Jacobian J (m, p) of the residual.
+
+    Returns:
+        The variances v (p,).
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    size = np.where(size > 0.0, size, 1.0)
+    return np.sum(np.linalg.pinv(jacobian / size) ** 2, axis=1) / size**2
+
+
 def score_covariance(jacobian: Float[np.ndarray, "n p"], residual: Float[np.ndarray, " n"]) -> Float[np.ndarray, "p p"]:
     """Compute the covariance J' Omega J of the score J' e of one evenly sampled series.
 

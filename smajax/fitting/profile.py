@@ -4,14 +4,21 @@ import math
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
+from scipy.stats import chi2
 
 from smajax.errors import InputError
 from smajax.fitting.abstract_problem import residual
+from smajax.fitting.intervals import unit_noise_variances
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.result import FitResult
 
-# 95 % quantile of the chi-squared distribution with one degree of freedom.
-_CHI2_95 = 3.841
+# 95 % quantile of the chi-squared distribution with one degree of freedom, 3.84.
+CHI2_95 = float(chi2.ppf(0.95, 1))
+# Ends of a search at which the cost is that of a minimum.
+_ENDED = (SolverStatus.converged, SolverStatus.stalled)
 # Relative tolerance of the searches along a profile: tighter than a fit's, since their costs are compared. Chosen by
 # trial; the tests of profiles in tests/unit/fitting/test_fit.py hold it.
 _RTOL = 1e-9
@@ -28,11 +35,13 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
 
     Returns:
         ``values`` (points,) in the internal unit; ``rise`` (points,) of the cost, in units in which 3.84 bounds a 95 %
-        interval, corrected for the noise's autocorrelation; ``lower95`` and ``upper95``, ``None`` where the rise does
-        not reach 3.84 within the range.
+        interval, corrected for the noise's autocorrelation, NaN where the search at that value did not converge;
+        ``lower95`` and ``upper95``, ``None`` where the rise does not reach 3.84 within the range, or before a value
+        without a rise.
 
     Raises:
         InputError: The parameter is not free, is at its bound, or has no effect.
+        KeyboardInterrupt: The searches were interrupted.
     """
     index, deviation = _index_and_deviation(result, name)
     estimate, scale = result.estimates[index], result.problem.unknowns[index].scale
@@ -49,17 +58,30 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
     scales = np.array([u.scale for u in result.problem.unknowns])
     starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
     solver = MultiStartSolver(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=_RTOL)
-    rise = solver.advance().result().costs - result.cost
-    # Near the estimate the profile is a parabola; autocorrelated noise widens it by the same factor as the interval.
-    curvature = np.sum(rise * (values - estimate.estimate) ** 2) / np.sum((values - estimate.estimate) ** 4)
-    rise = rise / (curvature * deviation**2)
+    search = solver.advance().result()
+    if SolverStatus.interrupted in search.statuses:
+        raise KeyboardInterrupt
     middle = points // 2
+    rise = (search.costs - result.cost) * _variance_ratio(result, search.jacobians[middle], index)
+    rise[[status not in _ENDED for status in search.statuses]] = np.nan
+    rise[middle] = 0.0
     return {
         "values": values,
         "rise": rise,
-        "lower95": _crossing(values[: middle + 1][::-1], rise[: middle + 1][::-1]),
-        "upper95": _crossing(values[middle:], rise[middle:]),
+        "lower95": crossing(values[: middle + 1][::-1], rise[: middle + 1][::-1]),
+        "upper95": crossing(values[middle:], rise[middle:]),
     }
+
+
+def _variance_ratio(result: FitResult, jacobian: np.ndarray, index: int) -> float:
+    """Variance by white noise of variance 1 over the variance of an estimate.
+
+    Near the estimate the cost rises by the squared distance over the former. The product is the squared distance in
+    standard errors, which take the noise and its autocorrelation into account.
+    """
+    free = np.isfinite(np.diag(result.covariance))
+    unit_variance = unit_noise_variances(jacobian[:, free])[np.count_nonzero(free[:index])]
+    return unit_variance * result.problem.unknowns[index].scale ** 2 / result.covariance[index, index]
 
 
 def _index_and_deviation(result: FitResult, name: str) -> tuple[int, float]:
@@ -78,11 +100,27 @@ def _index_and_deviation(result: FitResult, name: str) -> tuple[int, float]:
     return index, deviation
 
 
-def _crossing(values: np.ndarray, rise: np.ndarray, level: float = _CHI2_95) -> float | None:
-    """The value, linearly interpolated, at which a profile first exceeds a level; ``None`` if it does not."""
-    above = np.flatnonzero(rise > level)
+def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> float | None:
+    """Return the value at which a profile first exceeds a level.
+
+    The square root of the rise, which is a straight line for a parabola, is interpolated by a monotone cubic.
+
+    Args:
+        values: Values (n,) of the parameter from its estimate outwards.
+        rise: Rise (n,) of the cost at these values, from 0; NaN where it is not known.
+        level: The level.
+
+    Returns:
+        The value; ``None`` if the rise does not reach the level before the end or before a value without a rise.
+    """
+    distance = np.abs(values - values[0])
+    # Values that a bound has clipped repeat it.
+    usable = np.isfinite(rise) & (np.diff(distance, prepend=-1.0) > 0.0)
+    known = len(rise) if np.all(usable) else int(np.argmin(usable))
+    root = np.sqrt(np.maximum(rise[:known], 0.0)) - math.sqrt(level)
+    above = np.flatnonzero(root > 0.0)
     if not len(above) or above[0] == 0:
         return None
-    k = above[0]
-    share = (level - rise[k - 1]) / (rise[k] - rise[k - 1])
-    return float(values[k - 1] + share * (values[k] - values[k - 1]))
+    curve = PchipInterpolator(distance[:known], root)
+    step = float(brentq(curve, distance[above[0] - 1], distance[above[0]]))
+    return float(values[0] + math.copysign(step, values[known - 1] - values[0]))

@@ -81,7 +81,7 @@ class FitResult:
         starts: Number of starts.
         status: Why the best search ended.
         steps: Steps of the search.
-        simulations: Number of simulations; each column of a Jacobian counts as one.
+        simulations: Number of simulations of one recording; each column of a Jacobian counts as one.
         wall_time: Time of the search, s.
         compile_time: Time of compiling, s.
         history: After each step: simulations, wall time in s, best cost.

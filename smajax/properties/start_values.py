@@ -14,6 +14,7 @@ from smajax.properties.strain_start_values import (
     lagoudas_strain_start_values,
     strain_entry,
 )
+from smajax.properties.stress_levels import count_stresses
 from smajax.properties.thermal_cycles import TEMPERATURE_NAMES, Value
 from smajax.units import as_text
 
@@ -156,9 +157,9 @@ def _line_slope(stress: np.ndarray, middle: np.ndarray, letter: str) -> tuple[fl
         return _USUAL_SLOPE, f"{letter} is a usual value: one stress does not determine it"
     per_stress = float(np.polyfit(stress, middle, 1)[0])
     if not per_stress > 0.0:
-        falling = f"through {len(stress)} stresses {_FALLING}, by {-1e6 * per_stress:.3g} K/MPa"
+        falling = f"through {count_stresses(stress)} stresses {_FALLING}, by {-1e6 * per_stress:.3g} K/MPa"
         return _USUAL_SLOPE, f"{letter} is a usual value: {falling}"
-    slope, source = 1.0 / per_stress, f"{letter} by a straight line through {len(stress)} stresses"
+    slope, source = 1.0 / per_stress, f"{letter} by a straight line through {count_stresses(stress)} stresses"
     if not _SLOPE_BOUNDS[0] <= slope <= _SLOPE_BOUNDS[1]:
         source += f", cut from {slope / 1e6:.3g} MPa/K to the nearest plausible one"
     return float(np.clip(slope, *_SLOPE_BOUNDS)), source
@@ -169,4 +170,4 @@ def _strain_grows(stress: np.ndarray, strain: np.ndarray, means: Sequence[Mappin
     intervals = [m["transformation_strain"] for m in means]
     uncertainty = max(0.5 * (value.upper95 - value.lower95) for value in intervals)
     grows = np.ptp(strain) > max(_MIN_GROWTH * float(np.max(strain)), uncertainty)
-    return bool(len(set(stress)) >= _MIN_STRESSES_OF_GROWTH and np.ptp(stress) > _MIN_STRESS_RANGE and grows)
+    return bool(count_stresses(stress) >= _MIN_STRESSES_OF_GROWTH and np.ptp(stress) > _MIN_STRESS_RANGE and grows)

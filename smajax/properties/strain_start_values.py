@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from smajax.files.parameter_sets import Entry
 from smajax.files.rig_kinds import MATERIALS
 from smajax.parameters import declarations
+from smajax.properties.stress_levels import count_stresses
 
 _DECLARED_STRAIN = declarations(MATERIALS["brinson"])["max_transformation_strain"]
 # Bounds of the largest transformation strain, which are the same in all laws.
@@ -114,7 +115,7 @@ def brinson_start_values(
     best = _minimise(residual, starts, (lower, upper), [_FINISH_SCALE, _STRESS_SCALE, _STRESS_SCALE, 0.1 * top])
     start_temperature, first, width, largest = map(float, best)
     first = round(first, -3)  # to a kilopascal: a search ends near 0, not at it
-    count = len(stress)
+    count = count_stresses(stress)
     source = f"tangents and strains of {count} stress{'es' if count > 1 else ''}, as Brinson's law would give them"
     return _brinson_entries(start_temperature, first, first + width, largest, source)
 
@@ -149,7 +150,7 @@ def lagoudas_strain_start_values(
     best = _minimise(residual, starts, (lower, upper), starts[0])
     # To a millionth: a search ends near 0, not at it.
     largest, share, saturation = float(best[0]), round(float(best[1]), 6), float(best[2]) / top
-    source = f"transformation strains at {len(stress)} stresses"
+    source = f"transformation strains at {count_stresses(stress)} stresses"
     return {
         "material.max_transformation_strain": strain_entry(largest, source),
         "material.min_strain_share": Entry(share, "1", 0.0, 1.0, source=source),

@@ -1,7 +1,7 @@
 """Thermal cycles of one recording, grouped by the stress under which they ran."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -114,6 +114,19 @@ def _group_by_stress(
         else:
             same[1].append(cycle)
     return levels, changing
+
+
+def count_stresses(stresses: Iterable[float]) -> int:
+    """Count the stresses that differ by more than the scatter of a dead weight or a force controller.
+
+    Args:
+        stresses: Stresses (Pa) of cycles or of their means.
+    """
+    levels: list[float] = []
+    for stress in sorted(stresses):
+        if not levels or not _near(stress, levels[-1], _SAME_SHARE, _SAME_OFFSET):
+            levels.append(stress)
+    return len(levels)
 
 
 def _near(stress: np.ndarray | float, level: float, share: float, offset: float) -> np.ndarray | np.bool_:

@@ -412,6 +412,9 @@ def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
     )
     assert [str(path) for path in jobs[0].train] == ["a.csv", "b.csv"]
     assert [str(path) for path in jobs[0].holdout] == ["c.csv", "d.csv", "e.csv"]
+    smajax("fit", "rig.toml", "a.csv", "--holdout=b.csv", "c.csv", "--out", tmp_path / "o")
+    assert [str(path) for path in jobs[1].train] == ["a.csv"]
+    assert [str(path) for path in jobs[1].holdout] == ["b.csv", "c.csv"]
 
 
 @pytest.mark.parametrize("kind", actuator_file.ACTUATORS)

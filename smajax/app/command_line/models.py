@@ -28,8 +28,11 @@ class FitCommand(TyperCommand):
         """Parse the arguments after repeating ``--holdout`` before each of its files."""
         spread: list[str] = []
         in_holdout = False
-        for word in args:
-            if word == "--holdout":
+        for argument in args:
+            word = argument
+            if word.startswith("--holdout="):
+                in_holdout, word = True, word.removeprefix("--holdout=")
+            elif word == "--holdout":
                 in_holdout = True
                 continue
             if word.startswith("-") and word != "-":

@@ -21,7 +21,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem, build_problem
-from smajax.fitting.profile import profile_likelihood
+from smajax.fitting.profile import crossing, profile_likelihood
 from smajax.fitting.responses import simulate_responses
 from smajax.simulation.status import SimulationStatus
 from tests.reference import rigs
@@ -174,6 +174,52 @@ def test_profile_agrees_with_the_interval(result):
     assert np.argmin(profile["rise"]) == len(profile["rise"]) // 2
     with pytest.raises(InputError, match=r"'heat.h2' is not a free parameter of this fit"):
         profile_likelihood(result, "heat.h2")
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (lambda d: d**2, 1.9599639845400538),
+        (lambda d: d**2 + 0.5 * d**4, 1.3948),
+        (lambda d: 3.0 * (1.0 - np.exp(-(d**2) / 3.0)), None),
+        (lambda d: np.where(d > 1.6, np.nan, d**2), None),
+        (lambda d: np.where(d > 2.9, np.nan, d**2), 1.9599639845400538),
+        (lambda d: np.full_like(d, np.nan), None),
+    ],
+    ids=["parabola", "steep", "saturates", "unknown-before", "unknown-beyond", "unknown"],
+)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_ends_of_a_profile(shape, expected, side):
+    """The exact ends of d^2 + d^4 / 2, and none where the rise stays below the level or is not known up to it."""
+    distance = np.linspace(0.0, 3.0, 5)
+    end = crossing(2.0 + side * distance, np.append(0.0, shape(distance)[1:]))
+    assert end == (None if expected is None else pytest.approx(2.0 + side * expected, abs=0.005))
+
+
+def test_a_profile_that_a_bound_cuts_off_has_no_end_there():
+    values = np.array([2.0, 2.75, 3.2, 3.2, 3.2])
+    assert crossing(values, np.array([0.0, 0.6, 1.4, 1.4, 1.4])) is None
+    assert crossing(values, np.array([0.0, 2.0, 9.0, 9.0, 9.0])) == pytest.approx(2.98, abs=0.05)
+
+
+def test_a_fit_that_is_interrupted_in_its_first_step_has_no_result(monkeypatch):
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04)
+
+
+def test_an_interrupted_profile_is_no_profile(result, monkeypatch):
+    advance = MultiStartSolver.advance
+
+    def interrupt(step, cost):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MultiStartSolver, "advance", lambda solver: advance(solver, progress=interrupt))
+    with pytest.raises(KeyboardInterrupt):
+        profile_likelihood(result, "heat.h0")
 
 
 def test_a_parameter_at_its_bound_is_held_there_and_said_so():

@@ -20,6 +20,7 @@ from smajax.files.rig_kinds import MATERIALS
 from smajax.fitting.fit import fit
 from smajax.properties.cycle_rows import turning_points
 from smajax.properties.row_order import check_outliers, check_row_order
+from smajax.properties.stress_levels import count_stresses
 from smajax.properties.thermal_cycles import (
     PROPERTY_NAMES,
     TEMPERATURE_NAMES,
@@ -801,6 +802,14 @@ def test_several_stresses_tell_how_strain_grows(tmp_path):
         true = lagoudas_reference.current_strain(law, stress) + stress * (1 / 30e9 - 1 / 60e9)
         assert float(material.current_transformation_strain(jnp.asarray(stress))) == pytest.approx(true, rel=0.06)
     assert float(material.calibration_stress) == pytest.approx(140e6)
+
+
+@pytest.mark.parametrize(
+    ("stresses", "count"),
+    [((100.01e6, 100.02e6, 200e6), 2), ((100e6, 150e6, 200e6), 3), ((5e6, 6e6, 9e6), 2), ((300e6, 305e6), 1), ((), 0)],
+)
+def test_stresses_that_scatter_count_once(stresses, count):
+    assert count_stresses(stresses) == count
 
 
 @pytest.mark.parametrize(("stresses", "strain", "model"), [([400.0], 0.03, "brinson"), ([400.0, 500.0], 0.03, "brinson"), ([30.0], 8e-4, "brinson"), ([10.0, 30.0, 60.0], 4e-4, "lagoudas")])  # fmt: skip
