@@ -19,14 +19,20 @@ class InputError(ValueError):
     exit_code = 2
 
 
+class Cancelled(Exception):
+    """The work was cancelled by its progress callback before there was a result."""
+
+
 class NumericsError(ArithmeticError):
     """A failed calculation; the message names the result code, the parameters and the cure.
 
     Attributes:
         state: Last valid parameter values by name, in internal units; empty if there are none.
+        rig: Text of a rig file with these values; empty if there is none.
     """
 
     exit_code = 3
+    rig = ""
 
     def __init__(self, message: str, state: Mapping[str, float] | None = None):
         """Make the error.

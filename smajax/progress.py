@@ -1,13 +1,101 @@
-"""Progress of a long run, reported on stderr."""
+"""Progress of long work: events for a callback, and their display on stderr."""
 
 import sys
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from smajax.errors import Cancelled
 
 # Least time (s) between two lines of one phase where stderr is not a terminal; chosen by trial.
 _MIN_SECONDS_BETWEEN_LINES = 2.0
 # Width of the bar in characters.
 _BAR_WIDTH = 24
+
+
+class ProgressEvent(NamedTuple):
+    """One report of long work to its callback.
+
+    A callback that raises ``StopIteration`` stops the work: with the best result so far where ``can_stop`` is set, else
+    with ``Cancelled``.
+
+    Attributes:
+        text: What is being done, in words.
+        step: Number of steps that are done in this phase; ``None`` at the beginning of a phase.
+        total: Number of steps of the phase; ``None`` if it is not known.
+        can_stop: Whether the work can stop here with the best result so far.
+    """
+
+    text: str
+    step: int | None = None
+    total: int | None = None
+    can_stop: bool = False
+
+
+ProgressCallback = Callable[[ProgressEvent], object]
+
+
+class Reporter:
+    """Reports the phases and steps of long work to a callback, and takes its request to stop.
+
+    Attributes:
+        stopped: Whether the callback has asked to stop.
+    """
+
+    def __init__(self, callback: ProgressCallback | None = None):
+        """Begin without a phase.
+
+        Args:
+            callback: Function that gets the events; ``None`` to report nothing.
+        """
+        self._callback = callback
+        self._last = ProgressEvent("")
+        self.stopped = False
+
+    def phase(self, text: str, *, can_stop: bool = False) -> None:
+        """Report the beginning of a phase.
+
+        Args:
+            text: What is being done.
+            can_stop: Whether the work can stop in this phase with the best result so far.
+
+        Raises:
+            KeyboardInterrupt: If the callback asks to stop where the work can.
+            Cancelled: If it asks to stop where there is no result.
+        """
+        self._report(ProgressEvent(text, can_stop=can_stop))
+
+    def step(self, text: str, step: int = 0, total: int | None = None) -> None:
+        """Report a step within the phase; see ``phase`` for the exceptions.
+
+        Args:
+            text: What has been reached.
+            step: Number of steps that are done.
+            total: Number of steps of the phase, if it is known.
+        """
+        self._report(ProgressEvent(text, step, total, self._last.can_stop))
+
+    def check(self) -> bool:
+        """Repeat the last event, and return whether the callback has asked to stop."""
+        try:
+            self._report(self._last)
+        except KeyboardInterrupt:
+            self.stopped = True
+        return self.stopped
+
+    def _report(self, event: ProgressEvent) -> None:
+        self._last = event
+        if self._callback is None:
+            return
+        try:
+            self._callback(event)
+        except (StopIteration, KeyboardInterrupt) as error:
+            self.stopped = True
+            if event.can_stop:
+                raise KeyboardInterrupt from None
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            raise Cancelled(f"cancelled while {event.text}, before there was a result") from None
 
 
 class Progress:

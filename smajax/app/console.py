@@ -10,53 +10,74 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
-from smajax.errors import InputError, NumericsError
-from smajax.progress import Progress
+from smajax.errors import Cancelled, InputError, NumericsError
+from smajax.progress import Progress, ProgressEvent
 
 FAULT = 1
 INTERRUPTED = 130
 
 
-class StopRequest:
-    """A request to stop; ``requested`` is true after Ctrl-C was pressed."""
+class CommandProgress:
+    """Progress callback of a command: shows the events, and turns the first Ctrl-C into a request to stop.
 
-    requested = False
-
-
-@contextlib.contextmanager
-def stopping(progress: Progress) -> Iterator[StopRequest]:
-    """Turn the first Ctrl-C into a request to stop with the best result so far; the second one ends the process.
-
-    The first one does not raise an exception, since it could be lost during a compilation.
-
-    Args:
-        progress: Display that shows the request.
-
-    Returns:
-        A context with the request, to be tested between the steps of a calculation.
+    In a phase that can stop, the first Ctrl-C does not raise an exception, since it could be lost during a compilation;
+    the work stops after its step. The second one ends the process. In other phases Ctrl-C raises ``KeyboardInterrupt``.
     """
-    request = StopRequest()
-    if threading.current_thread() is not threading.main_thread():
-        yield request
-        return
 
-    def on_interrupt(number: int, frame: FrameType | None) -> None:
-        if request.requested:
-            progress.close()
+    def __init__(self, display: Progress):
+        """Begin without a phase.
+
+        Args:
+            display: Display of the events.
+        """
+        self._display = display
+        self._previous: Any = None
+        self._handling = self._requested = False
+
+    def __enter__(self) -> "CommandProgress":
+        self._display.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._restore()
+        self._display.close()
+
+    def __call__(self, event: ProgressEvent) -> None:
+        """Show an event.
+
+        Raises:
+            KeyboardInterrupt: If Ctrl-C was pressed in a phase that can stop.
+        """
+        if event.step is None:
+            self._display.phase(event.text)
+            self._handle() if event.can_stop else self._restore()
+        else:
+            self._display.step(event.text)
+        if self._requested and event.can_stop:
+            raise KeyboardInterrupt
+
+    def _handle(self) -> None:
+        if not self._handling and threading.current_thread() is threading.main_thread():
+            self._previous, self._handling = signal.signal(signal.SIGINT, self._on_interrupt), True
+
+    def _restore(self) -> None:
+        if self._handling:
+            signal.signal(signal.SIGINT, self._previous)
+        self._handling = self._requested = False
+
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self._requested:
+            self._display.close()
             _print_error("interrupted; nothing was written")
             os._exit(INTERRUPTED)
-        request.requested = True
-        progress.phase("stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once")
-
-    previous = signal.signal(signal.SIGINT, on_interrupt)
-    try:
-        yield request
-    finally:
-        signal.signal(signal.SIGINT, previous)
+        self._requested = True
+        self._display.phase(
+            "stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once"
+        )
 
 
 def exit_code(error: BaseException) -> int:
@@ -64,6 +85,9 @@ def exit_code(error: BaseException) -> int:
     if isinstance(error, InputError | NumericsError):
         _print_error(str(error))
         return error.exit_code
+    if isinstance(error, Cancelled):
+        _print_error(str(error))
+        return INTERRUPTED
     if isinstance(error, KeyboardInterrupt):
         _print_error("interrupted; nothing was written")
         return INTERRUPTED

@@ -99,13 +99,26 @@ def write_parameters(path: str | Path, entries: Mapping[str, Entry], header: Map
     Raises:
         InputError: If a value is not finite, or the file cannot be written.
     """
+    try:
+        text = parameters_text(entries, header)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    write_text(Path(path), text)
+
+
+def parameters_text(entries: Mapping[str, Entry], header: Mapping[str, Any]) -> str:
+    """Return the text of a parameter set; the arguments are those of ``write_parameters``.
+
+    Raises:
+        InputError: If a value is not finite.
+    """
     tables: dict[str, Any] = {"schema": SCHEMA, **header}
     for name, entry in entries.items():
         if not math.isfinite(entry.value):
-            raise InputError(f"{path}: {name} is {entry.value} and cannot be written: give it a finite value")
+            raise InputError(f"{name} is {entry.value} and cannot be written: give it a finite value")
         section, key = ("per_recording", name) if "@" in name else name.split(".", 1)
         tables.setdefault(section, {})[key] = _table(entry)
-    write_text(Path(path), render_toml(tables))
+    return render_toml(tables)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Entry]]:

@@ -40,7 +40,7 @@ from smajax.recordings.read import read_recording
 from smajax.recordings.recording import Recording
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Rig:
     """A rig: plant, settings of the fit, and columns of its recordings.
 
@@ -55,6 +55,7 @@ class Rig:
         sources: Origin of each value by parameter name: a line of the rig file, a parameter set, or "default".
         notes: Sentences on entries that were read and are not used.
         misplaced: Effects that do not apply to this rig and were omitted, with the reason.
+        text: Text that the rig was read from; ``None`` for a rig that was built.
     """
 
     name: str
@@ -67,6 +68,10 @@ class Rig:
     sources: Mapping[str, str]
     notes: tuple[str, ...] = ()
     misplaced: Mapping[str, str] = field(default_factory=dict)
+    text: str | None = None
+
+    def __repr__(self) -> str:
+        return f"<Rig {self.name}: {self.kind}, {self.fit.model}>"
 
     def read(self, path: str | Path, *, drop_bad_rows: bool = False, observed: bool = True) -> Recording:
         """Read a recording of this rig.
@@ -157,7 +162,7 @@ def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, 
         if rig.misplaced and not drop_misplaced:
             key, reason = next(iter(rig.misplaced.items()))
             raise InputError(f"effects.{key} does not apply to this rig: {reason}")
-        return rig
+        return replace(rig, text=text)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 

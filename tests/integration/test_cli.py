@@ -83,7 +83,7 @@ def fitted(bench) -> Result:
 
 
 def test_help_imports_no_large_packages():
-    probe = "import sys, smajax.app.cli; print([m for m in ('jax', 'numpy', 'scipy', 'pint', 'plotly', 'pandas', 'pydantic') if m in sys.modules])"
+    probe = "import sys, smajax.app.cli; print([m for m in ('jax', 'equinox', 'numpy', 'scipy', 'pint', 'plotly', 'pandas', 'pydantic') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 
@@ -389,11 +389,11 @@ def test_a_start_outside_of_its_bounds_is_refused(bench, fitted, tmp_path):
 def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
     jobs = []
 
-    def stop_here(job, progress, argv):
-        jobs.append(job)
+    def stop_here(rig, train, **options):
+        jobs.append((train, options["holdout"]))
         raise InputError("enough")
 
-    monkeypatch.setattr("smajax.app.commands.fit.run_fit", stop_here)
+    monkeypatch.setattr("smajax.api.fit.fit", stop_here)
     assert (
         smajax(
             "fit",
@@ -410,11 +410,11 @@ def test_all_files_after_holdout_are_holdouts(bench, monkeypatch, tmp_path):
         ).exit_code
         == 2
     )
-    assert [str(path) for path in jobs[0].train] == ["a.csv", "b.csv"]
-    assert [str(path) for path in jobs[0].holdout] == ["c.csv", "d.csv", "e.csv"]
+    assert [str(path) for path in jobs[0][0]] == ["a.csv", "b.csv"]
+    assert [str(path) for path in jobs[0][1]] == ["c.csv", "d.csv", "e.csv"]
     smajax("fit", "rig.toml", "a.csv", "--holdout=b.csv", "c.csv", "--out", tmp_path / "o")
-    assert [str(path) for path in jobs[1].train] == ["a.csv"]
-    assert [str(path) for path in jobs[1].holdout] == ["b.csv", "c.csv"]
+    assert [str(path) for path in jobs[1][0]] == ["a.csv"]
+    assert [str(path) for path in jobs[1][1]] == ["b.csv", "c.csv"]
 
 
 @pytest.mark.parametrize("kind", actuator_file.ACTUATORS)

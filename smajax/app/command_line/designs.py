@@ -22,12 +22,13 @@ def tune(
 ) -> None:
     """Tune a controller's gains by gradients of its closed loop with the rig; write them for a microcontroller."""
     with start_run(quiet) as progress:
-        from smajax.app.commands.tune import TuneJob, run_tune
-        from smajax.report.tuning import text
+        from smajax.api.tune import tune as tune_gains
+        from smajax.files.result_folder import check_output_folder
 
-        outcome = run_tune(TuneJob(rig, controller, out, seed), progress, argv())
-    summary = text(outcome.document, str(out))
-    finish_run(outcome, "tune.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+        check_output_folder(out)
+        study = tune_gains(rig, controller, seed=seed, progress=progress)
+        study.save(out, argv=argv())
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 def sweep(
@@ -50,13 +51,9 @@ def sweep(
 ) -> None:
     """Simulate many designs of a rig: the best ones, their trade-offs, what matters; refine them by gradients."""
     with start_run(quiet, accelerator=True) as progress:
-        from smajax.app.commands.sweep import SweepJob, run_sweep
-        from smajax.app.console import INTERRUPTED
-        from smajax.report.sweep import text
+        from smajax.api.sweep import sweep as simulate_designs
 
-        outcome = run_sweep(SweepJob(sweep_file, out, scheduler, resume), progress, argv())
-    if outcome.code == INTERRUPTED:
-        typer.echo(f"smajax: {outcome.reason}", err=True)
-        raise typer.Exit(outcome.code)
-    summary = text(outcome.document, str(out))
-    finish_run(outcome, "sweep.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+        study = simulate_designs(
+            sweep_file, folder=out, scheduler=scheduler, resume=resume, progress=progress, argv=argv()
+        )
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)

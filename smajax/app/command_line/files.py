@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from smajax.app.command_line.options import DropBadRows, Open, Quiet, RigFile
-from smajax.app.command_line.run import argv, finish_run, start_run
+from smajax.app.command_line.run import finish_run, start_run
 from smajax.errors import InputError
 
 
@@ -48,14 +48,13 @@ def demo(
 
     folder = data_path("recordings", "dead-weight-unexplained")
     with start_run(quiet) as progress:
-        from smajax.app.commands.diagnose import DiagnoseJob, run_diagnose
-        from smajax.report.diagnosis_summary import text
+        from smajax.app.commands.diagnose import diagnose_into
 
         train, select, holdout = (folder / f"{part}.csv" for part in ("train", "select", "holdout"))
-        outcome = run_diagnose(DiagnoseJob(folder / "rig.toml", train, select, holdout, out), progress, argv())
-    after = f"Report:  {out / 'report.html'}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
-    summary = f"{text(outcome.document, str(out))}\n{after}"
-    finish_run(outcome, "diagnosis.json", summary, quiet=quiet, open_report=open_report)
+        study = diagnose_into(out, folder / "rig.toml", train, select=select, holdout=holdout, progress=progress)
+    report = f"Report:  {out / 'report.html'}"
+    after = f"\n{report}\nNext:    smajax init dead-weight --out my-rig   (files to start from)"
+    finish_run(study, out, quiet=quiet, open_report=open_report, after=after)
 
 
 def init(

@@ -54,12 +54,13 @@ def simulate(
 ) -> None:
     """Simulate a rig under the inputs of a recording."""
     with start_run(quiet) as progress:
-        from smajax.app.commands.simulate import run_simulation
-        from smajax.report.summary import simulation_text
+        from smajax.api.predict import predict
+        from smajax.files.result_folder import check_output_folder
 
-        outcome = run_simulation(rig, recording, out, drop_bad_rows=drop_bad_rows, progress=progress, argv=argv())
-    text = simulation_text(outcome.document, str(out))
-    finish_run(outcome, "run.json", text, quiet=quiet, as_json=as_json, open_report=open_report)
+        check_output_folder(out)
+        study = predict(rig, recording, drop_bad_rows=drop_bad_rows, progress=progress)
+        study.save(out, argv=argv())
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 def fit(
@@ -84,13 +85,23 @@ def fit(
 ) -> None:
     """Fit a rig's free parameters to recordings, with intervals, and predict others."""
     with start_run(quiet) as progress:
-        from smajax.app.commands.fit import FitJob, run_fit
-        from smajax.report.summary import text
+        from smajax.api.fit import fit as fit_rig
+        from smajax.files.result_folder import check_output_folder
 
-        job = FitJob(rig, train, out, holdout or (), start, seed, starts, drop_bad_rows, profile or ())
-        outcome = run_fit(job, progress, argv())
-    summary = text(outcome.document, str(out))
-    finish_run(outcome, "fit.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+        check_output_folder(out)
+        study = fit_rig(
+            rig,
+            train,
+            holdout=holdout,
+            start=start,
+            seed=seed,
+            starts=starts,
+            profile=profile or (),
+            drop_bad_rows=drop_bad_rows,
+            progress=progress,
+        )
+        study.save(out, argv=argv())
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 def diagnose(
@@ -113,13 +124,20 @@ def diagnose(
 ) -> None:
     """Find effects that a rig has and its model lacks: trace the residual to an effect, add it, compare."""
     with start_run(quiet) as progress:
-        from smajax.app.commands.diagnose import DiagnoseJob, run_diagnose
-        from smajax.report.diagnosis_summary import text
+        from smajax.app.commands.diagnose import diagnose_into
 
-        job = DiagnoseJob(rig, train, select, holdout, out, seed, drop_bad_rows, start)
-        outcome = run_diagnose(job, progress, argv())
-    summary = text(outcome.document, str(out))
-    finish_run(outcome, "diagnosis.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+        study = diagnose_into(
+            out,
+            rig,
+            train,
+            select=select,
+            holdout=holdout,
+            start=start,
+            seed=seed,
+            drop_bad_rows=drop_bad_rows,
+            progress=progress,
+        )
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
 def compare(
@@ -137,12 +155,14 @@ def compare(
     open_report: Open = False,
 ) -> None:
     """Rank material laws and input-output models, fitted to one recording, by their prediction of another."""
+    names = None if models is None else [word.strip() for word in models.split(",") if word.strip()]
     with start_run(quiet) as progress:
-        from smajax.app.commands.compare import CompareJob, run_compare
-        from smajax.comparison.models import MODELS
-        from smajax.report.comparison import text
+        from smajax.api.compare import compare as compare_models
+        from smajax.files.result_folder import check_output_folder
 
-        names = list(MODELS) if models is None else [word.strip() for word in models.split(",") if word.strip()]
-        outcome = run_compare(CompareJob(rig, train, holdout, names, out, seed, drop_bad_rows), progress, argv())
-    summary = text(outcome.document, str(out))
-    finish_run(outcome, "compare.json", summary, quiet=quiet, as_json=as_json, open_report=open_report)
+        check_output_folder(out)
+        study = compare_models(
+            rig, train, holdout=holdout, models=names, seed=seed, drop_bad_rows=drop_bad_rows, progress=progress
+        )
+        study.save(out, argv=argv())
+    finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)

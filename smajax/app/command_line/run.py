@@ -1,29 +1,31 @@
 """Start and end of a long command: progress, the command line for its record, output and exit code."""
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
-    from smajax.app.run_record import Outcome
-    from smajax.progress import Progress
+    from smajax.api.study import Study
+    from smajax.app.console import CommandProgress
 
 
-def start_run(quiet: bool, accelerator: bool = False) -> "Progress":
+def start_run(quiet: bool, accelerator: bool = False) -> "CommandProgress":
     """Show progress and configure JAX; call it before importing modules that use JAX.
 
     Args:
         quiet: Whether no progress is shown.
         accelerator: Whether JAX may use an accelerator.
     """
+    from smajax.app.console import CommandProgress
     from smajax.numerics.process import prepare_jax
     from smajax.progress import Progress
 
-    progress = Progress(quiet)
-    progress.phase("loading")
+    display = Progress(quiet)
+    display.phase("loading")
     prepare_jax(accelerator)
-    return progress
+    return CommandProgress(display)
 
 
 def argv() -> list[str]:
@@ -32,29 +34,29 @@ def argv() -> list[str]:
 
 
 def finish_run(
-    outcome: "Outcome", result: str, text: str, *, quiet: bool, as_json: bool = False, open_report: bool = False
+    study: "Study", out: Path, *, quiet: bool, as_json: bool = False, open_report: bool = False, after: str = ""
 ) -> None:
-    """Print the result of a run, open its report, and exit with its code.
+    """Print the summary of a saved study, open its report, and exit with its code.
 
     Args:
-        outcome: The outcome of the job.
-        result: Name of the file in the result folder that ``--json`` prints.
-        text: The summary.
+        study: The study.
+        out: Its result folder.
         quiet: Whether no summary is printed.
-        as_json: Whether the result file is printed instead.
+        as_json: Whether the result document is printed instead.
         open_report: Whether the report is opened in a browser.
+        after: Lines that follow the summary.
     """
     if as_json:
-        typer.echo((outcome.folder / result).read_text("utf-8"), nl=False)
+        typer.echo((out / study.document_name).read_text("utf-8"), nl=False)
     elif not quiet:
-        typer.echo(text)
-    if outcome.reason:
-        typer.echo(f"smajax: {outcome.reason}; the results so far are saved in {outcome.folder}", err=True)
-    if outcome.note and not quiet:
-        typer.echo(f"smajax: {outcome.note}", err=True)
+        typer.echo(study.summary(str(out)) + after)
+    if study.reason:
+        typer.echo(f"smajax: {study.reason}; the results so far are saved in {out.resolve()}", err=True)
+    if study.note and not quiet:
+        typer.echo(f"smajax: {study.note}", err=True)
     if open_report:
         from smajax.app.console import open_in_browser
 
-        open_in_browser(outcome.folder / "report.html")
-    if outcome.code:
-        raise typer.Exit(outcome.code)
+        open_in_browser(out.resolve() / "report.html")
+    if not study.success:
+        raise typer.Exit(study.exit_code)

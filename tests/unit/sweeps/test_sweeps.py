@@ -31,11 +31,10 @@ from typer.testing import CliRunner
 from smajax import parameters
 from smajax.actuators.knee import Knee
 from smajax.app.cli import app
-from smajax.app.commands.sweep import SweepJob, run_sweep
+from smajax.api.sweep import sweep
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.rig_file import read_rig
-from smajax.progress import Progress
 from smajax.report.sweep import best_rows, sweep_summary
 from smajax.sweeps import chunks, compilation, evaluation, space
 from smajax.sweeps.bandwidth import FrequencyPoint, find_bandwidth
@@ -112,7 +111,7 @@ class StubProblem(AbstractSweepProblem):
 
 
 def run(folder, out="out", **options):
-    return run_sweep(SweepJob(folder / "sweep.toml", folder / out, **options), Progress(quiet=True), ["smajax"])
+    return sweep(folder / "sweep.toml", folder=folder / out, **options)
 
 
 def test_designs_cover_the_space():
@@ -573,7 +572,7 @@ def test_refined_designs_keep_their_limits_and_beat_the_samples(folder):
 
 def test_the_command_and_its_table(folder):
     outcome = run(folder)
-    assert outcome.code == 0 and outcome.reason == ""
+    assert outcome.exit_code == 0 and outcome.reason == ""
     out = folder / "out"
     assert not (folder / "out.partial").exists()
     table = pyarrow.parquet.read_table(out / "sweep.parquet")
@@ -600,7 +599,7 @@ def test_the_command_and_its_table(folder):
     versions = json.loads((out / "run.json").read_text("utf-8"))["versions"]
     assert {"jax", "numpy", "scipy"} <= header["versions"].keys() and header["versions"].items() <= versions.items()
     # The table alone makes the same table again.
-    repeated = run_sweep(SweepJob(out / "sweep.parquet", folder / "again"), Progress(quiet=True), ["smajax"])
+    repeated = sweep(out / "sweep.parquet", folder=folder / "again")
     assert (
         repeated.code == 0 and (folder / "again" / "sweep.parquet").read_bytes() == (out / "sweep.parquet").read_bytes()
     )
@@ -629,7 +628,7 @@ def test_an_interrupted_sweep_is_resumed(folder, monkeypatch):
     with pytest.raises(InputError, match="belong to another sweep"):
         run(folder, resume=True)
     (folder / "sweep.toml").write_text(SWEEP, "utf-8")
-    assert run(folder, resume=True).code == 0
+    assert run(folder, resume=True).exit_code == 0
     assert (folder / "out" / "sweep.parquet").read_bytes() == whole
 
 
@@ -639,10 +638,10 @@ def test_a_finished_sweep_is_not_resumed(folder, monkeypatch):
     assert first.note == "there was nothing to resume, so all designs were simulated from the start"
     written = (folder / "out" / "run.json").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr("smajax.app.commands.sweep.run_chunks", None)
+        patch.setattr("smajax.api.sweep.run_chunks", None)
         again = run(folder, resume=True)
     assert "since this sweep was finished: its result is unchanged" in again.note
-    assert again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8")) and again.code == first.code
+    assert again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8")) and again.exit_code == first.exit_code
     assert (folder / "out" / "run.json").read_bytes() == written
     shown = CliRunner().invoke(app, ["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--resume"])
     assert shown.exit_code == 0 and "smajax: there was nothing to resume, since" in shown.stderr
@@ -717,7 +716,7 @@ def test_lock_of_a_run_and_check_of_its_chunks(folder):
         run(folder, resume=True)
     (partial / parts[1].file).unlink()
     outcome = run(folder, resume=True)
-    assert outcome.code == 0 and outcome.document["codes"] == {"done": 40}
+    assert outcome.exit_code == 0 and outcome.document["codes"] == {"done": 40}
 
 
 def test_a_full_disk_keeps_what_is_there(folder):
@@ -731,7 +730,7 @@ def test_a_full_disk_keeps_what_is_there(folder):
             run(folder)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert run(folder, resume=True).code == 0
+    assert run(folder, resume=True).exit_code == 0
     assert (folder / "out" / "sweep.parquet").read_bytes() == (folder / "whole" / "sweep.parquet").read_bytes()
 
 
@@ -740,7 +739,7 @@ def test_a_run_killed_before_its_first_file_is_resumed(folder):
     partial.mkdir()
     (partial / ".sweep.json.4711.part").write_text("{", "utf-8")
     (folder / "sweep.toml").write_text(SWEEP.replace("designs = 130", "designs = 20"), "utf-8")
-    assert run(folder, resume=True).code == 0
+    assert run(folder, resume=True).exit_code == 0
     partial.mkdir()
     (partial / "notes.part").write_text("mine", "utf-8")
     with pytest.raises(InputError, match="chunks of a sweep belong there, but smajax did not create it"):
@@ -779,7 +778,7 @@ def test_constraints_that_no_design_keeps(folder):
     outcome = run(folder)
     assert "degC (allowed: at most 21 degC)" in outcome.reason
     assert (
-        outcome.code == 3 and "none of the 130 designs satisfies the constraints: the nearest, design" in outcome.reason
+        outcome.exit_code == 3 and "none of the 130 designs satisfies the constraints: the nearest, design" in outcome.reason
     )
     assert (folder / "out" / "sweep.parquet").is_file()
 
@@ -794,7 +793,7 @@ def test_refinement_restores_feasibility(folder):
     assert drawn.code == 3 and "has stroke 8.348 mm (allowed: at least 9.5 mm)" in drawn.reason
     (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 2\n", "utf-8")
     outcome = run(folder)
-    assert outcome.code == 0 and outcome.document["feasible"] == 0 and not outcome.document["problems"]
+    assert outcome.exit_code == 0 and outcome.document["feasible"] == 0 and not outcome.document["problems"]
     best = [entry for entry in outcome.document["refined"] if entry["better"]]
     assert best and all(entry["rescued"] for entry in outcome.document["refined"])
     assert all(entry["metrics"]["stroke"] >= 9.5e-3 and entry["metrics"]["peak_temperature"] <= 120.0 for entry in best)
@@ -853,7 +852,7 @@ def test_the_nearest_design_is_one_that_was_simulated(tmp_path):
     """
     (tmp_path / "sweep.toml").write_text(content, "utf-8")
     outcome = run(tmp_path)
-    assert outcome.code == 3 and outcome.document["codes"] == {"done": 1, "diverged": 1}
+    assert outcome.exit_code == 3 and outcome.document["codes"] == {"done": 1, "diverged": 1}
     assert "the nearest, design 0, has moment 1.528 mN m (allowed: at least 1000 mN m)" in outcome.reason
 
 
@@ -1088,7 +1087,7 @@ def test_an_unreachable_scheduler(folder, monkeypatch):
         InputError, match="--scheduler is empty: give a Dask scheduler's address, like tcp://host:8786, or local"
     ):
         run(folder, scheduler="")
-    assert run(folder, resume=True).code == 0
+    assert run(folder, resume=True).exit_code == 0
 
 
 @contextlib.contextmanager

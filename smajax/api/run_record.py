@@ -1,37 +1,20 @@
-"""Record of a run: outcome, timings, and the document run.json."""
+"""Record of a run: its timings, and the document run.json."""
 
 import contextlib
 import platform
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import jax
 
 from smajax import __version__
-from smajax.errors import InputError
 from smajax.files.versions import package_versions
 
-
-class Outcome(NamedTuple):
-    """Outcome of a job.
-
-    Attributes:
-        folder: The result folder.
-        document: The result document; that of run.json for a simulation.
-        code: The exit code.
-        reason: Reason for an exit code other than 0.
-        note: Sentence on anything else that the user should know.
-    """
-
-    folder: Path
-    document: dict[str, Any]
-    code: int
-    reason: str = ""
-    note: str = ""
+# Exit code of a study that was stopped with the best result so far: that of a process ended by Ctrl-C.
+INTERRUPTED = 130
 
 
 @dataclass
@@ -61,22 +44,19 @@ class _Named(Protocol):
     def name(self) -> str: ...
 
 
-def run_record(
-    command: str, rig: _Named, argv: Sequence[str], clock: Clock, seed: int | None, code: int
-) -> dict[str, Any]:
-    """Return the entries of run.json that all commands have, except the list of files.
+def run_record(command: str, rig: _Named, clock: Clock, seed: int | None, code: int) -> dict[str, Any]:
+    """Return the entries of run.json that all studies have, except the list of files; ``argv`` is empty.
 
     Args:
         command: Name of the command.
         rig: The rig, or the subject of a sweep.
-        argv: The command line.
         clock: Timings of the run.
         seed: Seed of the random numbers, or ``None``.
         code: The exit code.
     """
     return {
         "command": command,
-        "argv": list(argv),
+        "argv": [],
         "rig": rig.name,
         "started": clock.started,
         "exit_code": code,
@@ -85,16 +65,3 @@ def run_record(
         "machine": f"{platform.system()} {platform.machine()}, jax on {jax.default_backend()}",
         "timings": {part: round(seconds, 3) for part, seconds in clock.timings.items()},
     }
-
-
-def read_rig_text(path: Path) -> str:
-    """Read the text of a rig file for its copy in the result folder.
-
-    Raises:
-        InputError: If the file can no longer be read.
-    """
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise InputError(f"{path}: the file cannot be read ({reason}): check it") from None

@@ -1,0 +1,119 @@
+"""Compare several models on one recording, and rank them by their prediction of another."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import as_rig, one_source, rig_text
+from smajax.api.study import Study
+from smajax.comparison.compare import compare_models
+from smajax.comparison.model_result import ModelResult
+from smajax.comparison.models import MODELS, select_models
+from smajax.files.rig_file import Rig
+from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.progress import ProgressCallback, Reporter
+from smajax.recordings.recording import Recording
+from smajax.recordings.shared_rows import refuse_copies
+from smajax.report.comparison_document import comparison_document
+from smajax.report.prediction import Series, make_series
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ComparisonStudy(Study):
+    """Ranking of models.
+
+    Attributes:
+        results: Predictions and parameters of each model as arrays; empty for a loaded study.
+    """
+
+    command = "compare"
+    document_name = "compare.json"
+
+    results: tuple[ModelResult, ...] = ()
+
+    @property
+    def ranking(self) -> tuple[Mapping[str, Any], ...]:
+        """Entries of the models, the best prediction of the holdout first."""
+        return tuple(self.document["models"])
+
+    def summary(self, folder: str = "") -> str:
+        """Return the ranking as a table."""
+        from smajax.report.comparison import text
+
+        return text(self.document, folder)
+
+    def page(self, series: Sequence[Series]) -> str:
+        """Return the report page of the comparison."""
+        from smajax.report.comparison import comparison_page
+
+        return comparison_page(self.document, series, self.run, self.file_text("rig.toml"))
+
+
+def compare(
+    rig: Rig | str | Path,
+    train: Any,
+    *,
+    holdout: Any,
+    models: Sequence[str] | None = None,
+    seed: int | None = None,
+    drop_bad_rows: bool = False,
+    progress: ProgressCallback | None = None,
+) -> ComparisonStudy:
+    """Fit material laws and input-output models to one recording, and rank them by their prediction of another.
+
+    Args:
+        rig: The rig, or its file; its first observed channel is compared.
+        train: The recording to fit: a path, a table in memory, or a ``Recording``.
+        holdout: The recording to predict, given likewise.
+        models: Names of the models; all of them by default.
+        seed: Seed of the starting points; that of the rig by default.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        progress: Function that gets a ``ProgressEvent`` for each model.
+
+    Raises:
+        InputError: If a file or a name is not valid, or no model can be fitted to such input.
+        NumericsError: If no model can be fitted.
+        Cancelled: If the callback stopped the comparison.
+    """
+    clock, reporter = Clock(), Reporter(progress)
+    names = select_models(MODELS if models is None else models)
+    reporter.phase("reading")
+    with clock.time("read"):
+        rig = as_rig(rig)
+        text = rig_text(rig)
+        sources = [[one_source(train, "train")], [one_source(holdout, "holdout")]]
+        recordings = [r for r, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
+        refuse_copies(recordings)
+    seed = rig.fit.seed if seed is None else seed
+    with clock.time("fit"):
+        results = compare_models(
+            rig, names, recordings, seed=seed, progress=lambda model: reporter.phase(f"fitting {model}")
+        )
+    reporter.phase("writing the report")
+    return ComparisonStudy(
+        document=comparison_document(rig, results, recordings, seed),
+        series=tuple(_series(rig.fit.observe[0], results, recordings)),
+        run=run_record("compare", rig, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
+        files={"rig.toml": text.encode()},
+        results=tuple(results),
+    )
+
+
+def _series(channel: str, results: Sequence[ModelResult], recordings: Sequence[Recording]) -> list[Series]:
+    """Return the compared channel of training and holdout recording by each model that could be fitted."""
+    return [
+        make_series(
+            f"{recording.name} ({result.name})",
+            role,
+            recording.time,
+            {channel: recording.channels[channel]},
+            {channel: values},
+            recording.units,
+            has_clock=recording.has_clock,
+        )
+        for result in results
+        if not result.reason
+        for recording, role, values in zip(recordings, ("train", "holdout"), result.predictions, strict=True)
+    ]

@@ -1,0 +1,167 @@
+"""Find the effects that a rig has and its model lacks."""
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from smajax import parameters
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import as_rig, one_source, rig_text, with_start
+from smajax.api.study import FileContent, Study
+from smajax.diagnosis.outcome import diagnose as diagnose_problem
+from smajax.diagnosis.result import Diagnosis
+from smajax.diagnosis.setup import check_recordings, diagnosed_rig, set_up_diagnosis
+from smajax.errors import InputError, NumericsError
+from smajax.files.rig_file import Rig
+from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.progress import ProgressCallback, Reporter
+from smajax.recordings.recording import Recording
+from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
+from smajax.report.diagnosis_series import prediction_series
+from smajax.report.prediction import Series
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class DiagnosisStudy(Study):
+    """Result of a diagnosis.
+
+    Attributes:
+        result: Errors, intervals and residuals as arrays; ``None`` for a loaded study.
+    """
+
+    command = "diagnose"
+    document_name = "diagnosis.json"
+
+    result: Diagnosis | None = None
+
+    @property
+    def verdict(self) -> str:
+        """The verdict: "named", "named-up-to-class", "partial", "unresolved" or "nothing-missing"."""
+        return self.document["verdict"]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Keys of the effects that were added."""
+        return tuple(self.document["effects"])
+
+    @property
+    def equivalent(self) -> dict[str, tuple[str, ...]]:
+        """For each added effect, those that explain the recordings as well."""
+        return {key: tuple(others) for key, others in self.document["equivalent"].items()}
+
+    @property
+    def next_experiment(self) -> Mapping[str, Any] | None:
+        """The input that distinguishes equivalent effects; ``None`` where none is needed."""
+        return self.document["next_experiment"]
+
+    @property
+    def rmse(self) -> dict[str, dict[str, Any]]:
+        """RMSE by channel, before and after the effects were added, on each recording."""
+        return {channel: dict(entry) for channel, entry in self.document["rmse"].items()}
+
+    @property
+    def rig(self) -> Rig:
+        """The rig with its effects and estimates."""
+        return self._rig("rig-diagnosed.toml")
+
+    def summary(self, folder: str = "") -> str:
+        """Return verdict, effects, and errors before and after."""
+        from smajax.report.diagnosis_summary import text
+
+        return text(self.document, folder)
+
+    def page(self, series: Sequence[Series]) -> str:
+        """Return the report page of the diagnosis."""
+        from smajax.report.diagnosis_page import diagnosis_page
+
+        return diagnosis_page(self.document, series, self.run["inputs"], self.run, self.file_text("rig.toml"))
+
+
+def diagnose(
+    rig: Rig | str | Path,
+    train: Any,
+    *,
+    select: Any,
+    holdout: Any,
+    start: str | Path | None = None,
+    seed: int | None = None,
+    drop_bad_rows: bool = False,
+    progress: ProgressCallback | None = None,
+) -> DiagnosisStudy:
+    """Find the effects that a rig has and its model lacks: trace the residual to an effect, add it, compare.
+
+    Args:
+        rig: The rig, or its file; its section ``[fit]`` says what is free and observed.
+        train: The recording to fit: a path, a table in memory, or a ``Recording``.
+        select: A recording of another input; an effect is added if it lowers the error here.
+        holdout: A recording of a third input, which is predicted at the end.
+        start: Parameter set to start from, such as the fit.toml of an earlier fit.
+        seed: Seed of the random numbers; that of the rig by default.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        progress: Function that gets a ``ProgressEvent`` for each phase.
+
+    Raises:
+        InputError: If a file or a recording cannot be used.
+        NumericsError: If the simulation fails, or the base fit does not converge and no effect explains it; ``rig`` of
+            the error is then the text of a rig file with the last parameter values.
+        Cancelled: If the callback stopped the diagnosis.
+    """
+    clock, began, reporter = Clock(), time.perf_counter(), Reporter(progress)
+    reporter.phase("reading")
+    with clock.time("read"):
+        rig = as_rig(rig, drop_misplaced=True)
+        text = rig_text(rig)
+        rig = with_start(rig, start)
+        if rig.fit.per_recording:
+            raise InputError(
+                f"{rig.path or rig.name}: a diagnosis takes one set of parameters for all recordings: move "
+                "fit.per_recording to fit.free"
+            )
+        sources = [one_source(train, "train")], [one_source(select, "select"), one_source(holdout, "holdout")]
+        recordings = [recording for recording, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
+        check_recordings(rig.plant, recordings)
+    seed = rig.fit.seed if seed is None else seed
+    with clock.time("diagnose"):
+        setup = set_up_diagnosis(rig, recordings)
+        try:
+            result = diagnose_problem(
+                setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=reporter.phase
+            )
+        except NumericsError as error:
+            if error.state:
+                last = parameters.replace(setup.problem.base_problem.plant, error.state)
+                error.rig = dataclasses.replace(rig, plant=last).to_toml()
+            raise
+    document = diagnosis_document(
+        result,
+        recordings,
+        evidence=setup.auxiliary,
+        left_out=setup.left_out,
+        misplaced=rig.misplaced,
+        simulations=setup.problem.simulations,
+        wall_time=time.perf_counter() - began,
+        seed=seed,
+    )
+    files: dict[str, FileContent] = {
+        "rig.toml": text.encode(),
+        "rig-diagnosed.toml": diagnosed_rig(rig, setup.problem.fitted_plant(result.after), setup.auxiliary)
+        .to_toml()
+        .encode(),
+    }
+    if result.next_experiment and result.next_experiment.recording:
+        files[NEXT_INPUT] = partial(_write_recording, result.next_experiment.recording)
+    reporter.phase("writing the report")
+    return DiagnosisStudy(
+        document=document,
+        series=tuple(prediction_series(recordings, result)),
+        run=run_record("diagnose", rig, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
+        files=files,
+        result=result,
+    )
+
+
+def _write_recording(recording: Recording, path: Path) -> None:
+    recording.write(path)

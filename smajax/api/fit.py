@@ -1,0 +1,333 @@
+"""Fit the free parameters of a rig to recordings, and predict others."""
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from smajax import __version__, parameters
+from smajax.api.run_record import INTERRUPTED, Clock, run_record
+from smajax.api.sources import as_list, as_rig, rig_text, with_start
+from smajax.api.study import FileContent, Study
+from smajax.errors import Cancelled, InputError, NumericsError, suggestion
+from smajax.files.fit_settings import FitSettings
+from smajax.files.parameter_sets import Entry, parameters_text
+from smajax.files.rig_file import Rig
+from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.fit import fit as fit_plant
+from smajax.fitting.input_noise import input_noise_warnings
+from smajax.fitting.profile import profile_likelihood
+from smajax.fitting.responses import simulate_responses
+from smajax.fitting.result import FitResult, Response
+from smajax.plant.materials.dissipation import check_dissipation
+from smajax.progress import ProgressCallback, Reporter
+from smajax.recordings.recording import Recording
+from smajax.report.fit_document import failed_document, fit_document
+from smajax.report.prediction import Series, modelled_channels, recording_series
+from smajax.simulation.status import SimulationStatus
+
+
+class Parameter(NamedTuple):
+    """A parameter after a fit.
+
+    Attributes:
+        value: Estimate, in ``unit``.
+        interval: Lower and upper end of the 95 % interval; ``None`` at a bound, and where the data do not determine it.
+        unit: Unit.
+        at_bound: Whether it is at a bound beyond which the cost falls further.
+        bounds: Lower and upper bound.
+    """
+
+    value: float
+    interval: tuple[float, float] | None
+    unit: str
+    at_bound: bool
+    bounds: tuple[float | None, float | None]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class FitStudy(Study):
+    """Result of a fit.
+
+    Attributes:
+        result: Estimates, covariance and responses as arrays; ``None`` for a loaded study and a fit that failed.
+    """
+
+    command = "fit"
+    document_name = "fit.json"
+
+    result: FitResult | None = None
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters by name, followed by ``@recording`` where each recording has its own."""
+        return {name: _parameter(entry) for name, entry in self.document["parameters"].items()}
+
+    @property
+    def rmse(self) -> dict[str, dict[str, Any]]:
+        """RMSE by channel: ``train``, ``holdout`` and their ``unit``."""
+        return {channel: dict(entry) for channel, entry in self.document["rmse"].items()}
+
+    @property
+    def rig(self) -> Rig:
+        """The rig with the estimates.
+
+        Raises:
+            InputError: If the estimates fail the checks of a rig file, so that there is no such rig.
+        """
+        return self._rig("rig-fitted.toml")
+
+    def summary(self, folder: str = "") -> str:
+        """Return fit quality, estimates with intervals, and remarks."""
+        from smajax.report.summary import text
+
+        return text(self.document, folder)
+
+    def page(self, series: Sequence[Series]) -> str:
+        """Return the report page of the fit."""
+        from smajax.report.run_pages import fit_page
+
+        return fit_page(self.document, series, self.run, self.file_text("rig.toml"))
+
+
+def fit(
+    rig: Rig | str | Path,
+    train: Any,
+    *,
+    holdout: Any = None,
+    start: str | Path | None = None,
+    seed: int | None = None,
+    starts: int | None = None,
+    profile: Sequence[str] = (),
+    drop_bad_rows: bool = False,
+    progress: ProgressCallback | None = None,
+) -> FitStudy:
+    """Fit the free parameters of a rig to recordings, with intervals, and predict others.
+
+    Args:
+        rig: The rig, or its file; its section ``[fit]`` says what is free and observed.
+        train: Recordings to fit: one or a list, each a path, a table in memory, or a ``Recording``.
+        holdout: Recordings to predict, given likewise.
+        start: Parameter set to start from, such as the fit.toml of an earlier fit.
+        seed: Seed of the starting points; that of the rig by default.
+        starts: Number of starting points; that of the rig by default.
+        profile: Parameters whose profile likelihood is computed.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        progress: Function that gets a ``ProgressEvent`` for each phase and step; one that raises ``StopIteration`` stops
+            the fit with the best point so far.
+
+    Returns:
+        The study. A failure of the numerics does not raise: ``success`` is then false, and ``reason`` says why.
+
+    Raises:
+        InputError: If a file or an argument is not valid.
+        Cancelled: If the callback stopped the fit before its first step had ended.
+    """
+    clock, reporter = Clock(), Reporter(progress)
+    reporter.phase("reading")
+    with clock.time("read"):
+        options = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
+        inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
+    search = _search(inputs, reporter, clock)
+    reporter.phase("writing the report")
+    document, responses = _evaluate(inputs, search)
+    failed = [
+        f"{r.recording.name}: {r.status.name}: {r.status.hint}"
+        for r in responses
+        if r.status is not SimulationStatus.done
+    ]
+    failure = NumericsError.exit_code if failed or search.result is None else 0
+    code = INTERRUPTED if search.interrupted else failure
+    reason = search.reason or "; ".join(failed) or "interrupted with the best point so far"
+    solver = {key: document["solver"][key] for key in ("code", "text")}
+    return FitStudy(
+        document=document,
+        series=tuple(_to_series(inputs.rig, response) for response in responses),
+        run=run_record("fit", inputs.rig, clock, inputs.settings.seed, code) | solver,
+        files=_files(inputs, search.result),
+        reason=reason if code else "",
+        result=search.result,
+    )
+
+
+class _FitInputs(NamedTuple):
+    """Input of a fit: rig, text of its file, settings, recordings with roles, labels to profile, warnings."""
+
+    rig: Rig
+    text: str
+    settings: FitSettings
+    recordings: list[tuple[Recording, str]]
+    labels: list[str]
+    warnings: list[str]
+
+    def with_role(self, role: str) -> list[Recording]:
+        """Return the recordings with a role."""
+        return [recording for recording, recording_role in self.recordings if recording_role == role]
+
+
+class _Search(NamedTuple):
+    """Outcome of a search: its result, or the reason why there is none; profiles; whether it was interrupted."""
+
+    result: FitResult | None
+    reason: str
+    profiles: dict[str, Any]
+    interrupted: bool
+
+
+def _read_inputs(
+    rig: Rig,
+    train: Any,
+    holdout: Any,
+    start: str | Path | None,
+    options: Mapping[str, int],
+    profile: Sequence[str],
+    drop_bad_rows: bool,
+) -> _FitInputs:
+    warnings, text = list(rig.notes), rig_text(rig)
+    rig = with_start(rig, start)
+    settings = dataclasses.replace(rig.fit, **options)
+    recordings = read_train_and_holdout(rig, as_list(train), as_list(holdout), drop_bad_rows)
+    labels = _profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
+    train_names = {r.sha256: r.name for r, role in recordings if role == "train"}
+    warnings += [
+        f"{r.name} has the same content as {train_names[r.sha256]}: it is not an independent test."
+        for r, role in recordings
+        if role == "holdout" and r.sha256 in train_names
+    ]
+    return _FitInputs(rig, text, settings, recordings, labels, warnings)
+
+
+def _profile_labels(names: Sequence[str], settings: FitSettings, train_names: Sequence[str]) -> list[str]:
+    """Return the labels to profile; a parameter per recording has one for each recording."""
+    per_recording = {*settings.per_recording, *(f"initial.{state}" for state in settings.initial)}
+    labels_of = {
+        name: [f"{name}@{r}" for r in train_names] if name in per_recording else [name] for name in settings.names
+    }
+    labels_of |= {label: [label] for labels in list(labels_of.values()) for label in labels}
+    for name in names:
+        if name not in labels_of:
+            free = ", ".join(settings.names)
+            hint = suggestion(name, settings.names)
+            raise InputError(f"--profile {name}: this parameter is not free{hint}: the free ones are {free}")
+    return [label for name in names for label in labels_of[name]]
+
+
+def _search(inputs: _FitInputs, reporter: Reporter, clock: Clock) -> _Search:
+    """Fit and profile, until the end or an interruption."""
+    train = inputs.with_role("train")
+    settings: Any = inputs.settings  # frozen, and the protocol of ``fit`` has plain attributes
+    samples = sum(len(r) for r in train) * len(settings.observe)
+
+    def report(step: int, cost: float) -> None:
+        residual = f", residual {math.sqrt(cost / samples):.4g} x noise" if math.isfinite(cost) else ""
+        reporter.step(f"fitting: step {step}{residual}", step)
+
+    result, profiles, reason = None, {}, ""
+    phase = "compiling the model and evaluating the starts (later runs with recordings of this size reuse it)"
+    with clock.time("fit"):
+        try:
+            reporter.phase(phase, can_stop=True)
+            result = fit_plant(
+                inputs.rig.plant,
+                train,
+                settings,
+                holdout=inputs.with_role("holdout"),
+                interpolation=inputs.rig.interpolation,
+                progress=report,
+            )
+        except NumericsError as error:
+            reason = str(error)
+        except KeyboardInterrupt:
+            if not reporter.stopped:
+                raise
+            raise Cancelled("the fit was cancelled before its first step had ended") from None
+    with clock.time("profile"):
+        for label in inputs.labels if result is not None and not reporter.stopped else ():
+            try:
+                reporter.phase(f"profile likelihood of {label}", can_stop=True)
+                profiles[label] = profile_likelihood(result, label)
+            except InputError as error:  # the fit is valid without the profile
+                inputs.warnings.append(f"{error}.")
+            except KeyboardInterrupt:
+                reporter.stopped = True
+                break
+    return _Search(result, reason, profiles, reporter.stopped)
+
+
+def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list[Response]]:
+    """Return the document of a fit and the responses of all recordings, with the start values if the fit failed."""
+    rig, result, warnings = inputs.rig, search.result, list(inputs.warnings)
+    settings: Any = inputs.settings
+    if result is None:
+        document = failed_document(rig, settings, inputs.recordings, search.reason, warnings=warnings)
+        responses, _ = simulate_responses(
+            [rig.plant] * len(inputs.recordings),
+            [recording for recording, _ in inputs.recordings],
+            [role for _, role in inputs.recordings],
+            rig.fit.observe,
+            rig.interpolation,
+            None,
+        )
+        return document, responses
+    warnings += input_noise_warnings(result, rig.plant, inputs.with_role("train"), settings)
+    warnings += check_dissipation(result.plant, [{**r.recording.channels, **r.model} for r in result.responses])
+    document = fit_document(result, rig, settings, profiles=search.profiles, warnings=warnings)
+    return document, list(result.responses)
+
+
+def _to_series(rig: Rig, response: Response) -> Series:
+    recording = response.recording
+    names = modelled_channels(rig.plant.observable, rig.plant.signals, recording.channels)
+    model: dict[str, np.ndarray] = {c: response.model[c] for c in names if c in response.model}
+    return recording_series(recording, response.role, model)
+
+
+def _files(inputs: _FitInputs, result: FitResult | None) -> dict[str, FileContent]:
+    """Return rig.toml, fit.toml and rig-fitted.toml; the last one is left out where it fails the checks of a rig."""
+    files: dict[str, FileContent] = {"rig.toml": inputs.text.encode()}
+    if result is None:
+        return files
+    files["fit.toml"] = _parameter_set(result, inputs.with_role("train")).encode()
+    with contextlib.suppress(InputError):
+        names = result.problem.shared + result.problem.per_recording
+        values = {name: float(parameters.get(result.plant, name)) for name in names}
+        finite = {name: value for name, value in values.items() if math.isfinite(value)}
+        files["rig-fitted.toml"] = inputs.rig.to_toml(finite).encode()
+    return files
+
+
+def _parameter_set(result: FitResult, train: Sequence[Recording]) -> str:
+    """Return the text of fit.toml: the estimates with intervals, bounds and source."""
+    source = "fit to " + ", ".join(f"{r.name} (sha256 {r.sha256})" for r in train)
+    entries = {}
+    for estimate in result.estimates:
+        low, high = estimate.bounds
+        lower95, upper95 = estimate.lower95, estimate.upper95
+        entries[estimate.name] = Entry(
+            value=min(max(estimate.estimate, low), high),
+            unit=estimate.unit,
+            lower=low,
+            upper=high,
+            source=source,
+            interval95=(lower95, upper95) if lower95 is not None and upper95 is not None else None,
+            free=True,
+            at_bound=estimate.at_bound,
+        )
+    fit_table = {
+        "smajax": __version__,
+        "result": result.status.name,
+        "seed": result.seed,
+        "recordings": [r.name for r in train],
+    }
+    return parameters_text(entries, {"title": "parameters estimated by smajax fit", "fit": fit_table})
+
+
+def _parameter(entry: Mapping[str, Any]) -> Parameter:
+    """The parameter of an entry of fit.json."""
+    low, high = entry["lower95"], entry["upper95"]
+    interval = None if low is None or high is None else (low, high)
+    return Parameter(entry["estimate"], interval, entry["unit"], entry["at_bound"], tuple(entry["bounds"]))

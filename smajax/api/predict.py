@@ -1,0 +1,130 @@
+"""Predict the response of a rig to the inputs of a recording."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import as_rig, one_source, rig_text
+from smajax.api.study import FileContent, Study
+from smajax.errors import NumericsError
+from smajax.files.documents import finite_or_none
+from smajax.files.rig_file import Rig
+from smajax.plant.materials.dissipation import check_dissipation
+from smajax.progress import ProgressCallback, Reporter
+from smajax.recordings.recording import Recording
+from smajax.report import prediction
+from smajax.report.document_entries import recording_entry
+from smajax.report.prediction import Series
+from smajax.simulation.run import simulate
+from smajax.simulation.status import SimulationStatus
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PredictionStudy(Study):
+    """Response of a rig to the inputs of a recording.
+
+    ``document`` is the record of the run, with the range of each channel.
+
+    Attributes:
+        channels: Channels by name, SI and degC, shape ``(rows,)`` each; empty for a loaded study.
+    """
+
+    command = "simulate"
+    document_name = "run.json"
+
+    channels: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+
+    def summary(self, folder: str = "") -> str:
+        """Return the range of each channel, and where the simulation failed."""
+        from smajax.report.summary import simulation_text
+
+        return simulation_text(self.document, folder)
+
+    def page(self, series: Sequence[Series]) -> str:
+        """Return the report page of the simulation."""
+        from smajax.report.run_pages import simulation_page
+
+        return simulation_page(series[0], self.run, self.file_text("rig.toml"))
+
+
+def predict(
+    rig: Rig | str | Path, recording: Any, *, drop_bad_rows: bool = False, progress: ProgressCallback | None = None
+) -> PredictionStudy:
+    """Predict the response of a rig to the inputs of a recording, as ``smajax simulate`` does.
+
+    Among the saved files, simulation.csv is a recording with time, inputs and all channels of the plant, in the units
+    of the recording for channels that it has. If the simulation fails, it has the rows before the failure.
+
+    Args:
+        rig: The rig, or its file.
+        recording: The recording: a path, a table in memory, or a ``Recording``.
+        drop_bad_rows: Whether to omit rows that cannot be read.
+        progress: Function that gets a ``ProgressEvent`` for each phase.
+
+    Returns:
+        The study. A failed simulation does not raise: ``success`` is then false, and ``reason`` says why.
+
+    Raises:
+        InputError: If a file is not valid.
+    """
+    clock, reporter = Clock(), Reporter(progress)
+    reporter.phase("reading")
+    with clock.time("read"):
+        rig = as_rig(rig)
+        text = rig_text(rig)
+        source = one_source(recording, "recording")
+        read = rig.read(source, drop_bad_rows=drop_bad_rows, observed=False)
+    reporter.phase("compiling and simulating")
+    with clock.time("simulate"):
+        result = simulate(rig.plant, read, interpolation=rig.interpolation, throw=False)
+        channels = {c: np.asarray(v) for c, v in result.channels.items()}
+        status = SimulationStatus(int(result.status))
+    reporter.phase("writing the report")
+    rows = _rows_before_failure(channels)
+    failure = ""
+    if status is not SimulationStatus.done:
+        failure = f"{read.name}: {status.name}: {status.hint} ({rows} of {len(read)} rows could be simulated)"
+    series = prediction.recording_series(read, "simulation", channels)
+    files: dict[str, FileContent] = {"rig.toml": text.encode()}
+    if rows > 1:
+        files["simulation.csv"] = partial(_write_recording, _simulated_recording(rig, read, channels, rows))
+    run = run_record("simulate", rig, clock, None, NumericsError.exit_code if failure else 0) | {
+        "code": status.name,
+        "text": failure or status.hint,
+        "inputs": list(rig.plant.signals),
+        "observed": list(rig.fit.observe),
+        "channels": {c: _range_entry(v, series.units[c]) for c, v in series.model.items()},
+        "recordings": [recording_entry(read, "simulation")],
+        "warnings": check_dissipation(rig.plant, [channels]),
+    }
+    return PredictionStudy(document=run, series=(series,), run=run, files=files, reason=failure, channels=channels)
+
+
+def _rows_before_failure(channels: Mapping[str, np.ndarray]) -> int:
+    """Return the number of rows before the first one with a value that is not finite."""
+    finite = np.all([np.isfinite(v) for v in channels.values()], axis=0)
+    return int(np.argmin(np.append(finite, False)))
+
+
+def _simulated_recording(rig: Rig, recording: Recording, channels: Mapping[str, np.ndarray], rows: int) -> Recording:
+    """Return the first rows of the inputs and of the simulated channels as a recording."""
+    inputs = {c: recording.channels[c] for c in rig.plant.signals}
+    columns = inputs | {c: v for c, v in channels.items() if c not in inputs}
+    units = {c: recording.units.get(c) or prediction.usual_unit(c) for c in ("time", *columns)}
+    time = recording.time[:rows] if recording.has_clock else None
+    return Recording.from_arrays("simulation.csv", time, {c: v[:rows] for c, v in columns.items()}, units)
+
+
+def _write_recording(recording: Recording, path: Path) -> None:
+    recording.write(path)
+
+
+def _range_entry(values: np.ndarray, unit: str) -> dict[str, Any]:
+    finite = values[np.isfinite(values)]
+    low, high = (finite_or_none(finite.min()), finite_or_none(finite.max())) if len(finite) else (None, None)
+    return {"lowest": low, "highest": high, "unit": unit}

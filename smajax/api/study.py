@@ -1,0 +1,144 @@
+"""Base class of the results of studies: a document, predictions, and the files that ``save`` writes."""
+
+import abc
+import dataclasses
+import html
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from smajax.errors import InputError
+from smajax.files.documents import to_json
+from smajax.files.result_folder import write_folder
+from smajax.files.rig_file import Rig, parse_rig
+from smajax.report.prediction import Series, read_predictions, write_predictions
+
+if TYPE_CHECKING:
+    import plotly.graph_objects
+
+# Content of a file, or the function that writes it to a path.
+FileContent = bytes | Callable[[Path], object]
+
+PREDICTIONS = "prediction.csv"
+REPORT = "report.html"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Study(abc.ABC):
+    """Result of a study.
+
+    Attributes:
+        document: The result document, as ``save`` writes it.
+        series: Measured and modelled channels of each recording, as in prediction.csv.
+        run: Record of the run: versions, machine, timings, exit code.
+        files: Content of the other files of the result folder by name.
+        reason: Why the study did not succeed; empty if it did.
+        note: Sentence on anything else that the user should know.
+    """
+
+    command: ClassVar[str]
+    document_name: ClassVar[str]
+
+    document: Mapping[str, Any]
+    series: tuple[Series, ...] = ()
+    run: Mapping[str, Any]
+    files: Mapping[str, FileContent]
+    reason: str = ""
+    note: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the command: 0 done, 3 failed numerics, 130 stopped with the best result so far."""
+        return int(self.run["exit_code"])
+
+    @property
+    def success(self) -> bool:
+        """Whether the study succeeded; ``reason`` says why it did not."""
+        return self.exit_code == 0
+
+    @abc.abstractmethod
+    def summary(self, folder: str = "") -> str:
+        """Return the summary in words and tables.
+
+        Args:
+            folder: Result folder that the last line names; empty for none.
+        """
+
+    def plot(self) -> "plotly.graph_objects.Figure":
+        """Return the main figure of the study; ``plot().show()`` displays it."""
+        from smajax.report.main_figures import FIGURES
+
+        return FIGURES[self.command](self.document, self.series)
+
+    @abc.abstractmethod
+    def page(self, series: Sequence[Series]) -> str:
+        """Return the report page as HTML.
+
+        Args:
+            series: The predictions as read back from prediction.csv.
+        """
+
+    def save(self, folder: str | Path, *, argv: Sequence[str] = ()) -> Path:
+        """Write the result folder, completely or not at all.
+
+        Args:
+            folder: The folder; a former result of smajax there is replaced.
+            argv: Command line for the record of the run.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: If the folder holds files that smajax did not write, or cannot be written.
+        """
+        folder = Path(folder)
+        write_folder(folder, {**self.run, "argv": list(argv)}, self._fill)
+        return folder
+
+    def _fill(self, folder: Path) -> None:
+        """Write all files except run.json."""
+        for name, content in self.files.items():
+            if isinstance(content, bytes):
+                (folder / name).write_bytes(content)
+            else:
+                content(folder / name)
+        if self.document_name != "run.json":
+            (folder / self.document_name).write_text(to_json(self.document), "utf-8")
+        series: list[Series] = []
+        if self.series:
+            write_predictions(folder / PREDICTIONS, self.series)
+            # The table is read back, so that `smajax report` makes the same page.
+            series = read_predictions(folder / PREDICTIONS)
+        (folder / REPORT).write_text(self.page(series), "utf-8")
+
+    def file_text(self, name: str) -> str:
+        """Return the text of a file of the study.
+
+        Args:
+            name: Name of the file.
+
+        Raises:
+            InputError: If the study has no such text.
+        """
+        content = self.files.get(name)
+        if not isinstance(content, bytes):
+            raise InputError(f"this study has no {name}: it has {', '.join(self.files)}")
+        return content.decode("utf-8-sig")
+
+    def _rig(self, name: str) -> Rig:
+        """The rig of a file of the study."""
+        return parse_rig(self.file_text(name), name)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.headline()}>"
+
+    def headline(self) -> str:
+        """Return the first sentence of the summary."""
+        return self.summary().partition("\n\n")[0].replace("\n", " ")
+
+    def _repr_html_(self) -> str:
+        """Representation in notebooks."""
+        return f'<pre style="white-space: pre-wrap">{html.escape(self.summary())}</pre>'

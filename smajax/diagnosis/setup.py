@@ -1,0 +1,103 @@
+"""Set-up of a diagnosis: checks of its recordings, and the problem with its auxiliary channels."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from smajax.diagnosis.auxiliary_channels import (
+    auxiliary_channels,
+    saturation_reason,
+    with_auxiliary_channels,
+    without_channels,
+)
+from smajax.diagnosis.data_split import TRAIN
+from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.errors import InputError
+from smajax.files.rig_file import Rig
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+from smajax.recordings.shared_rows import refuse_copies
+
+# Smallest number of rows of each recording: with fewer, intervals, noise and classes of effects are not reliable.
+# Chosen by trial.
+_MIN_ROWS = 200
+
+
+class DiagnosisSetup(NamedTuple):
+    """Input of a diagnosis.
+
+    Attributes:
+        problem: The problem.
+        auxiliary: Auxiliary channels.
+        left_out: Reasons by channel for the channels that are not used.
+    """
+
+    problem: DiagnosisProblem
+    auxiliary: tuple[str, ...]
+    left_out: Mapping[str, str]
+
+
+def check_recordings(plant: Plant, recordings: Sequence[Recording]) -> None:
+    """Refuse short recordings, copies, and training inputs that never change.
+
+    Args:
+        plant: The plant, which determines the inputs.
+        recordings: Recordings for training, selection and holdout.
+
+    Raises:
+        InputError: If a recording cannot be used.
+    """
+    for recording in recordings:
+        if len(recording) < _MIN_ROWS:
+            raise InputError(
+                f"{recording.name}: {len(recording)} rows are too few for a diagnosis: at least {_MIN_ROWS} are needed"
+            )
+    refuse_copies(recordings)
+    signals, train = plant.signals, recordings[TRAIN]
+    if signals and all(np.ptp(train.channels[name]) == 0.0 for name in signals):
+        raise InputError(
+            f"{train.name}: {' and '.join(signals)} never change{'s' * (len(signals) == 1)}, "
+            "so that no effect can be detected: vary the input"
+        )
+
+
+def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetup:
+    """Build the problem of a diagnosis, without saturated channels and with every auxiliary channel.
+
+    Args:
+        rig: The rig.
+        recordings: Recordings for training, selection and holdout.
+
+    Raises:
+        InputError: If every observed channel is saturated.
+    """
+    saturated = _saturated_channels(rig, recordings)
+    auxiliary, unusable = auxiliary_channels(rig.plant, rig.fit.observe, recordings)
+    plant, settings = with_auxiliary_channels(rig.plant, without_channels(rig.fit, list(saturated)), auxiliary)
+    problem = DiagnosisProblem(plant, recordings, settings, interpolation=rig.interpolation)
+    return DiagnosisSetup(problem, auxiliary, saturated | unusable)
+
+
+def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
+    """Return the rig with a diagnosed plant.
+
+    Args:
+        rig: The rig.
+        plant: The plant with the effects.
+        auxiliary: Auxiliary channels; those that one of the effects needs are added to the observed channels.
+    """
+    needed = [c for c in auxiliary if any(f"{c} observed" in effect.needs for effect in plant.effects)]
+    return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed)))
+
+
+def _saturated_channels(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return the reasons by observed channel why it is saturated; refuse a rig of which all are."""
+    reasons = {c: reason for c in rig.fit.observe if (reason := saturation_reason(c, recordings))}
+    if len(reasons) == len(rig.fit.observe):
+        raise InputError(
+            f"{next(iter(reasons.values()))}, as a saturated or clipped sensor does: remove these rows, "
+            "or record with a wider range"
+        )
+    return reasons

@@ -1,0 +1,168 @@
+"""The public names of smajax: loaded lazily, the same results as the commands, callbacks, saved and loaded studies."""
+
+import ast
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import smajax as sma
+from smajax.app.cli import app
+from tests.conftest import ROOT
+
+DATA = ROOT / "data" / "recordings" / "dead-weight"
+# Entries of a document that differ between two runs of the same calculation.
+TIMES = ("wall_s", "compile_s")
+
+
+def python(code: str, *, folder=ROOT, **environment: str) -> subprocess.CompletedProcess:
+    """Run Python code in a new process with the package of the checkout."""
+    import os
+
+    clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64")}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env={**clean, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import smajax",
+        "import sys; from typer.testing import CliRunner; from smajax.app.cli import app; CliRunner().invoke(app, ['--help'])",
+    ],
+)
+def test_importing_smajax_and_its_help_load_neither_jax_nor_plotly(code):
+    probe = f"{code}\nimport sys\nprint([m for m in ('jax', 'equinox', 'plotly', 'numpy', 'scipy') if m in sys.modules])"
+    result = python(probe)
+    assert result.stdout.strip() == "[]", result.stderr
+
+
+def test_every_public_name_is_there_once():
+    tree = ast.parse((ROOT / "smajax" / "__init__.py").read_text("utf-8"))
+    typed = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("smajax.")
+        for alias in node.names
+    }
+    assert typed | {"__version__"} == set(sma.__all__)
+    assert all(getattr(sma, name) is not None for name in sma.__all__)
+    assert set(sma.__all__) <= set(dir(sma))
+    with pytest.raises(AttributeError, match="module 'smajax' has no attribute 'fitt'"):
+        sma.fitt  # noqa: B018
+
+
+def without_times(document):
+    """Return a document without the entries that two runs differ in."""
+    if isinstance(document, dict):
+        return {k: without_times(v) for k, v in document.items() if k not in TIMES}
+    return [without_times(v) for v in document] if isinstance(document, list) else document
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Return a folder with a rig and two short recordings."""
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "rig.toml").write_text((DATA / "rig.toml").read_text("utf-8"), "utf-8")
+    for name in ("train.csv", "holdout.csv"):
+        lines = (DATA / name).read_text("utf-8").splitlines(keepends=True)
+        (folder / name).write_text("".join([lines[0], *lines[1::12]]), "utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(files):
+    """Return a fit from Python."""
+    return sma.fit(files / "rig.toml", files / "train.csv", holdout=files / "holdout.csv", starts=1)
+
+
+def test_a_fit_from_python_is_that_of_the_command(files, fitted, tmp_path):
+    words = ["fit", files / "rig.toml", files / "train.csv", "--holdout", files / "holdout.csv", "--starts", "1"]
+    result = CliRunner().invoke(app, [*map(str, words), "--out", str(tmp_path / "command"), "--quiet"])
+    assert result.exit_code == 0, result.output
+    fitted.save(tmp_path / "python")
+    documents = [json.loads((tmp_path / k / "fit.json").read_text("utf-8")) for k in ("command", "python")]
+    assert without_times(documents[0]) == without_times(documents[1])
+    names = {path.name for path in (tmp_path / "command").iterdir()}
+    assert names == {path.name for path in (tmp_path / "python").iterdir()}
+    for name in ("prediction.csv", "fit.toml", "rig-fitted.toml", "rig.toml"):
+        assert (tmp_path / "command" / name).read_bytes() == (tmp_path / "python" / name).read_bytes()
+
+
+def test_a_fit_tells_its_parameters_summary_and_rig(fitted):
+    h0 = fitted.parameters["heat.h0"]
+    assert h0.interval[0] < h0.value < h0.interval[1] and h0.unit == "W/m^2/K" and not h0.at_bound
+    assert str(fitted) == fitted.summary() and "heat.h0" in str(fitted)
+    assert fitted.success and fitted.reason == "" and "Fitted 6 parameters" in repr(fitted)
+    assert fitted.rmse["displacement"]["holdout"] > 0.0
+    assert float(fitted.rig.plant.heat.h0) == h0.value
+    assert "heat.h0" in fitted._repr_html_() and "<script" not in fitted._repr_html_()
+
+
+def test_a_saved_study_is_loaded_again(fitted, tmp_path):
+    fitted.save(tmp_path / "first")
+    loaded = sma.load(tmp_path / "first")
+    assert isinstance(loaded, sma.FitStudy) and str(loaded) == str(fitted)
+    assert loaded.parameters == fitted.parameters
+    loaded.save(tmp_path / "second")
+    for path in (tmp_path / "first").iterdir():
+        if path.name not in ("run.json",):
+            assert (tmp_path / "second" / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_a_folder_that_is_no_result_is_refused(tmp_path):
+    with pytest.raises(sma.InputError, match="has no run.json: name one that smajax wrote"):
+        sma.load(tmp_path)
+
+
+def test_the_rig_of_a_study_goes_on(fitted, files):
+    predicted = sma.predict(fitted.rig, files / "holdout.csv")
+    assert predicted.success and predicted.channels["displacement"].shape == (501,)
+    error = predicted.series[0].residual("displacement")
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(fitted.rmse["displacement"]["holdout"], rel=1e-6)
+
+
+def test_a_callback_gets_phases_and_steps_and_can_stop(files):
+    events = []
+
+    def stop_after_two_steps(event):
+        events.append(event)
+        if event.step == 2:
+            raise StopIteration
+
+    study = sma.fit(files / "rig.toml", files / "train.csv", starts=1, progress=stop_after_two_steps)
+    assert study.exit_code == 130 and "interrupted" in study.reason and study.document["solver"]["steps"] == 2
+    assert [e.text for e in events if e.step is None][0] == "reading" and events[2].can_stop
+
+
+def test_work_that_is_cancelled_before_a_result_says_so(files):
+    def stop(event):
+        raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match="cancelled while reading, before there was a result"):
+        sma.fit(files / "rig.toml", files / "train.csv", progress=stop)
+
+
+def test_mistakes_have_the_sentences_of_the_commands(files):
+    with pytest.raises(sma.InputError, match=r"nowhere.toml: there is no such file"):
+        sma.fit("nowhere.toml", files / "train.csv")
+    with pytest.raises(sma.InputError, match=r"--profile heat.h9: this parameter is not free \(did you mean"):
+        sma.fit(files / "rig.toml", files / "train.csv", profile=["heat.h9"])
+    with pytest.raises(sma.InputError, match="select: one recording is needed, 2 were given"):
+        sma.diagnose(files / "rig.toml", files / "train.csv", select=["a.csv", "b.csv"], holdout="c.csv")
+
+
+def test_models_are_compared(files):
+    ranked = sma.compare(
+        files / "rig.toml", files / "train.csv", holdout=files / "holdout.csv", models=["tanaka", "transfer-function"]
+    )
+    assert [entry["name"] for entry in ranked.ranking if not entry["why"]][0] == "tanaka"
+    assert ranked.results and "tanaka" in str(ranked)
