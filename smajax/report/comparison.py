@@ -40,12 +40,12 @@ def summary(doc: Mapping[str, Any]) -> str:
     return words
 
 
-def text(doc: Mapping[str, Any], folder: str) -> str:
+def text(doc: Mapping[str, Any], folder: str = "") -> str:
     """Format the summary of a comparison for a terminal.
 
     Args:
         doc: The document compare.json.
-        folder: The result folder.
+        folder: The result folder, which the last line names; empty for none.
     """
     lines = [
         f"{doc['channel']} in {doc['unit']}:",
@@ -54,7 +54,7 @@ def text(doc: Mapping[str, Any], folder: str) -> str:
         doc["summary"],
     ]
     lines += [f"Left out: {m['name']}: {m['why']}" for m in doc["models"] if m["why"]]
-    return "\n".join([*lines, *notes(doc), f"Results: {folder}"])
+    return "\n".join([*lines, *notes(doc), *([f"Results: {folder}"] if folder else [])])
 
 
 def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""``compare.json``: the result of ``smajax compare`` as a JSON document, schema ``smajax.compare/2``."""
+"""``compare.json``: the result of ``smajax compare`` as a JSON document; its model is ``documents.compare``."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,16 +11,13 @@ from smajax.files.rig_file import Rig
 from smajax.recordings.recording import Recording
 from smajax.report.comparison import summary
 from smajax.report.document_entries import difference_unit, recording_entry
-
-# Parameter names changed with schema 2 (material.max_transformation_strain was material.max_strain); the keys are those
-# of schema 1.
-SCHEMA = "smajax.compare/2"
+from smajax.report.documents.compare import CompareDocument
 
 
 def comparison_document(
     rig: Rig, results: Sequence[ModelResult], recordings: Sequence[Recording], seed: int
 ) -> dict[str, Any]:
-    """Build ``compare.json``, schema ``smajax.compare/2``: the models ranked by their error on the holdout, best first.
+    """Build ``compare.json``: the models ranked by their error on the holdout, best first.
 
     Args:
         rig: The rig.
@@ -33,7 +30,7 @@ def comparison_document(
     models = [_model_entry(result, recordings, channel, scale) for result in results]
     models.sort(key=lambda m: (m["rmse_holdout"] is None, m["rmse_holdout"]))
     document = {
-        "schema": SCHEMA,
+        "schema": CompareDocument.SCHEMA,
         "rig": rig.name,
         "channel": channel,
         "not_compared": list(rig.fit.observe[1:]),
@@ -44,7 +41,7 @@ def comparison_document(
         "seed": seed,
         "smajax": __version__,
     }
-    return document | {"summary": summary(document)}
+    return CompareDocument.check(document | {"summary": summary(document)})
 
 
 def _model_entry(result: ModelResult, recordings: Sequence[Recording], channel: str, scale: float) -> dict[str, Any]:

@@ -1,8 +1,6 @@
-"""``diagnosis.json``: the result of ``smajax diagnose`` as a JSON document, schema ``smajax.diagnosis/2``.
+"""``diagnosis.json``: the result of ``smajax diagnose`` as a JSON document.
 
-RMSEs and noise are in the unit of the recording's column, strengths in the unit of the effect; missing values are
-``null``. Schema 2 has the keys of schema 1, under which the parameter ``material.max_transformation_strain`` was called
-``material.max_strain``.
+Its model is ``documents.diagnosis.DiagnosisDocument``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,8 +16,8 @@ from smajax.files.documents import finite_or_none
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis_summary import sentences
 from smajax.report.document_entries import difference_unit, recording_entry
+from smajax.report.documents.diagnosis import DiagnosisDocument
 
-SCHEMA = "smajax.diagnosis/2"
 NEXT_INPUT = "next_input.csv"
 
 
@@ -49,7 +47,7 @@ def diagnosis_document(
     rmse, noise_floor = _errors(diagnosis, recordings[0])
     before, after, limit = diagnosis.reduced_chi2
     document = {
-        "schema": SCHEMA,
+        "schema": DiagnosisDocument.SCHEMA,
         "verdict": diagnosis.verdict,
         "effects": list(diagnosis.effects),
         "equivalent": {key: list(keys) for key, keys in diagnosis.equivalent.items()},
@@ -80,7 +78,7 @@ def diagnosis_document(
         "smajax": __version__,
     }
     document["summary"] = " ".join(sentences(document))
-    return document
+    return DiagnosisDocument.check(document)
 
 
 def _left_out_entries(channels: Mapping[str, str], effects: Mapping[str, str]) -> list[dict[str, str]]:

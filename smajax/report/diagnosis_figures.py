@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
+import plotly.graph_objects as go
+
 from smajax.report.figures import MEASURED, MODEL, Picture, axis_style, base_layout, noise_band
 
 _HEIGHT = 320
@@ -24,19 +26,18 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
     data = []
     for (name, entry), colour in zip(statistics.items(), (MEASURED, MODEL), strict=False):
         data.append(
-            {
-                "type": "scatter",
-                "mode": "lines+markers",
-                "name": name,
-                "x": list(range(1, len(entry["autocorrelation"]) + 1)),
-                "y": entry["autocorrelation"],
-                "line": {"color": colour},
-            }
+            go.Scatter(
+                mode="lines+markers",
+                name=name,
+                x=list(range(1, len(entry["autocorrelation"]) + 1)),
+                y=entry["autocorrelation"],
+                line={"color": colour},
+            )
         )
-        layout["shapes"] = layout.get("shapes", []) + noise_band(entry["band_99"] / 2.0, "y")
+        layout.shapes += tuple(noise_band(entry["band_99"] / 2.0, "y"))
     caption = "Autocorrelation of the residual; dotted lines: 99 % band of white noise."
-    figure = {"data": data, "layout": layout}
-    return Picture(f"Autocorrelation of the residual of {channel}", caption, figure, _HEIGHT, wide=False)
+    title = f"Autocorrelation of the residual of {channel}"
+    return Picture(title, caption, go.Figure(data, layout), _HEIGHT, wide=False)
 
 
 def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
@@ -44,14 +45,7 @@ def nonparametric_picture(term: Mapping[str, Any]) -> Picture:
     layout = base_layout()
     layout["xaxis"] = axis_style(escape(f"{term['against']} [{_UNITS.get(term['against'], 's')}]"))
     layout["yaxis"] = axis_style(escape(f"{term['adds']} [{term['unit']}]" if term["unit"] != "1" else term["adds"]))
-    line = {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "x": term["at"],
-        "y": term["term"],
-        "line": {"color": MODEL},
-        "showlegend": False,
-    }
+    line = go.Scatter(mode="lines+markers", x=term["at"], y=term["term"], line={"color": MODEL}, showlegend=False)
     caption = "The term that the stage lacks, as a function of the state. It describes what is missing, not its cause."
-    figure = {"data": [line], "layout": layout}
-    return Picture(f"Nonparametric term in the {term['stage']} stage", caption, figure, _HEIGHT, wide=False)
+    title = f"Nonparametric term in the {term['stage']} stage"
+    return Picture(title, caption, go.Figure([line], layout), _HEIGHT, wide=False)

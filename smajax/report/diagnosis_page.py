@@ -23,16 +23,13 @@ _EFFECT_HEAD = (
 )
 
 
-def diagnosis_page(
-    doc: Document, series: Sequence[Series], inputs: Sequence[str], run: Mapping[str, Any], rig: str
-) -> str:
+def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
     """Build the page of a diagnosis.
 
     Args:
         doc: The document diagnosis.json.
         series: The predictions before and after, named "RECORDING (before)" and "RECORDING (after)".
-        inputs: Input channels.
-        run: The document run.json.
+        run: The document run.json, which names the input channels.
         rig: Text of the rig file.
 
     Returns:
@@ -47,7 +44,7 @@ def diagnosis_page(
     sections += _detectability_section(doc)
     sections.append("<h2>Measured against model</h2>")
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
-    sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), inputs, floor), pictures) for s in series]
+    sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), run["inputs"], floor), pictures) for s in series]
     sections += pages.provenance_sections(run, rig)
     names = dict.fromkeys(s.name.removesuffix(" (before)").removesuffix(" (after)") for s in series)
     lead = f"Diagnosis of the rig from {', '.join(names)}."

@@ -39,16 +39,17 @@ def sentences(doc: Document) -> list[str]:
     return lines
 
 
-def text(doc: Document, folder: str) -> str:
+def text(doc: Document, folder: str = "") -> str:
     """Format the summary of a diagnosis for a terminal.
 
     Args:
         doc: The document diagnosis.json.
-        folder: The result folder.
+        folder: The result folder, which the last line names; empty for none.
     """
     lines = [f"Verdict: {doc['verdict']}", "", *sentences(doc), ""]
     lines += [f"Rejected: {entry['key']}: {entry['why']}" for entry in doc["rejected"]]
-    lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s; all results in {folder}")
+    place = f"; all results in {folder}" if folder else ""
+    lines.append(f"{doc['simulations']:,} simulations in {doc['wall_s']:.1f} s{place}")
     return "\n".join(lines)
 
 

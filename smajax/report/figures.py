@@ -1,4 +1,4 @@
-"""Common parts of the figures of a report: plotly figures as plain dictionaries, without a plotting library.
+"""Common parts of the figures of a report, as classes of plotly.
 
 A line of more than ``MAX_POINTS`` rows shows the lowest and the highest point of each of many short spans, so no peak
 is lost, and the caption says so; prediction.csv has all rows. In a figure of many models a line has up to
@@ -9,10 +9,12 @@ is lost, and the caption says so; prediction.csv has all rows. In a figure of ma
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from smajax.recordings.recording import Floats
 from smajax.report.prediction import Series, usual_unit
@@ -44,6 +46,9 @@ _PANEL_PIXELS = 58
 _GAP_PIXELS = 24
 # Height of the title, the legend and the time axis, in pixels.
 _FRAME_PIXELS = 144
+# Margin above a figure, which has its legend, and height of its own title, in pixels.
+_TOP_PIXELS = 58
+_TITLE_PIXELS = 26
 # Weight of a panel below which its axis title has two small lines.
 _LOW_PANEL = 3.0
 
@@ -55,28 +60,37 @@ class Picture:
     Attributes:
         title: Its title.
         caption: Explanation of the figure.
-        figure: The plotly figure: data and layout.
+        figure: The plotly figure.
         height: Height in pixels.
         wide: Whether the figure takes the whole width of the page.
     """
 
     title: str
     caption: str
-    figure: dict[str, Any]
+    figure: go.Figure
     height: int
     wide: bool = True
 
+    def standalone(self) -> go.Figure:
+        """Return the figure with its title and height, to be shown by itself, as in a notebook."""
+        return go.Figure(self.figure).update_layout(
+            title={"text": escape(self.title), "font": {"size": 15}, "y": 0.99, "yanchor": "top"},
+            height=self.height + _TITLE_PIXELS,
+            margin={"t": _TOP_PIXELS + _TITLE_PIXELS},
+        )
 
-def base_layout() -> dict[str, Any]:
-    """Return the layout that all figures share."""
-    return {
-        "paper_bgcolor": "#ffffff",
-        "plot_bgcolor": "#ffffff",
-        "font": {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13, "color": "#22272e"},
-        "margin": {"l": 74, "r": 16, "t": 58, "b": 52},
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"},
-        "hovermode": "closest",
-    }
+
+def base_layout() -> go.Layout:
+    """Return the layout that all figures share; it has no template."""
+    return go.Layout(
+        template="none",
+        paper_bgcolor="#ffffff",
+        plot_bgcolor="#ffffff",
+        font={"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 13, "color": "#22272e"},
+        margin={"l": 74, "r": 16, "t": _TOP_PIXELS, "b": 52},
+        legend={"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"},
+        hovermode="closest",
+    )
 
 
 def axis_style(title: str) -> dict[str, Any]:
@@ -94,7 +108,7 @@ def axis_style(title: str) -> dict[str, Any]:
     }
 
 
-def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> dict[str, Any]:
+def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> go.Layout:
     """Lay out panels above one another over one time axis.
 
     Args:
@@ -111,8 +125,7 @@ def panel_layout(panels: Sequence[tuple[str, float]], series: Series) -> dict[st
         layout[f"yaxis{k + 1 if k else ''}"] = axis_style("") | {"domain": [bottom, top], "anchor": "x"}
         top = bottom - gap
     layout["xaxis"] = axis_style(time_title(series)) | {"anchor": panel_axis(len(panels) - 1), "domain": [0, 1]}
-    layout["shapes"] = []
-    layout["hovermode"] = "x"
+    layout.hovermode = "x"
     return layout
 
 
@@ -126,7 +139,7 @@ def panel_axis(panel: int) -> str:
     return f"y{panel + 1 if panel else ''}"
 
 
-def set_panel_title(layout: dict[str, Any], panel: int, title: str, panels: Sequence[tuple[str, float]]) -> None:
+def set_panel_title(layout: go.Layout, panel: int, title: str, panels: Sequence[tuple[str, float]]) -> None:
     """Set the title of a panel's y axis, in two small lines if the panel is low.
 
     Args:
@@ -136,10 +149,10 @@ def set_panel_title(layout: dict[str, Any], panel: int, title: str, panels: Sequ
         panels: Name and weight of each panel.
     """
     low = panels[panel][1] < _LOW_PANEL
-    entry = layout[f"yaxis{panel + 1 if panel else ''}"]["title"]
-    entry["text"] = title.replace(" [", "<br>[") if low else title
+    entry = layout[f"yaxis{panel + 1 if panel else ''}"].title
+    entry.text = title.replace(" [", "<br>[") if low else title
     if low:
-        entry["font"] = {"size": 11}
+        entry.font = {"size": 11}
 
 
 def line_trace(
@@ -152,7 +165,7 @@ def line_trace(
     x_axis: str = "x",
     in_legend: bool = True,
     max_points: int = MAX_POINTS,
-) -> tuple[dict[str, Any], bool]:
+) -> tuple[go.Scatter, bool]:
     """Make the trace of a line.
 
     Args:
@@ -169,18 +182,17 @@ def line_trace(
         The trace, and whether points were left out.
     """
     rows = thin_rows(y, max_points)
-    trace = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": name,
-        "x": round_for_json(x[rows]),
-        "y": round_for_json(y[rows]),
-        "xaxis": x_axis,
-        "yaxis": y_axis,
-        "line": {"color": colour, "width": 2.2 if colour == MEASURED else 1.2},
-        "showlegend": in_legend,
-        "hovertemplate": "%{y:.6g}",
-    }
+    trace = go.Scatter(
+        mode="lines",
+        name=name,
+        x=round_for_json(x[rows]),
+        y=round_for_json(y[rows]),
+        xaxis=x_axis,
+        yaxis=y_axis,
+        line={"color": colour, "width": 2.2 if colour == MEASURED else 1.2},
+        showlegend=in_legend,
+        hovertemplate="%{y:.6g}",
+    )
     return trace, len(rows) < len(y)
 
 
@@ -225,7 +237,7 @@ def round_for_json(values: Floats) -> list[float | None]:
     return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values, float).tolist()]
 
 
-def noise_band(noise: float | None, axis: str) -> list[dict[str, Any]]:
+def noise_band(noise: float | None, axis: str) -> list[go.layout.Shape]:
     """Return dotted lines at plus and minus two standard deviations of the noise; none if it is unknown.
 
     Args:
@@ -237,7 +249,7 @@ def noise_band(noise: float | None, axis: str) -> list[dict[str, Any]]:
     return [level_line(end, axis, {"dash": "dot", "color": MODEL, "width": 1}) for end in (-2 * noise, 2 * noise)]
 
 
-def level_line(value: float, axis: str, line: dict[str, Any]) -> dict[str, Any]:
+def level_line(value: float, axis: str, line: dict[str, Any]) -> go.layout.Shape:
     """Return a horizontal line across the figure.
 
     Args:
@@ -245,7 +257,7 @@ def level_line(value: float, axis: str, line: dict[str, Any]) -> dict[str, Any]:
         axis: Plotly's name of the y axis.
         line: Plotly's style of the line.
     """
-    return {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": value, "y1": value, "yref": axis, "line": line}
+    return go.layout.Shape(type="line", x0=0, x1=1, xref="paper", y0=value, y1=value, yref=axis, line=line)
 
 
 def axis_title(channel: str, units: Mapping[str, str]) -> str:

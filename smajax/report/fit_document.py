@@ -1,8 +1,4 @@
-"""``fit.json``: the result of a fit as a JSON document, schema ``smajax.fit/2`` (``fit.schema.json`` in this folder).
-
-Parameters are in their declared units (SI, temperatures degC), RMSE and noise in the unit of the recording's column.
-Missing values and NaN are ``null``. A parameter of a single recording is called ``section.key@recording``.
-"""
+"""``fit.json``: the result of a fit as a JSON document; its model is ``documents.fit.FitDocument``."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -17,11 +13,9 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.result import Estimate, FitResult
 from smajax.recordings.recording import Recording
 from smajax.report.document_entries import difference_unit, recording_entry
+from smajax.report.documents.fit import FitDocument
 from smajax.simulation.status import SimulationStatus
 
-# Parameter names changed with schema 2 (material.max_transformation_strain was material.max_strain); the keys are those
-# of schema 1.
-SCHEMA = "smajax.fit/2"
 _NOISE_SOURCE = "residual differences"
 
 
@@ -47,7 +41,7 @@ def fit_document(
         for r in result.responses
         if r.status is not SimulationStatus.done
     ]
-    return _head(rig) | {
+    document = _head(rig) | {
         "parameters": {e.name: estimate_entry(e) for e in result.estimates},
         "fixed": _fixed_entries(rig, result.plant, result.problem.shared + result.problem.per_recording),
         **_channel_entries(result, settings),
@@ -80,6 +74,7 @@ def fit_document(
         "seed": result.seed,
         "smajax": __version__,
     }
+    return FitDocument.check(document)
 
 
 def failed_document(
@@ -101,7 +96,7 @@ def failed_document(
     """
     free = _start_entries(rig, settings)
     units = {c: difference_unit(recordings[0][0], c)[0] for c in settings.observe}
-    return _head(rig) | {
+    document = _head(rig) | {
         "parameters": free,
         "fixed": _fixed_entries(rig, rig.plant, tuple(free)),
         "rmse": {c: {"train": None, "holdout": None, "unit": unit} for c, unit in units.items()},
@@ -125,6 +120,7 @@ def failed_document(
         "seed": settings.seed,
         "smajax": __version__,
     }
+    return FitDocument.check(document)
 
 
 def estimate_entry(estimate: Estimate) -> dict[str, Any]:
@@ -142,7 +138,7 @@ def estimate_entry(estimate: Estimate) -> dict[str, Any]:
 
 def _head(rig: Rig) -> dict[str, Any]:
     return {
-        "schema": SCHEMA,
+        "schema": FitDocument.SCHEMA,
         "rig": rig.name,
         "model": rig.fit.model,
         "kind": rig.kind,

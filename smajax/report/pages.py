@@ -32,7 +32,7 @@ def render_page(title: str, lead: str, sections: Iterable[str], pictures: Sequen
     from plotly.offline import get_plotlyjs  # slow to import
 
     style, script = ((_HERE / name).read_text("utf-8") for name in ("style.css", "page.js"))
-    figures = safe_json([picture.figure for picture in pictures])
+    figures = safe_json([_figure_content(picture) for picture in pictures])
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
@@ -47,6 +47,12 @@ def render_page(title: str, lead: str, sections: Iterable[str], pictures: Sequen
             f"<script>{get_plotlyjs()}</script>\n<script>\n{script}</script>\n</body>\n</html>\n",
         ]
     )
+
+
+def _figure_content(picture: Picture) -> dict[str, Any]:
+    """Data and layout of a figure for plotly.js, without its empty template."""
+    content = picture.figure.to_plotly_json()
+    return {"data": content["data"], "layout": {k: v for k, v in content["layout"].items() if k != "template"}}
 
 
 def safe_json(value: Any) -> str:

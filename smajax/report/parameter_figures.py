@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from html import escape
 
+import plotly.graph_objects as go
+
 from smajax.report.figures import MODEL, RESIDUAL, Picture, axis_style, base_layout, level_line
 
 # Rise of the cost at the ends of a 95 % interval: the 0.95 quantile of the chi-squared distribution with one degree of
@@ -28,14 +30,12 @@ def profile_picture(name: str, unit: str, values: Sequence[float | None], rise: 
     layout["xaxis"] = axis_style(escape(f"{name} [{unit}]" if unit != "1" else name))
     layout["yaxis"] = axis_style("rise of the cost") | {"rangemode": "tozero"}
     layout["shapes"] = [level_line(_CHI2_95, "y", {"dash": "dot", "color": MODEL, "width": 1.5})]
-    points = {"x": list(values), "y": list(rise)}
-    trace = {"type": "scatter", "mode": "lines+markers", "line": {"color": RESIDUAL}, "showlegend": False} | points
+    trace = go.Scatter(mode="lines+markers", line={"color": RESIDUAL}, showlegend=False, x=list(values), y=list(rise))
     caption = (
         "The smallest cost with the parameter fixed at each value and all others refitted; "
         "the dotted line bounds the 95 % interval."
     )
-    figure = {"data": [trace], "layout": layout}
-    return Picture(f"Profile likelihood of {name}", caption, figure, _PROFILE_HEIGHT, False)
+    return Picture(f"Profile likelihood of {name}", caption, go.Figure([trace], layout), _PROFILE_HEIGHT, False)
 
 
 def correlation_picture(names: Sequence[str], matrix: Sequence[Sequence[float | None]]) -> Picture:
@@ -49,21 +49,19 @@ def correlation_picture(names: Sequence[str], matrix: Sequence[Sequence[float | 
     size = max(_MIN_MATRIX_HEIGHT, _CELL_PIXELS * len(names) + _MATRIX_FRAME_PIXELS)
     layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -40, "constrain": "domain"}
     layout["yaxis"] = {"autorange": "reversed", "automargin": True, "scaleanchor": "x", "constrain": "domain"}
-    layout["hovermode"] = "closest"
-    trace = {
-        "type": "heatmap",
-        "x": labels,
-        "y": labels,
-        "z": [list(row) for row in matrix],
-        "zmin": -1,
-        "zmax": 1,
-        "colorscale": [[0, "#23648c"], [0.5, "#ffffff"], [1, "#c8501e"]],
-        "text": [["" if v is None else f"{v:.2f}" for v in row] for row in matrix],
-        "texttemplate": "%{text}",
-        "hovertemplate": "%{x}<br>%{y}<br>%{z:.3f}<extra></extra>",
-        "colorbar": {"thickness": 12, "outlinewidth": 0},
-    }
+    trace = go.Heatmap(
+        x=labels,
+        y=labels,
+        z=[list(row) for row in matrix],
+        zmin=-1,
+        zmax=1,
+        colorscale=[[0, "#23648c"], [0.5, "#ffffff"], [1, "#c8501e"]],
+        text=[["" if v is None else f"{v:.2f}" for v in row] for row in matrix],
+        texttemplate="%{text}",
+        hovertemplate="%{x}<br>%{y}<br>%{z:.3f}<extra></extra>",
+        colorbar={"thickness": 12, "outlinewidth": 0},
+    )
     caption = (
         "Correlations of the estimates. Pairs near 1 or -1 can change together with almost no effect on the residual."
     )
-    return Picture("Correlations", caption, {"data": [trace], "layout": layout}, size, False)
+    return Picture("Correlations", caption, go.Figure([trace], layout), size, False)

@@ -1,6 +1,6 @@
 """Figures of one channel against another: hysteresis loops over temperature, stress and force over strain."""
 
-from typing import Any
+import plotly.graph_objects as go
 
 from smajax.channels import channel_of
 from smajax.report.figures import (
@@ -36,7 +36,7 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
     partners = _partner_channels(series, channel)
     if not partners:
         return None
-    data: list[dict[str, Any]] = []
+    data: list[go.Scatter] = []
     layout = base_layout()
     thinned = False
     width = (1.0 - _GAP * (len(partners) - 1)) / len(partners)
@@ -53,10 +53,10 @@ def phase_picture(series: Series, channel: str) -> Picture | None:
     caption = f"Loops of {channel} over {' and '.join(partners)}: grey is measured, orange the model."
     caption += thin_note(len(series.time), thinned)
     title = f"Phase plot of {series.name} ({series.role})"
-    return Picture(title, caption, {"data": data, "layout": layout}, _HEIGHT, len(partners) > 1)
+    return Picture(title, caption, go.Figure(data, layout), _HEIGHT, len(partners) > 1)
 
 
-def _loop_traces(series: Series, channel: str, partner: str, suffix: str) -> tuple[list[dict[str, Any]], bool]:
+def _loop_traces(series: Series, channel: str, partner: str, suffix: str) -> tuple[list[go.Scatter], bool]:
     """Lines of measurement and model over one other channel, and whether points were left out."""
     traces, thinned = [], False
     partner_measured = partner in series.measured

@@ -8,9 +8,8 @@ from smajax import __version__
 from smajax.properties.branch_properties import Tangent
 from smajax.properties.stress_levels import StressGroup
 from smajax.properties.thermal_cycles import Value, mean_properties
+from smajax.report.documents.properties import PropertiesDocument
 from smajax.report.summary import table
-
-SCHEMA = "smajax.properties/1"
 
 _LABELS = {
     "martensite_start": "M_s",
@@ -38,31 +37,40 @@ _MISSING_PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
 _MAX_LISTED = 6
 
 
-def properties_document(groups: Sequence[StressGroup], tangent: Tangent) -> dict[str, Any]:
-    """Build the document that ``smajax properties --json`` prints, schema ``smajax.properties/1``.
+def properties_document(groups: Sequence[StressGroup], tangent: Tangent, guessed: str | None = None) -> dict[str, Any]:
+    """Build the document that ``smajax properties --json`` prints; its model is ``documents.properties``.
 
     Args:
         groups: The cycles of all recordings, by recording and stress.
         tangent: The line along the transformation: ``lines`` or ``steepest``.
+        guessed: Sentence on the values of the written parameter set that do not come from the cycles; ``None`` if none
+            was written.
     """
-    return {
-        "schema": SCHEMA,
+    document = {
+        "schema": PropertiesDocument.SCHEMA,
         "tangent": tangent,
         "definition": _DEFINITIONS[tangent],
         "recordings": [_group_entry(group) for group in groups],
         "refused": [sentence for group in groups for sentence in group.refused],
         "smajax": __version__,
     }
+    return PropertiesDocument.check(document if guessed is None else document | {"guessed": guessed})
 
 
-def text(document: Mapping[str, Any]) -> str:
-    """Format the mean properties of each recording and stress, with their intervals, for a terminal."""
+def text(document: Mapping[str, Any], folder: str = "") -> str:
+    """Format the mean properties of each recording and stress, with their intervals, for a terminal.
+
+    Args:
+        document: The document properties.json.
+        folder: The result folder, which the last line names; empty for none.
+    """
     lines = []
     for entry in document["recordings"]:
         if entry["mean"] is not None:
             lines += [*_group_text(entry), ""]
     sentences = merge_sentences(document["refused"])
     lines += [document["definition"], *(f"Not read: {sentence}." for sentence in sentences)]
+    lines += [f"Results: {folder}"] if folder else []
     return "\n".join(lines).rstrip()
 
 

@@ -47,29 +47,41 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     return render_page(f"Fit of {doc['rig']}", summary.headline(doc), sections, pictures)
 
 
-def simulation_page(series: Series, run: Mapping[str, Any], rig: str) -> str:
+def simulation_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
     """Build the page of a simulation.
 
     Args:
+        doc: The document run.json, which names the observed channels and the inputs.
         series: The recording with the simulated channels.
-        run: The document run.json, which names the observed channels and the inputs.
+        run: The document run.json, as for other pages.
         rig: Text of the rig file.
 
     Returns:
         The page as HTML.
     """
     pictures: list[Picture] = []
-    observed = [c for c in run["observed"] if c in series.model] or list(series.model)
-    others = [c for c in series.model if c not in observed and c not in run["inputs"]]
-    sections = [verdict_section([run["text"]], bad=True)] if run["code"] != "done" else []
-    sections.append(bullets(run.get("warnings", ())))  # absent in documents of earlier versions
-    sections += _recording_pictures(series, observed, run["inputs"], {}, pictures)
+    (recording,) = series
+    observed = simulated_channels(doc, recording)
+    others = [c for c in recording.model if c not in observed and c not in doc["inputs"]]
+    sections = [verdict_section([doc["text"]], bad=True)] if doc["code"] != "done" else []
+    sections.append(bullets(doc.get("warnings", ())))  # absent in documents of earlier versions
+    sections += _recording_pictures(recording, observed, doc["inputs"], {}, pictures)
     if others:
         sections.append("<h2>The other channels</h2>")
-        sections.append(add_picture(time_picture(series, others, [], {}), pictures))
-    sections += provenance_sections(run, rig, recordings_table(run["recordings"]))
-    lead = f"{run['rig']} driven by {series.name}: {len(series.time):,} rows."
-    return render_page(f"Simulation of {run['rig']}", lead, sections, pictures)
+        sections.append(add_picture(time_picture(recording, others, [], {}), pictures))
+    sections += provenance_sections(run, rig, recordings_table(doc["recordings"]))
+    lead = f"{doc['rig']} driven by {recording.name}: {len(recording.time):,} rows."
+    return render_page(f"Simulation of {doc['rig']}", lead, sections, pictures)
+
+
+def simulated_channels(doc: Mapping[str, Any], recording: Series) -> list[str]:
+    """List the channels that the page shows first: the observed ones, or all if none of these is simulated.
+
+    Args:
+        doc: The document run.json.
+        recording: The recording with the simulated channels.
+    """
+    return [c for c in doc["observed"] if c in recording.model] or list(recording.model)
 
 
 def _verdict_section(doc: Mapping[str, Any]) -> str:

@@ -193,7 +193,7 @@ def simulation_text(run: Document, folder: str = "") -> str:
 
     Args:
         run: The document run.json.
-        folder: The result folder.
+        folder: The result folder, which the last line names; empty for none.
     """
     recording = run["recordings"][0]
     lines = [f"Simulated {recording['rows']:,} rows of {recording['name']} with {run['rig']}.", ""]
@@ -207,7 +207,8 @@ def simulation_text(run: Document, folder: str = "") -> str:
         *(f"- {recording['name']}: {note}." for note in recording["notes"]),
         *(f"- {warning}" for warning in run["warnings"]),
     ]
-    lines.append(f"Results: {folder}")
+    if folder:
+        lines.append(f"Results: {folder}")
     return "\n".join(line.rstrip() for line in lines)
 
 

@@ -13,8 +13,6 @@ from smajax.report.summary import table
 from smajax.sweeps.pareto import feasible_mask, objective_costs, pareto_front
 from smajax.units import display_unit, from_si
 
-# Schema 2 has the parameter names of smajax 0.2; all else is as in schema 1, which is still readable.
-SCHEMA = "smajax.sweep/2"
 # Number of designs of the front in the table of the best designs: as many columns as fit on a page.
 _MAX_ROWS = 8
 # Units that are shown unchanged, since no multiple of them is more usual.
@@ -168,17 +166,18 @@ def _best_columns(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return list(zip(_head(doc), *rows, strict=True)) if rows else []
 
 
-def text(doc: Mapping[str, Any], folder: str) -> str:
+def text(doc: Mapping[str, Any], folder: str = "") -> str:
     """Format the summary of a sweep for a terminal.
 
     Args:
         doc: The document sweep.json.
-        folder: The result folder.
+        folder: The result folder, which the last line names; empty for none.
     """
     lines = []
     if columns := _best_columns(doc):
         lines += [*table(columns, right=tuple(range(1, len(columns[0])))), ""]
-    return "\n".join([*lines, doc["summary"], f"Table, report and refined rigs in {folder}"])
+    place = [f"Table, report and refined rigs in {folder}"] if folder else []
+    return "\n".join([*lines, doc["summary"], *place])
 
 
 def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: Mapping[str, Any], rig: str) -> str:
@@ -208,21 +207,46 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
 
 def _design_pictures(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], pictures: list[Picture]) -> list[str]:
     """Figures of all designs: over two metrics, and across all axes."""
+    made = [_trade_off_picture(doc, columns), _parallel_picture(doc, columns)]
+    return [pages.add_picture(picture, pictures) for picture in made if picture is not None]
+
+
+def design_picture(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> Picture:
+    """Show all designs over two metrics; across all axes if there is one metric only.
+
+    Args:
+        doc: The document sweep.json.
+        columns: Columns of the sweep's table by name, shape ``(m,)`` each.
+    """
+    return _trade_off_picture(doc, columns) or _parallel_picture(doc, columns)
+
+
+def _best_designs(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mask of the designs that satisfy the constraints, and rows of the Pareto front."""
     limits = {n: (_bound(e["at_least"], -np.inf), _bound(e["at_most"], np.inf)) for n, e in doc["constraints"].items()}
     feasible = feasible_mask(columns, limits)
     front = np.zeros(0, int)
     if doc["objectives"] and feasible.any():
         front = np.flatnonzero(feasible)[pareto_front(objective_costs(columns, doc["objectives"])[feasible])]
-    units = {n: e["unit"] for n, e in (doc["parameters"] | doc["metrics"]).items()}
-    sections = []
+    return feasible, front
+
+
+def _trade_off_picture(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> Picture | None:
+    """All designs over two metrics, or ``None`` if there is one metric only."""
     pair = list(dict.fromkeys([*doc["objectives"], *doc["constraints"], *doc["metrics"]]))[:2]
-    if len(pair) == 2:
-        axes = [(n, units[n], shown_unit(units[n])) for n in pair]
-        picture = sweep_plots.trade_off_picture(columns, feasible, axes, front, doc["refined"])
-        sections.append(pages.add_picture(picture, pictures))
-    across = [(n, units[n], shown_unit(units[n]), doc["parameters"].get(n, {}).get("scale") == "log") for n in units]
-    sections.append(pages.add_picture(sweep_plots.parallel_picture(columns, feasible, across, front), pictures))
-    return sections
+    if len(pair) < 2:
+        return None
+    feasible, front = _best_designs(doc, columns)
+    axes = [(n, doc["metrics"][n]["unit"], shown_unit(doc["metrics"][n]["unit"])) for n in pair]
+    return sweep_plots.trade_off_picture(columns, feasible, axes, front, doc["refined"])
+
+
+def _parallel_picture(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> Picture:
+    """All designs across all axes."""
+    feasible, front = _best_designs(doc, columns)
+    units = {n: e["unit"] for n, e in (doc["parameters"] | doc["metrics"]).items()}
+    axes = [(n, units[n], shown_unit(units[n]), doc["parameters"].get(n, {}).get("scale") == "log") for n in units]
+    return sweep_plots.parallel_picture(columns, feasible, axes, front)
 
 
 def _sensitivity_section(doc: Mapping[str, Any], pictures: list[Picture]) -> list[str]:

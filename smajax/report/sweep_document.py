@@ -7,7 +7,8 @@ import numpy as np
 
 from smajax import __version__
 from smajax.files.documents import finite_or_none
-from smajax.report.sweep import SCHEMA, format_in_unit, format_value, metric_entry, sweep_summary
+from smajax.report.documents.sweep import SweepDocument
+from smajax.report.sweep import format_in_unit, format_value, metric_entry, sweep_summary
 from smajax.sweeps.best_designs import BestDesigns
 from smajax.sweeps.metrics import SETTLED_GAP
 from smajax.sweeps.pareto import constraint_violation, thin_front
@@ -44,7 +45,7 @@ def sweep_document(
     front, keeps = best.front_rows, best.feasible
     sensitivity, notes = _sensitivity(sweep, problem, sobol_columns)
     document: dict[str, Any] = {
-        "schema": SCHEMA,
+        "schema": SweepDocument.SCHEMA,
         "sweep": sweep.name,
         "rig": sweep.subject.name,
         "sampling": sweep.sampling,
@@ -68,7 +69,7 @@ def sweep_document(
         "seed": sweep.seed,
         "smajax": __version__,
     }
-    return document | {"summary": sweep_summary(document)}
+    return SweepDocument.check(document | {"summary": sweep_summary(document)})
 
 
 def _problems(

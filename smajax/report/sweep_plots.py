@@ -5,6 +5,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from smajax.report.figures import MEASURED, MODEL, RESIDUAL, Picture, axis_style, base_layout, round_for_json
 from smajax.units import from_si
@@ -37,7 +38,7 @@ def trade_off_picture(
         refined: Entries of the refined designs in sweep.json.
     """
     layout = base_layout()
-    data: list[dict[str, Any]] = []
+    data: list[go.Scatter] = []
     x, y = (_in_shown_unit(columns[name], unit, shown) for name, unit, shown in axes)
     groups = [
         ("violates a constraint", ~feasible, MEASURED, 0.5),
@@ -52,7 +53,7 @@ def trade_off_picture(
         rows = front[np.argsort(x[front])]
         best = _points("best", x[rows], y[rows], {"color": MODEL, "size": 7}, columns["design"][rows])
         line = {"color": MODEL, "width": 1.2, "shape": "hv"} if len(rows) > 1 else {}
-        data.append(best | {"mode": "lines+markers", "line": line})
+        data.append(best.update(mode="lines+markers", line=line))
     if better := [entry for entry in refined if entry["better"]]:
         ends = [
             _in_shown_unit(np.array([entry["metrics"][name] for entry in better], float), unit, shown)
@@ -60,14 +61,14 @@ def trade_off_picture(
         ]
         marker = {"color": _REFINED_COLOUR, "size": 11, "symbol": "star"}
         data.append(_points("refined", ends[0], ends[1], marker, np.arange(1, len(better) + 1)))
-    layout["xaxis"], layout["yaxis"] = (axis_style(_title(name, shown)) for name, _, shown in axes)
-    layout["showlegend"] = True
+    layout.xaxis, layout.yaxis = (axis_style(_title(name, shown)) for name, _, shown in axes)
+    layout.showlegend = True
     caption = (
         "Each point is a design. The best ones form the Pareto front: no other design is better in all objectives."
     )
     if not (np.isfinite(x[feasible]).all() and np.isfinite(y[feasible]).all()):
         caption += " Designs with an infinite or missing metric are left out."
-    return Picture("Trade-off", caption, {"data": data, "layout": layout}, _TRADE_OFF_HEIGHT)
+    return Picture("Trade-off", caption, go.Figure(data, layout), _TRADE_OFF_HEIGHT)
 
 
 def parallel_picture(
@@ -107,12 +108,12 @@ def parallel_picture(
         "tickangle": -35,
     }
     layout["yaxis"] = {"visible": False, "range": [-0.12, 1.12], "fixedrange": True}
-    layout["annotations"], layout["showlegend"] = marks, True
+    layout.annotations, layout.showlegend = marks, True
     caption = (
         "Each line is a design, each vertical line an axis from its lowest to its highest value; "
         f"up to {_MAX_LINES} designs of each colour."
     )
-    return Picture("Designs across all axes", caption, {"data": data, "layout": layout}, _PARALLEL_HEIGHT)
+    return Picture("Designs across all axes", caption, go.Figure(data, layout), _PARALLEL_HEIGHT)
 
 
 def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[float, float]]:
@@ -124,7 +125,7 @@ def _axis_heights(values: np.ndarray, log: bool) -> tuple[np.ndarray, tuple[floa
     return (values - low) / ((high - low) or 1.0), (low, high)
 
 
-def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) -> list[dict[str, Any]]:
+def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) -> list[go.Scatter]:
     """Lines of designs by kind; designs that violate a constraint are drawn only if none is feasible."""
     finite = np.all(np.isfinite(heights), axis=1)
     infeasible_rows = _evenly_chosen(np.flatnonzero(~feasible & finite), 0 if feasible.any() else _MAX_LINES)
@@ -141,8 +142,7 @@ def _design_lines(heights: np.ndarray, feasible: np.ndarray, front: np.ndarray) 
             x += [*range(heights.shape[1]), None]
             y += [*round_for_json(heights[row]), None]
         if len(rows):
-            line = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style}
-            data.append(line | {"hoverinfo": "skip"})
+            data.append(go.Scatter(mode="lines", name=name, x=x, y=y, line=style, hoverinfo="skip"))
     return data
 
 
@@ -158,22 +158,21 @@ def sensitivity_picture(sensitivity: Mapping[str, Mapping[str, Mapping[str, Any]
     layout["xaxis"] = {"side": "bottom", "automargin": True, "tickangle": -25}
     layout["yaxis"] = {"autorange": "reversed", "automargin": True}
     z = [[sensitivity[metric][name]["total"] for name in names] for metric in metrics]
-    trace = {
-        "type": "heatmap",
-        "x": [escape(n) for n in names],
-        "y": metrics,
-        "z": z,
-        "zmin": 0,
-        "zmax": 1,
-        "colorscale": [[0, "#ffffff"], [1, "#c8501e"]],
-        "text": [["-" if v is None else f"{v:.2f}" for v in row] for row in z],
-        "texttemplate": "%{text}",
-        "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
-        "colorbar": {"thickness": 12, "outlinewidth": 0},
-    }
+    trace = go.Heatmap(
+        x=[escape(n) for n in names],
+        y=metrics,
+        z=z,
+        zmin=0,
+        zmax=1,
+        colorscale=[[0, "#ffffff"], [1, "#c8501e"]],
+        text=[["-" if v is None else f"{v:.2f}" for v in row] for row in z],
+        texttemplate="%{text}",
+        hovertemplate="%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
+        colorbar={"thickness": 12, "outlinewidth": 0},
+    )
     caption = "Total Sobol indices: the share of a metric's variance that would vanish if the parameter were fixed."
     height = _CELL_PIXELS * len(metrics) + _MATRIX_FRAME_PIXELS
-    return Picture("Sensitivity", caption, {"data": [trace], "layout": layout}, height)
+    return Picture("Sensitivity", caption, go.Figure([trace], layout), height)
 
 
 def _in_shown_unit(values: np.ndarray, unit: str, shown: str) -> np.ndarray:
@@ -184,17 +183,16 @@ def _title(name: str, unit: str) -> str:
     return escape(name if unit == "1" else f"{name} [{unit}]")
 
 
-def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], numbers: np.ndarray) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": round_for_json(x),
-        "y": round_for_json(y),
-        "marker": marker,
-        "text": [str(n) for n in numbers],
-        "hovertemplate": "design %{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
-    }
+def _points(name: str, x: np.ndarray, y: np.ndarray, marker: dict[str, Any], numbers: np.ndarray) -> go.Scatter:
+    return go.Scatter(
+        mode="markers",
+        name=name,
+        x=round_for_json(x),
+        y=round_for_json(y),
+        marker=marker,
+        text=[str(n) for n in numbers],
+        hovertemplate="design %{text}<br>%{x:.5g}, %{y:.5g}<extra></extra>",
+    )
 
 
 def _evenly_chosen(rows: np.ndarray, count: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Figures over time: measurement and model, several models, closed-loop responses."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+
+import plotly.graph_objects as go
 
 from smajax.channels import channel_of
 from smajax.report.figures import (
@@ -62,7 +63,7 @@ def time_picture(
             panels.append((f"residual of {channel}", _RESIDUAL_WEIGHT))
     panels += [(", ".join(group), _INPUT_WEIGHT) for group in groups.values()]
     layout = panel_layout(panels, series)
-    data: list[dict[str, Any]] = []
+    data: list[go.Scatter] = []
     thinned, panel = False, 0
     for channel in observed:
         thinned |= _add_channel(data, series, channel, panel)
@@ -73,7 +74,7 @@ def time_picture(
             trace, _ = line_trace(series.time, residual, f"residual of {channel}", RESIDUAL, axis, in_legend=False)
             data.append(trace)
             set_panel_title(layout, panel, "residual", panels)
-            layout["shapes"] += noise_band(floor.get(channel), axis)
+            layout.shapes += tuple(noise_band(floor.get(channel), axis))
             panel += 1
     for unit, group in groups.items():
         for colour, channel in zip(_INPUT_COLOURS, group, strict=False):
@@ -84,8 +85,7 @@ def time_picture(
         panel += 1
     caption = _time_caption(any(has_residual(series, c) for c in observed), bool(floor))
     caption += thin_note(len(series.time), thinned)
-    figure = {"data": data, "layout": layout}
-    return Picture(f"{series.name} ({series.role})", caption, figure, panel_height(panels))
+    return Picture(f"{series.name} ({series.role})", caption, go.Figure(data, layout), panel_height(panels))
 
 
 def comparison_picture(series: Mapping[str, Series], channel: str, role: str) -> Picture:
@@ -116,14 +116,14 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
                 in_legend=panel == 0,
                 max_points=MAX_POINTS_OF_MANY,
             )
-            data.append(trace | {"legendgroup": name, "visible": True if k < _MODELS_SHOWN else "legendonly"})
+            data.append(trace.update(legendgroup=name, visible=True if k < _MODELS_SHOWN else "legendonly"))
             thinned |= is_thinned
     set_panel_title(layout, 0, axis_title(channel, first.units), panels)
     set_panel_title(layout, 1, "model - measured", panels)
     caption = "Grey is measured. Click a name to show or hide a model; below, the error of each model."
     caption += thin_note(len(first.time), thinned, MAX_POINTS_OF_MANY)
     title = f"{first.name.rpartition(' (')[0]} ({role})"
-    return Picture(title, caption, {"data": data, "layout": layout}, _COMPARISON_HEIGHT)
+    return Picture(title, caption, go.Figure(data, layout), _COMPARISON_HEIGHT)
 
 
 def response_picture(series: Sequence[Series], channel: str) -> Picture:
@@ -145,7 +145,7 @@ def response_picture(series: Sequence[Series], channel: str) -> Picture:
     for k, rollout in enumerate(series):
         colour = (RESIDUAL, MODEL)[k % 2]
         trace, is_thinned = line_trace(rollout.time, rollout.model[channel], rollout.name, colour, panel_axis(0))
-        data.append(trace | {"legendgroup": rollout.name})
+        data.append(trace.update(legendgroup=rollout.name))
         thinned |= is_thinned
         for panel, names in enumerate(kinds.values(), 1):
             data += _dashed_traces(rollout, names, colour, panel)
@@ -157,15 +157,15 @@ def response_picture(series: Sequence[Series], channel: str) -> Picture:
     )
     if any(len(names) > 1 for names in kinds.values()):
         caption += " Dotted is the second wire."
-    return Picture("Response", caption, {"data": data, "layout": layout}, panel_height(panels))
+    return Picture("Response", caption, go.Figure(data, layout), panel_height(panels))
 
 
-def _add_channel(data: list[dict[str, Any]], series: Series, channel: str, panel: int) -> bool:
+def _add_channel(data: list[go.Scatter], series: Series, channel: str, panel: int) -> bool:
     """Adds measurement and model of a channel to a figure's data; returns whether points were left out."""
     thinned = False
     for name, values, colour in (("measured", series.measured, MEASURED), ("model", series.model, MODEL)):
         if channel in values:
-            in_legend = not any(trace["name"] == name for trace in data)
+            in_legend = not any(trace.name == name for trace in data)
             trace, is_thinned = line_trace(
                 series.time, values[channel], name, colour, panel_axis(panel), in_legend=in_legend
             )
@@ -182,12 +182,12 @@ def _time_caption(with_residual: bool, with_noise: bool) -> str:
     return caption
 
 
-def _dashed_traces(series: Series, names: Sequence[str], colour: str, panel: int) -> list[dict[str, Any]]:
+def _dashed_traces(series: Series, names: Sequence[str], colour: str, panel: int) -> list[go.Scatter]:
     """Lines of the channels of one kind; the first line is solid, the others are dotted."""
     traces = []
     for k, name in enumerate(names):
         label = f"{series.name}, {name}"
         trace, _ = line_trace(series.time, series.model[name], label, colour, panel_axis(panel), in_legend=False)
         dash = "solid" if k == 0 else "dot"
-        traces.append(trace | {"legendgroup": series.name, "line": trace["line"] | {"dash": dash}})
+        traces.append(trace.update(legendgroup=series.name, line={"dash": dash}))
     return traces

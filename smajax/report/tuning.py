@@ -13,8 +13,6 @@ from smajax.report.summary import table
 from smajax.report.time_figures import response_picture
 from smajax.units import from_si
 
-# Schema 2 has the parameter names of smajax 0.2; all else is as in schema 1, which is still readable.
-SCHEMA = "smajax.tune/2"
 # A gain is at a bound if it is nearer than this share of its logarithmic range.
 _AT_BOUND = 1e-3
 # Gain margin (a factor) and phase margin (degrees) below which the summary warns; chosen by trial.
@@ -220,18 +218,19 @@ def left_out_lines(doc: Mapping[str, Any]) -> list[str]:
     return [f"Left out: {' and '.join(names)}: {reason}" for reason, names in reasons.items()]
 
 
-def text(doc: Mapping[str, Any], folder: str) -> str:
+def text(doc: Mapping[str, Any], folder: str = "") -> str:
     """Format the summary of a tuning for a terminal.
 
     Args:
         doc: The document tune.json.
-        folder: The result folder.
+        folder: The result folder, which the last line names; empty for none.
     """
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
     lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
     files = [name for name in _EXPORTS if name not in doc.get("left_out", {})]
     lines += left_out_lines(doc)
-    return "\n".join([*lines, f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"])
+    place = [f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"] if folder else []
+    return "\n".join([*lines, *place])
 
 
 def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from smajax.errors import InputError
+from smajax.files.renamed_keys import current_name
 from smajax.recordings.readers.parquet import pyarrow_parquet
 
 # Key of the header in the file's metadata.
@@ -59,7 +60,7 @@ def write_table(
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
-    """Read the columns of a table, shape ``(m,)`` each, by name without the unit.
+    """Read the columns of a table, shape ``(m,)`` each, by current name without the unit.
 
     Raises:
         InputError: If the file is not readable, or pyarrow is not installed.
@@ -72,7 +73,7 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
         raise InputError(
             f"{path}: the file is not readable as Parquet ({words}): remove it, and run the sweep again with --resume"
         ) from None
-    return {n.partition(" [")[0]: table.column(n).to_numpy() for n in table.column_names}
+    return {current_name(n.partition(" [")[0]): table.column(n).to_numpy() for n in table.column_names}
 
 
 def read_header(path: Path) -> dict[str, Any]:

@@ -62,10 +62,10 @@ def run_properties(job: PropertiesJob, progress: Callable[[str], None] = lambda 
     groups = [group for path in job.paths for group in _analyse_file(path, job, progress)]
     if not any(group.cycles for group in groups):
         raise InputError("; ".join(merge_sentences([sentence for group in groups for sentence in group.refused])))
-    document = properties_document(groups, job.tangent)
+    guessed = None
     if job.write_set is not None:
-        document["guessed"] = _write_start_values(job.write_set, job.model, [g for g in groups if g.cycles])
-    return document
+        guessed = _write_start_values(job.write_set, job.model, [g for g in groups if g.cycles])
+    return properties_document(groups, job.tangent, guessed)
 
 
 def _analyse_file(path: Path, job: PropertiesJob, progress: Callable[[str], None]) -> list[StressGroup]:

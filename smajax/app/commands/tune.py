@@ -10,7 +10,6 @@ import equinox as eqx
 import numpy as np
 
 from smajax import __version__, parameters
-from smajax.app.commands.tune_document import TunedLoop, feedforward_entry, tune_document, unreachable_reference
 from smajax.app.run_record import Clock, Outcome, read_rig_text, run_record
 from smajax.channels import CHANNELS
 from smajax.control.analysis.closed_loop_checks import GainEvaluation, check_draws, evaluate_gains, wire_channels
@@ -28,10 +27,12 @@ from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProble
 from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
 from smajax.errors import InputError, NumericsError
 from smajax.files.documents import finite_or_none, to_json
-from smajax.files.result_folder import check_output_folder, read_json, write_folder
+from smajax.files.result_folder import check_output_folder
 from smajax.files.rig_file import Rig, read_rig
 from smajax.progress import Progress
 from smajax.report import prediction
+from smajax.report.documents import ControllerDocument, TuneDocument, read_fit, write_result
+from smajax.report.tune_document import TunedLoop, feedforward_entry, tune_document, unreachable_reference
 from smajax.report.tuning import tuning_page, tuning_summary
 
 # Key of the random stream of the draws, which makes it independent of other streams with the same seed.
@@ -105,11 +106,12 @@ def run_tune(job: TuneJob, progress: Progress, argv: Sequence[str]) -> Outcome:
     if tuned_loop.other_weights:
         document["objective"]["asked"] = dict(file_weights)
     document["summary"] = tuning_summary(document)
+    TuneDocument.check(document)
     reason = "; ".join(document["problems"])
     code = NumericsError.exit_code if reason else 0
     run = run_record("tune", inputs.rig, argv, clock, seed, code) | {"controller": settings.name}
     progress.phase("writing the report")
-    write_folder(out, run, lambda folder: _write_results(folder, inputs, settings, tuned_loop, exports, document, run))
+    write_result(out, run, lambda folder: _write_results(folder, inputs, settings, tuned_loop, exports, document, run))
     return Outcome(out, document, code, reason)
 
 
@@ -134,7 +136,7 @@ def _draw_parameters(settings: ControllerFile, rig: Rig, seed: int) -> dict[str,
     draws: dict[str, np.ndarray] = {}
     if settings.robust.fit is not None:
         names = list(parameters.all_declarations(rig.plant))
-        draws = draw_from_fit(read_json(settings.robust.fit, "fit.json"), names, count, rng)
+        draws = draw_from_fit(read_fit(settings.robust.fit).to_dict(), names, count, rng)
     return draws | draw_from_ranges(settings.robust.vary, count, rng)
 
 
@@ -238,7 +240,7 @@ def _write_results(
     (folder / "rig.toml").write_text(inputs.rig_text, "utf-8", newline="")
     (folder / "controller.toml").write_text(inputs.controller_text, "utf-8", newline="")
     (folder / "tune.json").write_text(to_json(document), "utf-8")
-    controller = controller_document(tuned_loop.tuned.loop, dict(settings.units))
+    controller = ControllerDocument.check(controller_document(tuned_loop.tuned.loop, dict(settings.units)))
     (folder / "controller.json").write_text(to_json(controller), "utf-8")
     for name, content in exports.items():
         (folder / name).write_bytes(content)

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
-from smajax.app.commands.tune_document import TunedLoop, tune_document
+from smajax.report.tune_document import TunedLoop, tune_document
 from smajax.control.analysis.closed_loop_checks import DrawChecks, check_draws, evaluate_gains
 from smajax.control.analysis.margins import Margins, margins_of_draws, worst_margins
 from smajax.control.analysis.reachable_range import ReachableRange, clip_reference, reachable_range

@@ -21,7 +21,8 @@ from smajax.control.loop.gains import gain, gains, unit_of
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward
 from smajax.files.documents import finite_or_none
 from smajax.report import prediction
-from smajax.report.tuning import SCHEMA, format_metric, margin_words, stabilising_advice
+from smajax.report.documents.tune import TuneDocument
+from smajax.report.tuning import format_metric, margin_words, stabilising_advice
 
 # Fraction of the span of the reference by which it may exceed the reachable range, which is simulated with sampled
 # commands. Chosen by trial.
@@ -72,7 +73,7 @@ def tune_document(settings: ControllerFile, rig_name: str, tuned_loop: TunedLoop
     violated = violated_limits(settings.limits, tuned.metrics)
     failures = _failing_draws(tuned_loop.checks)
     return {
-        "schema": SCHEMA,
+        "schema": TuneDocument.SCHEMA,
         "rig": rig_name,
         "controller": settings.name,
         "channel": settings.loop.channel,

@@ -1,0 +1,190 @@
+"""``diagnosis.json``, the document of ``smajax diagnose``."""
+
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from smajax.report.documents.base import Document, Ends, Number, Part
+from smajax.report.documents.parts import NoiseEntry, RecordingEntry, Stage
+
+_ROLES = ["train", "select", "holdout"]
+
+
+class ErrorEntry(Part):
+    """Root mean square errors of a channel before and after effects were added, in the unit."""
+
+    unit: str = Field(description="unit of the recording's column; K for temperatures")
+    train_before: Number = Field(description="on the training recording, without further effects")
+    train_after: Number = Field(description="on the training recording, with the accepted effects")
+    select_before: Number = Field(description="on the selection recording, without further effects")
+    select_after: Number = Field(description="on the selection recording, with the accepted effects")
+    holdout_before: Number = Field(description="on the holdout, without further effects")
+    holdout_after: Number = Field(description="on the holdout, with the accepted effects")
+    holdout_cut_95: Ends = Field(description="95 % interval of the reduction on the holdout")
+
+
+class LeftOutEntry(Part):
+    """A recorded channel, or an effect of the rig file, that the diagnosis did not use."""
+
+    channel: str | None = Field(None, description="the channel; absent for an effect")
+    effect: str | None = Field(None, description="key of an effect that this rig cannot have; absent for a channel")
+    why: str = Field(description="the reason")
+
+    @model_validator(mode="after")
+    def _check_subject(self) -> Self:
+        if (self.channel is None) == (self.effect is None):
+            raise ValueError("needs either a channel or an effect")
+        return self
+
+
+class GoodnessOfFit(Part):
+    """Reduced chi-squared of the residual: its mean square relative to that of the noise."""
+
+    before: Number = Field(description="without further effects")
+    after: Number = Field(description="with the accepted effects")
+    critical: Number = Field(description="value up to which the residual counts as noise")
+
+
+class DetectabilityEntry(Part):
+    """What the training input can show of an effect."""
+
+    key: str = Field(description="key of the effect")
+    stage: Stage = Field(description="stage of the plant to which it belongs")
+    status: Literal["testable", "absorbed", "blind"] = Field(
+        description="testable; absorbed by free parameters; or blind: without a visible response"
+    )
+    smallest_detectable: Number = Field(description="smallest strength that can be detected, in the unit")
+    unit: str = Field(description="unit of the strength")
+    absorbed_by: list[str] = Field(description="parameters and effects that can imitate it")
+    why: str = Field(description="the reason, if it cannot be tested; else empty")
+
+
+class RankingEntry(DetectabilityEntry):
+    """An effect of the catalogue with its evidence."""
+
+    strength: Number = Field(description="estimated strength, in the unit")
+    lower95: Number = Field(description="lower end of the strength's 95 % interval, in the unit")
+    upper95: Number = Field(description="upper end of the strength's 95 % interval, in the unit")
+    statistic: Number = Field(description="score statistic in the first round")
+    p_value: Number = Field(
+        description="probability that noise with the autocorrelation of the residual gives any effect a statistic at "
+        "least as large"
+    )
+    refit_rmse_select: Number = Field(
+        description="error on the selection recording after a refit with the effect, in the unit of the first channel; "
+        "null if there was no complete refit"
+    )
+
+
+class RejectedEntry(Part):
+    """An effect that was tried and rejected."""
+
+    key: str = Field(description="key of the effect")
+    why: str = Field(description="the reason")
+
+
+class ExcludedEntry(Part):
+    """An effect without any trace in the last fit's residual."""
+
+    key: str = Field(description="key of the effect")
+    above: Number = Field(description="strength above which it is excluded, in the unit")
+    unit: str = Field(description="unit of the strength")
+
+
+class ResidualEntry(Part):
+    """Statistics of the residual of a channel, measured minus model, on the training recording."""
+
+    rms: Number = Field(description="root mean square, in the unit of the recording's column")
+    band_99: Number = Field(description="half width of the 99 % band of the correlations of white noise")
+    autocorrelation: list[Number] = Field(description="autocorrelation at lags of 1, 2, ... samples")
+    cross_correlation: dict[str, list[Number]] = Field(description="correlation with each input, lag by lag")
+    outside: dict[str, Number] = Field(description="share of the lags outside the 99 % band, by name of the other")
+
+
+class ResidualPair(Part):
+    """Statistics of the residual before and after."""
+
+    before: ResidualEntry = Field(description="without further effects")
+    after: ResidualEntry = Field(description="with the accepted effects")
+
+
+class NonparametricEntry(Part):
+    """A nonparametric term that would explain a part of the residual; not its cause."""
+
+    stage: Stage = Field(description="stage of the plant to which it adds")
+    adds: str = Field(description="what it adds: heat, shift or strain")
+    unit: str = Field(description="unit of the term")
+    against: str = Field(description="the state of which it is a function, such as temperature or martensite")
+    at: list[Number] = Field(description="values of that state")
+    term: list[Number] = Field(description="values of the term there, in the unit")
+    explains: Number = Field(description="share of the residual that it explains, from 0 to 1")
+    select_error_over_noise: Number = Field(description="error on the selection recording relative to the noise")
+    note: str = Field(description="how to read it")
+
+
+class NextExperimentEntry(Part):
+    """An input that distinguishes the effects that remain possible."""
+
+    file: str | None = Field(description="file with the input in the result folder; null if there is none")
+    separates: list[str] = Field(description="keys of the effects that it distinguishes")
+    sigma: Number = Field(description="expected difference of their responses in standard deviations")
+    advice: str = Field(description="what to run, as a clause")
+
+
+class DiagnosisDocument(Document):
+    """Result of a diagnosis.
+
+    Errors and noise are in the unit of the recording's column, strengths in the unit of the effect. Missing values are
+    null.
+    """
+
+    # Schema 2 has the keys of schema 1, under which material.max_transformation_strain was called material.max_strain.
+    SCHEMA: ClassVar[str] = "smajax.diagnosis/2"
+    EARLIER: ClassVar[tuple[str, ...]] = ("smajax.diagnosis/1",)
+
+    schema_name: Literal["smajax.diagnosis/2"] = Field(alias="schema", description="name and version of the schema")
+    verdict: Literal["named", "named-up-to-class", "partial", "unresolved", "nothing-missing"] = Field(
+        description="whether effects explain the residual"
+    )
+    effects: list[str] = Field(description="keys of the accepted effects, in order")
+    equivalent: dict[str, list[str]] = Field(
+        description="by accepted effect: the effects from which the recordings cannot distinguish it"
+    )
+    unresolved_stage: Stage | None = Field(description="stage that the remaining residual looks most like")
+    summary: str = Field(description="the result in sentences")
+    rmse: dict[str, ErrorEntry] = Field(description="errors by channel")
+    evidence: list[str] = Field(
+        description="auxiliary channels: recorded, not observed, and explained up to gain and offset of their sensors"
+    )
+    recordings: list[RecordingEntry] = Field(description="training, selection and holdout recording, in this order")
+    left_out: list[LeftOutEntry] = Field(description="recorded channels and effects that were not used")
+    noise_floor: dict[str, NoiseEntry] = Field(description="noise by channel")
+    base_fit_at_rest: bool = Field(description="whether the fit without further effects converged")
+    goodness_of_fit: GoodnessOfFit = Field(description="reduced chi-squared before and after")
+    stages: dict[Stage, Number] = Field(description="share of the residual that each stage can explain, from 0 to 1")
+    ranking: list[RankingEntry] = Field(description="all effects: accepted ones first, then by their statistic")
+    rejected: list[RejectedEntry] = Field(description="effects that were tried and rejected")
+    excluded: list[ExcludedEntry] = Field(description="effects without any trace in the last fit's residual")
+    preflight: list[DetectabilityEntry] = Field(
+        description="what the training input can show at the rig's own values, before any fit"
+    )
+    residual: dict[str, ResidualPair] = Field(description="statistics of the residual by channel")
+    free_form: NonparametricEntry | None = Field(description="nonparametric term; null if there is none")
+    next_experiment: NextExperimentEntry | None = Field(description="input to run next; null if there is none")
+    simulations: int = Field(ge=0, description="number of simulations")
+    wall_s: float = Field(description="wall time, s")
+    seed: int = Field(description="seed of all random numbers")
+    smajax: str = Field(description="version of smajax that computed the result")
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        # The first documents of schema 1 had no recordings.
+        if self.recordings and [recording.role for recording in self.recordings] != _ROLES:
+            raise ValueError("recordings need the roles train, select and holdout, in this order")
+        if self.rmse.keys() != self.noise_floor.keys():
+            raise ValueError("rmse and noise_floor have different channels")
+        if unranked := set(self.effects) - {entry.key for entry in self.ranking}:
+            raise ValueError(f"effects: {min(unranked)} is not in the ranking")
+        if unknown := self.equivalent.keys() - set(self.effects):
+            raise ValueError(f"equivalent.{min(unknown)} is none of the effects")
+        return self

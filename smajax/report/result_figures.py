@@ -1,0 +1,148 @@
+"""The main figure of each command's result, a function of its document and of its predictions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from smajax.report.figures import (
+    MEASURED,
+    MODEL,
+    RESIDUAL,
+    axis_style,
+    axis_title,
+    base_layout,
+    line_trace,
+)
+from smajax.report.prediction import Series
+from smajax.report.run_pages import simulated_channels
+from smajax.report.sweep import design_picture
+from smajax.report.time_figures import comparison_picture, response_picture, time_picture
+
+Document = Mapping[str, Any]
+
+# Properties that are temperatures of the transformation, with the colour of their lines: cooling blue, heating orange.
+_TRANSFORMATIONS = {
+    "martensite_start": ("M<sub>s</sub>", RESIDUAL),
+    "martensite_finish": ("M<sub>f</sub>", RESIDUAL),
+    "austenite_start": ("A<sub>s</sub>", MODEL),
+    "austenite_finish": ("A<sub>f</sub>", MODEL),
+}
+_PROPERTIES_HEIGHT = 480
+
+
+def figure_of_fit(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show measurement, model and residual of the first recording, with the noise band and the inputs.
+
+    Args:
+        document: The content of fit.json.
+        series: The recordings with their predictions.
+    """
+    noise = {channel: entry["value"] for channel, entry in document["noise_floor"].items()}
+    return time_picture(series[0], document["observed"], document["inputs"], noise).standalone()
+
+
+def figure_of_diagnosis(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show measurement and models before and after, and their residuals, of the holdout.
+
+    Args:
+        document: The content of diagnosis.json.
+        series: The predictions before and after, named "RECORDING (before)" and "RECORDING (after)".
+    """
+    shown = [s for s in series if s.role.startswith("holdout")] or list(series)
+    fits = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in shown}
+    return comparison_picture(fits, next(iter(document["rmse"])), "holdout").standalone()
+
+
+def figure_of_comparison(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show the predictions of the holdout by all models, best first, and their residuals.
+
+    Args:
+        document: The content of compare.json.
+        series: The predictions, named "RECORDING (MODEL)".
+    """
+    return comparison_picture(series_by_model(document, series, "holdout"), document["channel"], "holdout").standalone()
+
+
+def series_by_model(document: Document, series: Sequence[Series], role: str) -> dict[str, Series]:
+    """Return the predictions of one recording by model, best first.
+
+    Args:
+        document: The content of compare.json.
+        series: The predictions, named "RECORDING (MODEL)".
+        role: Role of the recording.
+    """
+    by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
+    return {m["name"]: by_model[m["name"]] for m in document["models"] if m["name"] in by_model}
+
+
+def figure_of_tuning(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show the rollouts with start and tuned gains, and the reference.
+
+    Args:
+        document: The content of tune.json.
+        series: The rollouts with start and tuned gains.
+    """
+    return response_picture(series, document["channel"]).standalone()
+
+
+def figure_of_sweep(document: Document, columns: Mapping[str, np.ndarray]) -> go.Figure:
+    """Show all designs over two metrics with the Pareto front; across all axes if there is one metric only.
+
+    Args:
+        document: The content of sweep.json.
+        columns: Columns of the sweep's table by name, shape ``(m,)`` each.
+    """
+    return design_picture(document, columns).standalone()
+
+
+def figure_of_simulation(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show the simulated channels that the rig observes, the residual of those that were measured, and the inputs.
+
+    Args:
+        document: The content of run.json.
+        series: The recording with the simulated channels.
+    """
+    observed = simulated_channels(document, series[0])
+    return time_picture(series[0], observed, document["inputs"], {}).standalone()
+
+
+def figure_of_properties(document: Document, series: Sequence[Series]) -> go.Figure:
+    """Show strain against temperature, and the mean transformation temperatures with their 95 % intervals.
+
+    Args:
+        document: The content of properties.json.
+        series: Recordings with the measured channels temperature and strain.
+    """
+    layout = base_layout()
+    layout.height, layout.showlegend = _PROPERTIES_HEIGHT, True
+    layout.xaxis = axis_style(axis_title("temperature", series[0].units))
+    layout.yaxis = axis_style(axis_title("strain", series[0].units))
+    data = []
+    for recording in series:
+        strain, temperature = recording.measured["strain"], recording.measured["temperature"]
+        data.append(line_trace(temperature, strain, escape(recording.name), MEASURED, "y")[0])
+    figure = go.Figure(data, layout)
+    groups = [entry["mean"] for entry in document["recordings"] if entry["mean"] is not None]
+    for mean in groups:
+        for name, (label, colour) in _TRANSFORMATIONS.items():
+            entry = mean[name]
+            figure.add_vrect(x0=entry["lower95"], x1=entry["upper95"], fillcolor=colour, opacity=0.15, line_width=0)
+            line = {"dash": "dot", "color": colour, "width": 1}
+            figure.add_vline(x=entry["value"], line=line, annotation_text=label if len(groups) == 1 else "")
+    return figure
+
+
+# Function of each command that makes its main figure from the content of its document and its predictions; a sweep has
+# the columns of its table in their place, and a fit and a simulation show the first of the recordings.
+FIGURES: Mapping[str, Callable[[Document, Any], go.Figure]] = {
+    "fit": figure_of_fit,
+    "diagnose": figure_of_diagnosis,
+    "compare": figure_of_comparison,
+    "tune": figure_of_tuning,
+    "sweep": figure_of_sweep,
+    "properties": figure_of_properties,
+    "simulate": figure_of_simulation,
+}
