@@ -38,18 +38,6 @@ class ComparisonStudy(Study):
         """Entries of the models, the best prediction of the holdout first."""
         return tuple(self.document["models"])
 
-    def summary(self, folder: str = "") -> str:
-        """Return the ranking as a table."""
-        from smajax.report.comparison import text
-
-        return text(self.document, folder)
-
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page of the comparison."""
-        from smajax.report.comparison import comparison_page
-
-        return comparison_page(self.document, series, self.run, self.file_text("rig.toml"))
-
 
 def compare(
     rig: Rig | str | Path,

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
 from smajax.report.diagnosis_series import prediction_series
-from smajax.report.prediction import Series
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -66,18 +65,6 @@ class DiagnosisStudy(Study):
     def rig(self) -> Rig:
         """The rig with its effects and estimates."""
         return self._rig("rig-diagnosed.toml")
-
-    def summary(self, folder: str = "") -> str:
-        """Return verdict, effects, and errors before and after."""
-        from smajax.report.diagnosis_summary import text
-
-        return text(self.document, folder)
-
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page of the diagnosis."""
-        from smajax.report.diagnosis_page import diagnosis_page
-
-        return diagnosis_page(self.document, series, self.run["inputs"], self.run, self.file_text("rig.toml"))
 
 
 def diagnose(

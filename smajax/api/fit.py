@@ -81,18 +81,6 @@ class FitStudy(Study):
         """
         return self._rig("rig-fitted.toml")
 
-    def summary(self, folder: str = "") -> str:
-        """Return fit quality, estimates with intervals, and remarks."""
-        from smajax.report.summary import text
-
-        return text(self.document, folder)
-
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page of the fit."""
-        from smajax.report.run_pages import fit_page
-
-        return fit_page(self.document, series, self.run, self.file_text("rig.toml"))
-
 
 def fit(
     rig: Rig | str | Path,
@@ -117,8 +105,8 @@ def fit(
         starts: Number of starting points; that of the rig by default.
         profile: Parameters whose profile likelihood is computed.
         drop_bad_rows: Whether to omit rows that cannot be read.
-        progress: Function that gets a ``ProgressEvent`` for each phase and step; one that raises ``StopIteration`` stops
-            the fit with the best point so far.
+        progress: Function that gets a ``ProgressEvent`` for each phase and step; one that raises ``StopIteration``
+            stops the fit with the best point so far.
 
     Returns:
         The study. A failure of the numerics does not raise: ``success`` is then false, and ``reason`` says why.

@@ -12,9 +12,10 @@ from smajax.api.fit import FitStudy
 from smajax.api.predict import PredictionStudy
 from smajax.api.study import PREDICTIONS, REPORT, FileContent, Study
 from smajax.api.sweep import load_sweep
-#TUNE
+
+# TUNE
 from smajax.errors import InputError
-from smajax.files.result_folder import read_json
+from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 
 _STUDIES: dict[str, type[Study]] = {
@@ -34,20 +35,17 @@ def load(folder: str | Path) -> Study:
         InputError: If the folder is not a result of smajax, or a file is missing or damaged.
     """
     folder = Path(folder)
-    run = read_json(folder, "run.json")
-    command = run.get("command")
+    run, document = read_run(folder).to_dict(), read_document(folder).to_dict()
+    command = run["command"]
     if command == "sweep":
-        return load_sweep(folder, run, read_json(folder, "sweep.json"))
-    if command not in _STUDIES:
-        raise InputError(f"{folder / 'run.json'}: the command {command!r} is not known: name a result of smajax")
+        return load_sweep(folder, run, document)
     study = _STUDIES[command]
-    document = run if study.document_name == "run.json" else read_json(folder, study.document_name)
     return study(
         document=document,
         series=tuple(read_predictions(folder / PREDICTIONS)),
         run=run,
         files=saved_files(folder, run, study.document_name),
-        reason=str(run.get("text", "")) if run.get("exit_code") else "",
+        reason=str(run.get("text") or "") if run["exit_code"] else "",
     )
 
 

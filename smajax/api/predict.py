@@ -1,7 +1,7 @@
 """Predict the response of a rig to the inputs of a recording."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.report import prediction
 from smajax.report.document_entries import recording_entry
-from smajax.report.prediction import Series
 from smajax.simulation.run import simulate
 from smajax.simulation.status import SimulationStatus
 
@@ -38,18 +37,6 @@ class PredictionStudy(Study):
     document_name = "run.json"
 
     channels: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
-
-    def summary(self, folder: str = "") -> str:
-        """Return the range of each channel, and where the simulation failed."""
-        from smajax.report.summary import simulation_text
-
-        return simulation_text(self.document, folder)
-
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page of the simulation."""
-        from smajax.report.run_pages import simulation_page
-
-        return simulation_page(series[0], self.run, self.file_text("rig.toml"))
 
 
 def predict(

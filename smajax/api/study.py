@@ -1,6 +1,5 @@
 """Base class of the results of studies: a document, predictions, and the files that ``save`` writes."""
 
-import abc
 import dataclasses
 import html
 from collections.abc import Callable, Mapping, Sequence
@@ -9,9 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from smajax.errors import InputError
 from smajax.files.documents import to_json
-from smajax.files.result_folder import write_folder
 from smajax.files.rig_file import Rig, parse_rig
+from smajax.report.documents import write_result
 from smajax.report.prediction import Series, read_predictions, write_predictions
+from smajax.report.rebuild import PAGES
+from smajax.report.summaries import summarise
 
 if TYPE_CHECKING:
     import plotly.graph_objects
@@ -24,7 +25,7 @@ REPORT = "report.html"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Study(abc.ABC):
+class Study:
     """Result of a study.
 
     Attributes:
@@ -56,27 +57,24 @@ class Study(abc.ABC):
         """Whether the study succeeded; ``reason`` says why it did not."""
         return self.exit_code == 0
 
-    @abc.abstractmethod
+    @property
+    def data(self) -> Any:
+        """Data of figure and page: the predictions."""
+        return self.series
+
     def summary(self, folder: str = "") -> str:
         """Return the summary in words and tables.
 
         Args:
             folder: Result folder that the last line names; empty for none.
         """
+        return summarise(self.command, self.document, folder)
 
     def plot(self) -> "plotly.graph_objects.Figure":
         """Return the main figure of the study; ``plot().show()`` displays it."""
-        from smajax.report.main_figures import FIGURES
+        from smajax.report.result_figures import FIGURES
 
-        return FIGURES[self.command](self.document, self.series)
-
-    @abc.abstractmethod
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page as HTML.
-
-        Args:
-            series: The predictions as read back from prediction.csv.
-        """
+        return FIGURES[self.command](self.document, self.data)
 
     def save(self, folder: str | Path, *, argv: Sequence[str] = ()) -> Path:
         """Write the result folder, completely or not at all.
@@ -92,7 +90,7 @@ class Study(abc.ABC):
             InputError: If the folder holds files that smajax did not write, or cannot be written.
         """
         folder = Path(folder)
-        write_folder(folder, {**self.run, "argv": list(argv)}, self._fill)
+        write_result(folder, {**self.run, "argv": list(argv)}, self._fill)
         return folder
 
     def _fill(self, folder: Path) -> None:
@@ -104,12 +102,14 @@ class Study(abc.ABC):
                 content(folder / name)
         if self.document_name != "run.json":
             (folder / self.document_name).write_text(to_json(self.document), "utf-8")
-        series: list[Series] = []
+        data = self.data
         if self.series:
             write_predictions(folder / PREDICTIONS, self.series)
             # The table is read back, so that `smajax report` makes the same page.
-            series = read_predictions(folder / PREDICTIONS)
-        (folder / REPORT).write_text(self.page(series), "utf-8")
+            data = read_predictions(folder / PREDICTIONS)
+        if self.command in PAGES:
+            page = PAGES[self.command](self.document, data, self.run, self.file_text("rig.toml"))
+            (folder / REPORT).write_text(page, "utf-8")
 
     def file_text(self, name: str) -> str:
         """Return the text of a file of the study.

@@ -19,10 +19,10 @@ import numpy as np
 from smajax.api.run_record import Clock, run_record
 from smajax.api.study import FileContent, Study
 from smajax.errors import Cancelled, InputError, NumericsError
-from smajax.files.result_folder import check_output_folder, read_json
+from smajax.files.result_folder import check_output_folder
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.readers.parquet import pyarrow_parquet
-from smajax.report.prediction import Series
+from smajax.report.documents import read_document, read_run
 from smajax.report.sweep_document import sweep_document
 from smajax.sweeps import dask as cluster
 from smajax.sweeps.best_designs import find_best_designs, refine_best_designs
@@ -66,6 +66,11 @@ class SweepStudy(Study):
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
+    def data(self) -> Mapping[str, np.ndarray]:
+        """Data of figure and page: the table of the designs."""
+        return self.designs
+
+    @property
     def pareto(self) -> tuple[Mapping[str, Any], ...]:
         """Designs of the Pareto front, each with its parameters and metrics; thinned out where there are many."""
         return tuple(self.document["front"])
@@ -93,18 +98,6 @@ class SweepStudy(Study):
         return pandas.DataFrame(
             {f"{n} [{self.units[n]}]" if n in self.units else n: v for n, v in self.designs.items()}
         )
-
-    def summary(self, folder: str = "") -> str:
-        """Return the best designs, their trade-offs, and what matters."""
-        from smajax.report.sweep import text
-
-        return text(self.document, folder)
-
-    def page(self, series: Sequence[Series]) -> str:
-        """Return the report page of the sweep."""
-        from smajax.report.sweep import sweep_page
-
-        return sweep_page(self.document, self.designs, self.run, self.file_text("rig.toml"))
 
 
 def sweep(
@@ -319,14 +312,14 @@ def _workers(designs: _Designs, scheduler: str | None) -> Iterator[Submit]:
 def _finished_study(out: Path, header: Mapping[str, Any]) -> SweepStudy | None:
     """Return the result of a finished run of the sweep with this header; ``None`` if there is no complete one."""
     try:
-        run, document = read_json(out, "run.json"), read_json(out, "sweep.json")
+        run = read_run(out)
+        if run.header != digest(header) or not all((out / name).is_file() for name in run.files):
+            return None
+        document = read_document(out)
     except InputError:
         return None
-    if run.get("header") != digest(header) or not all((out / str(name)).is_file() for name in run.get("files", [])):
-        return None
-    return load_sweep(
-        out, run, document, "there was nothing to resume, since this sweep was finished: its result is unchanged"
-    )
+    note = "there was nothing to resume, since this sweep was finished: its result is unchanged"
+    return load_sweep(out, run.to_dict(), document.to_dict(), note)
 
 
 def load_sweep(folder: Path, run: Mapping[str, Any], document: Mapping[str, Any], note: str = "") -> SweepStudy:

@@ -1,5 +1,6 @@
 """A diagnosis into a result folder, with the last parameter values where it fails."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,8 @@ from smajax.api.diagnose import DiagnosisStudy, diagnose
 from smajax.api.run_record import Clock, run_record
 from smajax.app.command_line.run import argv
 from smajax.errors import NumericsError
-from smajax.files.result_folder import check_output_folder, write_folder
+from smajax.files.result_folder import check_output_folder
+from smajax.report.documents import write_result
 
 
 def diagnose_into(out: Path, *recordings: Any, **options: Any) -> DiagnosisStudy:
@@ -29,12 +31,12 @@ def diagnose_into(out: Path, *recordings: Any, **options: Any) -> DiagnosisStudy
         if not error.rig:
             raise
         run = run_record("diagnose", Path(recordings[0]), Clock(), options.get("seed"), error.exit_code)
-        write_folder(out, run | {"argv": argv()}, lambda folder: _write(folder / "rig-last.toml", error.rig))
+        write_result(out, run | {"argv": argv()}, partial(_write_last, error.rig))
         last = check_output_folder(out) / "rig-last.toml"
         raise NumericsError(f"{error}; the last parameter values are saved in {last}", error.state) from None
     study.save(out, argv=argv())
     return study
 
 
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, "utf-8")
+def _write_last(text: str, folder: Path) -> None:
+    (folder / "rig-last.toml").write_text(text, "utf-8")
