@@ -1,6 +1,8 @@
 """Acceptance of an effect by its fit of the training split and its prediction of the selection split."""
 
+import enum
 import math
+from typing import NamedTuple
 
 from smajax.diagnosis.candidates import CandidateFit
 
@@ -20,8 +22,39 @@ _SMALL_EXCESS = 10.0
 _MAX_REMAINING = 0.15
 
 
-def rejection_reason(current: CandidateFit, best: CandidateFit, samples: int) -> str:
-    """Return why a fit with one more effect is not accepted.
+class RejectionCode(enum.StrEnum):
+    """Why an effect is not accepted, or not any more."""
+
+    chance = "chance"  # fits the training split no better than chance would
+    selection = "selection"  # reduces the error on the selection split too little
+    noise = "noise"  # changes the selection split's prediction by less than the noise
+    part_of_excess = "part-of-excess"  # explains too little of a small excess
+    unneeded = "unneeded"  # the other effects explain the recordings as well
+    swapped = "swapped"  # another effect explains more together with the others
+    little_explained = "little-explained"  # all accepted effects together explain too little
+    holdout = "holdout"  # the accepted effects do not reduce the error on the holdout
+
+
+class Rejection(NamedTuple):
+    """An effect that is not accepted.
+
+    Attributes:
+        key: Key of the effect.
+        code: Why it is not accepted.
+        share: Relative fall of the selection split's RMSE ("selection"), or explained share of the excess over the
+            noise ("part-of-excess", "little-explained"); else ``None``.
+        others: Keys of the effects next to which it was tried ("noise", "part-of-excess"), or of the effect that
+            replaces it ("swapped").
+    """
+
+    key: str
+    code: RejectionCode
+    share: float | None = None
+    others: tuple[str, ...] = ()
+
+
+def rejection(current: CandidateFit, best: CandidateFit, samples: int) -> Rejection | None:
+    """Decide whether a fit with one more effect is accepted.
 
     Accepted is an effect that lowers chi-squared of the training split by at least 25 times the reduced chi-squared,
     and the RMSE of the selection split by at least 5 %. A further effect must also lower the selection split's reduced
@@ -33,28 +66,19 @@ def rejection_reason(current: CandidateFit, best: CandidateFit, samples: int) ->
         samples: Number of scored samples of the training split.
 
     Returns:
-        The reason, for the report; empty if the effect is accepted.
+        Why it is not accepted; ``None`` if it is.
     """
+    key, accepted = next((k for k in best.keys if k not in current.keys), best.key), current.keys
     if (current.train_chi2 - best.train_chi2) * samples < MIN_CHI2_FALL * max(1.0, best.train_chi2):
-        return "fits the training recording no better than chance would"
+        return Rejection(key, RejectionCode.chance)
     cut = 1.0 - math.sqrt(best.select_chi2 / current.select_chi2)
     if cut < MIN_SELECT_CUT:
-        return (
-            f"cuts the error on the selection recording by {100 * cut:.1f} %; "
-            f"a cause has to cut it by {100 * MIN_SELECT_CUT:.0f} %"
-        )
-    if not current.keys:
-        return ""
-    accepted = " and ".join(current.keys)
+        return Rejection(key, RejectionCode.selection, cut)
+    if not accepted:
+        return None
     if current.select_chi2 - best.select_chi2 < _MIN_SELECT_FALL:
-        return (
-            f"moves the selection recording's prediction by less than the noise, in addition to {accepted}: "
-            "perhaps a surrogate"
-        )
+        return Rejection(key, RejectionCode.noise, others=accepted)
     before, after = (max(fit.total_chi2 - 2.0, 0.0) for fit in (current, best))
     if before < _SMALL_EXCESS and after > _MAX_REMAINING * before:
-        return (
-            f"explains {100 * (1.0 - after / before):.0f} % of the small excess that {accepted} does not explain: "
-            "a cause would explain nearly all of it, a surrogate of slightly wrong kinetics does not"
-        )
-    return ""
+        return Rejection(key, RejectionCode.part_of_excess, 1.0 - after / before, accepted)
+    return None

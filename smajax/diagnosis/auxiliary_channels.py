@@ -5,8 +5,9 @@ shows which stage a residual comes from. In documents these channels are called 
 """
 
 import dataclasses
+import enum
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +24,48 @@ _SATURATED_SHARE = 0.02
 _MAX_ROUNDING = 0.5
 
 
+class ChannelCode(enum.StrEnum):
+    """Why a diagnosis cannot use a channel."""
+
+    missing = "missing"
+    incomplete = "incomplete"
+    constant = "constant"
+    saturated_low = "saturated-low"
+    saturated_high = "saturated-high"
+
+
+class ChannelFault(NamedTuple):
+    """A channel that a diagnosis cannot use.
+
+    Attributes:
+        code: The reason.
+        recording: Name of the recording that shows it.
+        channel: The channel.
+        share: Share of the rows at the lowest or highest value of a saturated channel; else 0.
+    """
+
+    code: ChannelCode
+    recording: str
+    channel: str
+    share: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """The reason in words, for messages and reports."""
+        if self.code in (ChannelCode.saturated_low, ChannelCode.saturated_high):
+            end = "lowest" if self.code is ChannelCode.saturated_low else "highest"
+            return f"{self.recording}: {self.channel} stays at its {end} value for {100 * self.share:.0f} % of the rows"
+        words = {
+            ChannelCode.missing: " does not have it",
+            ChannelCode.incomplete: " has rows without it",
+            ChannelCode.constant: ": it never changes",
+        }
+        return f"{self.recording}{words[self.code]}"
+
+
 def auxiliary_channels(
     plant: Plant, observed: Sequence[str], recordings: Sequence[Recording]
-) -> tuple[tuple[str, ...], dict[str, str]]:
+) -> tuple[tuple[str, ...], dict[str, ChannelFault]]:
     """Find the channels that the plant predicts and every recording has at every row.
 
     Args:
@@ -34,11 +74,11 @@ def auxiliary_channels(
         recordings: All recordings of the diagnosis.
 
     Returns:
-        The channels, and for each recorded channel that cannot be used the reason.
+        The channels, and by recorded channel that cannot be used the reason.
     """
     recorded = {c for r in recordings for c in r.channels}
     predicted = [c for c in plant.observable if c in recorded and c not in plant.signals and c not in observed]
-    unusable = {c: reason for c in predicted if (reason := _unusable_reason(c, recordings))}
+    unusable = {c: fault for c in predicted if (fault := _fault(c, recordings))}
     return tuple(c for c in predicted if c not in unusable), unusable
 
 
@@ -72,7 +112,7 @@ def without_channels(settings: Any, channels: Sequence[str]) -> Any:
     return dataclasses.replace(settings, observe=observe, free=tuple(n for n in settings.free if n not in own))
 
 
-def saturation_reason(channel: str, recordings: Sequence[Recording]) -> str:
+def saturation(channel: str, recordings: Sequence[Recording]) -> ChannelFault | None:
     """Return where a channel is saturated: at its lowest or highest value for more than 2 % of the rows.
 
     A recording whose rounding is coarser than the noise is left out, because rounding hides saturation.
@@ -82,28 +122,28 @@ def saturation_reason(channel: str, recordings: Sequence[Recording]) -> str:
         recordings: Recordings that have it.
 
     Returns:
-        The reason, for a message; empty if the channel is not saturated.
+        The reason; ``None`` if the channel is not saturated.
     """
     for recording in recordings:
         values = recording.channels[channel]
         levels = np.unique(values)
         if len(levels) < 3 or float(np.min(np.diff(levels))) > _MAX_ROUNDING * difference_noise(values):
             continue
-        for end, word in ((levels[0], "lowest"), (levels[-1], "highest")):
+        for end, code in ((levels[0], ChannelCode.saturated_low), (levels[-1], ChannelCode.saturated_high)):
             share = float(np.mean(values == end))
             if share > _SATURATED_SHARE:
-                return f"{recording.name}: {channel} stays at its {word} value for {100 * share:.0f} % of the rows"
-    return ""
+                return ChannelFault(code, recording.name, channel, share)
+    return None
 
 
-def _unusable_reason(channel: str, recordings: Sequence[Recording]) -> str:
-    """Why a channel cannot be used; empty if it can."""
+def _fault(channel: str, recordings: Sequence[Recording]) -> ChannelFault | None:
+    """Why a channel cannot be used; ``None`` if it can."""
     for recording in recordings:
         values = recording.channels.get(channel)
         if values is None:
-            return f"{recording.name} does not have it"
+            return ChannelFault(ChannelCode.missing, recording.name, channel)
         if not np.all(np.isfinite(values)):
-            return f"{recording.name} has rows without it"
+            return ChannelFault(ChannelCode.incomplete, recording.name, channel)
         if np.ptp(values) == 0.0:
-            return f"{recording.name}: it never changes"
-    return saturation_reason(channel, recordings)
+            return ChannelFault(ChannelCode.constant, recording.name, channel)
+    return saturation(channel, recordings)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 
-from smajax.diagnosis.acceptance import MIN_CHI2_FALL, MIN_SELECT_CUT
+from smajax.diagnosis.acceptance import MIN_CHI2_FALL, MIN_SELECT_CUT, Rejection, RejectionCode
 from smajax.diagnosis.candidate_evaluation import FAR_FROM_NOISE, CandidateEvaluator
 from smajax.diagnosis.confusable_effects import refit_confusable_effects
 from smajax.diagnosis.selection_state import SelectionState
@@ -35,7 +35,7 @@ def drop_unneeded_effects(evaluator: CandidateEvaluator, state: SelectionState) 
         cut = 1.0 - math.sqrt(current.select_chi2 / without.select_chi2)
         fall = (without.train_chi2 - current.train_chi2) * samples
         if fall < MIN_CHI2_FALL * max(1.0, current.train_chi2) or cut < MIN_SELECT_CUT:
-            state.rejected.append((key, "is no longer needed next to the other effects"))
+            state.rejected.append(Rejection(key, RejectionCode.unneeded))
             state.current = without
 
 
@@ -58,6 +58,6 @@ def swap_confusable_effects(evaluator: CandidateEvaluator, state: SelectionState
         best = min(refit_confusable_effects(evaluator, last), key=lambda fit: fit.total_chi2, default=None)
         fall = MIN_CHI2_FALL * max(1.0, current.train_chi2) / samples
         if best is not None and best.total_chi2 < current.total_chi2 - fall:
-            state.rejected.append((key, f"together with the other effects it explains less than {best.key}"))
+            state.rejected.append(Rejection(key, RejectionCode.swapped, others=(best.key,)))
             state.current = evaluator.refit_to_convergence(best)
             state.equivalent.pop(key, None)

@@ -179,7 +179,8 @@ class CandidateEvaluator:
     ) -> Refit:
         """Fit a set of effects to the training split, from a base vector and the set's own values.
 
-        The search ends on all samples, unless the residual is so large that fewer are enough.
+        All parameters of the effects are free. The search ends on all samples, unless the residual is so large that
+        fewer are enough.
 
         Args:
             effect_set: The effects, with start values of their parameters.
@@ -188,13 +189,18 @@ class CandidateEvaluator:
             max_steps: Largest number of steps with them.
             rtol: Relative fall of the cost at which the search ends.
         """
-        search = self.problem.start_search(effect_set, base, rtol=rtol, stride=stride).advance(max_steps)
-        return self.problem.refit_from(self.continue_if_needed(search))
+        free = tuple(self.problem.free_effect_parameters(effect_set))
+        search = self.problem.start_search(effect_set, base, free=free, rtol=rtol, stride=stride)
+        return self.problem.refit_from(self.continue_if_needed(search.advance(max_steps)))
 
     def continue_if_needed(self, search: RefitSearch) -> RefitSearch:
         """Continue a search on all samples, unless its residual is so large that its own samples are enough."""
         is_accurate = search.stride > 1 and self.stride(search.cost / self.problem.samples) >= search.stride
         return search if is_accurate else self.problem.continue_on_all_samples(search)
+
+    def with_all_parameters_free(self, fit: CandidateFit) -> CandidateFit:
+        """Refit until convergence if the search for a fit has held some of its effects' parameters; else return it."""
+        return self.refit_to_convergence(fit) if self.problem.holds_parameters(fit.refit) else fit
 
     def refit_to_convergence(self, fit: CandidateFit) -> CandidateFit:
         """Refit until convergence, from the fit's point and, unless it is at the noise, from the nominal values."""

@@ -115,6 +115,7 @@ class RefitSearch:
     Attributes:
         solver: The solver, at the search's current point.
         effect_set: The effects with their start values.
+        free: Names of the effect parameters that it moves; others are held at their start values.
         term: A nonparametric term that is fitted as well, or ``None``.
         stride: Distance of the samples that the search uses.
         near_nominal: Whether the base parameters are held near the rig's own values.
@@ -124,6 +125,7 @@ class RefitSearch:
 
     solver: MultiStartSolver
     effect_set: EffectSet
+    free: tuple[str, ...]
     term: NonparametricTerm | None
     stride: int
     near_nominal: bool

@@ -5,6 +5,9 @@ Compiling one set of effects takes longer than a whole search with it, so each p
 - Slots: the plant has every effect that its rig could have, those of the rig file with their values and all others at
   strength 0. A vector holds the rig's free parameters, then ``SLOTS`` slots. Which effect parameter a slot moves is
   data (a matrix), so that no set of effects needs its own compilation.
+- More slots: a set of effects with more parameters than ``SLOTS`` runs on programs with a multiple of as many slots
+  (``slot_count``). They are compiled when such a set is first fitted with all its parameters free; the searches among
+  candidates free the first ``SLOTS`` parameters of each set.
 - Padding: grids and samples are padded to a multiple of ``PADDING_MULTIPLE``, and all splits to the same number of
   recordings, with weight 0 (``problem_layout``). Training, selection, holdout and proposed inputs run on one program.
 - Two programs: simulation, and simulation with derivatives. Derivatives cost several simulations, so a search computes
@@ -14,6 +17,7 @@ Compiling one set of effects takes longer than a whole search with it, so each p
 """
 
 import dataclasses
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -32,8 +36,8 @@ from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem
 from smajax.simulation.sensitivities import Trajectory
 
-# Number of effect parameters that a fit can free: three effects with a strength and a shape each. More slots make every
-# derivative more expensive.
+# Number of effect parameters that the usual programs can free: three effects with a strength and a shape each. More
+# slots make every derivative more expensive.
 SLOTS = 6
 # Grids and samples are padded to a multiple of this number, so that proposed inputs and recordings of similar length
 # run on the same program.
@@ -103,6 +107,11 @@ class SlottedModel(eqx.Module):
         return dataclasses.replace(self.problem, plant=plant), vector[:base_size]
 
 
+def slot_count(parameter_count: int) -> int:
+    """Return the number of slots of the program that can free a number of parameters: a multiple of ``SLOTS``."""
+    return SLOTS * max(1, math.ceil(parameter_count / SLOTS))
+
+
 def slotted_model(
     problem: Problem,
     effect_parameters: tuple[Sequence[str], np.ndarray],
@@ -121,8 +130,8 @@ def slotted_model(
     """
     all_names, values = effect_parameters
     names = tuple(all_names)
-    knots = len(KINDS) * KNOTS
-    fixed, matrix = np.append(values, np.zeros(knots)), np.zeros((len(names) + knots, SLOTS))
+    knots, slots = len(KINDS) * KNOTS, slot_count(len(free) + (term.matrix.shape[1] if term else 0))
+    fixed, matrix = np.append(values, np.zeros(knots)), np.zeros((len(names) + knots, slots))
     for name, value in effect_set.values:
         fixed[names.index(name)] = value
     for slot, (name, scale) in enumerate(free):

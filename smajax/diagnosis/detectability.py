@@ -6,6 +6,7 @@
 """
 
 import dataclasses
+import enum
 import math
 from typing import NamedTuple
 
@@ -25,6 +26,15 @@ from smajax.plant.effects.base import AbstractEffect
 _ABSORBED_SHARE = 0.99
 
 
+class BlindCode(enum.StrEnum):
+    """Why an effect is blind."""
+
+    input = "input"  # this input does not show it at any plausible strength
+    modelled = "modelled"  # the rig file has it
+    needs = "needs"  # the rig lacks what the effect needs
+    no_mean_effect = "no-mean-effect"  # it only adds scatter
+
+
 @dataclasses.dataclass(frozen=True)
 class Detectability:
     """What the training input can show of one effect.
@@ -36,7 +46,9 @@ class Detectability:
         status: "testable", "absorbed" or "blind".
         minimum_detectable_strength: Strength, SI, that is 3.5 times its standard error; ``None`` if there is none.
         absorbed_by: Free parameters that have the same influence, where it is absorbed.
-        why: Why it is blind; empty otherwise.
+        blind_code: Why it is blind; ``None`` otherwise.
+        missing: Capabilities that the effect needs and the rig lacks ("needs").
+        explanation: The effect's own words why it has no mean effect ("no-mean-effect").
     """
 
     key: str
@@ -44,8 +56,10 @@ class Detectability:
     unit: str
     status: str
     minimum_detectable_strength: float | None
-    absorbed_by: tuple[str, ...]
-    why: str
+    absorbed_by: tuple[str, ...] = ()
+    blind_code: BlindCode | None = None
+    missing: tuple[str, ...] = ()
+    explanation: str = ""
 
 
 class NominalScore(NamedTuple):
@@ -111,8 +125,8 @@ def detectability_from_score(
         names: Names of the free parameters; without names no absorbers are searched for.
     """
 
-    def with_status(status: str, absorbed_by: tuple[str, ...] = (), why: str = "") -> Detectability:
-        return Detectability(kind.key, kind.stage, kind.unit(), status, detectable, absorbed_by, why)
+    def with_status(status: str, absorbed_by: tuple[str, ...] = (), code: BlindCode | None = None) -> Detectability:
+        return Detectability(kind.key, kind.stage, kind.unit(), status, detectable, absorbed_by, code)
 
     largest_plausible = max(map(abs, kind.plausible_range())) / kind.typical
     detectable = score.minimum_detectable_strength
@@ -120,7 +134,7 @@ def detectability_from_score(
     if score.absorbed_fraction >= kind.absorbed_from:
         return with_status("absorbed", absorbed_by=find_absorbers(sensitivity, jacobian, names))
     if not score.minimum_detectable_strength < largest_plausible:
-        return with_status("blind", why="this input does not show it at any plausible strength")
+        return with_status("blind", code=BlindCode.input)
     return with_status("testable")
 
 
@@ -131,10 +145,10 @@ def undetectable(problem: DiagnosisProblem, kind: type[AbstractEffect]) -> Detec
         problem: The diagnosis problem.
         kind: The effect.
     """
-    reason = kind.unavailable_reason(problem.capabilities)
-    why = reason if kind.no_mean_effect else f"this rig cannot show it: {reason}"
-    why = "the rig file has it" if kind.key in problem.modelled_effects else why
-    return Detectability(kind.key, kind.stage, kind.unit(), "blind", None, (), why)
+    missing = tuple(sorted(set(kind.needs) - problem.capabilities))
+    code = BlindCode.no_mean_effect if kind.no_mean_effect else BlindCode.needs
+    code = BlindCode.modelled if kind.key in problem.modelled_effects else code
+    return Detectability(kind.key, kind.stage, kind.unit(), "blind", None, (), code, missing, kind.no_mean_effect)
 
 
 def find_absorbers(

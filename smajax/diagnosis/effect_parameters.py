@@ -7,7 +7,6 @@ import numpy as np
 
 from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet
-from smajax.diagnosis.compiled_model import SLOTS
 from smajax.parameters import declarations
 from smajax.plant.effects import catalogue
 from smajax.plant.effects.base import AbstractEffect
@@ -70,10 +69,10 @@ class EffectParameters:
         return low / self.effects[key].typical, high / self.effects[key].typical
 
     def free(self, effect_set: EffectSet) -> list[str]:
-        """Return the names of the parameters that a fit frees: strengths, then shapes as far as there are slots."""
+        """Return the names of the parameters that a fit frees: all strengths, then all shapes."""
         strengths = [f"effects.{key}.strength" for key in effect_set.keys]
         shapes = [f"effects.{key}.{shape}" for key in effect_set.keys for shape, _ in self.effects[key].shapes]
-        return [*strengths, *shapes][:SLOTS]
+        return [*strengths, *shapes]
 
     def shape_grid(self, key: str) -> list[tuple[tuple[str, float], ...]]:
         """Return the shapes at which an effect is tried: each usual value of its first shape parameter, SI.

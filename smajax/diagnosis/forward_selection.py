@@ -24,12 +24,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from smajax.diagnosis.acceptance import MIN_CHI2_FALL, rejection_reason
+from smajax.diagnosis.acceptance import MIN_CHI2_FALL, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
 from smajax.diagnosis.base_fit import BaseFit, fit_base
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator, Scores
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet, Refit
-from smajax.diagnosis.compiled_model import SLOTS
 from smajax.diagnosis.confusable_effects import refit_confusable_effects
 from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.detectability import (
@@ -56,7 +55,7 @@ MIN_CAUSE_FRACTION = 0.5
 # least the second share of the remaining excess: less points to a cause outside of the catalogue. Chosen by trial.
 MIN_EXPLAINED_FRACTION = 0.75
 MIN_SCORE_GAIN = 1.0 / 3.0
-# Largest number of accepted effects: ``compiled_model.SLOTS`` has room for a strength and a shape of each.
+# Largest number of accepted effects, a limit on the time: rigs of experiments/diagnosis hide two at most.
 MAX_EFFECTS = 3
 # Number of effects, those with the largest scores at the rig's nominal values, that are refitted from there as well.
 # Chosen by trial.
@@ -67,6 +66,9 @@ _CANDIDATES_PER_FIT = 4
 # Number of unconverged fits that are refitted to convergence, and of fits that are refitted jointly. Chosen by trial.
 _MAX_CONVERGED = 2
 _MAX_JOINT = 2
+# Sum of the two reduced chi-squared, over the least one, up to which a fit whose search held parameters is refitted
+# with all of them free. Chosen by trial.
+_NEAR_BEST = 2.0
 # Number of alternatives that are stored for each accepted effect: what the next experiment can distinguish.
 _MAX_ALTERNATIVES = 3
 # Difference of chi-squared below which two fits count as equally good: the one with the more typical effect is
@@ -169,8 +171,7 @@ def _run_round(
 ) -> list[CandidateFit]:
     """Run one round: add an effect to each fit of the beam. Return the next beam, empty if no effect was accepted."""
     problem, current = evaluator.problem, state.current
-    beam = [fit for fit in beam if len(problem.free_effect_parameters(fit.refit.effect_set)) < SLOTS]
-    if not beam or (round_index and current.train_chi2 < max(state.chi2_limit, _MIN_CHI2_TO_GO_ON)):
+    if round_index and current.train_chi2 < max(state.chi2_limit, _MIN_CHI2_TO_GO_ON):
         return []
     scored_count = len(problem.effects) - len(problem.modelled_effects) - round_index
     report_progress(f"round {round_index + 1}: scoring {scored_count} effects")
@@ -186,8 +187,8 @@ def _run_round(
         for fit in fits:
             summary = state.ranking[fit.key]
             state.ranking[fit.key] = dataclasses.replace(summary, refit_rmse_select=fit.rmse_select)
-    if reason := rejection_reason(current, best, problem.samples):
-        state.rejected.append((next((k for k in best.keys if k not in current.keys), best.key), reason))
+    if rejected := rejection(current, best, problem.samples):
+        state.rejected.append(rejected)
         return []
     before, after = math.sqrt(state.base_fit.select_chi2), math.sqrt(best.select_chi2)
     report_progress(f"with {' and '.join(best.keys)}: error over noise {before:.3g} -> {after:.3g}, selected")
@@ -300,7 +301,7 @@ def _refine_best(
     fall = MIN_CHI2_FALL * max(1.0, best.train_chi2) / samples
     if set(fits[0].keys) != set(best.keys) and fits[0].total_chi2 < best.total_chi2 - fall:
         best = evaluator.refit_to_convergence(fits[0])
-    fits = _refit_open_fits_jointly(evaluator, fits, acceptable_chi2)
+    fits = _refit_open_fits_jointly(evaluator, _free_held_parameters(evaluator, best, fits), acceptable_chi2)
     best = min([best, *fits], key=lambda fit: fit.total_chi2)
     other_keys = set(best.keys) - {best.key}
     equally_good = [
@@ -310,7 +311,21 @@ def _refine_best(
         and set(fit.keys) - {fit.key} == other_keys
         and (fit.total_chi2 - best.total_chi2) * samples < _SAME_CHI2
     ]
-    return min([best, *equally_good], key=evaluator.log_distance_from_typical), fits
+    best = min([best, *equally_good], key=evaluator.log_distance_from_typical)
+    return evaluator.with_all_parameters_free(best), fits
+
+
+def _free_held_parameters(
+    evaluator: CandidateEvaluator, best: CandidateFit, fits: list[CandidateFit]
+) -> list[CandidateFit]:
+    """The fits, with those near the best whose search held parameters refitted with all of them.
+
+    Nothing is refitted if the best fit is at the noise: the parameters that were held cannot make another one better.
+    """
+    near = [] if best.at_noise else [fit for fit in fits if fit.total_chi2 < _NEAR_BEST * best.total_chi2]
+    held = [fit for fit in near if evaluator.problem.holds_parameters(fit.refit)][:_MAX_CONVERGED]
+    refitted = {id(fit): evaluator.with_all_parameters_free(fit) for fit in held}
+    return [refitted.get(id(fit), fit) for fit in fits]
 
 
 def _refit_open_fits_jointly(

@@ -9,6 +9,7 @@ Source: atkinson1975.
 """
 
 import dataclasses
+import enum
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -43,6 +44,14 @@ _PIECES = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96)
 _PULSE_SHARE = 0.4
 
 
+class InputShape(enum.StrEnum):
+    """Form of an input of the library."""
+
+    steps = "steps"
+    pulses = "pulses"
+    ramps = "ramps"
+
+
 @dataclasses.dataclass(frozen=True)
 class NextExperiment:
     """The experiment to run next.
@@ -51,13 +60,16 @@ class NextExperiment:
         recording: The input, as a recording without outputs; ``None`` if no input within the limits helps.
         separates: Keys of the effects to distinguish.
         sigma: Least distance between two of them in standard deviations, under the best input.
-        advice: A sentence for the report.
+        training_sigma: The same under the training input.
+        further_channels: Where no input helps: channels that might, "temperature", "voltage", or "motion" for a second
+            sensor of the motion.
     """
 
     recording: Recording | None
     separates: tuple[str, ...]
-    sigma: float | None
-    advice: str
+    sigma: float
+    training_sigma: float
+    further_channels: tuple[str, ...] = ()
 
 
 def propose_experiment(
@@ -95,14 +107,9 @@ def propose_experiment(
     separations = map_in_pairs(lambda option: separation(option[1]), options)
     best = max(range(len(options)), key=lambda i: separations[i]) if options else -1
     if best < 0 or separations[best] < max(_MIN_DISCRIMINATION, _MIN_IMPROVEMENT * training_sigma):
-        return NextExperiment(None, tuple(keys), max([training_sigma, *separations]), _advise_channel(problem, keys))
-    recording, sigma = options[best][0], separations[best]
-    names = " and ".join(keys)
-    advice = (
-        f"{recording.name}; it sets {names} {sigma:.0f} standard deviations apart, "
-        f"the training input {training_sigma:.0f}"
-    )
-    return NextExperiment(recording, tuple(keys), sigma, advice)
+        sigma = max([training_sigma, *separations])
+        return NextExperiment(None, tuple(keys), sigma, training_sigma, _further_channels(problem, keys))
+    return NextExperiment(options[best][0], tuple(keys), separations[best], training_sigma)
 
 
 def input_library(like: Recording, signals: Sequence[str], seed: int) -> list[Recording]:
@@ -119,21 +126,20 @@ def input_library(like: Recording, signals: Sequence[str], seed: int) -> list[Re
     rng, time = np.random.default_rng(seed), like.time
     span = time[-1] - time[0]
     recordings = []
-    kinds = itertools.cycle(("steps of several levels", "pulses of several levels", "ramps of several levels"))
-    for kind, pieces in zip(kinds, np.repeat(_PIECES, 3), strict=False):
+    for shape, pieces in zip(itertools.cycle(InputShape), np.repeat(_PIECES, len(InputShape)), strict=False):
         channels = {}
         for name in signals:
             low, high = float(like.channels[name].min()), float(like.channels[name].max())
             levels = low + (high - low) * rng.choice(_LEVELS, pieces + 1)
             position = (time - time[0]) / span * pieces
             k = np.minimum(position.astype(int), pieces - 1)
-            if kind.startswith("steps"):
+            if shape is InputShape.steps:
                 channels[name] = levels[k]
-            elif kind.startswith("pulses"):
+            elif shape is InputShape.pulses:
                 channels[name] = np.where(position - k < _PULSE_SHARE, levels[k], low)
             else:
                 channels[name] = levels[k] + (position - k) * (levels[k + 1] - levels[k])
-        title = f"{kind}, {span / pieces:.3g} {'s' if like.has_clock else 'rows'} each"
+        title = f"{shape} of several levels, {span / pieces:.3g} {'s' if like.has_clock else 'rows'} each"
         recordings.append(Recording.from_arrays(title, time if like.has_clock else None, channels, like.units))
     return recordings
 
@@ -194,15 +200,11 @@ def _highest_temperature(problem: DiagnosisProblem, refit: Refit, inputs: Proble
     return max(float(np.max(np.asarray(problem.states(refit, single).temperature))) for single in each)
 
 
-def _advise_channel(problem: DiagnosisProblem, keys: Sequence[str]) -> str:
-    """Advice on further channels, where no input within the limits distinguishes the effects."""
+def _further_channels(problem: DiagnosisProblem, keys: Sequence[str]) -> tuple[str, ...]:
+    """Channels that may distinguish effects that no input within the limits distinguishes."""
     stages = {problem.effects[key].stage for key in keys}
     thermal = stages & {"drive", "heat", "material"}
     channels = [c for c in ("temperature", "voltage") if c not in problem.channels and thermal]
     if stages & {"mechanism", "sensor"}:
-        channels.append("a second sensor of the motion")
-    record = f"record {' or '.join(channels)} as well, or " if channels else ""
-    return (
-        f"no input within these limits distinguishes {' and '.join(keys)}: {record}repeat the recording under another "
-        "load or with another wire"
-    )
+        channels.append("motion")
+    return tuple(channels)

@@ -15,19 +15,13 @@ import numpy as np
 
 from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm, Refit, RefitSearch
-from smajax.diagnosis.compiled_model import (
-    SLOTS,
-    SlottedModel,
-    simulate,
-    slotted_model,
-    start_compilation,
-    start_solver,
-)
+from smajax.diagnosis.compiled_model import SLOTS, simulate, slot_count, start_solver
 from smajax.diagnosis.data_split import TRAIN, DataSplit, check_complete
 from smajax.diagnosis.effect_parameters import EffectParameters, possible_effects
 from smajax.diagnosis.nonparametric import zero_terms
 from smajax.diagnosis.problem_layout import GriddedSplits, with_weights
 from smajax.diagnosis.screening import Score, score_test
+from smajax.diagnosis.slotted_programs import SlottedPrograms
 from smajax.errors import InputError
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
@@ -102,9 +96,8 @@ class DiagnosisProblem(GriddedSplits):
         base = build_problem(plant, train, settings, interpolation=interpolation, step=step)
         self.base_problem = with_weights(base, splits[TRAIN].rows(), self.noise)
         self.simulations, self._counting = 0, threading.Lock()
-        empty = EffectSet()
-        start = self._vector(empty, self.nominal, ())
-        self._compiling = start_compilation(self._model(empty, (), self.problems[TRAIN]), start)
+        self._programs = SlottedPrograms(self.effect_parameters)
+        self._compiling = self._programs.start_compilation(self.problems[TRAIN], self.nominal)
 
     def wait_for_compilation(self) -> None:
         """Wait until the large programs are compiled."""
@@ -134,8 +127,12 @@ class DiagnosisProblem(GriddedSplits):
         return self.effect_parameters.shape_grid(key)
 
     def free_effect_parameters(self, effect_set: EffectSet) -> list[str]:
-        """Return the names of the parameters that a fit frees: strengths, then shapes as far as there are slots."""
+        """Return the names of the parameters that a fit frees: all strengths, then all shapes."""
         return self.effect_parameters.free(effect_set)
+
+    def holds_parameters(self, refit: Refit) -> bool:
+        """Return whether a refit has held some of its effects' parameters, as a search among candidates may."""
+        return refit.jacobian.shape[1] - self.size < len(self.free_effect_parameters(refit.effect_set))
 
     def vector_bounds(self, free: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper bounds of the base vector followed by effect parameters in units of their scales."""
@@ -186,6 +183,8 @@ class DiagnosisProblem(GriddedSplits):
     ) -> Refit:
         """Fit a set of effects to the training split, from a base vector and the set's own values.
 
+        All parameters of the effects are free.
+
         Args:
             effect_set: The effects, with start values of their parameters.
             base: Start of the base vector, shape ``(p,)``.
@@ -194,15 +193,16 @@ class DiagnosisProblem(GriddedSplits):
             term: A nonparametric term that is fitted as well.
             stride: Distance of the samples that are used (``strided_problem``).
         """
-        return self.refit_from(
-            self.start_search(effect_set, base, rtol=rtol, term=term, stride=stride).advance(max_steps)
-        )
+        free = tuple(self.free_effect_parameters(effect_set))
+        search = self.start_search(effect_set, base, free=free, rtol=rtol, term=term, stride=stride)
+        return self.refit_from(search.advance(max_steps))
 
     def start_search(
         self,
         effect_set: EffectSet,
         base: np.ndarray,
         *,
+        free: tuple[str, ...] | None = None,
         rtol: float = 1e-6,
         term: NonparametricTerm | None = None,
         near_nominal: bool = False,
@@ -214,27 +214,33 @@ class DiagnosisProblem(GriddedSplits):
         Args:
             effect_set: The effects, with start values of their parameters.
             base: Start of the base vector, shape ``(p,)``.
+            free: Names of the effect parameters that the search moves; by default the first of
+                ``free_effect_parameters``, as many as the usual program has slots.
             rtol: Relative fall of the cost at which the search ends.
             term: A nonparametric term that is fitted as well.
             near_nominal: Bound the base parameters to the search box around the rig's own values.
             hold_shapes: Hold the effects' shapes at their start values.
             stride: Distance of the samples that are used (``strided_problem``).
         """
-        free, nodes = self.free_effect_parameters(effect_set), term.matrix.shape[1] if term else 0
-        lower, upper = (np.append(side, np.zeros(SLOTS - len(free))) for side in self.vector_bounds(free))
+        names, own = self.free_effect_parameters(effect_set), self.effect_parameters
+        effect_set = effect_set.with_values({n: own.value(n) for n in names} | dict(effect_set.values))
+        free = tuple(names[:SLOTS]) if free is None else free
+        nodes = term.matrix.shape[1] if term else 0
+        padding = np.zeros(slot_count(len(free) + nodes) - len(free))
+        lower, upper = (np.append(side, padding) for side in self.vector_bounds(free))
         if near_nominal:
             lower[: self.size], upper[: self.size] = map(self.padded, self.base_problem.search_bounds())
         first_node = self.size + len(free)
         lower[first_node:][:nodes], upper[first_node:][:nodes] = -math.inf, math.inf
         problem = self.strided_problem(stride)
         stride = 1 if problem is self.problems[TRAIN] else stride
-        model = self._model(effect_set, free, problem, term)
-        start = self._vector(effect_set, base, free)
+        model = self._programs.model(problem, effect_set, free, term)
+        start = self._programs.vector(effect_set, base, free, term)
         if hold_shapes:
             shapes = slice(self.size + len(effect_set.keys), self.size + len(free))
             lower[shapes] = upper[shapes] = start[shapes]
         solver = start_solver(model, start, lower, upper, rtol)
-        return RefitSearch(solver, effect_set, term, stride, near_nominal, rtol, self.count_simulations)
+        return RefitSearch(solver, effect_set, free, term, stride, near_nominal, rtol, self.count_simulations)
 
     def continue_on_all_samples(self, search: RefitSearch, steps: int = _STEPS_ON_ALL_SAMPLES) -> RefitSearch:
         """Continue a search that uses some of the samples with all of them.
@@ -246,27 +252,26 @@ class DiagnosisProblem(GriddedSplits):
         if search.stride == 1:
             return search
         effect_set, base, _ = self._end_of(search)
-        return self.start_search(effect_set, base, near_nominal=search.near_nominal, rtol=search.rtol).advance(steps)
+        options = {"near_nominal": search.near_nominal, "rtol": search.rtol}
+        return self.start_search(effect_set, base, free=search.free, **options).advance(steps)
 
     def refit_from(self, search: RefitSearch) -> Refit:
         """Return the refit at the end of a search, with residual and Jacobian of all samples."""
         effect_set, base, result = self._end_of(search)
-        free = self.free_effect_parameters(effect_set)
-        columns = self.size + len(free)
+        columns = self.size + len(search.free)
         nodes = result.points[0][columns:][: search.term.matrix.shape[1] if search.term else 0]
         if search.stride == 1:
             residual, jacobian = result.residuals[0], result.jacobians[0]
         else:
-            residual, jacobian = self.evaluate(effect_set, base, TRAIN, free, search.term, nodes)
+            residual, jacobian = self.evaluate(effect_set, base, TRAIN, search.free, search.term, nodes)
         status = result.statuses[0] if np.all(np.isfinite(residual)) else SolverStatus.failed
         return Refit(effect_set, base, residual, jacobian[:, :columns], status, nodes)
 
     def _end_of(self, search: RefitSearch) -> tuple[EffectSet, np.ndarray, MultiStartResult]:
         """The effects and the base vector at the current point of a search, and the solver's result."""
-        result, free = search.solver.result(), self.free_effect_parameters(search.effect_set)
-        point = result.points[0]
-        scale = self.effect_parameters.scale
-        values = {name: float(point[self.size + j] * scale(name)) for j, name in enumerate(free)}
+        result = search.solver.result()
+        point, scale = result.points[0], self.effect_parameters.scale
+        values = {name: float(point[self.size + j] * scale(name)) for j, name in enumerate(search.free)}
         return search.effect_set.with_values(values), point[: self.size], result
 
     def cost(self, effect_set: EffectSet, base: np.ndarray, stride: int) -> float:
@@ -327,8 +332,9 @@ class DiagnosisProblem(GriddedSplits):
             nodes: Values of its nodes; 0 by default.
         """
         columns = self.size + len(free) + (term.matrix.shape[1] if term else 0)
-        start, unbounded = self._vector(effect_set, base, free, nodes), np.full(self.size + SLOTS, math.inf)
-        model = self._model(effect_set, free, problem, term)
+        start = self._programs.vector(effect_set, base, free, term, nodes)
+        unbounded = np.full(len(start), math.inf)
+        model = self._programs.model(problem, effect_set, free, term)
         result = start_solver(model, start, -unbounded, unbounded).advance(1).result()
         self.count_simulations(result.simulations)
         failed = result.statuses[0] is SolverStatus.failed
@@ -365,26 +371,10 @@ class DiagnosisProblem(GriddedSplits):
             term: A nonparametric term that is added.
             nodes: Values of its nodes; 0 by default.
         """
-        start = jnp.asarray(self._vector(effect_set, base, free, nodes))
-        residual = np.asarray(simulate(start, self._model(effect_set, free, problem, term)).residual)
+        start = jnp.asarray(self._programs.vector(effect_set, base, free, term, nodes))
+        residual = np.asarray(simulate(start, self._programs.model(problem, effect_set, free, term)).residual)
         self.count_simulations(1)
         return residual if math.isfinite(float(residual @ residual)) else np.full(len(residual), math.nan)
-
-    def _model(
-        self, effect_set: EffectSet, free: Sequence[str], problem: Problem, term: NonparametricTerm | None = None
-    ) -> SlottedModel:
-        own = self.effect_parameters
-        scales = [(name, own.scale(name)) for name in free]
-        return slotted_model(problem, (own.names, own.values), effect_set, scales, term)
-
-    def _vector(
-        self, effect_set: EffectSet, base: np.ndarray, free: Sequence[str], nodes: np.ndarray | None = None
-    ) -> np.ndarray:
-        """The vector of the compiled programs: base vector, then the slots."""
-        values, own = dict(effect_set.values), self.effect_parameters
-        slots = [values.get(name, own.value(name)) / own.scale(name) for name in free]
-        slots += [] if nodes is None else list(nodes)
-        return np.concatenate([base, slots, np.zeros(SLOTS - len(slots))])
 
     def _with_own_parameters(self, effect_set: EffectSet, base: np.ndarray, split: int) -> np.ndarray:
         """The base vector on a split: shared parameters of ``base``, own ones fitted to the anchor rows."""
@@ -393,6 +383,7 @@ class DiagnosisProblem(GriddedSplits):
             for own in self._vector_bounds[split]
         )
         problem = with_weights(self.problems[split], self.splits[split].anchor_rows(), self.noise)
-        result = start_solver(self._model(effect_set, (), problem), start, lower, upper).advance(_ANCHOR_STEPS).result()
+        model = self._programs.model(problem, effect_set)
+        result = start_solver(model, start, lower, upper).advance(_ANCHOR_STEPS).result()
         self.count_simulations(result.simulations)
         return result.points[0][: self.size]

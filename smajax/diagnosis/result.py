@@ -6,6 +6,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from smajax.diagnosis.acceptance import Rejection
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
@@ -62,7 +63,7 @@ class Diagnosis:
         reduced_chi2: Reduced chi-squared of ``before`` and ``after`` on the training split, and its limit.
         rmse: RMSE, SI, by channel and "train_before", ..., "holdout_after".
         cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel.
-        rejected: Effects that were not accepted, each with the reason.
+        rejected: Effects that were not accepted, and why.
         intervals: 95 % intervals of the effects' parameters, SI.
         predictions: Model minus measurement at the scored samples, SI, by "before" and "after", split and channel.
         residual_statistics: Statistics of the training residual by "before" and "after", and channel.
@@ -85,7 +86,7 @@ class Diagnosis:
     reduced_chi2: tuple[float, float, float]
     rmse: dict[str, dict[str, float]]
     cut95: dict[str, tuple[float, float]]
-    rejected: tuple[tuple[str, str], ...]
+    rejected: tuple[Rejection, ...]
     intervals: dict[str, tuple[float, float]]
     predictions: dict[str, list[dict[str, np.ndarray]]]
     residual_statistics: dict[str, dict[str, ResidualStatistics]]
@@ -176,7 +177,7 @@ def _errors(series: dict[str, list[dict[str, np.ndarray]]], noise: dict[str, flo
 def _excluded_effects(evaluator: CandidateEvaluator, state: SelectionState) -> tuple[Detectability, ...]:
     """Detectable effects whose strength at the last fit, which leaves noise only, does not differ from 0."""
     scores = evaluator.scores(state.current.refit)
-    not_excluded = {key for keys in state.equivalent.values() for key in keys} | {key for key, _ in state.rejected}
+    not_excluded = {key for keys in state.equivalent.values() for key in keys} | {r.key for r in state.rejected}
     excluded = []
     for key, score in scores.best.items():
         sensitivity = scores.sensitivities[key, scores.shapes[key]]

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from smajax.diagnosis.acceptance import Rejection
 from smajax.diagnosis.candidates import AT_NOISE, CandidateFit
 from smajax.diagnosis.detectability import Detectability, NominalScore
 
@@ -57,7 +58,7 @@ class SelectionState:
         accepted_fits: The accepted fits, one for each round.
         alternatives: For each accepted effect, the best fits with another effect instead.
         equivalent: For each accepted effect, those that explain both recordings as well.
-        rejected: Effects that were not accepted, each with the reason.
+        rejected: Effects that were not accepted, and why.
         ranking: Summary of every effect after the first round.
         stage_shares: Share of the base fit's residual that each stage can explain.
     """
@@ -72,7 +73,7 @@ class SelectionState:
     accepted_fits: list[CandidateFit] = dataclasses.field(default_factory=list)
     alternatives: dict[str, list[CandidateFit]] = dataclasses.field(default_factory=dict)
     equivalent: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)
-    rejected: list[tuple[str, str]] = dataclasses.field(default_factory=list)
+    rejected: list[Rejection] = dataclasses.field(default_factory=list)
     ranking: dict[str, CandidateSummary] = dataclasses.field(default_factory=dict)
     stage_shares: dict[str, float] = dataclasses.field(default_factory=dict)
 
