@@ -45,6 +45,10 @@ class NumericsError(ArithmeticError):
         self.state = dict(state or {})
 
 
+class Cancelled(Exception):
+    """The work was cancelled by its progress callback before there was a result."""
+
+
 def suggestion(word: str, candidates: Iterable[str]) -> str:
     """Return the suggestion of a name for a misspelt one, to append to a message.
 

@@ -20,6 +20,7 @@ from smajax.diagnosis.forward_selection import select_effects
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.files.rig_file import Rig
+from smajax.report.diagnosis_wording import rejection_text
 
 
 @dataclass(frozen=True)

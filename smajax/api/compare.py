@@ -17,7 +17,7 @@ from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.recordings.shared_rows import refuse_copies
 from smajax.report.comparison_document import comparison_document
-from smajax.report.prediction import Series, make_series
+from smajax.report.prediction import Series, make_series, variant_label
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -93,7 +93,7 @@ def _series(channel: str, results: Sequence[ModelResult], recordings: Sequence[R
     """Return the compared channel of training and holdout recording by each model that could be fitted."""
     return [
         make_series(
-            f"{recording.name} ({result.name})",
+            variant_label(recording.name, result.name),
             role,
             recording.time,
             {channel: recording.channels[channel]},

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from smajax import parameters
-from smajax.api.run_record import Clock, run_record
+from smajax.api.run_record import INTERRUPTED, Clock, run_record
 from smajax.api.sources import as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
 from smajax.diagnosis.outcome import diagnose as diagnose_problem
 from smajax.diagnosis.result import Diagnosis
-from smajax.diagnosis.setup import check_recordings, diagnosed_rig, set_up_diagnosis
-from smajax.errors import InputError, NumericsError
+from smajax.diagnosis.setup import diagnosed_rig, set_up_diagnosis
+from smajax.errors import NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
@@ -102,20 +102,14 @@ def diagnose(
         rig = as_rig(rig, drop_misplaced=True)
         text = rig_text(rig)
         rig = with_start(rig, start)
-        if rig.fit.per_recording:
-            raise InputError(
-                f"{rig.path or rig.name}: a diagnosis takes one set of parameters for all recordings: move "
-                "fit.per_recording to fit.free"
-            )
         sources = [one_source(train, "train")], [one_source(select, "select"), one_source(holdout, "holdout")]
         recordings = [recording for recording, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
-        check_recordings(rig.plant, recordings)
     seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
         try:
             result = diagnose_problem(
-                setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=reporter.phase
+                setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=partial(reporter.phase, can_stop=True)
             )
         except NumericsError as error:
             if error.state:
@@ -141,11 +135,13 @@ def diagnose(
     if result.next_experiment and result.next_experiment.recording:
         files[NEXT_INPUT] = partial(_write_recording, result.next_experiment.recording)
     reporter.phase("writing the report")
+    code = INTERRUPTED if result.interrupted else 0
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
-        run=run_record("diagnose", rig, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
+        run=run_record("diagnose", rig, clock, seed, code) | {"inputs": list(rig.plant.signals)},
         files=files,
+        reason="interrupted with the effects so far" if code else "",
         result=result,
     )
 

@@ -18,7 +18,6 @@ from smajax.diagnosis.data_split import TRAIN
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.screening import Score, orthonormal_basis, project_out
 from smajax.diagnosis.sensitivities import effect_sensitivities
-from smajax.plant.effects import catalogue
 from smajax.plant.effects.base import AbstractEffect
 
 # Share of an effect's squared sensitivity that its listed absorbers explain together: the list stays short, and the
@@ -77,7 +76,7 @@ class NominalScore(NamedTuple):
 
 
 def assess_detectability(problem: DiagnosisProblem) -> tuple[dict[str, Detectability], dict[str, NominalScore]]:
-    """Assess every effect of the catalogue at the rig's own values, with the problem's noise.
+    """Assess every effect at the rig's own values, with the problem's noise.
 
     Args:
         problem: The diagnosis problem.
@@ -103,7 +102,7 @@ def assess_detectability(problem: DiagnosisProblem) -> tuple[dict[str, Detectabi
     names = [u.label for u in problem.problems[TRAIN].unknowns]
     detectability = {
         key: detectability_from_score(kind, *best[key], jacobian, names) if key in best else undetectable(problem, kind)
-        for key, kind in catalogue().items()
+        for key, kind in problem.effect_kinds.items()
     }
     return detectability, nominal_scores
 

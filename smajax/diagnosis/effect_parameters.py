@@ -1,5 +1,7 @@
 """Parameters of the effects that a rig could have: values, scales, bounds, and grids of shapes."""
 
+import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 import jax.numpy as jnp
@@ -43,13 +45,17 @@ class EffectParameters:
         return float(self.values[self.names.index(name)])
 
     def scale(self, name: str) -> float:
-        """Return the scale of a parameter, SI: the typical strength, or a share of a shape's value or range."""
+        """Return the scale of a parameter, SI: the typical strength, or a share of a shape's value or range.
+
+        It is 1 for a shape without bounds whose value is 0.
+        """
         _, key, field = name.split(".")
         if field == "strength":
             return self.effects[key].typical
         declared = declarations(self.effects[key])[field]
-        return _SHARE_OF_VALUE * abs(self.values[self.names.index(name)]) or _SHARE_OF_RANGE * (
-            declared.upper - declared.lower
+        by_range = _SHARE_OF_RANGE * (declared.upper - declared.lower)
+        return _SHARE_OF_VALUE * abs(self.values[self.names.index(name)]) or (
+            by_range if math.isfinite(by_range) else 1.0
         )
 
     def bounds(self, names: Sequence[str]) -> tuple[list[float], list[float]]:
@@ -86,6 +92,11 @@ class EffectParameters:
         return [((name, v * self.duration if name == "instant" else v),) for v in values]
 
 
+def effect_kinds(plant: Plant) -> dict[str, type[AbstractEffect]]:
+    """Return the classes of all effects by key: those of the catalogue, and further ones that a plant has."""
+    return dict(sorted({**{e.key: type(e) for e in plant.effects}, **catalogue()}.items()))
+
+
 def possible_effects(
     plant: Plant, free: Collection[str], recordings: Sequence[Recording], capabilities: frozenset[str]
 ) -> tuple[tuple[str, ...], dict[str, AbstractEffect]]:
@@ -99,15 +110,16 @@ def possible_effects(
 
     Returns:
         The keys of the effects that the rig file models (free, or of a nonzero strength), and all effects by key: the
-        modelled ones, then every other effect of the catalogue that the rig can have, at strength 0.
+        modelled ones, then every other effect of ``effect_kinds`` that the rig can have, at strength 0.
     """
     fitted = {name.split(".")[1] for name in free if name.startswith("effects.")}
     modelled: dict[str, AbstractEffect] = {
         e.key: e for e in plant.effects if e.key in fitted or float(e.strength) != 0.0
     }
+    in_plant = {e.key: dataclasses.replace(e, strength=jnp.asarray(0.0)) for e in plant.effects}
     candidates = {
-        key: _zero_effect(kind, recordings)
-        for key, kind in catalogue().items()
+        key: _zero_effect(kind, recordings) if key in catalogue() else in_plant[key]
+        for key, kind in effect_kinds(plant).items()
         if key not in modelled and not kind.unavailable_reason(capabilities)
     }
     return tuple(modelled), modelled | candidates

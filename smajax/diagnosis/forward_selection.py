@@ -27,26 +27,21 @@ import numpy as np
 from smajax.diagnosis.acceptance import MIN_CHI2_FALL, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
 from smajax.diagnosis.base_fit import BaseFit, fit_base
+from smajax.diagnosis.cancellation import CallbackStop, stoppable
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator, Scores
-from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet, Refit
+from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet
 from smajax.diagnosis.confusable_effects import refit_confusable_effects
 from smajax.diagnosis.data_split import TRAIN
-from smajax.diagnosis.detectability import (
-    Detectability,
-    NominalScore,
-    assess_detectability,
-    detectability_from_score,
-    undetectable,
-)
+from smajax.diagnosis.detectability import Detectability, NominalScore, assess_detectability
 from smajax.diagnosis.equivalence import is_equivalent
 from smajax.diagnosis.joint_refit import refit_jointly
 from smajax.diagnosis.onset_times import refine_onsets
 from smajax.diagnosis.parallel import map_in_pairs
 from smajax.diagnosis.problem import DiagnosisProblem
-from smajax.diagnosis.screening import half_width_95
-from smajax.diagnosis.selection_state import SIGNIFICANCE, CandidateSummary, SelectionState, chi2_threshold
+from smajax.diagnosis.ranking import rank_effects
+from smajax.diagnosis.selection_state import SIGNIFICANCE, SelectionState, chi2_threshold
 from smajax.diagnosis.successive_halving import successive_halving
-from smajax.plant.effects import catalogue
+from smajax.errors import Cancelled
 
 # Least share of the base fit's excess over the noise that a cause explains: an effect that is near to a cause outside
 # of the catalogue rarely explains more. Chosen by trial; experiments/diagnosis/hidden_effects.py prints the rates.
@@ -80,6 +75,9 @@ _MIN_LIMIT_IF_ROUNDED = 1.5
 # Reduced chi-squared of the training split below which no further effect is searched for. Chosen by trial.
 _MIN_CHI2_TO_GO_ON = 1.02
 
+# Message of ``Cancelled``.
+_CANCELLED = "the diagnosis was stopped before the first effect was accepted"
+
 Report = Callable[[str], None]
 
 
@@ -103,28 +101,46 @@ def select_effects(
             searched for.
         min_score_gain: Share of the remaining excess that the score of the third must reach.
         known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
-        report_progress: Called with a line of text at each stage.
+        report_progress: Called with a line of text at each stage; it may raise ``StopIteration`` or
+            ``KeyboardInterrupt`` to end the selection with the effects so far.
 
     Returns:
         The evaluator of the problem, and the state at the end of the selection.
 
     Raises:
+        Cancelled: If the callback ended the selection before an effect was accepted.
         NumericsError: If the simulation fails at the rig's own values.
     """
-    evaluator, state = _start_selection(problem, seed, starts, known_noise, report_progress)
-    beam = [state.base_fit]
+    report = stoppable(report_progress)
+    try:
+        evaluator, state = _start_selection(problem, seed, starts, known_noise, report)
+    except (CallbackStop, KeyboardInterrupt) as stop:
+        raise Cancelled(_CANCELLED) from stop
+    try:
+        _run_rounds(evaluator, state, (min_explained_fraction, min_score_gain), report)
+        drop_unneeded_effects(evaluator, state)
+        swap_confusable_effects(evaluator, state)
+        state.current = refine_onsets(evaluator, state.current)
+    except (CallbackStop, KeyboardInterrupt) as stop:
+        if not state.accepted:
+            raise Cancelled(_CANCELLED) from stop
+        state.interrupted = True
+    return evaluator, state
+
+
+def _run_rounds(
+    evaluator: CandidateEvaluator, state: SelectionState, third_effect: tuple[float, float], report_progress: Report
+) -> None:
+    """Run rounds until no effect is accepted; ``third_effect`` is (``min_explained_fraction``, ``min_score_gain``)."""
+    beam, (min_explained_fraction, min_score_gain) = [state.base_fit], third_effect
     for round_index in range(MAX_EFFECTS):
         is_third = round_index > 1
         if is_third and state.explained < min_explained_fraction:
-            break
+            return
         min_gain = min_score_gain if is_third else 0.0
         beam = _run_round(evaluator, state, beam, round_index, min_gain, report_progress)
         if not beam:
-            break
-    drop_unneeded_effects(evaluator, state)
-    swap_confusable_effects(evaluator, state)
-    state.current = refine_onsets(evaluator, state.current)
-    return evaluator, state
+            return
 
 
 def _start_selection(
@@ -202,7 +218,7 @@ def _fit_first_effects(
     base = state.current.refit
     scores = evaluator.scores(base)
     state.stage_shares = evaluator.stage_shares(base, scores)
-    state.ranking = _rank(evaluator, scores, base)
+    state.ranking = rank_effects(evaluator, scores, base)
     if scores.p_value > SIGNIFICANCE and state.current.train_chi2 < state.chi2_limit:
         return []
     return _fit_single_effects(evaluator, state, scores, report_progress)
@@ -361,26 +377,3 @@ def _accept(state: SelectionState, best: CandidateFit, fits: list[CandidateFit],
             equivalent = (fit for fit in swapped if is_equivalent(fit, best, samples))
             state.equivalent[key] = tuple((set(fit.keys) - set(best.keys)).pop() for fit in equivalent)
     return [best, *other_fits[: _BEAM_WIDTH - 1]]
-
-
-def _rank(evaluator: CandidateEvaluator, scores: Scores, base: Refit) -> dict[str, CandidateSummary]:
-    """Summarise every effect by its score at the base fit, with a 95 % interval that is widened by the misfit."""
-    problem, ranking = evaluator.problem, {}
-    free = zip(problem.problems[TRAIN].unknowns, evaluator.free_columns(base), strict=True)
-    names = [unknown.label for unknown, is_free in free if is_free]
-    inflation = math.sqrt(max(problem.reduced_chi2(base.residual, TRAIN), 1.0))
-    for key, kind in catalogue().items():
-        if key not in scores.best:
-            ranking[key] = CandidateSummary(undetectable(problem, kind))
-            continue
-        score, sensitivity = scores.best[key], scores.sensitivities[key, scores.shapes[key]]
-        detectability = detectability_from_score(kind, score, sensitivity, scores.jacobian, names)
-        detectable = detectability.minimum_detectable_strength
-        if detectability.status != "testable" or detectable is None:
-            ranking[key] = CandidateSummary(detectability)
-            continue
-        estimate, half_width = score.strength * kind.typical, half_width_95(detectable) * inflation
-        ranking[key] = CandidateSummary(
-            detectability, estimate, estimate - half_width, estimate + half_width, score.gain, scores.p_values[key]
-        )
-    return ranking

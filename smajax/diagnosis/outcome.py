@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 import jax.numpy as jnp
 
+from smajax.diagnosis.acceptance import Rejection, RejectionCode
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator
 from smajax.diagnosis.candidates import EffectSet, Refit
 from smajax.diagnosis.data_split import HOLDOUT, SELECT, TRAIN
@@ -43,7 +44,8 @@ def diagnose(
     """Find the effects that a rig lacks, classify the outcome, and propose the next experiment.
 
     1. Select effects on the training and the selection split (``forward_selection``).
-    2. Reject them if they leave most of the excess, or do not improve the holdout.
+    2. Reject them if they leave most of the excess; where they leave more than noise, also if they do not improve the
+       holdout. Only then has the holdout a part in the choice of the effects (``Diagnosis.holdout_decided``).
     3. Refit both splits together, predict the holdout once, and classify (``classify_outcome``).
     4. Locate an unexplained residual (``localisation``), and propose an input that distinguishes equivalent effects.
 
@@ -51,29 +53,47 @@ def diagnose(
         problem: The diagnosis problem, with three splits for training, selection and holdout.
         seed: Seed of all random samples.
         known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
-        report_progress: Called with a line of text at each stage.
+        report_progress: Called with a line of text at each stage. It may raise ``StopIteration`` or
+            ``KeyboardInterrupt``: the diagnosis then ends with the effects that are accepted so far, without a search
+            for the stage of the residual or the next experiment.
 
     Raises:
+        Cancelled: If the callback stopped the diagnosis before the first effect was accepted.
         NumericsError: If the simulation fails at the rig's own values, or if the base fit neither converged nor is at
             the noise, and no effect is accepted; its ``state`` then holds the parameters of the base fit.
     """
     evaluator, state = select_effects(problem, seed=seed, known_noise=known_noise, report_progress=report_progress)
     reject_if_little_explained(state)
     _check_convergence(problem, state)
-    report_progress("predicting the holdout")
+    may_continue = _continuation(state, report_progress)
+    may_continue("predicting the holdout")
     before, after = _joint_refits(problem, state)
     verdict = _verdict(evaluator, state, after)
-    if verdict == "partial" and not improves_holdout(evaluator, before, after):
-        _reject_all(state, "does not reduce the error on the holdout")
+    holdout_decided = verdict == "partial"
+    if holdout_decided and not improves_holdout(evaluator, before, after):
+        _reject_all(state, RejectionCode.holdout)
         after, verdict = before, "unresolved"
     stage = term = experiment = None
-    if verdict in ("unresolved", "partial"):
-        report_progress("searching for the stage that the residual comes from")
+    if verdict in ("unresolved", "partial") and may_continue("searching for the stage that the residual comes from"):
         stage, term = _locate_residual(evaluator, state)
-    if verdict not in ("named", "nothing-missing"):
-        report_progress("designing the next experiment")
+    if verdict not in ("named", "nothing-missing") and may_continue("designing the next experiment"):
         experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
-    return summarise(evaluator, state, before, after, Conclusion(verdict, stage, term, experiment))
+    conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided)
+    return summarise(evaluator, state, before, after, conclusion)
+
+
+def _continuation(state: SelectionState, report_progress: Callable[[str], None]) -> Callable[[str], bool]:
+    """A function that reports progress and returns whether the diagnosis goes on."""
+
+    def may_continue(text: str) -> bool:
+        if not state.interrupted:
+            try:
+                report_progress(text)
+            except (StopIteration, KeyboardInterrupt):
+                state.interrupted = True
+        return not state.interrupted
+
+    return may_continue
 
 
 def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
@@ -95,8 +115,7 @@ def first_predicting_refit(problem: DiagnosisProblem, *refits: Refit) -> Refit:
 def reject_if_little_explained(state: SelectionState) -> None:
     """Reject all accepted effects if they explain less than half of the excess and do not fit to the noise."""
     if state.accepted and state.explained < MIN_CAUSE_FRACTION and state.current.train_chi2 > state.acceptable_chi2:
-        explained = f"the accepted effects together explain {100 * state.explained:.0f} % of the excess over the noise"
-        _reject_all(state, f"{explained}, too little for a cause")
+        _reject_all(state, RejectionCode.little_explained, state.explained)
 
 
 def improves_holdout(evaluator: CandidateEvaluator, before: Refit, after: Refit) -> bool:
@@ -188,8 +207,8 @@ def _verdict(evaluator: CandidateEvaluator, state: SelectionState, after: Refit)
     return verdict
 
 
-def _reject_all(state: SelectionState, reason: str) -> None:
-    state.rejected += [(key, reason) for key in state.accepted]
+def _reject_all(state: SelectionState, code: RejectionCode, share: float | None = None) -> None:
+    state.rejected += [Rejection(key, code, share) for key in state.accepted]
     state.equivalent, state.current = {}, state.base_fit
 
 

@@ -17,7 +17,7 @@ from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm, Refit, RefitSearch
 from smajax.diagnosis.compiled_model import SLOTS, simulate, slot_count, start_solver
 from smajax.diagnosis.data_split import TRAIN, DataSplit, check_complete
-from smajax.diagnosis.effect_parameters import EffectParameters, possible_effects
+from smajax.diagnosis.effect_parameters import EffectParameters, effect_kinds, possible_effects
 from smajax.diagnosis.nonparametric import zero_terms
 from smajax.diagnosis.problem_layout import GriddedSplits, with_weights
 from smajax.diagnosis.screening import Score, score_test
@@ -53,6 +53,7 @@ class DiagnosisProblem(GriddedSplits):
         effects: All effects that the rig has or could have, by key. Candidates are those that are not in
             ``modelled_effects``.
         modelled_effects: Keys of the effects of the rig file, which stay in the model and are fitted where free.
+        effect_kinds: Classes of all effects of the catalogue and of the plant, by key.
         capabilities: What the rig can have and show (``Plant.capabilities``).
         duration: Length of the longest training recording, s.
         nominal: The base vector with the rig's own values, shape ``(p,)``.
@@ -87,6 +88,7 @@ class DiagnosisProblem(GriddedSplits):
         without_clock = set() if all(r.has_clock for r in train) else {"clock"}
         self.capabilities = plant.capabilities(tuple(settings.observe)) - without_clock
         self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
+        self.effect_kinds = effect_kinds(plant)
         self.modelled_effects, self.effects = possible_effects(plant, settings.free, train, self.capabilities)
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *zero_terms()))
         self.effect_parameters = EffectParameters(self.effects, augmented, self.duration)

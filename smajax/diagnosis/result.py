@@ -2,8 +2,10 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
+import scipy.stats
 from jaxtyping import Float
 
 from smajax.diagnosis.acceptance import Rejection
@@ -13,12 +15,13 @@ from smajax.diagnosis.data_split import HOLDOUT, SELECT, SPLIT_NAMES, TRAIN
 from smajax.diagnosis.detectability import Detectability, detectability_from_score
 from smajax.diagnosis.next_experiment import NextExperiment
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
+from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.residual_checks import ResidualStatistics, residual_statistics
 from smajax.diagnosis.screening import NORMAL_95, half_width_95
 from smajax.diagnosis.selection_state import CandidateSummary, SelectionState
 from smajax.diagnosis.step_errors import estimate_step_error
 from smajax.fitting.intervals import covariance_under_autocorrelation
-from smajax.plant.effects import catalogue
+from smajax.parameters import declarations
 
 # Number of blocks into which the bootstrap divides a residual, each longer than its correlation. Chosen by trial.
 _BLOCKS = 50
@@ -35,12 +38,33 @@ class Conclusion:
         unresolved_stage: The stage that an unexplained residual comes from.
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
+        holdout_decided: Whether the holdout decided that the effects stay, or that they were rejected.
     """
 
     verdict: str
     unresolved_stage: str | None = None
     nonparametric_fit: NonparametricFit | None = None
     next_experiment: NextExperiment | None = None
+    holdout_decided: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class EffectEstimate:
+    """A fitted parameter of an accepted effect.
+
+    Attributes:
+        name: Its name, such as "effects.coating.time_constant".
+        value: The estimate, SI.
+        unit: Its unit.
+        meaning: What it is.
+        interval: 95 % interval, SI; ``None`` if the recordings do not determine it.
+    """
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    interval: tuple[float, float] | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,13 +86,18 @@ class Diagnosis:
         base_fit_converged: Whether the base fit of the training split converged.
         reduced_chi2: Reduced chi-squared of ``before`` and ``after`` on the training split, and its limit.
         rmse: RMSE, SI, by channel and "train_before", ..., "holdout_after".
-        cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel.
+        cut95: 95 % interval of the fall of the holdout's RMSE, SI, by channel; after selection, and so perhaps too
+            favourable, where ``holdout_decided`` is true.
+        holdout_decided: Whether the holdout had a part in the choice of the effects: where they leave more than noise,
+            they are rejected unless they improve it.
         rejected: Effects that were not accepted, and why.
         intervals: 95 % intervals of the effects' parameters, SI.
+        estimates: All fitted parameters of the accepted effects.
         predictions: Model minus measurement at the scored samples, SI, by "before" and "after", split and channel.
         residual_statistics: Statistics of the training residual by "before" and "after", and channel.
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.
+        interrupted: Whether the progress callback ended the diagnosis early.
     """
 
     verdict: str
@@ -86,12 +115,15 @@ class Diagnosis:
     reduced_chi2: tuple[float, float, float]
     rmse: dict[str, dict[str, float]]
     cut95: dict[str, tuple[float, float]]
+    holdout_decided: bool
     rejected: tuple[Rejection, ...]
     intervals: dict[str, tuple[float, float]]
+    estimates: tuple[EffectEstimate, ...]
     predictions: dict[str, list[dict[str, np.ndarray]]]
     residual_statistics: dict[str, dict[str, ResidualStatistics]]
     nonparametric_fit: NonparametricFit | None
     next_experiment: NextExperiment | None
+    interrupted: bool
 
 
 def summarise(
@@ -120,6 +152,7 @@ def summarise(
         when: {c: residual_statistics(v, problem.inputs()) for c, v in splits[TRAIN].items()}
         for when, splits in predictions.items()
     }
+    intervals = effect_intervals(evaluator, after)
     unexplained = conclusion.verdict in ("partial", "unresolved")
     return Diagnosis(
         verdict=conclusion.verdict,
@@ -141,12 +174,15 @@ def summarise(
         ),
         rmse=_errors(series, noise),
         cut95=cut95,
+        holdout_decided=conclusion.holdout_decided,
         rejected=tuple(state.rejected),
-        intervals=effect_intervals(evaluator, after),
+        intervals=intervals,
+        estimates=_effect_estimates(problem, after, intervals),
         predictions=predictions,
         residual_statistics=statistics,
         nonparametric_fit=conclusion.nonparametric_fit,
         next_experiment=conclusion.next_experiment,
+        interrupted=state.interrupted,
     )
 
 
@@ -181,7 +217,8 @@ def _excluded_effects(evaluator: CandidateEvaluator, state: SelectionState) -> t
     excluded = []
     for key, score in scores.best.items():
         sensitivity = scores.sensitivities[key, scores.shapes[key]]
-        detectability = detectability_from_score(catalogue()[key], score, sensitivity, scores.jacobian, [])
+        kind = evaluator.problem.effect_kinds[key]
+        detectability = detectability_from_score(kind, score, sensitivity, scores.jacobian, [])
         half_width = half_width_95(score.minimum_detectable_strength)
         if detectability.status == "testable" and key not in not_excluded and abs(score.strength) < half_width:
             excluded.append(detectability)
@@ -226,6 +263,23 @@ def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, t
     }
 
 
+def _effect_estimates(
+    problem: DiagnosisProblem, refit: Refit, intervals: Mapping[str, tuple[float, float]]
+) -> tuple[EffectEstimate, ...]:
+    """All free parameters of the effects, effect by effect."""
+    names = problem.free_effect_parameters(refit.effect_set)
+    estimates = []
+    for key in refit.effect_set.keys:
+        declared = declarations(problem.effects[key])
+        for name in (name for name in names if name.split(".")[1] == key):
+            declaration = declared[name.split(".")[2]]
+            estimate = EffectEstimate(
+                name, refit.values[name], declaration.unit, declaration.meaning, intervals.get(name)
+            )
+            estimates.append(estimate)
+    return tuple(estimates)
+
+
 def bootstrap_cut(
     before: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"], seed: int, draws: int = _DRAWS
 ) -> tuple[float, float]:
@@ -238,14 +292,27 @@ def bootstrap_cut(
         draws: Number of random samples.
 
     Returns:
-        Lower and upper end, in the unit of the residuals.
+        Lower and upper end, in the unit of the residuals; NaN if a residual is not finite.
 
     Source: carlstein1986.
     """
     length = max(1, len(before) // _BLOCKS)
     count = len(before) // length
     squares = [np.mean((v[: count * length] ** 2).reshape(count, length), axis=1) for v in (before, after)]
-    pick = np.random.default_rng(seed).integers(0, count, (draws, count))
-    cut = np.sqrt(np.mean(squares[0][pick], axis=1)) - np.sqrt(np.mean(squares[1][pick], axis=1))
-    low, high = np.quantile(cut, [0.025, 0.975])
-    return float(low), float(high)
+    if not np.all(np.isfinite(squares)):
+        return math.nan, math.nan
+
+    def cut(before: np.ndarray, after: np.ndarray, axis: int) -> np.ndarray:
+        return np.sqrt(np.mean(before, axis=axis)) - np.sqrt(np.mean(after, axis=axis))
+
+    # The blocks are paired, and drawn together for both fits.
+    interval = scipy.stats.bootstrap(
+        squares,
+        cut,
+        paired=True,
+        n_resamples=draws,
+        confidence_level=0.95,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)

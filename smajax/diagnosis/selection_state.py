@@ -61,6 +61,7 @@ class SelectionState:
         rejected: Effects that were not accepted, and why.
         ranking: Summary of every effect after the first round.
         stage_shares: Share of the base fit's residual that each stage can explain.
+        interrupted: Whether the progress callback stopped the search.
     """
 
     detectability: dict[str, Detectability]
@@ -76,6 +77,7 @@ class SelectionState:
     rejected: list[Rejection] = dataclasses.field(default_factory=list)
     ranking: dict[str, CandidateSummary] = dataclasses.field(default_factory=dict)
     stage_shares: dict[str, float] = dataclasses.field(default_factory=dict)
+    interrupted: bool = False
 
     @property
     def accepted(self) -> tuple[str, ...]:

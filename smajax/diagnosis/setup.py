@@ -1,4 +1,4 @@
-"""Set-up of a diagnosis: checks of its recordings, and the problem with its auxiliary channels."""
+"""Set-up of a diagnosis: checks of the recordings, usable channels, and the rig with the effects that were found."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from smajax.diagnosis.auxiliary_channels import (
+    ChannelFault,
     auxiliary_channels,
-    saturation_reason,
+    saturation,
     with_auxiliary_channels,
     without_channels,
 )
@@ -36,15 +37,41 @@ class DiagnosisSetup(NamedTuple):
 
     problem: DiagnosisProblem
     auxiliary: tuple[str, ...]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, ChannelFault]
 
 
-def check_recordings(plant: Plant, recordings: Sequence[Recording]) -> None:
-    """Refuse short recordings, copies, and training inputs that never change.
+def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetup:
+    """Build the problem of a diagnosis, without saturated channels and with every auxiliary channel.
+
+    The compilation of its programs starts in the background.
 
     Args:
-        plant: The plant, which determines the inputs.
+        rig: The rig.
         recordings: Recordings for training, selection and holdout.
+
+    Raises:
+        InputError: If a recording cannot be used (``check_recordings``), every observed channel is saturated, or the
+            rig has parameters for each recording or free start values.
+    """
+    if rig.fit.per_recording:
+        raise InputError(
+            f"{rig.path or rig.name}: a diagnosis takes one set of parameters for all recordings: "
+            "move fit.per_recording to fit.free"
+        )
+    check_recordings(recordings, rig.plant.signals)
+    saturated = _saturated_channels(rig.fit.observe, recordings)
+    auxiliary, unusable = auxiliary_channels(rig.plant, rig.fit.observe, recordings)
+    plant, settings = with_auxiliary_channels(rig.plant, without_channels(rig.fit, list(saturated)), auxiliary)
+    problem = DiagnosisProblem(plant, recordings, settings, interpolation=rig.interpolation)
+    return DiagnosisSetup(problem, auxiliary, saturated | unusable)
+
+
+def check_recordings(recordings: Sequence[Recording], signals: Sequence[str]) -> None:
+    """Refuse recordings that are too short or copies of each other, and training inputs that never change.
+
+    Args:
+        recordings: Recordings for training, selection and holdout.
+        signals: Names of the channels that drive the plant.
 
     Raises:
         InputError: If a recording cannot be used.
@@ -55,7 +82,7 @@ def check_recordings(plant: Plant, recordings: Sequence[Recording]) -> None:
                 f"{recording.name}: {len(recording)} rows are too few for a diagnosis: at least {_MIN_ROWS} are needed"
             )
     refuse_copies(recordings)
-    signals, train = plant.signals, recordings[TRAIN]
+    train = recordings[TRAIN]
     if signals and all(np.ptp(train.channels[name]) == 0.0 for name in signals):
         raise InputError(
             f"{train.name}: {' and '.join(signals)} never change{'s' * (len(signals) == 1)}, "
@@ -63,41 +90,24 @@ def check_recordings(plant: Plant, recordings: Sequence[Recording]) -> None:
         )
 
 
-def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetup:
-    """Build the problem of a diagnosis, without saturated channels and with every auxiliary channel.
-
-    Args:
-        rig: The rig.
-        recordings: Recordings for training, selection and holdout.
-
-    Raises:
-        InputError: If every observed channel is saturated.
-    """
-    saturated = _saturated_channels(rig, recordings)
-    auxiliary, unusable = auxiliary_channels(rig.plant, rig.fit.observe, recordings)
-    plant, settings = with_auxiliary_channels(rig.plant, without_channels(rig.fit, list(saturated)), auxiliary)
-    problem = DiagnosisProblem(plant, recordings, settings, interpolation=rig.interpolation)
-    return DiagnosisSetup(problem, auxiliary, saturated | unusable)
-
-
 def diagnosed_rig(rig: Rig, plant: Plant, auxiliary: Sequence[str]) -> Rig:
     """Return the rig with a diagnosed plant.
 
     Args:
         rig: The rig.
-        plant: The plant with the effects.
+        plant: The plant with the effects (``DiagnosisProblem.fitted_plant``).
         auxiliary: Auxiliary channels; those that one of the effects needs are added to the observed channels.
     """
     needed = [c for c in auxiliary if any(f"{c} observed" in effect.needs for effect in plant.effects)]
     return dataclasses.replace(rig, plant=plant, fit=dataclasses.replace(rig.fit, observe=(*rig.fit.observe, *needed)))
 
 
-def _saturated_channels(rig: Rig, recordings: Sequence[Recording]) -> dict[str, str]:
-    """Return the reasons by observed channel why it is saturated; refuse a rig of which all are."""
-    reasons = {c: reason for c in rig.fit.observe if (reason := saturation_reason(c, recordings))}
-    if len(reasons) == len(rig.fit.observe):
+def _saturated_channels(observed: Sequence[str], recordings: Sequence[Recording]) -> dict[str, ChannelFault]:
+    """Reasons by observed channel why it is saturated; refuses recordings of which all are."""
+    faults = {c: fault for c in observed if (fault := saturation(c, recordings))}
+    if len(faults) == len(observed):
         raise InputError(
-            f"{next(iter(reasons.values()))}, as a saturated or clipped sensor does: remove these rows, "
+            f"{next(iter(faults.values())).text}, as a saturated or clipped sensor does: remove these rows, "
             "or record with a wider range"
         )
-    return reasons
+    return faults

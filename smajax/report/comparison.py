@@ -7,7 +7,7 @@ import numpy as np
 
 from smajax.report import pages
 from smajax.report.figures import Picture
-from smajax.report.prediction import Series
+from smajax.report.prediction import Series, split_label
 from smajax.report.summary import table
 from smajax.report.time_figures import comparison_picture
 
@@ -118,7 +118,7 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     unit = pages.escape(pages.pretty_unit(doc["unit"]))
     sections.append(f"<p>RMSE in {unit}. The fit is defined as in MATLAB: 100 (1 - |y - model| / |y - mean|).</p>")
     for role in ("holdout", "train"):
-        by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
+        by_model = {split_label(s.name)[1]: s for s in series if s.role == role}
         ordered = {m["name"]: by_model[m["name"]] for m in doc["models"] if m["name"] in by_model}
         sections.append(pages.add_picture(comparison_picture(ordered, doc["channel"], role), pictures))
     sections += _parameter_sections(doc)

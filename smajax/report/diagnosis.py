@@ -7,18 +7,23 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from smajax import __version__
+from smajax.diagnosis.acceptance import RejectionCode
+from smajax.diagnosis.auxiliary_channels import ChannelFault
 from smajax.diagnosis.data_split import SPLIT_NAMES
 from smajax.diagnosis.detectability import Detectability
+from smajax.diagnosis.nonparametric import FreeHeat, FreeShift, FreeStrain
 from smajax.diagnosis.nonparametric_fit import NonparametricFit
 from smajax.diagnosis.residual_checks import ResidualStatistics
-from smajax.diagnosis.result import Diagnosis
+from smajax.diagnosis.result import Diagnosis, EffectEstimate
 from smajax.files.documents import finite_or_none
 from smajax.recordings.recording import Recording
 from smajax.report.diagnosis_summary import sentences
+from smajax.report.diagnosis_wording import blind_text, experiment_text, rejection_text
 from smajax.report.document_entries import difference_unit, recording_entry
 from smajax.report.documents.diagnosis import DiagnosisDocument
 
 NEXT_INPUT = "next_input.csv"
+_NONPARAMETRIC_WORDS = {FreeHeat.key: "heat", FreeShift.key: "shift", FreeStrain.key: "strain"}
 
 
 def diagnosis_document(
@@ -26,7 +31,7 @@ def diagnosis_document(
     recordings: Sequence[Recording],
     *,
     evidence: Sequence[str],
-    left_out: Mapping[str, str],
+    left_out: Mapping[str, ChannelFault],
     misplaced: Mapping[str, str],
     simulations: int,
     wall_time: float,
@@ -45,28 +50,26 @@ def diagnosis_document(
         seed: Seed of all random numbers.
     """
     rmse, noise_floor = _errors(diagnosis, recordings[0])
-    before, after, limit = diagnosis.reduced_chi2
     document = {
         "schema": DiagnosisDocument.SCHEMA,
         "verdict": diagnosis.verdict,
         "effects": list(diagnosis.effects),
         "equivalent": {key: list(keys) for key, keys in diagnosis.equivalent.items()},
         "unresolved_stage": diagnosis.unresolved_stage,
+        "interrupted": diagnosis.interrupted,
         "summary": "",
         "rmse": rmse,
+        "holdout": _holdout_entry(diagnosis),
+        "effect_parameters": [_estimate_entry(estimate) for estimate in diagnosis.estimates],
         "evidence": list(evidence),
         "recordings": [recording_entry(r, name) for r, name in zip(recordings, SPLIT_NAMES, strict=True)],
         "left_out": _left_out_entries(left_out, misplaced),
         "noise_floor": noise_floor,
         "base_fit_at_rest": diagnosis.base_fit_converged,
-        "goodness_of_fit": {
-            "before": finite_or_none(before),
-            "after": finite_or_none(after),
-            "critical": finite_or_none(limit),
-        },
+        "goodness_of_fit": _goodness_of_fit(diagnosis),
         "stages": {stage: finite_or_none(share) for stage, share in diagnosis.stage_shares.items()},
         "ranking": _ranking(diagnosis, recordings[0]),
-        "rejected": [{"key": key, "why": why} for key, why in diagnosis.rejected],
+        "rejected": [{"key": r.key, "code": str(r.code), "why": rejection_text(r)} for r in diagnosis.rejected],
         "excluded": [_excluded_entry(detectability) for detectability in diagnosis.excluded],
         "preflight": [_detectability_entry(detectability) for detectability in diagnosis.detectability],
         "residual": _residuals(diagnosis, recordings[0]),
@@ -81,9 +84,9 @@ def diagnosis_document(
     return DiagnosisDocument.check(document)
 
 
-def _left_out_entries(channels: Mapping[str, str], effects: Mapping[str, str]) -> list[dict[str, str]]:
+def _left_out_entries(channels: Mapping[str, ChannelFault], effects: Mapping[str, str]) -> list[dict[str, str]]:
     return [
-        *({"channel": channel, "why": why} for channel, why in channels.items()),
+        *({"channel": channel, "why": fault.text} for channel, fault in channels.items()),
         *({"effect": key, "why": why} for key, why in effects.items()),
     ]
 
@@ -98,6 +101,29 @@ def _errors(diagnosis: Diagnosis, recording: Recording) -> tuple[dict[str, Any],
         value, source = diagnosis.noise[channel]
         noise_floor[channel] = {"value": finite_or_none(value, factor), "unit": unit, "from": source}
     return rmse, noise_floor
+
+
+def _goodness_of_fit(diagnosis: Diagnosis) -> dict[str, Any]:
+    before, after, limit = (finite_or_none(value) for value in diagnosis.reduced_chi2)
+    return {"before": before, "after": after, "critical": limit}
+
+
+def _holdout_entry(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Whether the holdout had a part in the choice of the effects, and which of them it removed."""
+    removed = [r.key for r in diagnosis.rejected if r.code is RejectionCode.holdout]
+    return {"decided": diagnosis.holdout_decided, "removed": removed}
+
+
+def _estimate_entry(estimate: EffectEstimate) -> dict[str, Any]:
+    low, high = estimate.interval or (None, None)
+    return {
+        "name": estimate.name,
+        "value": finite_or_none(estimate.value),
+        "unit": estimate.unit,
+        "meaning": estimate.meaning,
+        "lower95": finite_or_none(low),
+        "upper95": finite_or_none(high),
+    }
 
 
 def _ranking(diagnosis: Diagnosis, recording: Recording) -> list[dict[str, Any]]:
@@ -140,7 +166,7 @@ def _detectability_entry(detectability: Detectability) -> dict[str, Any]:
         "smallest_detectable": finite_or_none(detectability.minimum_detectable_strength),
         "unit": detectability.unit,
         "absorbed_by": list(detectability.absorbed_by),
-        "why": detectability.why,
+        "why": blind_text(detectability),
     }
 
 
@@ -167,7 +193,7 @@ def _nonparametric_entry(fit: NonparametricFit | None) -> dict[str, Any] | None:
     explained = 1.0 - max(fit.train_chi2 - 1.0, 0.0) / max(fit.base_chi2 - 1.0, 1e-9)
     return {
         "stage": fit.stage,
-        "adds": fit.kind.removeprefix("free-"),
+        "adds": _NONPARAMETRIC_WORDS[fit.kind],
         "unit": fit.unit,
         "against": fit.variable,
         "at": [finite_or_none(float(v)) for v in fit.positions],
@@ -186,5 +212,5 @@ def _next_experiment_entry(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "file": NEXT_INPUT if experiment.recording else None,
         "separates": list(experiment.separates),
         "sigma": finite_or_none(experiment.sigma),
-        "advice": experiment.advice,
+        "advice": experiment_text(experiment),
     }

@@ -8,7 +8,7 @@ from smajax.report import pages
 from smajax.report.diagnosis_figures import autocorrelation_picture, nonparametric_picture
 from smajax.report.diagnosis_summary import Document, sentences, significant
 from smajax.report.figures import Picture
-from smajax.report.prediction import Series
+from smajax.report.prediction import Series, split_label
 from smajax.report.time_figures import time_picture
 
 _EFFECT_HEAD = (
@@ -21,6 +21,7 @@ _EFFECT_HEAD = (
     "detectable from",
     "absorbed by, or why not",
 )
+_PARAMETER_HEAD = ("parameter of the accepted effects", "estimate", "95 % from", "to", "unit", "meaning")
 
 
 def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, Any], rig: str) -> str:
@@ -46,7 +47,7 @@ def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, An
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     sections += [pages.add_picture(time_picture(s, list(doc["rmse"]), run["inputs"], floor), pictures) for s in series]
     sections += pages.provenance_sections(run, rig)
-    names = dict.fromkeys(s.name.removesuffix(" (before)").removesuffix(" (after)") for s in series)
+    names = dict.fromkeys(split_label(s.name)[0] for s in series)
     lead = f"Diagnosis of the rig from {', '.join(names)}."
     return pages.render_page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
 
@@ -59,7 +60,20 @@ def _error_section(doc: Document) -> list[str]:
             before, after = (significant(rmse[f"{name}_{when}"], 4) for when in ("before", "after"))
             rows.append((channel, name, before, after, noise, rmse["unit"]))
     head = ("channel", "recording", "before", "after", "noise", "unit")
-    return ["<h2>Error before and after</h2>", pages.table(head, rows, numbers=(2, 3, 4))]
+    sections = ["<h2>Error before and after</h2>", pages.table(head, rows, numbers=(2, 3, 4))]
+    if doc["effects"]:
+        sections.append(pages.bullets([_cut_sentence(doc, channel) for channel in doc["rmse"]]))
+    return sections
+
+
+def _cut_sentence(doc: Document, channel: str) -> str:
+    """A sentence about the interval of the fall of a channel's error on the holdout."""
+    rmse, holdout = doc["rmse"][channel], doc.get("holdout")
+    low, high = (significant(end) for end in rmse["holdout_cut_95"])
+    note = "" if holdout is None else ", before any choice by the holdout"
+    if holdout and holdout["decided"]:
+        note = ", after selection: the holdout decided that the effects stay"
+    return f"The error of {channel} on the holdout falls by {low} to {high} {rmse['unit']} (95 %{note})."
 
 
 def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
@@ -86,6 +100,8 @@ def _effects_section(doc: Document) -> list[str]:
     """All effects, the rejected and the excluded ones."""
     sections = ["<h2>Effects</h2>"]
     sections.append(pages.table(_EFFECT_HEAD, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
+    if parameters := doc.get("effect_parameters"):  # absent in documents of earlier versions
+        sections.append(pages.table(_PARAMETER_HEAD, [_parameter_row(p) for p in parameters], numbers=(1, 2, 3)))
     if doc["rejected"]:
         rows = [(entry["key"], entry["why"]) for entry in doc["rejected"]]
         sections.append(pages.table(("rejected", "because it"), rows))
@@ -94,6 +110,12 @@ def _effects_section(doc: Document) -> list[str]:
         sections.append("<h2>Excluded effects</h2>")
         sections.append(pages.table(("effect", "excluded above", "unit"), limits, numbers=(1,)))
     return sections
+
+
+def _parameter_row(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    cells = (significant(entry[key], 4) for key in ("value", "lower95", "upper95"))
+    note = entry["meaning"] if entry["lower95"] is not None else f"{entry['meaning']}; not determined"
+    return (entry["name"], *cells, pages.pretty_unit(entry["unit"]), note)
 
 
 def _effect_row(entry: Mapping[str, Any]) -> tuple[str, ...]:

@@ -22,6 +22,12 @@ def sentences(doc: Document) -> list[str]:
     if not doc.get("base_fit_at_rest", True):
         lines.append("Without effects the fit did not converge, so the errors before are those where it stopped.")
     lines += [_error_sentence(doc, channel) for channel in doc["rmse"]]
+    lines += _holdout_sentences(doc)
+    if doc.get("interrupted"):
+        lines.append(
+            "The diagnosis was stopped before its end, so that it may lack effects, the stage of the residual, or the "
+            "next experiment."
+        )
     for entry in doc.get("left_out", ()):
         what = entry.get("channel") or f"{entry['effect']} of the rig file, which this rig cannot have"
         lines.append(f"Not used: {what}: {entry['why']}.")
@@ -68,12 +74,42 @@ def _effect_sentences(doc: Document, key: str) -> list[str]:
     entry = next(r for r in doc["ranking"] if r["key"] == key)
     interval = f" (95 %: {entry['lower95']:.3g} to {entry['upper95']:.3g})" if entry["lower95"] is not None else ""
     unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-    meaning = declarations(catalogue()[key])["strength"].meaning
-    size = f"{entry['strength']:.3g}{unit}{interval}"
-    lines = [f"The rig has {key} of {size}, an effect of the {entry['stage']} stage: {meaning}."]
+    size, meaning = f"{entry['strength']:.3g}{unit}{interval}", _meaning(doc, key)
+    lines = [f"The rig has {key} of {size}, an effect of the {entry['stage']} stage{f': {meaning}' * bool(meaning)}."]
+    undetermined = [p["name"] for p in _parameters(doc, key) if p["lower95"] is None]
+    if undetermined:
+        lines.append(f"These recordings do not determine {' and '.join(undetermined)}.")
     if equivalent := doc["equivalent"].get(key):
         lines.append(f"These recordings cannot distinguish it from {', '.join(equivalent)}.")
     return lines
+
+
+def _parameters(doc: Document, key: str) -> list[Document]:
+    """Entries of the fitted parameters of an effect; none in documents of earlier versions."""
+    return [p for p in doc.get("effect_parameters", ()) if p["name"].split(".")[1] == key]
+
+
+def _meaning(doc: Document, key: str) -> str:
+    """What the strength of an effect is; empty for an own effect in a document of an earlier version."""
+    strengths = [p["meaning"] for p in _parameters(doc, key) if p["name"] == f"effects.{key}.strength"]
+    kind = catalogue().get(key)
+    return strengths[0] if strengths else declarations(kind)["strength"].meaning if kind else ""
+
+
+def _holdout_sentences(doc: Document) -> list[str]:
+    """Sentences about the part of the holdout in the choice of the effects; none if it had none."""
+    entry = doc.get("holdout") or {"decided": False}
+    if not entry["decided"]:
+        return []
+    decision = (
+        f"rejected {' and '.join(entry['removed'])}, which did not reduce its error"
+        if entry["removed"]
+        else "decided that the effects stay, since they reduce its error"
+    )
+    return [
+        f"The holdout {decision}, so the errors on it are after selection and may be too favourable: check them on a "
+        "recording that was not used."
+    ]
 
 
 def _verdict_sentence(doc: Document) -> str:
@@ -84,12 +120,14 @@ def _verdict_sentence(doc: Document) -> str:
         rest = f"a small effect may be present ({small})" if small else "nothing is missing that they could show"
         return f"The model explains the recordings down to their noise: {rest}."
     if doc["verdict"] == "partial" and fit["after"] < max(fit["critical"], AT_NOISE):
-        return (
-            "It does not predict another input down to the noise: "
-            f"the cause may be another effect in the {stage} stage."
-        )
+        where = f"another effect in the {stage} stage" if stage else "another effect"
+        return f"It does not predict another input down to the noise: the cause may be {where}."
+    if doc["verdict"] == "partial" and stage is None:
+        return "More than noise remains."
     if doc["verdict"] == "partial":
         return f"More than noise remains; the residual looks most like another effect in the {stage} stage."
+    if doc["verdict"] == "unresolved" and stage is None and doc.get("interrupted"):
+        return "Something is missing that no effect explains so far."
     if doc["verdict"] == "unresolved" and stage is None:
         return (
             "Something is missing that only the other recordings show: "

@@ -22,6 +22,8 @@ from smajax.units import from_si, to_si
 
 _MODEL_SUFFIX = "_model"
 _HEADER = re.compile(r"(?P<name>[^\[\]]+?) \[(?P<unit>[^\[\]]*)\]")
+# Name of a series that is one of several for a recording; neither models nor fits have brackets in their names.
+_LABEL = re.compile(r"(?P<recording>.*) \((?P<variant>[^()]*)\)")
 # Channels of the model that are in the table even if they were not recorded.
 _INTERNAL_CHANNELS = ("temperature", "stress", "strain")
 _USUAL_UNITS = {"strain": "%", "displacement": "mm", "angle": "deg", "temperature": "degC"}
@@ -55,6 +57,17 @@ class Series:
     def residual(self, channel: str) -> Floats:
         """Return the residual, measured minus model, in the channel's unit, shape ``(n,)``."""
         return self.measured[channel] - self.model[channel]
+
+
+def variant_label(recording: str, variant: str) -> str:
+    """Return the name of a series that is one of several for a recording, such as "train.csv (before)"."""
+    return f"{recording} ({variant})"
+
+
+def split_label(label: str) -> tuple[str, str]:
+    """Return recording and variant of a name by ``variant_label``; without a variant, the name and an empty text."""
+    match = _LABEL.fullmatch(label)
+    return (match["recording"], match["variant"]) if match else (label, "")
 
 
 def modelled_channels(observable: Iterable[str], signals: Iterable[str], recorded: Iterable[str]) -> list[str]:

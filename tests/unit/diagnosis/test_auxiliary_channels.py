@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from smajax.app.cli import app
 from smajax.diagnosis.auxiliary_channels import (
     auxiliary_channels,
-    saturation_reason,
+    saturation,
     with_auxiliary_channels,
     without_channels,
 )
@@ -41,7 +41,7 @@ def test_auxiliary_channels_are_complete_and_predicted(folder):
     partly = Recording.from_arrays("partly", time, {k: v for k, v in channels.items() if k != "power"}, {})
     usable, unusable = auxiliary_channels(plant, ("displacement",), [whole, partly])
     assert usable == ("temperature", "voltage")
-    assert unusable == {
+    assert {channel: fault.text for channel, fault in unusable.items()} == {
         "strain": "whole has rows without it",
         "force": "whole: it never changes",
         "power": "partly does not have it",
@@ -67,8 +67,10 @@ def test_saturated_channel_is_left_out_where_another_is_observed(folder):
     recording = Recording.from_arrays(
         "one", np.arange(400.0), {"displacement": values, "temperature": np.minimum(values, 0.9)}, {}
     )
-    assert saturation_reason("displacement", [recording]) == ""
-    assert saturation_reason("temperature", [recording]).startswith("one: temperature stays at its highest value for ")
+    assert saturation("displacement", [recording]) is None
+    fault = saturation("temperature", [recording])
+    assert fault is not None and fault.code == "saturated-high" and fault.share == pytest.approx(0.1, abs=0.05)
+    assert fault.text.startswith("one: temperature stays at its highest value for ")
     assert without_channels(settings, ["temperature"]) == rig.fit
 
 
