@@ -7,7 +7,7 @@ import equinox as eqx
 
 from smajax.errors import InputError
 from smajax.files.parameter_names import owners
-from smajax.files.rig_kinds import Stages, rig_phrase
+from smajax.files.rig_kinds import KINDS, Stages, parts_of, rig_phrase
 from smajax.files.rig_schema import FitSection, RigSection
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
@@ -63,7 +63,7 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
             continue
         choices = {words: part for other, part, words in owners() if other == section}
         if section not in stages.parts:
-            kinds = [words for words in choices if words.startswith("kind")]
+            kinds = [f'kind = "{kind}"' for kind, mechanism in KINDS.items() if section in parts_of(mechanism)]
             cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
             raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
         if not isinstance(content, dict):

@@ -92,7 +92,7 @@ def _verdict_section(doc: Mapping[str, Any]) -> str:
             "The simulation fails at the start values, so there is no fit: the numbers below are the values of the rig "
             "file."
         ]
-    bad = failed or any(summary.is_bad_verdict(sentence) for sentence in sentences)
+    bad = failed or any(verdict.is_bad for verdict in summary.residual_verdicts(doc))
     return verdict_section(sentences, bad=bad)
 
 

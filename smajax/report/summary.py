@@ -4,10 +4,11 @@ It needs the document ``fit.json`` only, so an old result folder can be summaris
 has the summary of a simulation, and the text table that all summaries use.
 """
 
+import enum
 import math
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import Any
+from typing import Any, NamedTuple
 
 from smajax.files.documents import is_undetermined
 from smajax.units import example_of, from_si
@@ -30,8 +31,41 @@ _ALMOST_NOTHING = 5e-5
 _LARGE_EXPONENT = 7
 _SMALL_EXPONENT = -4
 _NOT_CONVERGED = ("interrupted", "steps")
-_MODEL_LACKS = "the model lacks something"
-_HOLDOUT_WORSE = "times worse than the fitted recordings"
+
+
+class ResidualCode(enum.StrEnum):
+    """Size of a channel's residual next to its noise floor."""
+
+    noise = "noise"
+    near_noise = "near-noise"
+    not_converged = "not-converged"
+    unexplained = "unexplained"
+
+
+class ResidualVerdict(NamedTuple):
+    """Residual of an observed channel next to its noise floor and to the holdout.
+
+    Attributes:
+        channel: The channel.
+        code: Size of the residual.
+        ratio: RMSE of the fitted recordings over the noise floor.
+        holdout_ratio: RMSE of the holdout over that of the fitted recordings; ``None`` without a holdout.
+    """
+
+    channel: str
+    code: ResidualCode
+    ratio: float
+    holdout_ratio: float | None
+
+    @property
+    def has_worse_holdout(self) -> bool:
+        """Whether the holdout is predicted worse than the fitted recordings."""
+        return self.holdout_ratio is not None and self.holdout_ratio > _WORSE_HOLDOUT
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether the model lacks something or predicts the holdout badly."""
+        return self.code is ResidualCode.unexplained or self.has_worse_holdout
 
 
 def text(doc: Document, folder: str = "") -> str:
@@ -79,33 +113,49 @@ def headline(doc: Document) -> str:
     return f"Fitted {what} to {data}: {ending} ({effort})."
 
 
-def verdicts(doc: Document) -> list[str]:
-    """Compare the residual of each observed channel with its noise floor and with the holdout, one sentence each."""
-    sentences = []
+def residual_verdicts(doc: Document) -> list[ResidualVerdict]:
+    """Compare the residual of each observed channel with its noise floor and with the holdout."""
+    comparisons = []
     for channel, rmse in doc["rmse"].items():
         floor, train, holdout = doc["noise_floor"][channel]["value"], rmse["train"], rmse["holdout"]
         if train is None or not floor:
             continue
-        ratio, residual = train / floor, f"The residual of {channel}"
+        ratio, code = train / floor, ResidualCode.unexplained
         if ratio <= _AT_NOISE:
-            sentence = f"{residual} is at its noise floor: the model explains all but the noise"
+            code = ResidualCode.noise
         elif ratio <= _NEAR_NOISE:
-            sentence = f"{residual} is {ratio:.2f} times its noise floor: the model leaves a small part unexplained"
+            code = ResidualCode.near_noise
         elif doc["solver"]["code"] in _NOT_CONVERGED:
-            sentence = f"{residual} is {ratio:.3g} times its noise floor, and the fit had not converged yet"
-        else:
-            sentence = (
-                f"{residual} is {ratio:.3g} times its noise floor: {_MODEL_LACKS}, or the minimum is not the global one"
-            )
-        if holdout is not None and holdout > _WORSE_HOLDOUT * train:
-            sentence += f"; the holdout is predicted {holdout / train:.2g} {_HOLDOUT_WORSE}"
-        sentences.append(sentence + ".")
-    return sentences
+            code = ResidualCode.not_converged
+        # A fit without a residual has no ratio; any error on the holdout is then worse.
+        worse = (holdout / train if train else math.inf if holdout else 1.0) if holdout is not None else None
+        comparisons.append(ResidualVerdict(channel, code, ratio, worse))
+    return comparisons
 
 
-def is_bad_verdict(sentence: str) -> bool:
-    """Return whether a sentence of ``verdicts`` says that the model lacks something or predicts the holdout badly."""
-    return _MODEL_LACKS in sentence or _HOLDOUT_WORSE in sentence
+def verdicts(doc: Document) -> list[str]:
+    """Word ``residual_verdicts``, one sentence each."""
+    return [_verdict_sentence(verdict) for verdict in residual_verdicts(doc)]
+
+
+def _verdict_sentence(verdict: ResidualVerdict) -> str:
+    residual, ratio = f"The residual of {verdict.channel}", verdict.ratio
+    sentence = {
+        ResidualCode.noise: f"{residual} is at its noise floor: the model explains all but the noise",
+        ResidualCode.near_noise: (
+            f"{residual} is {ratio:.2f} times its noise floor: the model leaves a small part unexplained"
+        ),
+        ResidualCode.not_converged: (
+            f"{residual} is {ratio:.3g} times its noise floor, and the fit had not converged yet"
+        ),
+        ResidualCode.unexplained: (
+            f"{residual} is {ratio:.3g} times its noise floor: the model lacks something, or the minimum is not the "
+            "global one"
+        ),
+    }[verdict.code]
+    if verdict.has_worse_holdout:
+        sentence += f"; the holdout is predicted {verdict.holdout_ratio:.2g} times worse than the fitted recordings"
+    return sentence + "."
 
 
 def rmse_rows(doc: Document) -> list[tuple[str, ...]]:

@@ -377,6 +377,8 @@ def test_numbers_of_the_summary():
 )
 def test_the_verdict_compares_with_noise_and_holdout(document, words):
     assert words in summary.verdicts(document)[0]
+    (verdict,) = (v for v in summary.residual_verdicts(document) if v.channel == "displacement")
+    assert verdict.is_bad == (words.endswith("lacks something") or "holdout" in words)
 
 
 @pytest.mark.parametrize(

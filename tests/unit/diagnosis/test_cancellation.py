@@ -1,0 +1,116 @@
+"""A progress callback that stops a diagnosis."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from smajax.diagnosis import forward_selection, outcome
+from smajax.diagnosis.candidates import CandidateFit, EffectSet, Refit
+from smajax.diagnosis.forward_selection import select_effects
+from smajax.diagnosis.outcome import diagnose
+from smajax.diagnosis.selection_state import SelectionState
+from smajax.errors import Cancelled
+from smajax.fitting.levenberg_marquardt import SolverStatus
+
+
+def fit_of(*keys: str) -> CandidateFit:
+    refit = Refit(EffectSet(keys), np.zeros(1), np.zeros(1), np.zeros((1, 1)), SolverStatus.converged)
+    return CandidateFit(refit, 9.0, 9.0, 0.0)
+
+
+def stop_at(word: str, error: type[BaseException]):
+    """A callback that raises an error at the text with a word."""
+
+    def report(text: str) -> None:
+        if word in text:
+            raise error
+
+    return report
+
+
+@pytest.fixture
+def rounds(monkeypatch):
+    """A selection without simulations that accepts an effect in each round."""
+    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
+    state = SelectionState({}, {}, fit_of(), fit_of(), 1.05, {})
+
+    def run_round(evaluator, state, beam, round_index, min_gain, report_progress):
+        report_progress(f"round {round_index + 1}")
+        state.current = fit_of(*("creep", "backlash", "slack")[: round_index + 1])
+        return [state.current]
+
+    monkeypatch.setattr(forward_selection, "_start_selection", lambda *_: (evaluator, state))
+    monkeypatch.setattr(forward_selection, "_run_round", run_round)
+    monkeypatch.setattr(forward_selection, "drop_unneeded_effects", lambda *_: None)
+    monkeypatch.setattr(forward_selection, "swap_confusable_effects", lambda *_: None)
+    monkeypatch.setattr(forward_selection, "refine_onsets", lambda evaluator, fit: fit)
+    return state
+
+
+@pytest.mark.parametrize("error", [StopIteration, KeyboardInterrupt])
+def test_selection_ends_with_the_effects_so_far(rounds, error):
+    _, state = select_effects(SimpleNamespace(), report_progress=stop_at("round 2", error))  # pyright: ignore[reportArgumentType]
+    assert state.accepted == ("creep",) and state.interrupted
+
+
+@pytest.mark.parametrize("error", [StopIteration, KeyboardInterrupt])
+def test_diagnosis_without_an_effect_is_cancelled(rounds, error):
+    with pytest.raises(Cancelled, match="before the first effect"):
+        select_effects(SimpleNamespace(), report_progress=stop_at("round 1", error))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("error", [StopIteration, KeyboardInterrupt])
+def test_diagnosis_before_its_base_fit_is_cancelled(error):
+    with pytest.raises(Cancelled, match="before the first effect"):
+        diagnose(SimpleNamespace(), report_progress=stop_at("preflight", error))  # pyright: ignore[reportArgumentType]
+
+
+def test_stop_iteration_of_other_code_is_a_fault(rounds, monkeypatch):
+    monkeypatch.setattr(forward_selection, "_run_round", lambda *_: next(iter(())))
+    with pytest.raises(StopIteration):
+        select_effects(SimpleNamespace())  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("word", "calls"),
+    [("nothing", ["stage", "experiment"]), ("stage", []), ("designing", ["stage"]), ("holdout", [])],
+)
+def test_end_of_a_diagnosis_is_left_out(rounds, monkeypatch, word, calls):
+    """The effects are selected; the stage of the residual and the next experiment are not searched for any more."""
+    called: list[str] = []
+    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
+    rounds.current = fit_of("creep")
+    monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
+    monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
+    monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
+    monkeypatch.setattr(outcome, "_verdict", lambda *_: "partial")
+    monkeypatch.setattr(outcome, "improves_holdout", lambda *_: True)
+    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: called.append("stage") or ("heat", None))
+    monkeypatch.setattr(outcome, "_rivals", lambda *_: {})
+    monkeypatch.setattr(outcome, "propose_experiment", lambda *_: called.append("experiment"))
+    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: conclusion)
+    conclusion = diagnose(SimpleNamespace(), report_progress=stop_at(word, StopIteration))  # pyright: ignore[reportArgumentType]
+    assert called == calls and rounds.interrupted == (word != "nothing")
+    assert conclusion.verdict == "partial" and conclusion.unresolved_stage == ("heat" if "stage" in calls else None)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "improves", "decided", "after"),
+    [("named", False, False, ("creep",)), ("partial", True, True, ("creep",)), ("partial", False, True, ())],
+)
+def test_part_of_the_holdout_in_the_choice_is_recorded(rounds, monkeypatch, verdict, improves, decided, after):
+    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
+    rounds.current = fit_of("creep")
+    monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
+    monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
+    monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
+    monkeypatch.setattr(outcome, "_verdict", lambda *_: verdict)
+    monkeypatch.setattr(outcome, "improves_holdout", lambda *_: improves)
+    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: ("heat", None))
+    monkeypatch.setattr(outcome, "_rivals", lambda *_: {})
+    monkeypatch.setattr(outcome, "propose_experiment", lambda *_: None)
+    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: (after, conclusion))
+    refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    assert refit.effect_set.keys == after and conclusion.holdout_decided == decided
+    assert [(r.key, r.code) for r in rounds.rejected] == ([] if after else [("creep", "holdout")])
