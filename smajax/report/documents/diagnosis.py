@@ -7,6 +7,9 @@ from pydantic import Field, model_validator
 from smajax.report.documents.base import Document, Ends, Number, Part
 from smajax.report.documents.parts import NoiseEntry, RecordingEntry, Stage
 
+RejectionCode = Literal[
+    "chance", "selection", "noise", "part-of-excess", "unneeded", "swapped", "little-explained", "holdout"
+]
 _ROLES = ["train", "select", "holdout"]
 
 
@@ -80,7 +83,28 @@ class RejectedEntry(Part):
     """An effect that was tried and rejected."""
 
     key: str = Field(description="key of the effect")
+    code: RejectionCode | None = Field(None, description="code of the reason; absent in earlier documents")
     why: str = Field(description="the reason")
+
+
+class HoldoutEntry(Part):
+    """Part of the holdout in the choice of the effects."""
+
+    decided: bool = Field(
+        description="whether the holdout had a part in the choice, so that holdout_cut_95 is after selection"
+    )
+    removed: list[str] = Field(description="keys of the effects that it removed")
+
+
+class EffectParameterEntry(Part):
+    """A fitted parameter of an accepted effect, in its internal unit."""
+
+    name: str = Field(description="name of the parameter")
+    value: Number = Field(description="estimate")
+    unit: str = Field(description="internal unit")
+    meaning: str = Field(description="meaning of the parameter")
+    lower95: Number = Field(description="lower end of the 95 % interval; null if the recordings do not determine it")
+    upper95: Number = Field(description="upper end of the 95 % interval; null if the recordings do not determine it")
 
 
 class ExcludedEntry(Part):
@@ -151,8 +175,15 @@ class DiagnosisDocument(Document):
         description="by accepted effect: the effects from which the recordings cannot distinguish it"
     )
     unresolved_stage: Stage | None = Field(description="stage that the remaining residual looks most like")
+    interrupted: bool = Field(False, description="whether the diagnosis was stopped before its end")
     summary: str = Field(description="the result in sentences")
     rmse: dict[str, ErrorEntry] = Field(description="errors by channel")
+    holdout: HoldoutEntry | None = Field(
+        None, description="part of the holdout in the choice of the effects; absent in earlier documents"
+    )
+    effect_parameters: list[EffectParameterEntry] = Field(
+        [], description="all fitted parameters of the accepted effects; absent in earlier documents"
+    )
     evidence: list[str] = Field(
         description="auxiliary channels: recorded, not observed, and explained up to gain and offset of their sensors"
     )
