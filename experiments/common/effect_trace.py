@@ -29,7 +29,7 @@ class TraceResult:
 
     Attributes:
         state: State at the end of the forward selection.
-        before: Residuals of the fit without effects by channel, model minus measurement, SI: fitted part, held-out
+        before: Residuals of the fit without effects by channel, measurement minus model, SI: fitted part, held-out
             part.
         after: Those of the fit with effects.
         refit: The fit with effects.

@@ -74,7 +74,7 @@ class Refit:
     Attributes:
         effect_set: The effects with their fitted values.
         base: Base parameters, shape ``(p,)``.
-        residual: Model minus measurement over the noise, shape ``(m,)``.
+        residual: Measurement minus model over the noise, shape ``(m,)``.
         jacobian: Derivatives of the residual with respect to the base parameters, then the free effect parameters,
             shape ``(m, columns)``.
         status: Status of the search at its end.

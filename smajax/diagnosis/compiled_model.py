@@ -51,7 +51,7 @@ class Simulated(NamedTuple):
 
     Attributes:
         trajectories: Trajectory of the plant in each recording.
-        residual: Model minus measurement over the noise.
+        residual: Measurement minus model over the noise.
     """
 
     trajectories: Trajectory
@@ -79,7 +79,7 @@ class SlottedModel(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def residual(self, vector: Float[Array, " p"], trajectories: Trajectory) -> Float[Array, " residuals"]:
-        """Compute model minus measurement over the noise.
+        """Compute measurement minus model over the noise.
 
         Args:
             vector: Base parameters, then slots.

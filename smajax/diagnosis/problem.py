@@ -46,7 +46,7 @@ class DiagnosisProblem(GriddedSplits):
     """A rig's plant with all possible effects, and its recordings on grids of one shape.
 
     A *base vector* holds the rig's free parameters, then the own parameters of each training recording, shape ``(p,)``.
-    A *residual* is model minus measurement over the noise at all samples of a split, shape ``(m,)``.
+    A *residual* is measurement minus model over the noise at all samples of a split, shape ``(m,)``.
 
     Attributes:
         base_problem: Fit problem of the rig as its file describes it, on the training split.

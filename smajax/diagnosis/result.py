@@ -93,7 +93,7 @@ class Diagnosis:
         rejected: Effects that were not accepted, and why.
         intervals: 95 % intervals of the effects' parameters, SI.
         estimates: All fitted parameters of the accepted effects.
-        predictions: Model minus measurement at the scored samples, SI, by "before" and "after", split and channel.
+        predictions: Measurement minus model at the scored samples, SI, by "before" and "after", split and channel.
         residual_statistics: Statistics of the training residual by "before" and "after", and channel.
         nonparametric_fit: The form of an unexplained residual.
         next_experiment: The input to run next.

@@ -39,7 +39,7 @@ class AbstractFitProblem(eqx.Module):
         return self.bounds
 
     def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
-        """Return model minus measurement over the noise, shape ``(size,)``; zero where nothing was measured."""
+        """Return measurement minus model over the noise, shape ``(size,)``; zero where nothing was measured."""
         raise NotImplementedError
 
 
@@ -51,7 +51,7 @@ def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[A
         problem: The problem.
 
     Returns:
-        Model minus measurement over the noise (size,).
+        Measurement minus model over the noise (size,).
     """
     return problem.residual(vector)
 

@@ -189,7 +189,7 @@ class Problem(AbstractFitProblem):
         return vmap_unless_single(of_recording, self.data.measured.shape[0], own, self.data.inputs, more)
 
     def residual(self, vector: Float[Array, " p"], trajectories: Trajectory | None = None) -> Float[Array, " size"]:
-        """Return model minus measurement over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
+        """Return measurement minus model over the noise, shape ``(r * c * n,)``; zero where a recording has no sample.
 
         The residual of a simulation that fails is 1000 times as large.
 
@@ -199,7 +199,7 @@ class Problem(AbstractFitProblem):
         """
         model, status = self.predict(vector, trajectories)
         weight = self.data.weight * jnp.where(status == SimulationStatus.done, 1.0, _FAILURE_FACTOR)[:, None, None]
-        return jnp.where(weight > 0, (model - self.data.measured) * weight, 0.0).ravel()
+        return jnp.where(weight > 0, (self.data.measured - model) * weight, 0.0).ravel()
 
 
 def _order_ends(values: dict[str, jax.Array]) -> dict[str, jax.Array]:

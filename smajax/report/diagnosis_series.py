@@ -18,7 +18,7 @@ def prediction_series(recordings: Sequence[Recording], diagnosis: Diagnosis) -> 
     series = []
     for k, (recording, role) in enumerate(zip(recordings, SPLIT_NAMES, strict=True)):
         for stage, residuals in diagnosis.predictions.items():
-            model = {c: recording.channels[c] + v for c, v in residuals[k].items()}
+            model = {c: recording.channels[c] - v for c, v in residuals[k].items()}
             columns = (recording.time, recording.channels, model, recording.units)
             series.append(
                 make_series(variant_label(recording.name, stage), role, *columns, has_clock=recording.has_clock)

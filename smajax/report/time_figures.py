@@ -97,7 +97,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
         role: Role of the recording, for the title.
     """
     first = next(iter(series.values()))
-    panels = list(zip((channel, "model minus measured"), _COMPARISON_WEIGHTS, strict=True))
+    panels = list(zip((channel, "measured minus model"), _COMPARISON_WEIGHTS, strict=True))
     layout = panel_layout(panels, first)
     measured = first.measured[channel]
     trace, thinned = line_trace(
@@ -106,7 +106,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     data = [trace]
     for k, (name, prediction) in enumerate(series.items()):
         colour = MODEL_COLOURS[k % len(MODEL_COLOURS)]
-        for panel, values in enumerate((prediction.model[channel], -prediction.residual(channel))):
+        for panel, values in enumerate((prediction.model[channel], prediction.residual(channel))):
             trace, is_thinned = line_trace(
                 prediction.time,
                 values,
@@ -119,8 +119,8 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
             data.append(trace.update(legendgroup=name, visible=True if k < _MODELS_SHOWN else "legendonly"))
             thinned |= is_thinned
     set_panel_title(layout, 0, axis_title(channel, first.units), panels)
-    set_panel_title(layout, 1, "model - measured", panels)
-    caption = "Grey is measured. Click a name to show or hide a model; below, the error of each model."
+    set_panel_title(layout, 1, "measured - model", panels)
+    caption = "Grey is measured. Click a name to show or hide a model; below, the residual of each model."
     caption += thin_note(len(first.time), thinned, MAX_POINTS_OF_MANY)
     title = f"{first.name.rpartition(' (')[0]} ({role})"
     return Picture(title, caption, go.Figure(data, layout), _COMPARISON_HEIGHT)

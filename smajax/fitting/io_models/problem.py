@@ -142,8 +142,8 @@ class IOModelProblem(AbstractFitProblem):
         return jax.vmap(lambda t, u: compute_response(model, t, u))(self.data.time, self.data.input)
 
     def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
-        """Return model minus measurement, weighted, shape ``(r * n,)``."""
-        weighted = (self.predict(vector) - self.data.measured) * self.data.weight
+        """Return measurement minus model, weighted, shape ``(r * n,)``."""
+        weighted = (self.data.measured - self.predict(vector)) * self.data.weight
         return jnp.where(self.data.weight > 0, weighted, 0.0).ravel()
 
 

@@ -18,6 +18,7 @@ import scipy.signal
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
+from smajax.app.commands.diagnose import prediction_series
 from smajax.diagnosis import next_experiment, residual_checks
 from smajax.diagnosis.acceptance import Rejection, RejectionCode, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
@@ -55,6 +56,7 @@ from smajax.files.parameter_sets import Entry, write_parameters
 from smajax.files.rig_file import read_rig
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.noise import rounding_noise
+from smajax.fitting.responses import simulate_responses
 from smajax.plant.effects import catalogue
 from smajax.recordings.datasets import data_path
 from smajax.report.diagnosis_summary import sentences
@@ -313,6 +315,19 @@ def fitted(evaluator) -> Refit:
     """The rig fitted without effects, nearly."""
     evaluator.problem.wait_for_compilation()
     return evaluator.problem.fit(EffectSet(), evaluator.problem.nominal, max_steps=8)
+
+
+def test_residuals_are_measured_minus_model_and_the_table_has_that_model(evaluator, fitted):
+    problem, rig = evaluator.problem, read_rig(data_path("recordings", "dead-weight-unexplained") / "rig.toml")
+    training = problem.splits[0].recordings[0]
+    plant = problem.fitted_plant(fitted)
+    (response,), _ = simulate_responses([plant], [training], ["train"], problem.channels, rig.interpolation, None)
+    residual = {c: v * problem.noise[c] for c, v in problem.series(fitted.residual).items()}
+    series = prediction_series([training] * 3, SimpleNamespace(predictions={"before": [residual] * 3}))
+    for channel, values in residual.items():
+        np.testing.assert_allclose(values, response.residual(channel), atol=1e-3 * problem.noise[channel])
+        unit = series[0].measured[channel] / training.channels[channel]
+        np.testing.assert_allclose(series[0].residual(channel), values * unit, atol=1e-9)
 
 
 def test_replacement_shapes_are_the_fitted_or_the_usual_ones(evaluator, fitted):

@@ -23,6 +23,7 @@ from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.profile import crossing, profile_likelihood
 from smajax.fitting.responses import simulate_responses
+from smajax.report.prediction import recording_series
 from smajax.simulation.status import SimulationStatus
 from tests.reference import rigs
 from tests.reference.brinson import Material
@@ -119,6 +120,17 @@ def test_residual_is_the_noise_in_sample_and_out(result):
     assert result.noise_floor["displacement"] == pytest.approx(NOISE, rel=0.15)
     assert result.discretisation_errors["displacement"] < 0.2 * NOISE
     assert result.rmse("displacement", "select") is None
+
+
+def test_a_fit_s_residual_is_measured_minus_model_like_its_response_s(result):
+    """The solver's residual, the response's and the one that pages show have one sign."""
+    problem, response = result.problem, result.responses[0]
+    weighted = np.asarray(problem.residual(jnp.asarray(result.vector)))[: len(response.recording)]
+    series = recording_series(response.recording, "train", response.model)
+    factor = np.asarray(problem.data.weight)[0, 0, : len(response.recording)]
+    np.testing.assert_allclose(weighted, response.residual("displacement") * factor, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(series.residual("displacement"), 1e3 * response.residual("displacement"), atol=1e-9)
+    assert np.max(np.abs(weighted)) > 1.0
 
 
 @pytest.mark.parametrize("recordings", [1, 2])
@@ -353,7 +365,7 @@ def test_a_search_takes_no_step_into_states_in_which_the_simulation_fails():
     for gain, code, times in ((20.0, SimulationStatus.overheated, 1e3), (1.5, SimulationStatus.done, 1.0)):
         model, result = problem.predict(jnp.asarray([gain]))
         assert result[0] == code
-        plain = (model - problem.data.measured) * problem.data.weight
+        plain = (problem.data.measured - model) * problem.data.weight
         np.testing.assert_allclose(problem.residual(jnp.asarray([gain])), times * plain.ravel(), rtol=1e-12)
     # From here it is all the way downhill into the melt.
     result = fit(parameters.replace(plants.dead_weight(), {"drive.gain": 8.0}), [recording], settings, step=0.04)
