@@ -2,11 +2,13 @@
 
 ``InputError`` reports a mistake in the input: one sentence that names the file, row, column or key, and the cure (exit
 code 2). ``NumericsError`` reports a failed calculation: the result code, the parameters that caused it, and the results
-that were saved before (exit code 3).
+that were saved before (exit code 3). ``Cancelled`` reports that a callback or Ctrl-C stopped the work before there was
+a result (exit code 130).
 """
 
 import difflib
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 # Similarity (difflib's ratio, 0 to 1) from which a name is suggested; chosen by trial,
 # tests/unit/files/test_bad_rigs.py holds it.
@@ -14,13 +16,25 @@ _MIN_SIMILARITY = 0.5
 
 
 class InputError(ValueError):
-    """A mistake in a file or argument; the message is one sentence that names the place and the cure."""
+    """A mistake in a file or argument; the message is one sentence that names the place and the cure.
+
+    Attributes:
+        code: Name of the kind of mistake for programs, empty where there is none.
+        fields: What the sentence is about, by name: the parts of it that a front end may need.
+    """
 
     exit_code = 2
 
+    def __init__(self, message: str = "", *, code: str = "", **fields: Any):
+        """Make the error.
 
-class Cancelled(Exception):
-    """The work was cancelled by its progress callback before there was a result."""
+        Args:
+            message: The sentence.
+            code: Name of the kind of mistake.
+            **fields: What the sentence is about.
+        """
+        super().__init__(message)
+        self.code, self.fields = code, fields
 
 
 class NumericsError(ArithmeticError):
@@ -47,6 +61,10 @@ class NumericsError(ArithmeticError):
 
 class Cancelled(Exception):
     """The work was cancelled by its progress callback before there was a result."""
+
+
+# What a callback raises to stop a search with the best point so far; Ctrl-C raises the first.
+STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
 
 
 def suggestion(word: str, candidates: Iterable[str]) -> str:

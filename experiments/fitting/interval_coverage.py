@@ -4,7 +4,8 @@
 
 The exact reference simulator lifts the dead weight of the shipped rig under one current. Each repetition adds another
 draw of noise, a first-order autoregression (correlation 0.7 from sample to sample), and fits five parameters. Intervals
-that assume white noise are counted as well.
+that assume white noise are counted as well. Some of the repetitions also compute the profile likelihood of two
+parameters: the last rows have the share of profiles that contain the truth, and their ends next to the interval's.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import numpy as np
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.fitting.autoregression import autoregressive_spectrum, fit_autoregression
 from smajax.fitting.fit import fit
+from smajax.fitting.profile import crossing, profile_likelihood
+from smajax.fitting.result import FitResult
 from smajax.recordings.recording import Recording
 from tests.reference import rigs
 from tests.reference.wire import Heat, Wire
@@ -59,6 +62,8 @@ TRUTH = {
     "material.austenite_shift": 0.0,
     "material.martensite_shift": 0.0,
 }
+# Parameters whose profiles are computed.
+PROFILED = ("heat.h0", "material.max_transformation_strain")
 
 
 def make_truth(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -83,9 +88,8 @@ def draw_noise(count: int, seed: int) -> np.ndarray:
     return noise[100:]
 
 
-def coverage(rig: Rig, recording: Recording) -> tuple[list[bool], list[bool]]:
-    """Fit a recording, and return which intervals contain the truth, also those that assume white noise."""
-    result = fit(rig.plant, [recording], rig.fit)
+def coverage(result: FitResult, recording: Recording) -> tuple[list[bool], list[bool]]:
+    """Return which intervals of a fit contain the truth, also those that assume white noise."""
     covered = [e.lower95 <= TRUTH[e.name] <= e.upper95 for e in result.estimates]
     deviation = np.sqrt(np.diag(result.covariance))
     ratio = math.sqrt(_white_share(recording.channels["displacement"] - result.responses[0].model["displacement"]))
@@ -95,19 +99,51 @@ def coverage(rig: Rig, recording: Recording) -> tuple[list[bool], list[bool]]:
     return covered, covered_white
 
 
+def profile_row(name: str, results: list[FitResult]) -> Row:
+    """Return the row of a parameter's profiles: how often they contain the truth, and the ends of the first one."""
+    profiles = [profile_likelihood(result, name) for result in results]
+    ends = [(profile["lower95"], profile["upper95"]) for profile in profiles]
+    share = float(np.mean([None not in (a, b) and a <= TRUTH[name] <= b for a, b in ends]))
+    interval = next(e for e in results[0].estimates if e.name == name)
+    low, high = ends[0]
+    text = (
+        f"{100 * share:.1f} % of {len(results)}; the first from {low:.6g} to {high:.6g} {interval.unit}, its interval "
+        f"from {interval.lower95:.6g} to {interval.upper95:.6g}"
+    )
+    numbers = {"coverage": share, "profile": ends[0], "interval": (interval.lower95, interval.upper95)}
+    return Row(f"profile of {name}", "80 % or more", text, share >= 0.8, numbers)
+
+
+def end_rows() -> list[Row]:
+    """Return the rows of two made profiles whose ends are known, at the nine values that ``smajax fit`` uses."""
+    distance = np.linspace(0.0, 3.0, 5)
+    steep, flat = distance**2 + 0.5 * distance**4, 3.0 * (1.0 - np.exp(-(distance**2) / 3.0))
+    exact = math.sqrt(math.sqrt(1.0 + 2.0 * 3.841458820694124) - 1.0)
+    end, none = crossing(distance, steep), crossing(distance, flat)
+    met = end is not None and abs(end - exact) < 0.01
+    return [
+        Row(
+            "end of a profile that rises as d^2 + d^4 / 2", f"{exact:.3f} sigma", f"{end:.3f} sigma", met, {"end": end}
+        ),
+        Row("end of a profile that saturates at 3", "none", "none" if none is None else f"{none:.3f}", none is None),
+    ]
+
+
 def main() -> None:
     """Print the table."""
     args = arguments((__doc__ or "").splitlines()[0])
     repeats = 60 if args.quick else 200
     rig = parse_rig(RIG, "coverage.toml")
     time, current, exact = make_truth(rig)
-    covered, covered_white = [], []
+    covered, covered_white, results = [], [], []
     for k in range(repeats):
         if k % 20 == 0:
             say(f"{k} of {repeats}")
         channels = {"current": current, "displacement": exact + 2e-5 * draw_noise(len(time), 1000 + k)}
         recording = Recording.from_arrays("made", time, channels, {"current": "A", "displacement": "mm"})
-        inside, inside_white = coverage(rig, recording)
+        result = fit(rig.plant, [recording], rig.fit)
+        results += [result] if k < repeats // 5 else []
+        inside, inside_white = coverage(result, recording)
         covered.append(inside)
         covered_white.append(inside_white)
     rows = []
@@ -121,7 +157,8 @@ def main() -> None:
     rows.append(
         Row("all parameters", "90 to 98 %", f"{100 * overall:.1f} %", 0.90 <= overall <= 0.98, {"coverage": overall})
     )
-    finish(rows, args, repeats=repeats)
+    rows += [profile_row(name, results) for name in PROFILED]
+    finish([*rows, *end_rows()], args, repeats=repeats)
 
 
 def _white_share(residual: np.ndarray) -> float:

@@ -75,7 +75,7 @@ def stress_rows(data: Path) -> list[Row]:
         columns = read_columns(data / "nasa-bigelow-nitihf" / f"{stress} MPa.txt")
         cycles, refused = analyse_cycles(f"{stress} MPa", columns[:, 0], columns[:, 1] / 100)
         if not cycles:
-            rows.append(Row(f"NiTiHf, {stress} MPa", "a value or a sentence", refused[0], True))
+            rows.append(Row(f"NiTiHf, {stress} MPa", "a value or a sentence", str(refused[0]), True))
             continue
         for k, name in enumerate(TEMPERATURE_NAMES):
             value = cycles[0].values[name]

@@ -83,7 +83,7 @@ def compare(
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),
         series=tuple(_series(rig.fit.observe[0], results, recordings)),
-        run=run_record("compare", rig, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
+        run=run_record("compare", rig.name, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
         files={"rig.toml": text.encode()},
         results=tuple(results),
     )

@@ -139,7 +139,7 @@ def diagnose(
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
-        run=run_record("diagnose", rig, clock, seed, code) | {"inputs": list(rig.plant.signals)},
+        run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": list(rig.plant.signals)},
         files=files,
         reason="interrupted with the effects so far" if code else "",
         result=result,

@@ -135,7 +135,7 @@ def fit(
     return FitStudy(
         document=document,
         series=tuple(_to_series(inputs.rig, response) for response in responses),
-        run=run_record("fit", inputs.rig, clock, inputs.settings.seed, code) | solver,
+        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | solver,
         files=_files(inputs, search.result),
         reason=reason if code else "",
         result=search.result,

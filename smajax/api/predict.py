@@ -80,7 +80,7 @@ def predict(
     files: dict[str, FileContent] = {"rig.toml": text.encode()}
     if rows > 1:
         files["simulation.csv"] = partial(_write_recording, _simulated_recording(rig, read, channels, rows))
-    run = run_record("simulate", rig, clock, None, NumericsError.exit_code if failure else 0) | {
+    run = run_record("simulate", rig.name, clock, None, NumericsError.exit_code if failure else 0) | {
         "code": status.name,
         "text": failure or status.hint,
         "inputs": list(rig.plant.signals),

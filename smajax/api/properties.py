@@ -1,1 +1,155 @@
 """Properties of thermal cycles by ASTM E3097, and start values of a fit."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import as_list
+from smajax.api.study import FileContent, Study
+from smajax.errors import InputError
+from smajax.files.parameter_sets import parameters_text
+from smajax.progress import ProgressCallback, Reporter
+from smajax.properties.branch_properties import Tangent
+from smajax.properties.recording_analysis import CycleAnalysis, analyse_recordings
+from smajax.properties.start_values import assumed_values
+from smajax.recordings.read import read_recording
+from smajax.recordings.recording import Recording
+from smajax.report.prediction import recording_series
+from smajax.report.properties import properties_document
+
+# Header of a column that is not read.
+IGNORED_COLUMN = "-"
+START_VALUES = "start-values.toml"
+
+
+class Property(NamedTuple):
+    """Mean of a property over thermal cycles.
+
+    Attributes:
+        value: Mean, in ``unit``.
+        interval: Lower and upper end of the 95 % interval; ``None`` where the cycles do not determine it.
+        unit: Unit.
+    """
+
+    value: float
+    interval: tuple[float, float] | None
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class PropertiesStudy(Study):
+    """Properties of thermal cycles; ``study["austenite_finish"]`` is the mean of one at a single stress.
+
+    Attributes:
+        analysis: Cycles and means as numbers; ``None`` for a loaded study.
+    """
+
+    command = "properties"
+    document_name = "properties.json"
+
+    analysis: CycleAnalysis | None = None
+
+    @property
+    def means(self) -> tuple[tuple[float | None, dict[str, Property]], ...]:
+        """Stress in Pa (``None`` where it was not recorded) and mean properties of each group of cycles."""
+        return tuple(
+            (entry["stress_Pa"], {name: _property(value) for name, value in entry["mean"].items()})
+            for entry in self.document["recordings"]
+            if entry["mean"] is not None
+        )
+
+    def __getitem__(self, name: str) -> Property:
+        """Return the mean of a property.
+
+        Args:
+            name: Name of the property, such as ``austenite_finish``.
+
+        Raises:
+            InputError: If the name is unknown, or there are cycles at several stresses, or of several recordings.
+        """
+        if len(self.means) > 1:
+            raise InputError(f"there are {len(self.means)} groups of cycles: take the property from one of .means")
+        properties = self.means[0][1]
+        if name not in properties:
+            raise InputError(f"'{name}' is not a property of thermal cycles: they are {', '.join(properties)}")
+        return properties[name]
+
+
+def thermal_cycle_properties(
+    recordings: Any,
+    *,
+    smooth: int | None = None,
+    tangent: Tangent = "lines",
+    model: str | None = None,
+    columns: Sequence[str] | None = None,
+    delimiter: str = ",",
+    decimal: str = ".",
+    progress: ProgressCallback | None = None,
+) -> PropertiesStudy:
+    """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals.
+
+    Args:
+        recordings: Recordings with temperature and strain: one or a list, each a path, a table in memory, or a
+            ``Recording``.
+        smooth: Rows of the running median of the temperatures, an odd number; by default as their noise requires.
+        tangent: Line along the transformation: one of three fitted ``lines``, or the tangent where it is ``steepest``.
+        model: Material law whose start values are saved as start-values.toml; ``None`` for none.
+        columns: Headers of text files without a header row ("temperature [degC]", or "-" for a column to ignore).
+        delimiter: Character between the columns of text files.
+        decimal: Decimal sign of text files and cells.
+        progress: Function that gets a ``ProgressEvent`` for each cycle.
+
+    Raises:
+        InputError: If no cycle of any recording can be analysed, or a recording is given twice or cannot be used.
+        Cancelled: If the callback stopped the analysis.
+    """
+    clock, reporter = Clock(), Reporter(progress)
+    with clock.time("read"):
+        options: dict[str, Any] = {"headers": columns, "delimiter": delimiter, "decimal": decimal}
+        read = _read(as_list(recordings), options)
+    with clock.time("analyse"):
+        analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.step)
+    files: dict[str, FileContent] = {}
+    guessed = None
+    if model is not None:
+        entries = analysis.start_values(model)
+        names = ", ".join(dict.fromkeys(level.recording for level in analysis.levels))
+        header = {"title": f"read by tangents from {names}", "source": "smajax properties"}
+        files[START_VALUES] = parameters_text(entries, header).encode()
+        guessed = assumed_values(entries)
+    return PropertiesStudy(
+        document=properties_document(analysis, guessed),
+        series=tuple(recording_series(recording, "cycles", {}) for recording in read),
+        run=run_record("properties", "", clock, None, 0),
+        files=files,
+        analysis=analysis,
+    )
+
+
+def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]:
+    """Read the recordings; refuse a file that is given twice."""
+    paths = [source.resolve() if isinstance(source, Path) else None for source in sources]
+    for k, path in enumerate(paths):
+        if path is not None and path in paths[:k]:
+            raise InputError(
+                f"{sources[k]}: this file is given twice, so its cycles would count twice: give each file once"
+            )
+    return [
+        read_recording(
+            source,
+            required=("temperature",),
+            observed=("strain",),
+            clock=False,
+            ignore=(IGNORED_COLUMN,),
+            **options,
+        )
+        for source in sources
+    ]
+
+
+def _property(entry: Mapping[str, Any]) -> Property:
+    """The property of an entry of properties.json."""
+    low, high = entry["lower95"], entry["upper95"]
+    return Property(entry["value"], None if low is None or high is None else (low, high), entry["unit"])

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 
@@ -39,17 +39,12 @@ class Clock:
             self.timings[part] = self.timings.get(part, 0.0) + time.perf_counter() - start
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-def run_record(command: str, rig: _Named, clock: Clock, seed: int | None, code: int) -> dict[str, Any]:
+def run_record(command: str, rig: str, clock: Clock, seed: int | None, code: int) -> dict[str, Any]:
     """Return the entries of run.json that all studies have, except the list of files; ``argv`` is empty.
 
     Args:
         command: Name of the command.
-        rig: The rig, or the subject of a sweep.
+        rig: Name of the rig, or of the subject of a sweep; empty without one.
         clock: Timings of the run.
         seed: Seed of the random numbers, or ``None``.
         code: The exit code.
@@ -57,7 +52,7 @@ def run_record(command: str, rig: _Named, clock: Clock, seed: int | None, code: 
     return {
         "command": command,
         "argv": [],
-        "rig": rig.name,
+        "rig": rig,
         "started": clock.started,
         "exit_code": code,
         "seed": seed,

@@ -232,7 +232,7 @@ def _finish(designs: _Designs, folder: Path, reporter: Reporter, clock: Clock) -
         refined = refine_best_designs(sweep, problem, columns, best, reporter.phase)
         document = sweep_document(sweep, problem, columns, sobol_columns, best, refined)
     reason = "; ".join(document["problems"])
-    run = run_record("sweep", sweep.subject, clock, sweep.seed, NumericsError.exit_code if reason else 0)
+    run = run_record("sweep", sweep.subject.name, clock, sweep.seed, NumericsError.exit_code if reason else 0)
     reporter.phase("writing the report")
     units = {axis.name: axis.unit for axis in sweep.axes} | problem.units
     units |= {

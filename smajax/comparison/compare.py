@@ -9,7 +9,7 @@ import numpy as np
 from smajax.comparison.input_output_models import fit_input_output_model
 from smajax.comparison.material_models import fit_material_model
 from smajax.comparison.model_result import ModelResult
-from smajax.errors import InputError, NumericsError
+from smajax.errors import STOP_SIGNALS, Cancelled, InputError, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.rig_kinds import MATERIALS
 from smajax.recordings.recording import Recording
@@ -33,19 +33,26 @@ def compare_models(
         models: Names of the models, as in ``MODELS``.
         recordings: The training recording and the holdout.
         seed: Seed of the starts.
-        progress: Called with the name of each model before it is fitted.
+        progress: Called with the name of each model before it is fitted; ends the comparison if it raises
+            ``StopIteration``, as Ctrl-C does.
 
     Returns:
-        A result for each model, in the given order; one that cannot be fitted has a reason instead of predictions.
+        A result for each model, in the given order; one that cannot be fitted has a reason instead of predictions. A
+        comparison that is stopped has the models that were fitted before.
 
     Raises:
         InputError: If no model can be fitted, for each of them because of the input.
         NumericsError: If no model can be fitted, for at least one of them because of the numerics.
+        Cancelled: If the comparison is stopped before a model was fitted.
     """
-    results = []
-    for name in models:
-        progress(name)
-        results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
+    results: list[ModelResult] = []
+    try:
+        for name in models:
+            progress(name)
+            results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
+    except STOP_SIGNALS:
+        if all(result.reason for result in results):
+            raise Cancelled("the comparison was cancelled before a model was fitted") from None
     if all(result.reason for result in results):
         error = InputError if all(result.input_insufficient for result in results) else NumericsError
         raise error("no model could be fitted: " + _merge_reasons(results))

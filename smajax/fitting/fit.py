@@ -3,20 +3,22 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 
 from smajax import parameters
-from smajax.errors import NumericsError
+from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting.abstract_problem import residual
 from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
-from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
 from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartResult, MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
+from smajax.fitting.optimistix_search import OptimistixSearch
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import Estimate, FitResult, Response
@@ -25,6 +27,8 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.status import SimulationStatus
+
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
 
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
@@ -46,6 +50,7 @@ def fit(
     interpolation: str = "hold",
     step: float | None = None,
     max_steps: int = 100,
+    solver: Solver | None = None,
     progress: Callable[[int, float], None] = lambda step, cost: None,
 ) -> FitResult:
     """Fit a plant's free parameters to recordings by bounded least squares from several starts.
@@ -58,24 +63,45 @@ def fit(
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; the plant's default if not given.
         max_steps: Most steps of the search.
-        progress: Called after each step with its number and the best cost so far.
+        solver: Any optimistix least-squares solver or minimiser, which searches within the bounds by a transformation
+            to unbounded unknowns (where a parameter ends at its bound, Gauss-Newton and Dogleg may not get there); by
+            default ``BoundedLevenbergMarquardt``, whose ``rtol`` counts if it is given, and whose bounds are those of
+            ``settings``.
+        progress: Called after each step with its number and the best cost so far; stops the search with the best point
+            so far if it raises ``StopIteration``, as Ctrl-C does.
 
     Returns:
         Estimates with 95 % intervals, the fitted plants, and the responses to all recordings.
 
     Raises:
-        InputError: A channel is missing, a parameter does not exist, or nothing is free.
+        InputError: A channel is missing, a parameter does not exist, nothing is free, or ``solver`` is no solver.
         NumericsError: The simulation fails at every start.
-        KeyboardInterrupt: The search was interrupted in its first step; later, the best point is returned.
+        Cancelled: The search was stopped in its first step; later, the best point is returned.
     """
     began = time.perf_counter()
+    check_solver(solver)
     problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
-    search = _search(problem, settings, len(recordings), max_steps, progress, began)
+    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began)
     _check_starts(search, problem, plant)
     if not np.any(np.isfinite(search.result.costs)):
-        raise KeyboardInterrupt  # before the first step had ended
+        raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
     best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, search.result)
     return _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
+
+
+def check_solver(solver: Any) -> None:
+    """Check that a solver is one of optimistix, or ``None``.
+
+    Args:
+        solver: The solver.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if solver is not None and not isinstance(solver, Solver):
+        raise InputError(
+            f"solver: give an optimistix least-squares solver, such as optimistix.Dogleg(1e-8, 1e-8), not {solver!r}"
+        )
 
 
 class _Search(NamedTuple):
@@ -99,15 +125,21 @@ def _search(
     settings: Settings,
     recordings: int,
     max_steps: int,
+    solver: Solver | None,
     progress: Callable[[int, float], None],
     began: float,
 ) -> _Search:
     """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s."""
     starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
     screening_time = time.perf_counter() - began if screening_simulations else 0.0
-    sequential = recordings >= SEQUENTIAL_FROM
-    solver = MultiStartSolver(residual, problem, starts, *problem.bounds, size=problem.size, sequential=sequential)
-    return _Search(starts, solver.advance(max_steps, progress).result(), screening_simulations, screening_time)
+    arguments = (residual, problem, starts, *problem.bounds)
+    if solver is None or isinstance(solver, BoundedLevenbergMarquardt):
+        tolerance = {} if solver is None else {"rtol": float(solver.rtol)}
+        sequential = recordings >= SEQUENTIAL_FROM
+        searches = MultiStartSolver(*arguments, size=problem.size, sequential=sequential, **tolerance)
+    else:
+        searches = OptimistixSearch(solver, *arguments, size=problem.size)
+    return _Search(starts, searches.advance(max_steps, progress).result(), screening_simulations, screening_time)
 
 
 def _check_starts(search: _Search, problem: Problem, plant: Plant) -> None:

@@ -9,7 +9,8 @@ Jacobian are evaluated together at the trial point, because with forward tangent
 residuals. A trial that does not lower the cost raises the damping, by more for each rejected trial in a row. A
 parameter whose two bounds are equal is fixed, so that profiles and nested models need no new compiled program.
 
-The solver follows optimistix's interface (``init``, ``step``, ``terminate``); ``smajax.fitting.multi_start`` drives it.
+The solver runs under ``optimistix.least_squares``; ``smajax.fitting.multi_start`` drives it step by step from several
+starts.
 
 Source: marquardt1963 (scaled damping), nielsen1999 (reduction of the damping by the gain ratio).
 """
@@ -22,6 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 # All damping constants were chosen by trial on fits of rigs; tests/unit/fitting/test_fit.py holds the ends of the
@@ -74,7 +76,7 @@ class LMState(NamedTuple):
     """State of one search.
 
     Attributes:
-        trial: Trial point (p,).
+        trial: Trial point (p,), flat.
         residual: Residual at the best point (m,).
         jacobian: Jacobian there (m, p).
         cost: Sum of squares there.
@@ -84,6 +86,7 @@ class LMState(NamedTuple):
         rejections: Number of rejected trials in a row.
         steps: Number of steps so far.
         status: Value of ``SolverStatus``.
+        aux: Auxiliary output of the function at the best point.
     """
 
     trial: jax.Array
@@ -96,23 +99,31 @@ class LMState(NamedTuple):
     rejections: jax.Array
     steps: jax.Array
     status: jax.Array
+    aux: Any
 
 
 class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
-    """Levenberg-Marquardt within bounds.
+    """Levenberg-Marquardt within bounds, as an optimistix least-squares solver.
 
-    The unknown ``y``, shape ``(p,)``, and the residual, shape ``(m,)``, are flat arrays. ``args`` of the optimistix
-    interface is ``(lower, upper, args)``; the residual function is called with the last.
+        solver = BoundedLevenbergMarquardt(rtol=1e-9, lower=0.0, upper=jnp.array([1.0, 2.0]))
+        solution = optimistix.least_squares(residual, solver, y0, args)
+
+    A start outside the bounds is moved to them. A derivative of the solution by optimistix's ``ImplicitAdjoint`` holds
+    only where no entry of the solution is at a bound.
 
     Attributes:
         rtol: Relative decrease of the cost; two smaller ones in a row end the search.
+        lower: Lower bounds: one number, or a pytree of the unknown's structure.
+        upper: Upper bounds likewise. Entries whose bounds are equal are fixed.
         atol: Not used; part of the optimistix interface.
         lazy_jacobian: Evaluate the Jacobian after the residual, and only at trials that are accepted. This is faster
             where the Jacobian costs several residuals, but not in a batch.
         norm: Not used; part of the optimistix interface.
     """
 
-    rtol: Any  # a scalar array: with a Python number each value would be compiled anew
+    rtol: Any = 1e-7  # under a compiled step a scalar array: with a Python number each value is compiled anew
+    lower: Any = -jnp.inf
+    upper: Any = jnp.inf
     atol: float = 0.0
     lazy_jacobian: bool = eqx.field(static=True, default=False)
     norm: Callable = eqx.field(static=True, default=optx.max_norm)
@@ -120,11 +131,13 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
         """Return a state in which nothing is evaluated yet; the first step evaluates and accepts the start point."""
         # Types are spelt out: a weakly typed start would compile the step twice.
-        size, real, whole = f_struct.shape[0], jnp.float64, jnp.int64
+        size, real, whole = sum(leaf.size for leaf in jax.tree.leaves(f_struct)), jnp.float64, jnp.int64
+        lower, upper = self._bounds(y)
+        start = jnp.clip(ravel_pytree(y)[0], lower, upper)
         return LMState(
-            trial=y,
+            trial=start,
             residual=jnp.zeros(size, real),
-            jacobian=jnp.zeros((size, y.shape[0]), real),
+            jacobian=jnp.zeros((size, start.shape[0]), real),
             cost=jnp.asarray(jnp.inf, real),
             damping=jnp.asarray(_INITIAL_DAMPING, real),
             predicted=jnp.zeros((), real),
@@ -132,6 +145,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             rejections=jnp.zeros((), whole),
             steps=jnp.zeros((), whole),
             status=jnp.asarray(SolverStatus.running.value, whole),
+            aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
         )
 
     def step(
@@ -140,18 +154,18 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         """Evaluate the trial point, accept or reject it, and propose the next one.
 
         Args:
-            fn: Residual function of ``y`` and the last entry of ``args``; returns the residual and ``None``.
-            y: Best point so far (p,).
-            args: Lower bounds (p,), upper bounds (p,), and the arguments of ``fn``.
+            fn: Function of ``y`` and ``args`` that returns the residual and an auxiliary output.
+            y: Best point so far.
+            args: The arguments of ``fn``.
             options: Not used.
             state: State of the search.
             tags: Not used.
 
         Returns:
-            The best point, the state, and the residual (m,) there.
+            The best point, the state, and the auxiliary output there.
         """
-        lower, upper, fn_args = args
-        residual, jacobian, cost = self._evaluate(lambda v: fn(v, fn_args)[0], state)
+        (lower, upper), (point, unravel) = self._bounds(y), ravel_pytree(y)
+        residual, jacobian, cost, aux = self._evaluate(lambda v: fn(unravel(v), args), state)
         finite = jnp.isfinite(cost) & jnp.all(jnp.isfinite(jacobian))
         accept = finite & (cost < state.cost)
         first = state.steps == 0
@@ -159,11 +173,12 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         damping = _next_damping(state, decrease, accept, first)
         small = accept & (decrease <= self.rtol * state.cost) & ~first
         small_decreases = jnp.where(small, state.small_decreases + 1, jnp.where(accept, 0, state.small_decreases))
-        y = jnp.where(accept, state.trial, y)
+        point = jnp.where(accept, state.trial, point)
         residual = jnp.where(accept, residual, state.residual)
         jacobian = jnp.where(accept, jacobian, state.jacobian)
         cost = jnp.where(accept, cost, state.cost)
-        trial, predicted = _propose(y, residual, jacobian, damping, lower, upper)
+        aux = jax.tree.map(lambda new, old: jnp.where(accept, new, old), aux, state.aux)
+        trial, predicted = _propose(point, residual, jacobian, damping, lower, upper)
         still = (predicted >= 0) & (predicted <= self.rtol * _PREDICTED_SHARE * cost)
         converged = (small_decreases >= _SMALL_DECREASES) | (still & ~first) | (first & (predicted == 0))
         status = jnp.select(
@@ -182,27 +197,39 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             rejections=jnp.where(accept, 0, state.rejections + 1),
             steps=state.steps + 1,
             status=status,
+            aux=aux,
         )
-        return y, state, residual
+        return unravel(point), state, aux
 
-    def _evaluate(self, fn: Callable, state: LMState) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Residual, Jacobian and cost at the trial point."""
+    def _bounds(self, y: Any) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+        """Lower and upper bounds of the flat unknown."""
 
-        def with_value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
-            r = fn(v)
-            return r, r
+        def flat(bound: Any) -> jax.Array:
+            if jax.tree.structure(bound) != jax.tree.structure(y):
+                bound = jax.tree.map(lambda _: bound, y)
+            return ravel_pytree(jax.tree.map(lambda leaf, b: jnp.broadcast_to(b, jnp.shape(leaf)), y, bound))[0]
+
+        return flat(self.lower), flat(self.upper)
+
+    def _evaluate(self, fn: Callable, state: LMState) -> tuple[jax.Array, jax.Array, jax.Array, Any]:
+        """Residual, Jacobian, cost and auxiliary output at the trial point."""
+
+        def with_value(v: jax.Array) -> tuple[jax.Array, tuple[jax.Array, Any]]:
+            output, aux = fn(v)
+            r = ravel_pytree(output)[0]
+            return r, (r, aux)
 
         if self.lazy_jacobian:
-            residual = with_value(state.trial)[0]
+            residual, (_, aux) = with_value(state.trial)
             cost = jnp.sum(residual**2)
             derivative = jax.jacfwd(with_value, has_aux=True)
             jacobian = jax.lax.cond(
                 cost < state.cost, lambda v: derivative(v)[0], lambda _: state.jacobian, state.trial
             )
         else:
-            jacobian, residual = jax.jacfwd(with_value, has_aux=True)(state.trial)
+            jacobian, (residual, aux) = jax.jacfwd(with_value, has_aux=True)(state.trial)
             cost = jnp.sum(residual**2)
-        return residual, jacobian, cost
+        return residual, jacobian, cost, aux
 
     def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
         """Return whether the search has ended, and optimistix's result code."""

@@ -4,6 +4,7 @@
 interruption keeps the best point so far, and the failure of one start does not affect the others.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from smajax.errors import STOP_SIGNALS
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
@@ -127,7 +129,7 @@ class MultiStartSolver:
     def advance(
         self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None
     ) -> "MultiStartSolver":
-        """Take at most ``steps`` more steps. Ctrl-C ends the search and keeps the best points.
+        """Take at most ``steps`` more steps. Ctrl-C, or ``StopIteration`` in ``progress``, keeps the best points.
 
         Args:
             steps: Number of steps.
@@ -146,7 +148,7 @@ class MultiStartSolver:
                 best = self.cost
                 self._history.append((self.simulations, self._wall_time, best))
                 progress(self.steps, best)
-        except KeyboardInterrupt:
+        except STOP_SIGNALS:
             self._interrupted = True
         return self
 
@@ -192,7 +194,7 @@ class MultiStartSolver:
 @eqx.filter_jit
 def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: int) -> LMState:
     struct = jax.ShapeDtypeStruct((size,), jnp.float64)
-    return jax.vmap(lambda y: solver.init(lambda y, args: y, y, None, {}, struct, None, frozenset()))(points)
+    return jax.vmap(lambda y: solver.init(lambda y, args: (y, None), y, None, {}, struct, None, frozenset()))(points)
 
 
 def _step_all(
@@ -207,7 +209,8 @@ def _step_all(
     """One step of every search that has not ended: the points and states after it."""
 
     def step(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
-        return solver.step(lambda v, a: (fn(v, a), None), y, (*bounds, args), {}, state, frozenset())[:2]
+        bounded = dataclasses.replace(solver, lower=bounds[0], upper=bounds[1])
+        return bounded.step(lambda v, a: (fn(v, a), None), y, args, {}, state, frozenset())[:2]
 
     def batched(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
         running = state.status == SolverStatus.running

@@ -1,6 +1,7 @@
 """Profile likelihood of one parameter."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,12 +9,13 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
-from smajax.errors import InputError
+from smajax.errors import Cancelled, InputError, suggestion
 from smajax.fitting.abstract_problem import residual
 from smajax.fitting.intervals import unit_noise_variances
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.result import FitResult
+from smajax.fitting.unknowns import Settings
 
 # 95 % quantile of the chi-squared distribution with one degree of freedom, 3.84.
 CHI2_95 = float(chi2.ppf(0.95, 1))
@@ -41,7 +43,7 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
 
     Raises:
         InputError: The parameter is not free, is at its bound, or has no effect.
-        KeyboardInterrupt: The searches were interrupted.
+        Cancelled: The searches were interrupted.
     """
     index, deviation = _index_and_deviation(result, name)
     estimate, scale = result.estimates[index], result.problem.unknowns[index].scale
@@ -60,7 +62,7 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
     solver = MultiStartSolver(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=_RTOL)
     search = solver.advance().result()
     if SolverStatus.interrupted in search.statuses:
-        raise KeyboardInterrupt
+        raise Cancelled(f"the profile of {name} was cancelled before its searches had ended")
     middle = points // 2
     rise = (search.costs - result.cost) * _variance_ratio(result, search.jacobians[middle], index)
     rise[[status not in _ENDED for status in search.statuses]] = np.nan
@@ -71,6 +73,32 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
         "lower95": crossing(values[: middle + 1][::-1], rise[: middle + 1][::-1]),
         "upper95": crossing(values[middle:], rise[middle:]),
     }
+
+
+def profile_labels(names: Sequence[str], settings: Settings, recordings: Sequence[str]) -> list[str]:
+    """Return the labels of the parameters to profile; a parameter per recording has one for each recording.
+
+    Args:
+        names: Names or labels of free parameters.
+        settings: The settings of the fit.
+        recordings: Names of the training recordings.
+
+    Raises:
+        InputError: A parameter is not free.
+    """
+    own = dict.fromkeys([*settings.per_recording, *(f"initial.{state}" for state in settings.initial)])
+    free = list(dict.fromkeys([*settings.free, *own]))
+    labels_of = {name: [f"{name}@{r}" for r in recordings] if name in own else [name] for name in free}
+    labels_of |= {label: [label] for labels in list(labels_of.values()) for label in labels}
+    for name in names:
+        if name not in labels_of:
+            hint = suggestion(name, free)
+            raise InputError(
+                f"profile {name}: this parameter is not free{hint}: the free ones are {', '.join(free)}",
+                code="profile-not-free",
+                parameter=name,
+            )
+    return [label for name in names for label in labels_of[name]]
 
 
 def _variance_ratio(result: FitResult, jacobian: np.ndarray, index: int) -> float:

@@ -3,18 +3,33 @@
 A model maps the inputs at the rows of a recording to the outputs there. It is a state machine: ``init`` gives the state
 at the first row, ``step`` advances it from one row to the next, and ``output`` computes the output from it. Inputs and
 outputs are in the units of the fit; the arrays of a model are its parameters.
+
+Models in discrete time need equally spaced rows. ``response`` refuses others; ``even_response`` does not look at the
+times and is for rows that were checked before, as in a fit.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
+
+from smajax.errors import InputError
+
+# Rows are equally spaced up to this share of the step: rounding of the times.
+_SPACING_ROUNDING = 1e-6
 
 
 class AbstractInputOutputModel(eqx.Module):
-    """Base class of the input-output models."""
+    """Base class of the input-output models.
+
+    Attributes:
+        needs_even_rows: Whether the model is in discrete time, so that its rows have to be equally spaced.
+    """
+
+    needs_even_rows: ClassVar[bool] = False
 
     def init(self, first: Float[Array, ""]) -> Any:
         """Return the state at the first row, whose input is taken to have been held before it.
@@ -103,6 +118,21 @@ class AbstractInputOutputModel(eqx.Module):
         Args:
             time: Times of the rows, s.
             values: Inputs at the rows.
+
+        Raises:
+            InputError: The model is in discrete time, and the rows are not equally spaced. Under ``jax.jit`` that is an
+                error at run time.
+        """
+        if self.needs_even_rows:
+            time = _refuse_uneven(time, type(self).__name__)
+        return self.even_response(time, values)
+
+    def even_response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """Compute the outputs at all rows, whose times are not checked.
+
+        Args:
+            time: Times of the rows, s.
+            values: Inputs at the rows.
         """
 
         def advance(state: Any, row: tuple) -> tuple[Any, jax.Array]:
@@ -113,3 +143,33 @@ class AbstractInputOutputModel(eqx.Module):
         first = self.init(values[0])
         _, outputs = jax.lax.scan(advance, first, (values[:-1], values[1:], jnp.diff(time)))
         return jnp.append(self.output(first, values[0]), outputs)
+
+
+def is_evenly_spaced(time: Any) -> bool:
+    """Return whether rows are equally spaced, up to rounding; false for traced times, whose values are unknown.
+
+    Args:
+        time: Times of the rows, s.
+    """
+    return (
+        not isinstance(time, jax.core.Tracer) and float(_largest_deviation(np.asarray(time), np)) <= _SPACING_ROUNDING
+    )
+
+
+def _largest_deviation(time: Any, library: Any) -> Any:
+    """Largest deviation of a step from the mean one, as a share of it; 0 for fewer than three rows."""
+    if len(time) < 3:
+        return library.zeros(())
+    mean = (time[-1] - time[0]) / (len(time) - 1)
+    return library.max(library.abs(library.diff(time) - mean)) / mean
+
+
+def _refuse_uneven(time: Float[Array, " rows"], name: str) -> Float[Array, " rows"]:
+    """The times, with an error where the rows are not equally spaced."""
+    sentence = f"{name} is a model in discrete time and needs equally spaced rows: resample them (Recording.resample)"
+    if isinstance(time, jax.core.Tracer):
+        return eqx.error_if(time, ~(_largest_deviation(time, jnp) <= _SPACING_ROUNDING), sentence)
+    if not is_evenly_spaced(time):
+        gaps = np.diff(np.asarray(time))
+        raise InputError(f"{sentence}; these are {gaps.min():.4g} to {gaps.max():.4g} s apart")
+    return time

@@ -9,6 +9,8 @@ is given in s and may be a fractional number of rows: w is interpolated linearly
 Source: copaci2020.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,6 +32,7 @@ class HammersteinWiener(AbstractInputOutputModel):
         settled: Share of the first input to which the linear block had settled before the recording.
     """
 
+    needs_even_rows: ClassVar[bool] = True
     knots: jax.Array
     inlet: jax.Array
     reflections: jax.Array
@@ -38,8 +41,8 @@ class HammersteinWiener(AbstractInputOutputModel):
     delay: jax.Array = eqx.field(default=0.0, converter=jnp.asarray)
     settled: jax.Array = eqx.field(default=1.0, converter=jnp.asarray)
 
-    def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
-        """Compute the outputs at all rows; ``time`` is equally spaced. Outside 0..1 h is extrapolated linearly."""
+    def even_response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """Compute the outputs at all rows, which are equally spaced. Outside 0..1 h is extrapolated linearly."""
         initial = self._inlet(self.settled * values[0])
         rows = self.delay * (len(time) - 1) / (time[-1] - time[0])
         delayed = self._delayed(self._inlet(values), initial, rows)

@@ -12,6 +12,8 @@ the training recordings (``smajax.fitting.io_models.networks``).
 Source: copaci2020, equation 10.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -37,6 +39,7 @@ class Narx(AbstractInputOutputModel):
         scale: Middle and size of the input, and middle and size of the output, shape ``(4,)``.
     """
 
+    needs_even_rows: ClassVar[bool] = True
     hidden: jax.Array
     shift: jax.Array
     outer: jax.Array

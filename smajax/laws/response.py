@@ -12,7 +12,11 @@ from smajax.laws.bouc_wen_curve import CURVE_GRID
 
 
 def compute_response(
-    model: AbstractInputOutputModel, time: Float[Array, " rows"], values: Float[Array, " rows"]
+    model: AbstractInputOutputModel,
+    time: Float[Array, " rows"],
+    values: Float[Array, " rows"],
+    *,
+    evenly_spaced: bool = False,
 ) -> Float[Array, " rows"]:
     """Compute the outputs of an input-output model at all rows.
 
@@ -23,11 +27,15 @@ def compute_response(
         model: The model.
         time: Times of the rows, s.
         values: Inputs at the rows.
+        evenly_spaced: Whether the rows are known to be equally spaced, as far as the model needs that.
+
+    Raises:
+        InputError: The model is in discrete time, and the rows are not equally spaced.
 
     Source: tsitouras2011.
     """
     if not isinstance(model, BoucWen):
-        return model.response(time, values)
+        return model.even_response(time, values) if evenly_spaced else model.response(time, values)
     rule = dfx.Tsit5.tableau
     start, size = jnp.asarray(CURVE_GRID[:-1, None]), jnp.asarray(np.diff(CURVE_GRID))
     stages = start + jnp.asarray(np.append(0.0, rule.c))[None, :] * size[:, None]

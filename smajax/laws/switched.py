@@ -11,6 +11,8 @@ which it was recorded.
 Source: copaci2020.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -33,6 +35,7 @@ class Switched(AbstractInputOutputModel):
         off: Input up to which the wire cools.
     """
 
+    needs_even_rows: ClassVar[bool] = True
     heating: Narx
     share: jax.Array
     fast: jax.Array

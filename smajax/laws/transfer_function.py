@@ -6,10 +6,11 @@
     underdamped + pole   K / ((tau^2 s^2 + 2 zeta tau s + 1)(tau_1 s + 1))
 
 each times exp(-delay s). Before its first row a recording was at rest, in the steady state of its first input, or
-between the two (``settled``). Rows are equally spaced, and the input is held between them, so the step from row to row
-is exact. The step from a row to an instant before the next row is exact, too: a delay of a fractional number of rows
-takes the response at such an instant. So the delay is a continuous parameter, even for a lag of a few rows. At whole
-rows the response of one pole has a kink in the delay; the derivative there is that towards longer delays.
+between the two (``settled``). The input is held between rows, so the step from row to row is exact; where rows are
+equally spaced, one matrix serves all steps. The step from a row to an instant before the next row is exact, too: a
+delay of a fractional number of rows takes the response at such an instant. So the delay is a continuous parameter, even
+for a lag of a few rows. At whole rows the response of one pole has a kink in the delay; the derivative there is that
+towards longer delays.
 
 Source: ali2026.
 """
@@ -22,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.base import AbstractInputOutputModel, is_evenly_spaced
 
 Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
 STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")
@@ -52,13 +53,36 @@ class TransferFunction(AbstractInputOutputModel):
     structure: Structure = eqx.field(static=True, kw_only=True)
 
     def response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
-        """Compute the outputs at all rows; ``time`` is equally spaced."""
+        """Compute the outputs at all rows, equally spaced or not.
+
+        Args:
+            time: Times of the rows, s.
+            values: Inputs at the rows.
+        """
+        if is_evenly_spaced(time):
+            return self.even_response(time, values)
+        before, initial = self._before(values[0])
+        transitions, input_gains = jax.vmap(self.zero_order_hold)(jnp.diff(time))
+
+        def advance(state: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+            transition, input_gain, value = row
+            after = transition @ state + input_gain * value
+            return after, after
+
+        _, later = jax.lax.scan(advance, initial, (transitions, input_gains, values[:-1]))
+        states = jnp.concatenate([initial[None], later])
+        delayed = time - self.delay
+        last = jnp.searchsorted(time, delayed) - 1  # the last row before the delayed instant
+        row = jnp.maximum(last, 0)
+        transitions, input_gains = jax.vmap(self.zero_order_hold)(delayed - time[row])
+        undelayed = jnp.sum(states[row] * transitions[:, 0], axis=1) + values[row] * input_gains[:, 0]
+        return self.rest + self.gain * jnp.where(last >= 0, undelayed, before)
+
+    def even_response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
+        """Compute the outputs at rows that are equally spaced."""
         step = (time[-1] - time[0]) / (len(time) - 1)
         transition, input_gain = self.zero_order_hold(step)
-        before = self.settled * values[0]
-        # The rate of an underdamped pair, which is 0 at rest.
-        is_rate = np.arange(self.order) == (1 if "underdamped" in self.structure else -1)
-        initial = jnp.where(is_rate, 0.0, before)
+        before, initial = self._before(values[0])
 
         def advance(state: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
             return transition @ state + input_gain * value, state
@@ -69,6 +93,13 @@ class TransferFunction(AbstractInputOutputModel):
         transition, input_gain = self.zero_order_hold((whole + 1) * step - self.delay)
         undelayed = states @ transition[0] + values * input_gain[0]
         return self.rest + self.gain * jnp.where(last >= 0, undelayed[jnp.maximum(last, 0)], before)
+
+    def _before(self, first: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, " states"]]:
+        """Output, without gain and rest, and states before the first row, whose input is ``first``."""
+        before = self.settled * first
+        # The rate of an underdamped pair, which is 0 at rest.
+        is_rate = np.arange(self.order) == (1 if "underdamped" in self.structure else -1)
+        return before, jnp.where(is_rate, 0.0, before)
 
     @property
     def order(self) -> int:

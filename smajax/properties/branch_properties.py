@@ -120,10 +120,14 @@ def _check_uncertainty(
     if float(np.std(residual)) > MISFIT_RATIO * noise_of_averages(strain, 1):
         raise InputError(
             f"{finding} the strain bends where three straight lines do not, as in a transformation in two steps (an "
-            "R-phase); give only the part of the branch with one of the steps"
+            "R-phase); give only the part of the branch with one of the steps",
+            code="two-steps",
+            branch=branch,
         )
     raise InputError(
-        f"{finding} the transformation is hidden in the noise; apply more load, or measure with less noise"
+        f"{finding} the transformation is hidden in the noise; apply more load, or measure with less noise",
+        code="hidden-in-noise",
+        branch=branch,
     )
 
 

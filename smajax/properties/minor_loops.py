@@ -66,7 +66,8 @@ def minor_loops(temperature: Float[np.ndarray, " n"], branch: np.ndarray) -> lis
         if rows == 1 and long_enough and reversal[b] > _JUMP_SHARE * depth:
             raise InputError(
                 f"rows {branch[a] + 1} to {branch[b] + 1} go back by {depth:.3g} K, and the next row jumps forward "
-                "again: rows are missing, or not in the order in which they were recorded; sort them by time"
+                "again: rows are missing, or not in the order in which they were recorded; sort them by time",
+                code="rows-missing",
             )
     margin = rows // 2  # averages turn by this number of rows earlier and later
     return [(int(branch[max(a - margin, 0)]), int(branch[min(b + margin, len(rising) - 1)])) for a, b in loops]

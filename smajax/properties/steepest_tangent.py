@@ -80,7 +80,9 @@ def require_rows_on_transformation(
     if count < _MIN_ROWS:
         raise InputError(
             f"on {branch} {count} rows lie on the transformation's middle part, fewer than the {_MIN_ROWS} that its "
-            "steepest tangent needs: record more rows per kelvin, or use three lines (--tangent lines)"
+            "steepest tangent needs: record more rows per kelvin, or use three lines (--tangent lines)",
+            code="few-rows-for-tangent",
+            branch=branch,
         )
 
 

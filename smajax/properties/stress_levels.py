@@ -8,6 +8,7 @@ import numpy as np
 from smajax.errors import InputError
 from smajax.properties.branch_properties import Tangent
 from smajax.properties.cycle_rows import temperature_noise, unpaired_branches
+from smajax.properties.refused_cycles import RefusedCycle
 from smajax.properties.thermal_cycles import Cycle, analyse_cycles
 from smajax.recordings.recording import Recording
 
@@ -36,7 +37,7 @@ class StressGroup:
         recording: The recording.
         smooth: Rows of the running median of the temperatures.
         cycles: The cycles under this stress; none where no cycle of the recording can be analysed.
-        refused: A sentence for each cycle that cannot be analysed; all of them in the recording's first group.
+        refused: The reason for each cycle that cannot be analysed; all of them in the recording's first group.
         stress: The stress (Pa); ``None`` where it was not recorded.
         unpaired: Branches that are in no cycle, as ``cycle_rows.unpaired_branches`` returns them; all of them in the
             recording's first group.
@@ -45,7 +46,7 @@ class StressGroup:
     recording: Recording
     smooth: int
     cycles: list[Cycle]
-    refused: list[str]
+    refused: list[RefusedCycle]
     stress: float | None
     unpaired: Sequence[tuple[int, int, bool]] = ()
 
@@ -69,7 +70,7 @@ def analyse_recording(
 
     Returns:
         The groups in the order of the cycles, at least one. What cannot be analysed does not raise: a group has a
-        sentence that says why.
+        reason.
     """
     name, temperature = recording.name, recording.channels["temperature"]
     if smooth is None:
@@ -80,7 +81,7 @@ def analyse_recording(
         )
         unpaired = unpaired_branches(name, temperature, smooth=smooth)
     except InputError as error:
-        return [StressGroup(recording, smooth, [], [str(error)], None)]
+        return [StressGroup(recording, smooth, [], [RefusedCycle(name, error)], None)]
     if "stress" not in recording.channels:
         return [StressGroup(recording, smooth, cycles, refused, None, unpaired)]
     levels, changing = _group_by_stress(recording, cycles)
@@ -94,19 +95,20 @@ def analyse_recording(
 
 def _group_by_stress(
     recording: Recording, cycles: Sequence[Cycle]
-) -> tuple[list[tuple[float, list[Cycle]]], list[str]]:
-    """Stresses with their cycles, in order, and a sentence for each cycle in which the stress changes."""
+) -> tuple[list[tuple[float, list[Cycle]]], list[RefusedCycle]]:
+    """Stresses with their cycles, in order, and a reason for each cycle in which the stress changes."""
     levels: list[tuple[float, list[Cycle]]] = []
     changing = []
     for cycle in cycles:
         stress = recording.channels["stress"][cycle.rows[0] : cycle.rows[1] + 1]
         median = float(np.median(stress))
         if np.mean(_near(stress, median, _CONSTANT_SHARE, _CONSTANT_OFFSET)) < _CONSTANT_ROWS:
-            changing.append(
-                f"{recording.name}, cycle {cycle.number} (rows {cycle.rows[0] + 1} to {cycle.rows[1] + 1}): its stress "
-                f"varies from {np.min(stress) / 1e6:.4g} to {np.max(stress) / 1e6:.4g} MPa: keep the stress constant "
-                "throughout a cycle"
+            error = InputError(
+                f"its stress varies from {np.min(stress) / 1e6:.4g} to {np.max(stress) / 1e6:.4g} MPa: keep the stress "
+                "constant throughout a cycle",
+                code="stress-varies",
             )
+            changing.append(RefusedCycle(recording.name, error, cycle.number, cycle.rows))
             continue
         same = next((level for level in levels if _near(level[0], median, _SAME_SHARE, _SAME_OFFSET)), None)
         if same is None:

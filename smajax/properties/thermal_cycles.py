@@ -24,6 +24,7 @@ from smajax.properties.bootstrap import SAMPLES
 from smajax.properties.branch_properties import Tangent, branch_properties
 from smajax.properties.cycle_rows import find_cycles
 from smajax.properties.minor_loops import minor_loops
+from smajax.properties.refused_cycles import RefusedCycle
 from smajax.properties.row_order import check_outliers, check_row_order
 
 TEMPERATURE_NAMES = ("martensite_start", "martensite_finish", "austenite_start", "austenite_finish")
@@ -83,7 +84,7 @@ def analyse_cycles(
     seed: int = 0,
     tangent: Tangent = "lines",
     progress: Callable[[str], None] = lambda text: None,
-) -> tuple[list[Cycle], list[str]]:
+) -> tuple[list[Cycle], list[RefusedCycle]]:
     """Estimate the properties of every cycle of a recording.
 
     Args:
@@ -97,7 +98,7 @@ def analyse_cycles(
         progress: Called with the name of each cycle before it is analysed.
 
     Returns:
-        The cycles, and a sentence for each one that cannot be analysed.
+        The cycles, and the reason for each one that cannot be analysed.
 
     Raises:
         InputError: The rows are not in the order in which they were recorded, a value is an outlier, there is no
@@ -119,7 +120,7 @@ def analyse_cycles(
                 temperature, strain, branches, smooth, tangent, np.random.default_rng([seed, number])
             )
         except InputError as error:
-            refused.append(f"{name}, cycle {number} (rows {rows[0] + 1} to {rows[1] + 1}): {error}")
+            refused.append(RefusedCycle(name, error, number, rows))
             continue
         analysed.append(Cycle(number, rows, values, tuple(sorted(loops))))
     return analysed, refused
@@ -171,7 +172,8 @@ def _cycle_values(
     if width < -max(float(half[index]), _MAX_NEGATIVE_WIDTH * float(np.ptp(temperature))):
         raise InputError(
             f"it transforms on cooling {-width:.3g} K above heating, which no shape-memory alloy does: the rows run "
-            "backwards, or the measured temperature lags far behind the wire's: give them in the order of time"
+            "backwards, or the measured temperature lags far behind the wire's: give them in the order of time",
+            code="cooling-above-heating",
         )
     return {n: Value(float(v), float(v - h), float(v + h)) for n, v, h in zip(PROPERTY_NAMES, best, half, strict=True)}
 

@@ -53,11 +53,13 @@ def check_transformation(
     within = int(np.sum((temperature >= low) & (temperature <= high)))
     visible = abs(change) > _MIN_SIGNAL_TO_NOISE * scatter + _MIN_STRAIN_CHANGE
     if steep_plateau and (not visible or within < _MIN_TRANSFORMATION_ROWS):
-        raise InputError(_end_not_reached(branch))
+        raise _end_not_reached(branch)
     if not visible:
         raise InputError(
             f"on {branch} the strain changes by {abs(change):.2g} from plateau to plateau and scatters by "
-            f"{scatter:.2g}: no transformation is seen; apply more load, or heat and cool further"
+            f"{scatter:.2g}: no transformation is seen; apply more load, or heat and cool further",
+            code="no-transformation",
+            branch=branch,
         )
     _check_rows(temperature, (low, high), within, branch)
     # The plateaus' thermal expansion is part of all three slopes; it opposes the transformation strain in tension and
@@ -65,7 +67,7 @@ def check_transformation(
     expansion = min(max(min(slopes[0], slopes[2]), 0.0), _MAX_EXPANSION)
     cold, transformation, hot = np.abs(slopes - expansion)
     if transformation < _MIN_SLOPE_RATIO * max(cold, hot):
-        raise InputError(_end_not_reached(branch))
+        raise _end_not_reached(branch)
 
 
 def _check_rows(temperature: np.ndarray, ends: tuple[float, float], within: int, branch: str) -> None:
@@ -73,19 +75,26 @@ def _check_rows(temperature: np.ndarray, ends: tuple[float, float], within: int,
     if within < _MIN_TRANSFORMATION_ROWS:
         raise InputError(
             f"on {branch} {within} row{' lies' if within == 1 else 's lie'} on the transformation, fewer than "
-            f"{_MIN_TRANSFORMATION_ROWS}: record more rows per kelvin, or heat and cool further"
+            f"{_MIN_TRANSFORMATION_ROWS}: record more rows per kelvin, or heat and cool further",
+            code="few-rows-on-transformation",
+            branch=branch,
         )
     low, high = ends
     for plateau, side, verb in ((temperature < low, "colder", "cool"), (temperature > high, "hotter", "heat")):
         if np.sum(plateau) < MIN_PLATEAU_ROWS:
             raise InputError(
                 f"on {branch} {np.sum(plateau)} rows are {side} than the transformation, fewer than "
-                f"{MIN_PLATEAU_ROWS}: {verb} further, or record more rows per kelvin"
+                f"{MIN_PLATEAU_ROWS}: {verb} further, or record more rows per kelvin",
+                code="few-rows-on-plateau",
+                branch=branch,
+                side=side,
             )
 
 
-def _end_not_reached(branch: str) -> str:
-    return (
+def _end_not_reached(branch: str) -> InputError:
+    return InputError(
         f"on {branch} a plateau line is nearly as steep as the transformation: its end was not reached; heat and cool "
-        "further"
+        "further",
+        code="end-not-reached",
+        branch=branch,
     )

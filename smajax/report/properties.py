@@ -1,11 +1,11 @@
 """Document and summary of ``smajax properties``: mean properties of thermal cycles with 95 % intervals."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from smajax import __version__
-from smajax.properties.branch_properties import Tangent
+from smajax.properties.recording_analysis import CycleAnalysis
+from smajax.properties.refused_cycles import merge_refusals
 from smajax.properties.stress_levels import StressGroup
 from smajax.properties.thermal_cycles import Value, mean_properties
 from smajax.report.documents.properties import PropertiesDocument
@@ -30,28 +30,25 @@ _DEFINITIONS: dict[str, str] = {
     "steepest": "Start and finish are the intersections of the tangent at the steepest point of the transformation "
     "with the plateau lines.",
 }
-_SENTENCE_OF_A_CYCLE = re.compile(r"(?P<name>.*), cycle (?P<number>\d+) \((?P<rows>rows \d+ to \d+)\): (?P<reason>.*)")
 _BRANCH_NAMES = {True: "cooling", False: "heating"}
 _MISSING_PARTNERS = {"cooling": "heating after", "heating": "cooling before"}
-# Number of ranges of cycle numbers that are listed: as many as fit on a line with the sentence.
-_MAX_LISTED = 6
 
 
-def properties_document(groups: Sequence[StressGroup], tangent: Tangent, guessed: str | None = None) -> dict[str, Any]:
+def properties_document(analysis: CycleAnalysis, guessed: str | None = None) -> dict[str, Any]:
     """Build the document that ``smajax properties --json`` prints; its model is ``documents.properties``.
 
     Args:
-        groups: The cycles of all recordings, by recording and stress.
-        tangent: The line along the transformation: ``lines`` or ``steepest``.
+        analysis: The cycles of all recordings, by recording and stress.
         guessed: Sentence on the values of the written parameter set that do not come from the cycles; ``None`` if none
             was written.
     """
     document = {
         "schema": PropertiesDocument.SCHEMA,
-        "tangent": tangent,
-        "definition": _DEFINITIONS[tangent],
-        "recordings": [_group_entry(group) for group in groups],
-        "refused": [sentence for group in groups for sentence in group.refused],
+        "tangent": analysis.tangent,
+        "definition": _DEFINITIONS[analysis.tangent],
+        "recordings": [_group_entry(group) for group in analysis.groups],
+        "refused": [str(refusal) for refusal in analysis.refused],
+        "refused_merged": merge_refusals(analysis.refused),
         "smajax": __version__,
     }
     return PropertiesDocument.check(document if guessed is None else document | {"guessed": guessed})
@@ -68,37 +65,10 @@ def text(document: Mapping[str, Any], folder: str = "") -> str:
     for entry in document["recordings"]:
         if entry["mean"] is not None:
             lines += [*_group_text(entry), ""]
-    sentences = merge_sentences(document["refused"])
+    sentences = document.get("refused_merged", document["refused"])  # absent in documents of earlier versions
     lines += [document["definition"], *(f"Not read: {sentence}." for sentence in sentences)]
     lines += [f"Results: {folder}"] if folder else []
     return "\n".join(lines).rstrip()
-
-
-def merge_sentences(refused: Sequence[str]) -> list[str]:
-    """Merge sentences about cycles of one recording that differ only in their numbers."""
-    matches: dict[tuple[str, str], list[re.Match[str]]] = {}
-    merged: dict[tuple[str, str], str] = {}
-    for sentence in refused:
-        match = _SENTENCE_OF_A_CYCLE.fullmatch(sentence)
-        key = (match["name"], re.sub(r"\d[\d.e+-]*", "", match["reason"])) if match else ("", sentence)
-        matches[key] = [*matches.get(key, []), *([match] if match else [])]
-        merged[key] = sentence
-        if len(matches[key]) > 1:
-            first, numbers = matches[key][0], _list_numbers([int(m["number"]) for m in matches[key]])
-            merged[key] = (
-                f"{first['name']}, {len(matches[key])} cycles ({numbers}), the first of them ({first['rows']}): "
-                f"{first['reason']}"
-            )
-    return list(merged.values())
-
-
-def _list_numbers(numbers: Sequence[int]) -> str:
-    """List ascending numbers, successive ones as "3 to 7"."""
-    ends = [k for k in range(len(numbers)) if k + 1 == len(numbers) or numbers[k + 1] > numbers[k] + 1]
-    begins = [0, *(k + 1 for k in ends[:-1])]
-    parts = [f"{numbers[a]}" if a == b else f"{numbers[a]} to {numbers[b]}" for a, b in zip(begins, ends, strict=True)]
-    omitted = len(numbers) - begins[_MAX_LISTED] if len(parts) > _MAX_LISTED else 0
-    return ", ".join(parts[:_MAX_LISTED]) + (f" and {omitted} more" if omitted else "")
 
 
 def _group_entry(group: StressGroup) -> dict[str, Any]:

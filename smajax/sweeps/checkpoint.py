@@ -3,19 +3,15 @@
 import contextlib
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from smajax.errors import InputError
 from smajax.files.toml import write_text
-
-try:
-    import fcntl
-except ImportError:  # without such locks two runs into one folder are not detected
-    fcntl = None
 
 _SCHEMA = "smajax.sweep-partial/1"
 # File that identifies the sweep of a folder, and file that a run locks.
@@ -62,15 +58,8 @@ def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> 
         raise InputError(
             f"{folder}: chunks of a sweep belong there, but smajax did not create it: remove it, or name another --out"
         )
+    lock = _lock(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: the folder cannot be created ({error.strerror or error}): name another --out"
-        ) from None
-    try:
-        _lock(lock, folder)
         _check(folder, header, resume=resume)
         try:
             write_text(folder / _IDENTITY, json.dumps(_identity(header)) + "\n")
@@ -80,20 +69,26 @@ def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> 
                 shutil.rmtree(folder, ignore_errors=True)
             raise
     finally:
-        os.close(lock)
+        lock.release()
 
 
-def _lock(lock: int, folder: Path) -> None:
-    if fcntl is None:
-        return
+def _lock(folder: Path) -> FileLock:
+    """Create the folder and lock it for this run."""
+    lock = FileLock(folder / _LOCK, timeout=0)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.acquire()
+    except Timeout:
         raise InputError(
             f"{folder}: another run is using it: wait until that run has ended, or name another --out"
         ) from None
-    except OSError:  # a file system without locks
+    except NotImplementedError:  # a file system without locks
         pass
+    except OSError as error:
+        raise InputError(
+            f"{folder}: the folder cannot be created ({error.strerror or error}): name another --out"
+        ) from None
+    return lock
 
 
 def _check(folder: Path, header: Mapping[str, Any], *, resume: bool) -> None:

@@ -8,6 +8,7 @@ import typer
 
 from smajax.app.command_line.options import Json
 from smajax.app.command_line.run import start_run
+from smajax.errors import InputError
 
 # Delimiters that a shell cannot pass easily, by name.
 _DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
@@ -76,14 +77,29 @@ def properties(
     names = [name.strip() for name in columns.split(",")] if columns else None
     separator = _DELIMITERS.get(delimiter, delimiter)
     with start_run(quiet) as progress:
-        from smajax.app.commands.properties import PropertiesJob, run_properties
+        from smajax.api.properties import START_VALUES, thermal_cycle_properties
+        from smajax.app.commands.properties_hints import hints_of_this_command
         from smajax.files.documents import to_json
-        from smajax.report.properties import text
+        from smajax.files.toml import write_text
 
-        job = PropertiesJob(recordings, smooth, write_set, model.value, names, separator, decimal, tangent.value)
-        document = run_properties(job, progress.step)
-    typer.echo(to_json(document).rstrip() if as_json else text(document))
+        try:
+            study = thermal_cycle_properties(
+                recordings,
+                smooth=smooth,
+                tangent=tangent.value,
+                model=None if write_set is None else model.value,
+                columns=names,
+                delimiter=separator,
+                decimal=decimal,
+                progress=progress,
+            )
+        except InputError as error:
+            ending = next((path.suffix.lower() for path in recordings if str(error).startswith(f"{path}")), "")
+            raise InputError(hints_of_this_command(str(error), ending)) from None
+        if write_set is not None:
+            write_text(write_set, study.file_text(START_VALUES))
+    typer.echo(to_json(study.document).rstrip() if as_json else study.summary())
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
     if write_set is not None:
-        typer.echo(f"smajax: {write_set.name}: {document['guessed']}", err=True)
+        typer.echo(f"smajax: {write_set.name}: {study.document['guessed']}", err=True)

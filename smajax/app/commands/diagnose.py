@@ -30,7 +30,7 @@ def diagnose_into(out: Path, *recordings: Any, **options: Any) -> DiagnosisStudy
     except NumericsError as error:
         if not error.rig:
             raise
-        run = run_record("diagnose", Path(recordings[0]), Clock(), options.get("seed"), error.exit_code)
+        run = run_record("diagnose", Path(recordings[0]).name, Clock(), options.get("seed"), error.exit_code)
         write_result(out, run | {"argv": argv()}, partial(_write_last, error.rig))
         last = check_output_folder(out) / "rig-last.toml"
         raise NumericsError(f"{error}; the last parameter values are saved in {last}", error.state) from None

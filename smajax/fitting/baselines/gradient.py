@@ -15,7 +15,7 @@ def run_gradient_search(
 ) -> BaselineResult:
     """Run Levenberg-Marquardt from the nominal point and ``starts - 1`` screened ones.
 
-    Ctrl-C keeps the best so far.
+    Ctrl-C, or ``StopIteration`` in ``progress``, keeps the best so far.
 
     Args:
         problem: The problem.

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.errors import InputError
+from smajax.errors import STOP_SIGNALS, InputError
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 
 # Cost of a point that cannot be simulated: far above any cost of a successful simulation, and its square is still a
@@ -60,7 +60,7 @@ class BaselineResult:
 
 
 class _SearchEnded(Exception):
-    """End of a search whose target is reached or whose budget is used up; its argument is the reason."""
+    """End of a search whose target is reached, whose budget is used up, or that is stopped; with the reason."""
 
 
 class CostMeter:
@@ -76,7 +76,8 @@ class CostMeter:
             size: Most points that are simulated as one batch.
             budget: Most simulations; no limit if not given.
             target: Cost at which the search ends; none if not given.
-            progress: Called after each batch with the number of batches and the best cost so far.
+            progress: Called after each batch with the number of batches and the best cost so far; ends the search if it
+                raises ``StopIteration``.
 
         Raises:
             InputError: The budget does not allow one evaluation of all recordings.
@@ -127,7 +128,10 @@ class CostMeter:
         if values[best] < min(self._cost, UNUSABLE_COST):
             self._vector, self._cost = np.array(vectors[best]), float(values[best])
             self._note()
-        self._progress(self._calls, self._cost)
+        try:
+            self._progress(self._calls, self._cost)
+        except STOP_SIGNALS:  # a StopIteration would end iterators of the search that calls this
+            raise _SearchEnded("interrupted") from None
         if self._cost <= self._target:
             raise _SearchEnded("target")
         if allowed < len(vectors):

@@ -7,7 +7,7 @@ search for networks is in ``smajax.fitting.io_models.networks``.
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from smajax.errors import NumericsError
+from smajax.errors import STOP_SIGNALS, Cancelled, NumericsError
 from smajax.fitting.abstract_problem import costs, residual
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.io_models.networks import fit_network
@@ -28,6 +28,7 @@ from smajax.fitting.io_models.problem import (
     check_rows,
     check_sampling,
 )
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.laws import response
 from smajax.laws.base import AbstractInputOutputModel
@@ -70,6 +71,7 @@ class IOModelFit:
         half_widths: Half-widths of the parameters' 95 % intervals, a pytree: infinite where the recording does not
             determine the parameter, NaN for fixed parameters and for those at a bound. ``None`` for networks, whose
             weights have no intervals.
+        interrupted: Whether the fit was stopped before its end.
     """
 
     spec: ModelSpec
@@ -83,6 +85,7 @@ class IOModelFit:
     ridge: float = 0.0
     divergence_rate: float = 0.0
     half_widths: Any = None
+    interrupted: bool = False
 
     def _leaves(self) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Name, value, lower and upper bound, and half-width of each leaf of the parameters."""
@@ -148,7 +151,7 @@ class IOModelFit:
             InputError: The model needs rows of the step that it was fitted to, and these have another step.
         """
         check_sampling(self.spec, series, self.step)
-        return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input)))
+        return np.asarray(_respond(self.model, jnp.asarray(series.time), jnp.asarray(series.input), evenly_spaced=True))
 
 
 _respond = eqx.filter_jit(response.compute_response)
@@ -172,7 +175,13 @@ class _SearchEnd(NamedTuple):
 
 
 def fit_io_model(
-    spec: ModelSpec, series: Sequence[Series], *, starts: int = 8, seed: int = 0, max_steps: int = 150
+    spec: ModelSpec,
+    series: Sequence[Series],
+    *,
+    starts: int = 8,
+    seed: int = 0,
+    max_steps: int = 150,
+    progress: Callable[[int, float], None] = lambda step, cost: None,
 ) -> IOModelFit:
     """Fit an input-output model to series by least squares from several starts.
 
@@ -182,6 +191,8 @@ def fit_io_model(
         starts: Number of starts.
         seed: Seed of the random starts.
         max_steps: Most steps of each search.
+        progress: Called after each step of a search with its number and its cost; ends the fit with the best point so
+            far if it raises ``StopIteration``, as Ctrl-C does. Networks call it after each search.
 
     Returns:
         The fitted model, its parameters and their 95 % intervals.
@@ -190,36 +201,65 @@ def fit_io_model(
         InputError: There are not more measured rows than parameters, or the rows are not evenly sampled where the model
             needs that.
         NumericsError: The residual is not finite at any start.
+        Cancelled: The fit was stopped in its first step.
     """
     began = time.perf_counter()
+    try:
+        result = _fit(spec, series, starts, seed, max_steps, _StopRequest(progress))
+    except STOP_SIGNALS:
+        raise Cancelled(f"the fit of {spec.name} was cancelled before its first step had ended") from None
+    return dataclasses.replace(result, wall_time=time.perf_counter() - began)
+
+
+class _StopRequest:
+    """A progress callback that goes on stopping all searches of a fit once one was stopped.
+
+    Attributes:
+        is_set: Whether the fit is to be stopped.
+    """
+
+    def __init__(self, progress: Callable[[int, float], None]):
+        self._progress, self.is_set = progress, False
+
+    def __call__(self, step: int, cost: float) -> None:
+        """Report a step; raises ``StopIteration`` if the fit is to be stopped."""
+        try:
+            self._progress(step, cost)
+        except STOP_SIGNALS:
+            self.is_set = True
+        if self.is_set:
+            raise StopIteration
+
+
+def _fit(
+    spec: ModelSpec, series: Sequence[Series], starts: int, seed: int, max_steps: int, stop: _StopRequest
+) -> IOModelFit:
+    """The fit of a model and of those nested in it, without its wall time."""
     problem = build_io_problem(spec, series)
     samples = int(np.sum(np.asarray(problem.data.weight) > 0))
     check_rows(" and ".join(s.name for s in series), samples, spec.size, spec.name)
     nested = []
     if spec.weight_mask is None:
-        nested = [
-            (fit_io_model(simpler, series, starts=starts, seed=seed, max_steps=max_steps), embed)
-            for simpler, embed in spec.nested
-        ]
+        nested = [(_fit(simpler, series, starts, seed, max_steps, stop), embed) for simpler, embed in spec.nested]
         nested_points = [problem.scaled_vector(embed(simpler.parameters)) for simpler, embed in nested]
-        end = _least_squares(problem, spec, nested_points, starts, seed, max_steps)
+        end = _least_squares(problem, spec, nested_points, starts, seed, max_steps, stop)
         end = end._replace(simulations=end.simulations + sum(simpler.simulations for simpler, _ in nested))
     else:
         mask = ravel_pytree(spec.weight_mask)[0]
-        network = fit_network(problem, mask, starts, seed, max_steps)
+        network = fit_network(problem, mask, starts, seed, max_steps, stop)
         end = _SearchEnd(network.vector, network.simulations, network.ridge, network.divergence_rate)
     if end.vector is None:
         raise NumericsError(
             f"{spec.name}: its residual is not finite at any point between its bounds: check the recordings' units"
         )
-    result = _fit_at(problem, spec, series, samples, end)
+    result = dataclasses.replace(_fit_at(problem, spec, series, samples, end), interrupted=stop.is_set)
     if spec.prefers_simpler:
         simpler = nested[-1][0]
         # Difference of Schwarz's criterion (BIC): 2 ln of the likelihoods' ratio against ln n per parameter.
         gain = 2.0 * samples * math.log(simpler.rmse / result.rmse)
         if gain < (spec.size - simpler.spec.size) * math.log(samples):
-            result = dataclasses.replace(simpler, simulations=end.simulations)
-    return dataclasses.replace(result, wall_time=time.perf_counter() - began)
+            return dataclasses.replace(simpler, simulations=end.simulations)
+    return result
 
 
 def _fit_at(
@@ -271,26 +311,39 @@ def _least_squares(
     starts: int,
     seed: int,
     max_steps: int,
+    stop: _StopRequest,
 ) -> _SearchEnd:
-    """Levenberg-Marquardt from the first guess, the fits of nested models, and the best of many random points."""
+    """Levenberg-Marquardt from the first guess, the fits of nested models, and the best of many random points.
+
+    A stopped search ends with the best point so far; one that is stopped before it began, with the fit of the nested
+    model.
+    """
     lower, upper = problem.bounds
     guesses = (np.clip(problem.scaled_vector(guess), lower, upper)[None] for guess in spec.extra_starts)
     screened = np.vstack([_random_points(problem, _POINTS_PER_START * starts, seed), *guesses])
     screened_costs = np.asarray(costs(problem, jnp.asarray(screened)))
     order = np.argsort(np.where(np.isfinite(screened_costs), screened_costs, np.inf))
-    nested = (np.clip(point, lower, upper)[None] for point in nested_points)
+    nested = [np.clip(point, lower, upper)[None] for point in nested_points]
     points = np.vstack([problem.nominal, *nested, screened[order[: starts - 1]]])
+    if stop.is_set and nested:
+        points = nested[-1]
     rng, simulations, best, least = np.random.default_rng(seed), len(screened), _SearchEnd(None, 0), math.inf
     for _ in range(_MAX_ROUNDS):
         before = least
         for point in points:
             solver = MultiStartSolver(residual, problem, point[None], lower, upper, size=problem.size)
-            result = solver.advance(max_steps).result()
+            result = solver.advance(max_steps, stop).result()
             simulations += result.simulations
             if result.costs[0] < least:
                 least = float(result.costs[0])
                 best = _SearchEnd(result.points[0], 0, residual=result.residuals[0], jacobian=result.jacobians[0])
-        if best.vector is None or not spec.nonsmooth or not least < (1.0 - _MIN_DECREASE) * before:
+            if SolverStatus.interrupted in result.statuses:
+                stop.is_set = True
+            if stop.is_set:
+                break
+        if stop.is_set and best.vector is None:
+            raise StopIteration
+        if stop.is_set or best.vector is None or not spec.nonsmooth or not least < (1.0 - _MIN_DECREASE) * before:
             break
         points = best.vector + _ROUND_SPREAD * rng.standard_normal((_POINTS_PER_ROUND, len(best.vector)))
     return best._replace(simulations=simulations * problem.data.measured.shape[0])

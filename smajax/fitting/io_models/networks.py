@@ -16,6 +16,7 @@ training inputs in other orders, and the ends that diverge on the fewest of them
 import dataclasses
 import math
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -26,8 +27,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from smajax.errors import STOP_SIGNALS
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.numerics.nonsmooth import clip
 
@@ -122,7 +125,14 @@ class NetworkFit(NamedTuple):
     divergence_rate: float
 
 
-def fit_network(problem: IOModelProblem, weight_mask: jax.Array, starts: int, seed: int, max_steps: int) -> NetworkFit:
+def fit_network(
+    problem: IOModelProblem,
+    weight_mask: jax.Array,
+    starts: int,
+    seed: int,
+    max_steps: int,
+    progress: Callable[[int, float], None] = lambda step, cost: None,
+) -> NetworkFit:
     """Fit a network under weaker and weaker ridges, and choose the ridge by cross-validation.
 
     With each ridge the network is fitted to all rows and to all but one stretch of them, each stretch in turn. The
@@ -138,14 +148,20 @@ def fit_network(problem: IOModelProblem, weight_mask: jax.Array, starts: int, se
         starts: Number of starts.
         seed: Seed of the random starts.
         max_steps: Most steps of each search.
+        progress: Called after the first search and after each ridge with its number and the cost of the best end; if it
+            raises ``StopIteration``, the ridges so far are compared, and the chosen end is not refined.
 
     Returns:
         The end of the fit under the chosen ridge.
     """
-    path = _fit_ridges(problem, weight_mask, starts, seed, max_steps // _FEWER_STEPS)
+    path = _fit_ridges(problem, weight_mask, starts, seed, max_steps // _FEWER_STEPS, progress)
     lowest_rate, least = min(path.errors)
     chosen = next(k for k, error in enumerate(path.errors) if error <= (lowest_rate, _EQUAL_ERROR * least))
     ridge_problem, rows = _with_ridge(problem, weight_mask, _RIDGES[chosen]), problem.data.time.shape[1]
+    if path.stopped:
+        rate = float(divergence_rate(problem, path.best[chosen])[0])
+        simulations = path.simulations * problem.data.measured.shape[0]
+        return NetworkFit(path.best[chosen][0], simulations, _RIDGES[chosen], rate)
     last = _train(ridge_problem, path.best[chosen], (rows,), max_steps, _FINAL_RTOL)
     candidates = np.vstack([last.vectors, path.best[chosen]])
     rates = divergence_rate(problem, candidates)
@@ -161,14 +177,23 @@ class _RidgePath(NamedTuple):
         errors: Divergence rate and prediction error on the stretches that were left out, for each ridge.
         best: The end of lowest divergence rate, shape ``(1, p)``, for each ridge.
         simulations: Number of simulations per recording.
+        stopped: Whether the fits were stopped before the last ridge.
     """
 
     errors: list[tuple[float, float]]
     best: list[np.ndarray]
     simulations: int
+    stopped: bool = False
 
 
-def _fit_ridges(problem: IOModelProblem, weight_mask: jax.Array, starts: int, seed: int, max_steps: int) -> _RidgePath:
+def _fit_ridges(
+    problem: IOModelProblem,
+    weight_mask: jax.Array,
+    starts: int,
+    seed: int,
+    max_steps: int,
+    progress: Callable[[int, float], None],
+) -> _RidgePath:
     """Fit the problem and its folds under each ridge, from the strongest to the weakest."""
     (lower, upper), rng = problem.bounds, np.random.default_rng(seed)
     width = upper > lower
@@ -183,13 +208,19 @@ def _fit_ridges(problem: IOModelProblem, weight_mask: jax.Array, starts: int, se
     problems = [problem, *(training for training, _ in folds)]
     first = train(problem, _RIDGES[0], near(problem.nominal, _START_SPREAD, starts), (*_RESET_INTERVALS, rows))
     ends, simulations, errors, best = [first] * len(problems), first.simulations, [], []
-    for ridge in _RIDGES:
+    for number, ridge in enumerate(_RIDGES):
         points = [
             np.vstack([end.vectors, near(end.vectors[0], _NEARBY_SPREAD, _MAX_ENDS - len(end.vectors))]) for end in ends
         ]
-        with ThreadPoolExecutor(os.cpu_count()) as pool:  # a search of one start is one thread
-            task = lambda part, starting, ridge=ridge: train(part, ridge, starting, (rows,))  # noqa: E731
-            ends = list(pool.map(task, problems, points))
+        try:
+            progress(number + 1, float(ends[0].costs[0]))
+            with ThreadPoolExecutor(os.cpu_count()) as pool:  # a search of one start is one thread
+                task = lambda part, starting, ridge=ridge: train(part, ridge, starting, (rows,))  # noqa: E731
+                ends = list(pool.map(task, problems, points))
+        except STOP_SIGNALS:
+            # Before the first ridge there is the end of the first search alone.
+            errors, best = errors or [(0.0, math.inf)], best or [first.vectors[:1]]
+            return _RidgePath(errors, best, simulations, stopped=True)
         simulations += sum(end.simulations for end in ends)
         fold_errors = [np.max(_rms(holdout, end.vectors)) for (_, holdout), end in zip(folds, ends[1:], strict=True)]
         rates = divergence_rate(problem, ends[0].vectors)
@@ -296,6 +327,8 @@ def _train(
             stage = dataclasses.replace(ridge_problem, problem=problem)
             solver = MultiStartSolver(residual, stage, point[None], lower, upper, size=stage.size, rtol=rtol)
             result = solver.advance(max_steps).result()
+            if SolverStatus.interrupted in result.statuses:
+                raise KeyboardInterrupt
             simulations += result.simulations
             point = result.points[0]
         vector, steps = _minimise_closed_loop(

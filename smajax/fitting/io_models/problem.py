@@ -135,11 +135,12 @@ class IOModelProblem(AbstractFitProblem):
     def predict(self, vector: Float[Array, " p"]) -> Float[Array, "r n"]:
         """Compute the outputs (r, n) of all series at a vector."""
         model: Any = self.model(vector)
+        # Rows are checked where the problem is built.
         if self.resets_outputs:
             return jax.vmap(lambda t, u, y: model.predict_ahead(t, u, y, self.reset_interval))(
                 self.data.time, self.data.input, self.data.measured
             )
-        return jax.vmap(lambda t, u: compute_response(model, t, u))(self.data.time, self.data.input)
+        return jax.vmap(lambda t, u: compute_response(model, t, u, evenly_spaced=True))(self.data.time, self.data.input)
 
     def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
         """Return measurement minus model, weighted, shape ``(r * n,)``."""

@@ -65,6 +65,9 @@ class PropertiesDocument(Document):
     definition: str = Field(description="definition of start and finish in words")
     recordings: list[GroupEntry] = Field(description="cycles by recording and stress")
     refused: list[str] = Field(description="sentences on cycles that could not be analysed")
+    refused_merged: list[str] = Field(
+        [], description="the same, one sentence for all cycles with one reason; absent in earlier documents"
+    )
     smajax: str = Field(description="version of smajax that computed the result")
     guessed: str | None = Field(
         None, description="which values of the written parameter set do not come from the cycles; absent without one"

@@ -240,24 +240,26 @@ def test_nothing_but_failures(problem, bowl, monkeypatch, search):
     assert result.cost == math.inf and np.array_equal(result.vector, problem.nominal)
 
 
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
 @pytest.mark.parametrize("search", POPULATIONS)
-def test_interrupt_keeps_the_best_so_far(problem, bowl, search):
+def test_interrupt_keeps_the_best_so_far(problem, bowl, search, signal):
     costs = []
 
     def stop(count, cost):
         costs.append(cost)
         if count == 3:
-            raise KeyboardInterrupt
+            raise signal
 
     result = search(problem, seed=0, progress=stop)
     assert result.end_reason == "interrupted" and result.cost == costs[-1] < math.inf
     assert result.cost == pytest.approx(float(np.sum((result.vector - np.array([1.3, 0.8])) ** 2)))
 
 
-def test_gradient_interrupted_keeps_the_best_so_far(problem):
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
+def test_gradient_interrupted_keeps_the_best_so_far(problem, signal):
     def stop(step, cost):
         if step == 2:
-            raise KeyboardInterrupt
+            raise signal
 
     result = run_gradient_search(problem, seed=0, progress=stop)
     assert result.end_reason == "interrupted" and result.simulations == 2 * 3 and math.isfinite(result.cost)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from smajax import parameters
-from smajax.errors import InputError, NumericsError
+from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting import fit as fit_module
 from smajax.fitting import intervals
 from smajax.fitting.autoregression import fit_autoregression
@@ -219,7 +219,7 @@ def test_a_fit_that_is_interrupted_in_its_first_step_has_no_result(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Cancelled):
         fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04)
 
 
@@ -230,7 +230,7 @@ def test_an_interrupted_profile_is_no_profile(result, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MultiStartSolver, "advance", lambda solver: advance(solver, progress=interrupt))
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Cancelled):
         profile_likelihood(result, "heat.h0")
 
 

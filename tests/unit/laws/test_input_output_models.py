@@ -12,7 +12,7 @@ import scipy.signal
 from jax.flatten_util import ravel_pytree
 
 from smajax.comparison.scores import fit_percent
-from smajax.errors import InputError
+from smajax.errors import Cancelled, InputError
 from smajax.files.rig_file import read_rig
 from smajax.fitting.io_models.fit import fit_io_model
 from smajax.fitting.io_models.networks import blocked_k_fold, divergence_rate
@@ -26,6 +26,7 @@ from smajax.fitting.io_models.specs import (
     prandtl_ishlinskii_spec,
     transfer_function_spec,
 )
+from smajax.fitting.multi_start import MultiStartSolver
 from smajax.laws.bouc_wen import BoucWen
 from smajax.laws.hammerstein_wiener import HammersteinWiener
 from smajax.laws.narx import Narx
@@ -71,6 +72,50 @@ def test_transfer_functions_are_scipys(structure):
     np.testing.assert_allclose(result, 0.5 + exact, atol=1e-9)
     steady = np.asarray(compute_response(function(structure, settled=1.0), jnp.asarray(TIME), jnp.asarray(INPUT)))
     np.testing.assert_allclose(steady[:21], 0.5 + 3.0 * INPUT[0], atol=1e-9)
+
+
+def test_a_step_at_uneven_rows_is_exact():
+    law = function("one-pole", gain=1.0, rest=0.0, first=1.0)
+    result = compute_response(law, jnp.array([0.0, 0.1, 3.333]), jnp.ones(3))
+    np.testing.assert_allclose(result, 1.0 - np.exp([0.0, -0.1, -3.333]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("delay", [0.0, 0.35, 2.85])
+def test_uneven_rows_are_as_good_as_even_ones(structure, delay):
+    """The rows at which the input changes, and some others, in place of all of them."""
+    fine, coarse = np.arange(1600) * 0.05, np.arange(40) * 2.0
+    chosen = np.unique(np.concatenate([np.arange(0, 1600, 40), np.random.default_rng(3).choice(1600, 70)]))
+    u = np.repeat(np.random.default_rng(4).uniform(0.2, 1.0, len(coarse)), 40)
+    law = function(structure, delay=delay, settled=0.3)
+    even = np.asarray(compute_response(law, jnp.asarray(fine), jnp.asarray(u)))
+    time, values = jnp.asarray(fine[chosen]), jnp.asarray(u[chosen])
+    np.testing.assert_allclose(compute_response(law, time, values), even[chosen], atol=1e-10)
+    np.testing.assert_allclose(jax.jit(compute_response)(law, time, values), even[chosen], atol=1e-10)
+    slope = jax.grad(lambda d: jnp.sum(compute_response(function(structure, delay=d), time, values)))
+    assert float(slope(0.33)) == pytest.approx(
+        float(
+            sum(
+                sign * jnp.sum(compute_response(function(structure, delay=0.33 + sign * 1e-6), time, values))
+                for sign in (1.0, -1.0)
+            )
+        )
+        / 2e-6,
+        rel=1e-6,
+    )
+
+
+def test_models_in_discrete_time_refuse_uneven_rows():
+    time, u = jnp.asarray(np.append(TIME[:9], 3.3)), jnp.asarray(INPUT[:10])
+    knots = jnp.linspace(0.0, 1.0, 3)
+    curve = HammersteinWiener(knots, knots, jnp.array([-0.5, 0.1]), jnp.asarray(0.5), knots)
+    for model in (curve, network()):
+        with pytest.raises(InputError, match=rf"{type(model).__name__} is a model in discrete time .* 0.1 to 2.5 s"):
+            compute_response(model, time, u)
+        with pytest.raises(Exception, match="needs equally spaced rows"):
+            jax.block_until_ready(eqx.filter_jit(compute_response)(model, time, u))
+        even = compute_response(model, jnp.asarray(TIME[:10]), u)
+        np.testing.assert_allclose(eqx.filter_jit(compute_response)(model, jnp.asarray(TIME[:10]), u), even, rtol=1e-9)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -702,3 +747,43 @@ def test_transfer_functions_superpose(structure):
         for u in (u_1, u_2, 2.0 * u_1 - 3.0 * u_2)
     )
     np.testing.assert_allclose(both, 2.0 * first - 3.0 * second, atol=1e-12 * np.ptp(both) + 1e-12)
+
+
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
+@pytest.mark.parametrize("structure", ["one-pole", "two-poles"])
+def test_a_fit_that_is_stopped_keeps_the_best_point(structure, signal):
+    """Stopped in the fit of the nested model, too: then the richer model is that one."""
+
+    def stop(step, cost):
+        costs.append(cost)
+        if len(costs) == 4:
+            raise signal
+
+    costs: list[float] = []
+    _, exact, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)
+    series = [Series("a", TIME, INPUT, 0.5 + exact)]
+    result = fit_io_model(transfer_function_spec(series, structure), series, starts=2, progress=stop)
+    assert result.interrupted and math.isfinite(result.rmse) and len(costs) <= 6
+    assert result.rmse <= 1.001 * math.sqrt(costs[3] / len(TIME)) * float(np.std(exact))
+
+
+def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
+    def interrupt(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
+    series = [Series("a", TIME, INPUT, INPUT)]
+    with pytest.raises(Cancelled, match="one-pole was cancelled before its first step"):
+        fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
+
+
+@pytest.mark.parametrize("calls", [1, 2])
+def test_a_network_s_fit_that_is_stopped_keeps_its_ridges(calls):
+    def stop(number, cost):
+        if number == calls:
+            raise StopIteration
+
+    u = INPUT[:120]
+    series = [Series("a", TIME[:120], u, np.asarray(network().response(jnp.asarray(TIME[:120]), jnp.asarray(u))))]
+    result = fit_io_model(narx_spec(series), series, starts=1, max_steps=20, progress=stop)
+    assert result.interrupted and math.isfinite(result.rmse) and result.ridge == 0.3

@@ -12,14 +12,17 @@ from scipy.stats import binom
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
-from smajax.app.commands.properties import PropertiesJob, run_properties
+from smajax.api.properties import START_VALUES, PropertiesStudy, thermal_cycle_properties
 from smajax.errors import InputError
 from smajax.files.parameter_sets import read_parameters
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.files.rig_kinds import MATERIALS
 from smajax.fitting.fit import fit
 from smajax.properties.cycle_rows import turning_points
+from smajax.properties.recording_analysis import analyse_recordings
+from smajax.properties.refused_cycles import merge_refusals
 from smajax.properties.row_order import check_outliers, check_row_order
+from smajax.properties.start_values import make_start_values
 from smajax.properties.stress_levels import count_stresses
 from smajax.properties.thermal_cycles import (
     PROPERTY_NAMES,
@@ -32,6 +35,7 @@ from smajax.properties.thermal_cycles import (
 from smajax.recordings.read import read_recording
 from tests.reference import brinson as brinson_reference
 from tests.reference import lagoudas as lagoudas_reference
+from tests.support import plants
 from tests.unit.plant.test_lagoudas import VALUES as LAGOUDAS
 
 TRUE = {"martensite_start": 70.0, "martensite_finish": 40.0, "austenite_start": 85.0, "austenite_finish": 110.0}
@@ -244,8 +248,15 @@ def test_short_clean_cycles_are_read(rows):
         assert mean_properties(cycles)[name].value == pytest.approx(true, abs=0.1)
 
 
+def write_start_values(paths: list[Path], target: Path, model: str = "brinson") -> PropertiesStudy:
+    """Analyse recordings, and write the parameter set with the start values."""
+    study = thermal_cycle_properties(paths, model=model)
+    target.write_text(study.file_text(START_VALUES), "utf-8")
+    return study
+
+
 def test_few_rows_are_not_taken_for_noisy_ones(tmp_path):
-    document = run_properties(PropertiesJob([write(tmp_path / "few.csv", *made(2, noise=1e-6, rows=16))]))
+    document = thermal_cycle_properties(write(tmp_path / "few.csv", *made(2, noise=1e-6, rows=16))).document
     assert document["recordings"][0]["smoothed_rows"] == 1 and len(document["recordings"][0]["cycles"]) == 2
 
 
@@ -346,8 +357,8 @@ def test_what_cannot_be_read_is_said(change, sentence):
     try:
         cycles, refused = analyse_cycles("bad.csv", temperature, strain)
     except InputError as error:
-        cycles, refused = [], [str(error)]
-    assert not cycles and sentence in refused[0] and refused[0].startswith("bad.csv")
+        cycles, refused = [], [error]
+    assert not cycles and sentence in str(refused[0]) and str(refused[0]).startswith("bad.csv")
 
 
 def _little(strain: float, sign: float = 1.0, coldest: float = 10.0) -> tuple[np.ndarray, np.ndarray]:
@@ -651,7 +662,7 @@ def test_nitihf_measured_by_others(shared, stress, values):
 
 
 def test_a_document_names_its_file(tmp_path):
-    document = run_properties(PropertiesJob([write(tmp_path / "a.csv", *made(1))]))
+    document = thermal_cycle_properties(write(tmp_path / "a.csv", *made(1))).document
     assert document["recordings"][0]["name"] == "a.csv" and document["recordings"][0]["smoothed_rows"] == 1
 
 
@@ -687,7 +698,7 @@ def test_smoothing_that_moves_or_hides_the_corners_is_refused(tmp_path, rows, se
 
 def test_cycles_of_one_file_are_read_stress_by_stress(tmp_path):
     path = staircase(tmp_path, [50.0, 50.0, 110.0])
-    document = run_properties(PropertiesJob([path], write_set=tmp_path / "set.toml"))
+    document = write_start_values([path], tmp_path / "set.toml").document
     assert [(level["stress_Pa"], len(level["cycles"])) for level in document["recordings"]] == [(50e6, 2), (110e6, 1)]
     for level in document["recordings"]:
         assert level["mean"]["martensite_start"]["value"] == pytest.approx(70.0 + level["stress_Pa"] / 6e6, abs=0.3)
@@ -708,9 +719,7 @@ def test_compression_lowers_the_temperatures_at_no_stress_like_tension(tmp_path)
     starts = []
     for sign in (1.0, -1.0):
         t, e = made(1)
-        run_properties(
-            PropertiesJob([write(tmp_path / "a.csv", t, sign * e, sign * 100.0)], write_set=tmp_path / "set.toml")
-        )
+        write_start_values([write(tmp_path / "a.csv", t, sign * e, sign * 100.0)], tmp_path / "set.toml")
         starts.append(read_parameters(tmp_path / "set.toml")["material.martensite_start"].value)
     assert starts[1] == pytest.approx(starts[0], abs=1e-6) and starts[0] == pytest.approx(70.0 - 100.0 / 7.0, abs=0.3)
 
@@ -740,7 +749,7 @@ def test_a_slope_that_the_stresses_do_not_tell_is_said_to_be_usual(tmp_path):
     (t, e), entries = made(1), {}
     for name, shift in (("falls", -5.0), ("steep", 1.0)):
         paths = [write(tmp_path / f"{name}-{k}.csv", t + k * shift, e, 50.0 + 100.0 * k) for k in range(2)]
-        run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml"))
+        write_start_values(paths, tmp_path / "set.toml")
         entries[name] = read_parameters(tmp_path / "set.toml")["material.clausius_clapeyron_martensite"]
     assert (
         entries["falls"].value == 7e6
@@ -794,7 +803,7 @@ def test_several_stresses_tell_how_strain_grows(tmp_path):
         paths.append(
             write(tmp_path / f"{stress:.0f}.csv", temperature, strains + noise * rng.standard_normal(179), stress / 1e6)
         )
-    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
+    write_start_values(paths, tmp_path / "set.toml", model="lagoudas")
     text = '[rig]\nkind = "path"\n[material]\nset = "set.toml"\nmodulus_austenite = "60 GPa"\nmodulus_martensite = "30 GPa"\n'
     material = parse_rig(f'{text}[fit]\nmodel = "lagoudas"\nobserve = ["strain"]\n', folder=tmp_path).plant.material
     # What is read has the phases' elastic difference in it, up to 0.5 % at 300 MPa.
@@ -818,20 +827,20 @@ def test_high_stresses_and_small_strains_have_a_set_too(tmp_path, stresses, stra
     for k, stress in enumerate(stresses):
         write(tmp_path / f"{k}.csv", t + stress / 8.0, (0.8 + 0.1 * k) * strain / 0.03 * e, stress)
     paths = [tmp_path / f"{k}.csv" for k in range(len(stresses))]
-    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model=model))
+    write_start_values(paths, tmp_path / "set.toml", model=model)
     entry = read_parameters(tmp_path / "set.toml")["material.max_transformation_strain"]
     assert max(0.7 * strain, 1e-4) < entry.value < 2.5 * strain
     write(tmp_path / "little.csv", t, 5e-5 / 0.03 * e, 10.0)
     with pytest.raises(
         InputError, match="little.csv: the largest transformation strain is 0.005 %, below the lower bound of every law"
     ):
-        run_properties(PropertiesJob([tmp_path / "little.csv"], write_set=tmp_path / "set.toml", model=model))
+        write_start_values([tmp_path / "little.csv"], tmp_path / "set.toml", model=model)
 
 
 def test_strains_that_do_not_grow_leave_their_growth_to_the_law(tmp_path):
     t, e = made(1)
     paths = [write(tmp_path / f"{k}.csv", t + 8.0 * k, e, 50.0 + 60.0 * k) for k in range(4)]
-    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="lagoudas"))
+    write_start_values(paths, tmp_path / "set.toml", model="lagoudas")
     entries = read_parameters(tmp_path / "set.toml")
     assert not {"material.min_strain_share", "material.strain_saturation"} & set(entries)
     assert entries["material.max_transformation_strain"].value == pytest.approx(0.03, rel=0.02)
@@ -870,7 +879,7 @@ def brinson_cycles(folder: Path, stresses: list[float], noise: float = 1e-5) -> 
 @pytest.mark.parametrize("stresses", [[40.0], [40.0, 90.0, 160.0]])
 def test_a_brinson_fit_from_the_set_finds_stresses_that_detwin_a_wire_below_100_mpa(tmp_path, stresses):
     paths = brinson_cycles(tmp_path, stresses)
-    run_properties(PropertiesJob(paths, write_set=tmp_path / "set.toml", model="brinson"))
+    write_start_values(paths, tmp_path / "set.toml", model="brinson")
     entries = read_parameters(tmp_path / "set.toml")
     for name in (
         "detwinning_start_stress",
@@ -902,3 +911,29 @@ def test_a_brinson_fit_from_the_set_finds_stresses_that_detwin_a_wire_below_100_
     values = {e.name: e.estimate for e in result.estimates}
     assert values["material.austenite_start"] < values["material.austenite_finish"]
     assert values.get("material.martensite_finish", -1e9) < values["material.martensite_start"]
+
+
+def test_several_recordings_are_analysed_together():
+    """The same groups as by the command, means, start values, and reasons with codes and fields in place of words."""
+    t, e = made(2, noise=1e-6)
+    stress = np.full(len(t), 200e6)
+    flat = 0.0052 - 1e-5 * t
+    good = plants.recording({"temperature": t, "strain": e, "stress": stress}, np.arange(len(t)) * 1.0, "good")
+    bad = plants.recording({"temperature": t, "strain": flat}, np.arange(len(t)) * 1.0, "flat")
+    analysis = analyse_recordings([good, bad])
+    assert [len(group.cycles) for group in analysis.groups] == [2, 0]
+    assert {r.error.code for r in analysis.refused} == {"no-transformation"}
+    assert analysis.refused[0].error.fields == {"branch": "cooling"} and analysis.refused[0].number == 1
+    (sentence,) = merge_refusals(analysis.refused)
+    assert sentence.startswith("flat, 2 cycles (1 to 2), the first of them (rows 1 to 321): on cooling the strain")
+    assert analysis.means == mean_properties(analysis.groups[0].cycles)
+    assert analysis.start_values("brinson") == make_start_values(analysis.levels, "brinson")
+    for recordings, reason in (
+        ([bad], "flat, 2 cycles"),
+        ([good, good], "this recording is given twice"),
+        ([], "there is no recording"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            analyse_recordings(recordings)
+    with pytest.raises(InputError, match="good has no channel strain"):
+        analyse_recordings([plants.recording({"temperature": t}, np.arange(len(t)) * 1.0, "good")])

@@ -1,0 +1,74 @@
+"""What is looked at after the search of a fit: warnings, and the responses of a plant that could not be fitted."""
+
+from collections.abc import Sequence
+
+from smajax.fitting.input_noise import input_noise_warnings
+from smajax.fitting.responses import simulate_responses
+from smajax.fitting.result import FitResult, Response
+from smajax.fitting.unknowns import Settings
+from smajax.plant.materials.dissipation import check_dissipation
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+
+
+def fit_warnings(result: FitResult, plant: Plant, recordings: Sequence[Recording], settings: Settings) -> list[str]:
+    """Return the warnings of a fit: noisy inputs, stresses beyond the law's range, and a holdout that is a copy.
+
+    Args:
+        result: The fit.
+        plant: The plant with the start values of the fit.
+        recordings: The training recordings.
+        settings: The settings of the fit.
+
+    Returns:
+        Sentences; none where there is nothing to warn of.
+    """
+    holdout = [response.recording for response in result.responses if response.role == "holdout"]
+    return [
+        *copied_holdout_warnings(recordings, holdout),
+        *input_noise_warnings(result, plant, recordings, settings),
+        *check_dissipation(result.plant, [{**r.recording.channels, **r.model} for r in result.responses]),
+    ]
+
+
+def copied_holdout_warnings(train: Sequence[Recording], holdout: Sequence[Recording]) -> list[str]:
+    """Return a sentence for each holdout recording with the content of a training recording.
+
+    Args:
+        train: The training recordings.
+        holdout: The holdout recordings.
+    """
+    names = {recording.sha256: recording.name for recording in train if recording.sha256}
+    return [
+        f"{recording.name} has the same content as {names[recording.sha256]}: it is not an independent test."
+        for recording in holdout
+        if recording.sha256 in names
+    ]
+
+
+def start_responses(
+    plant: Plant,
+    recordings: Sequence[Recording],
+    observe: Sequence[str],
+    *,
+    holdout: Sequence[Recording] = (),
+    interpolation: str = "hold",
+    step: float | None = None,
+) -> list[Response]:
+    """Simulate all recordings with the start values, as where a fit failed.
+
+    Args:
+        plant: The plant with the start values.
+        recordings: The training recordings.
+        observe: Observed channels.
+        holdout: The holdout recordings.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        step: Longest step in s; the plant's default if not given.
+
+    Returns:
+        The responses; one whose simulation fails has the status.
+    """
+    everything = [*recordings, *holdout]
+    roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
+    plants = [plant] * len(everything)
+    return simulate_responses(plants, everything, roles, observe, interpolation, step)[0]

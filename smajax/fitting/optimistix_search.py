@@ -1,0 +1,166 @@
+"""Least-squares searches from several starts by any optimistix solver, step by step.
+
+Bounds are met by a transformation to unbounded unknowns (``bound_transformation``). The best point so far is kept,
+since not every solver lowers the cost in each step.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from smajax.errors import STOP_SIGNALS
+from smajax.fitting.bound_transformation import BoundTransformation
+from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.multi_start import MultiStartResult
+
+# A search that ends above its best cost by more than this share of it has not converged: rounding.
+_SAME_COST = 1e-9
+
+Residual = Callable[[jax.Array, Any], jax.Array]
+
+
+class OptimistixSearch:
+    """Searches from several starts that can be continued where they stopped, like ``MultiStartSolver``.
+
+    Attributes:
+        steps: Number of steps so far.
+        simulations: Number of evaluations of the residual so far; a Jacobian counts as p.
+    """
+
+    def __init__(
+        self,
+        solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser,
+        fn: Residual,
+        args: Any,
+        starts: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        size: int,
+    ):
+        """Place the searches at their starts.
+
+        Args:
+            solver: The solver; a minimiser gets half the sum of squares.
+            fn: Residual function of a vector (p,) and ``args``, shape ``(size,)``.
+            args: Second argument of ``fn``.
+            starts: Start points (s, p).
+            lower: Lower bounds (p,).
+            upper: Upper bounds (p,).
+            size: Length of the residual.
+        """
+        self._solver, self._args = solver, args
+        inside = [BoundTransformation(start, lower, upper) for start in np.clip(starts, lower, upper)]
+        self._fn = _Function(fn, isinstance(solver, optx.AbstractMinimiser))
+        struct = jax.ShapeDtypeStruct(() if self._fn.is_cost else (size,), jnp.float64)
+        self._points = [jnp.asarray(transformation.start) for transformation in inside]
+        self._searches = [(transformation, args) for transformation in inside]
+        self._states = [
+            solver.init(self._fn, point, search, {}, struct, None, frozenset())
+            for point, search in zip(self._points, self._searches, strict=True)
+        ]
+        self._best = [np.array(transformation.start) for transformation in inside]
+        self._costs = np.full(len(starts), np.inf)
+        self._statuses = [SolverStatus.running] * len(starts)
+        self._wall_time, self._history = 0.0, []
+        self.steps = self.simulations = 0
+        self._interrupted = False
+
+    def advance(
+        self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None
+    ) -> "OptimistixSearch":
+        """Take at most ``steps`` more steps of each search; Ctrl-C, or ``StopIteration`` in ``progress``, ends them.
+
+        Args:
+            steps: Number of steps.
+            progress: Called after each step with its number and the best cost so far.
+
+        Returns:
+            This search.
+        """
+        began, last = time.perf_counter() - self._wall_time, self.steps + steps
+        try:
+            while self.steps < last and SolverStatus.running in self._statuses:
+                for k in np.flatnonzero([status is SolverStatus.running for status in self._statuses]):
+                    self._advance_one(int(k))
+                self.steps += 1
+                self._wall_time = time.perf_counter() - began
+                best = float(np.min(self._costs))
+                self._history.append((self.simulations, self._wall_time, best))
+                progress(self.steps, best)
+        except STOP_SIGNALS:
+            self._interrupted = True
+        return self
+
+    def _advance_one(self, k: int) -> None:
+        """One step of one search, and the cost at the point that it reaches."""
+        point, self._states[k], done, unsuccessful, vector, cost = _step(
+            self._solver, self._fn, self._points[k], self._searches[k], self._states[k]
+        )
+        self.simulations += 2 + point.shape[0]
+        self._points[k] = point
+        if float(cost) < self._costs[k]:
+            self._costs[k], self._best[k] = float(cost), np.asarray(vector)
+        if not np.isfinite(self._costs[k]):
+            self._statuses[k] = SolverStatus.failed
+        elif bool(unsuccessful):
+            self._statuses[k] = SolverStatus.stalled
+        elif bool(done):
+            at_best = float(cost) <= (1.0 + _SAME_COST) * self._costs[k]
+            self._statuses[k] = SolverStatus.converged if at_best else SolverStatus.stalled
+
+    def result(self) -> MultiStartResult:
+        """Return the best points of all searches, with the residual and its Jacobian there."""
+        points = np.stack(self._best)
+        ends = [_linearise(self._fn.residual, jnp.asarray(point), self._args) for point in points]
+        unfinished = SolverStatus.interrupted if self._interrupted else SolverStatus.steps
+        return MultiStartResult(
+            points=points,
+            residuals=np.stack([np.asarray(residual) for _, residual in ends]),
+            jacobians=np.stack([np.asarray(jacobian) for jacobian, _ in ends]),
+            costs=self._costs.copy(),
+            statuses=[unfinished if s is SolverStatus.running else s for s in self._statuses],
+            steps=self.steps,
+            simulations=self.simulations,
+            wall_time=self._wall_time,
+            history=self._history,
+        )
+
+
+class _Function(eqx.Module):
+    """The function of a solver: the residual, or half its sum of squares, of the unbounded unknowns."""
+
+    residual: Residual = eqx.field(static=True)
+    is_cost: bool = eqx.field(static=True)
+
+    def __call__(self, unbounded: jax.Array, search: tuple[BoundTransformation, Any]) -> tuple[jax.Array, None]:
+        transformation, args = search
+        residual = self.residual(transformation(unbounded), args)
+        return (0.5 * jnp.sum(residual**2) if self.is_cost else residual), None
+
+
+@eqx.filter_jit
+def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple, state: Any) -> tuple:
+    """One step: point and state after it, whether the solver ends and with an error, and vector and cost there."""
+    point, state, _ = solver.step(fn, point, search, {}, state, frozenset())
+    done, result = solver.terminate(fn, point, search, {}, state, frozenset())
+    vector = search[0](point)
+    cost = jnp.sum(fn.residual(vector, search[1]) ** 2)
+    return point, state, done, result != optx.RESULTS.successful, vector, cost
+
+
+@eqx.filter_jit
+def _linearise(fn: Residual, vector: jax.Array, args: Any) -> tuple[jax.Array, jax.Array]:
+    """Jacobian and residual at a vector."""
+
+    def with_value(v: jax.Array) -> tuple[jax.Array, jax.Array]:
+        residual = fn(v, args)
+        return residual, residual
+
+    return jax.jacfwd(with_value, has_aux=True)(vector)

@@ -1,0 +1,176 @@
+"""Solvers of fits: the bounded Levenberg-Marquardt under optimistix, and optimistix's solvers within bounds."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+import scipy.optimize
+
+from smajax.errors import InputError
+from smajax.fitting.bound_transformation import BoundTransformation
+from smajax.fitting.fit import check_solver, fit
+from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
+from smajax.fitting.multi_start import MultiStartSolver
+from smajax.fitting.optimistix_search import OptimistixSearch
+from tests.support import plants
+from tests.unit.fitting.test_fit import TRUTH, Settings, recorded
+
+SOLVERS = [
+    optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+    optx.GaussNewton(rtol=1e-10, atol=1e-10),
+    optx.Dogleg(rtol=1e-10, atol=1e-10),
+    optx.BFGS(rtol=1e-10, atol=1e-10),
+]
+NAMES = [type(solver).__name__ for solver in SOLVERS]
+
+
+def rosenbrock(y, args):
+    return jnp.stack([args * (y[1] - y[0] ** 2), 1.0 - y[0]])
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize(
+    ("lower", "upper", "expected"),
+    [
+        (-jnp.inf, jnp.inf, (1.0, 1.0)),
+        (-2.0, jnp.array([0.5, 9.0]), (0.5, 0.25)),
+        (jnp.array([1.3, 0.0]), 1.5, None),
+        (jnp.array([0.7, 0.2]), jnp.array([0.7, 3.0]), (0.7, 0.49)),
+    ],
+    ids=["unbounded", "upper", "both", "fixed"],
+)
+def test_bounded_levenberg_marquardt_runs_under_optimistix(lower, upper, expected, lazy):
+    solver = BoundedLevenbergMarquardt(1e-12, lower, upper, lazy_jacobian=lazy)
+    solution = optx.least_squares(rosenbrock, solver, jnp.array([-1.2, 1.0]), 10.0)
+    low, high = (np.broadcast_to(bound, 2) for bound in (lower, upper))
+    if expected is None:
+        free = scipy.optimize.least_squares(
+            lambda y: rosenbrock(jnp.asarray(y), 10.0), np.clip([-1.2, 1.0], low, high), bounds=(low, high), xtol=1e-14
+        )
+        expected = free.x
+    np.testing.assert_allclose(solution.value, expected, atol=1e-6)
+    assert solution.result == optx.RESULTS.successful
+
+
+def test_bounded_levenberg_marquardt_takes_pytrees_and_auxiliary_outputs():
+    def residual(y, scale):
+        output = {"valley": scale * (y["b"] - y["a"] ** 2), "slope": 1.0 - y["a"]}
+        return output, {"sum": jnp.sum(y["a"]) + y["b"]}
+
+    solver = BoundedLevenbergMarquardt(1e-12, upper={"a": jnp.array([0.5]), "b": 2.0})
+    start = {"a": jnp.array([-1.2]), "b": jnp.asarray(1.0)}
+    solution = optx.least_squares(residual, solver, start, 10.0, has_aux=True)
+    np.testing.assert_allclose(solution.value["a"], [0.5], atol=1e-9)
+    np.testing.assert_allclose(solution.aux["sum"], 0.75, atol=1e-7)
+
+
+def test_bounded_levenberg_marquardt_reports_that_its_start_fails():
+    solver = BoundedLevenbergMarquardt(1e-9)
+    solution = optx.least_squares(lambda y, _: jnp.log(y), solver, jnp.array([-1.0]), throw=False)
+    assert solution.result == optx.RESULTS.nonlinear_divergence
+
+
+def test_a_solution_has_derivatives_in_the_arguments():
+    def minimum(scale):
+        solution = optx.least_squares(lambda y, a: y**2 - a, BoundedLevenbergMarquardt(1e-14, 0.0), jnp.ones(1), scale)
+        return solution.value[0]
+
+    assert float(jax.grad(minimum)(4.0)) == pytest.approx(0.25, rel=1e-5)
+
+
+def test_transformation_keeps_to_the_bounds_and_begins_with_slope_1():
+    inf = np.inf
+    lower, upper = np.array([0.0, -1.0, -inf, -inf, 2.0]), np.array([1.0, inf, 3.0, inf, 2.0])
+    start = np.array([0.25, 4.0, -2.0, 7.0, 2.0])
+    transformation = BoundTransformation(start, lower, upper)
+    np.testing.assert_allclose(transformation(jnp.asarray(start)), start, rtol=1e-12)
+    np.testing.assert_allclose(jax.jacfwd(transformation)(jnp.asarray(start)), np.diag([1.0, 1, 1, 1, 0]), atol=1e-12)
+    for change in (-1e3, -1.0, 1.0, 1e3):
+        values = np.asarray(transformation(jnp.asarray(start + change)))
+        assert np.all((lower <= values) & (values <= upper))
+    at_bounds = BoundTransformation(np.array([0.0, -1.0, 3.0, 0.0, 2.0]), lower, upper)
+    assert np.all(np.diag(jax.jacfwd(at_bounds)(jnp.asarray(at_bounds.start)))[:4] > 0.9)
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=NAMES)
+def test_optimistix_solvers_search_within_bounds(solver):
+    starts = np.array([[0.8, 0.9], [1.3, 1.5]])
+    lower, upper = np.array([0.1, -np.inf]), np.array([2.6, 4.0])
+    result = OptimistixSearch(solver, rosenbrock, 10.0, starts, lower, upper, size=2).advance(200).result()
+    np.testing.assert_allclose(result.points, 1.0, atol=1e-6)
+    assert result.statuses == [SolverStatus.converged] * 2
+
+
+def test_a_search_that_ends_above_its_best_point_has_not_converged():
+    """Gauss-Newton steps from here so near to a bound that no derivative is left."""
+    lower, upper = np.array([0.1, -np.inf]), np.array([2.6, 4.0])
+    search = OptimistixSearch(SOLVERS[1], rosenbrock, 10.0, np.array([[0.2, 1.0]]), lower, upper, size=2)
+    result = search.advance(200).result()
+    assert result.statuses[0] in (SolverStatus.stalled, SolverStatus.steps)
+    assert result.costs[0] <= float(np.sum(rosenbrock(jnp.array([0.2, 1.0]), 10.0) ** 2))
+
+
+@pytest.mark.parametrize("solver", [SOLVERS[0], SOLVERS[3]], ids=[NAMES[0], NAMES[3]])
+def test_damped_optimistix_solvers_end_at_a_bound(solver):
+    starts = np.array([[0.2, 1.0], [2.0, 2.0]])
+    lower, upper = np.array([0.1, -np.inf]), np.array([0.6, 4.0])
+    result = OptimistixSearch(solver, rosenbrock, 10.0, starts, lower, upper, size=2).advance(200).result()
+    np.testing.assert_allclose(result.points, [[0.6, 0.36]] * 2, atol=2e-4)
+    np.testing.assert_allclose(result.costs, 0.16, atol=2e-4)
+    np.testing.assert_allclose(result.jacobians[0], [[-12.0, 10.0], [-1.0, 0.0]], atol=5e-3)
+    np.testing.assert_allclose(np.sum(result.residuals**2, axis=1), result.costs, rtol=1e-9)
+
+
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
+@pytest.mark.parametrize("search", [MultiStartSolver, OptimistixSearch])
+def test_a_search_that_is_stopped_keeps_its_best_point(search, signal):
+    def stop(step, cost):
+        if step == 3:
+            raise signal
+
+    solver = (SOLVERS[0],) if search is OptimistixSearch else ()
+    inf = np.full(2, np.inf)
+    result = search(*solver, rosenbrock, 10.0, np.array([[-1.2, 1.0]]), -inf, inf, size=2).advance(99, stop).result()
+    assert result.steps == 3 and result.statuses == [SolverStatus.interrupted]
+    assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.asarray(result.points[0]), 10.0) ** 2)))
+
+
+def test_a_start_that_fails_is_reported():
+    search = OptimistixSearch(
+        SOLVERS[0], lambda y, _: jnp.log(y), None, -np.ones((1, 1)), -np.ones(1) * 9, np.ones(1), size=1
+    )
+    assert search.advance(5).result().statuses == [SolverStatus.failed]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04, solver=BoundedLevenbergMarquardt(1e-13))
+
+
+@pytest.mark.parametrize("solver", SOLVERS[:3], ids=NAMES[:3])
+def test_a_fit_by_an_optimistix_solver_has_the_default_s_estimates(fitted, solver):
+    result = fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04, solver=solver)
+    assert result.status is SolverStatus.converged
+    assert result.cost == pytest.approx(fitted.cost, rel=1e-9)
+    for estimate, default in zip(result.estimates, fitted.estimates, strict=True):
+        assert estimate.estimate == pytest.approx(default.estimate, rel=1e-6)
+        assert estimate.upper95 == pytest.approx(default.upper95, rel=1e-5)
+
+
+def test_a_fit_s_own_solver_runs_under_optimistix(fitted):
+    problem = fitted.problem
+    lower, upper = problem.bounds
+    solution = optx.least_squares(
+        lambda v, p: p.residual(v),
+        BoundedLevenbergMarquardt(1e-13, lower, upper),
+        jnp.asarray(problem.nominal),
+        problem,
+    )
+    values = np.asarray(solution.value) * [u.scale for u in problem.unknowns]
+    np.testing.assert_allclose(values, [e.estimate for e in fitted.estimates], rtol=1e-6)
+
+
+def test_something_else_as_solver_is_refused():
+    with pytest.raises(InputError, match="solver: give an optimistix least-squares solver"):
+        check_solver("lm")
