@@ -13,7 +13,7 @@ from smajax.api.sources import as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
 from smajax.diagnosis.outcome import diagnose as diagnose_problem
 from smajax.diagnosis.result import Diagnosis
-from smajax.diagnosis.setup import diagnosed_rig, set_up_diagnosis
+from smajax.diagnosis.setup import DiagnosisSetup, diagnosed_rig, set_up_diagnosis
 from smajax.errors import NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
@@ -92,13 +92,12 @@ def diagnose(
 
     Raises:
         InputError: If a file or a recording cannot be used.
-        NumericsError: If the simulation fails, or the base fit does not converge and no effect explains it; ``rig`` of
-            the error is then the text of a rig file with the last parameter values.
+        NumericsError: If the simulation fails, or the base fit does not converge and no effect explains it (``rig``).
         Cancelled: If the callback stopped the diagnosis.
     """
     clock, began, reporter = Clock(), time.perf_counter(), Reporter(progress)
-    reporter.phase("reading")
     with clock.time("read"):
+        reporter.phase("reading")
         rig = as_rig(rig, drop_misplaced=True)
         text = rig_text(rig)
         rig = with_start(rig, start)
@@ -107,15 +106,8 @@ def diagnose(
     seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
-        try:
-            result = diagnose_problem(
-                setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=partial(reporter.phase, can_stop=True)
-            )
-        except NumericsError as error:
-            if error.state:
-                last = parameters.replace(setup.problem.base_problem.plant, error.state)
-                error.rig = dataclasses.replace(rig, plant=last).to_toml()
-            raise
+        result = _diagnose(rig, setup, seed, reporter)
+    reporter.phase("writing the report")
     document = diagnosis_document(
         result,
         recordings,
@@ -126,24 +118,36 @@ def diagnose(
         wall_time=time.perf_counter() - began,
         seed=seed,
     )
-    files: dict[str, FileContent] = {
-        "rig.toml": text.encode(),
-        "rig-diagnosed.toml": diagnosed_rig(rig, setup.problem.fitted_plant(result.after), setup.auxiliary)
-        .to_toml()
-        .encode(),
-    }
-    if result.next_experiment and result.next_experiment.recording:
-        files[NEXT_INPUT] = partial(_write_recording, result.next_experiment.recording)
-    reporter.phase("writing the report")
     code = INTERRUPTED if result.interrupted else 0
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
         run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": list(rig.plant.signals)},
-        files=files,
+        files=_files(rig, text, setup, result),
         reason="interrupted with the effects so far" if code else "",
         result=result,
     )
+
+
+def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter) -> Diagnosis:
+    """Diagnose; an error of the numerics has the text of a rig file with the last parameter values."""
+    report = partial(reporter.phase, can_stop=True)
+    try:
+        return diagnose_problem(setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=report)
+    except NumericsError as error:
+        if error.state:
+            last = parameters.replace(setup.problem.base_problem.plant, error.state)
+            error.rig = dataclasses.replace(rig, plant=last).to_toml()
+        raise
+
+
+def _files(rig: Rig, text: str, setup: DiagnosisSetup, result: Diagnosis) -> dict[str, FileContent]:
+    """Return the files of the result folder in addition to document, predictions and page."""
+    diagnosed = diagnosed_rig(rig, setup.problem.fitted_plant(result.after), setup.auxiliary)
+    files: dict[str, FileContent] = {"rig.toml": text.encode(), "rig-diagnosed.toml": diagnosed.to_toml().encode()}
+    if result.next_experiment and result.next_experiment.recording:
+        files[NEXT_INPUT] = partial(_write_recording, result.next_experiment.recording)
+    return files
 
 
 def _write_recording(recording: Recording, path: Path) -> None:

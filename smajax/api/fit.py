@@ -13,17 +13,15 @@ from smajax import __version__, parameters
 from smajax.api.run_record import INTERRUPTED, Clock, run_record
 from smajax.api.sources import as_list, as_rig, rig_text, with_start
 from smajax.api.study import FileContent, Study
-from smajax.errors import Cancelled, InputError, NumericsError, suggestion
+from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.evaluation import copied_holdout_warnings, fit_warnings, start_responses
 from smajax.fitting.fit import fit as fit_plant
-from smajax.fitting.input_noise import input_noise_warnings
-from smajax.fitting.profile import profile_likelihood
-from smajax.fitting.responses import simulate_responses
+from smajax.fitting.profile import profile_labels, profile_likelihood
 from smajax.fitting.result import FitResult, Response
-from smajax.plant.materials.dissipation import check_dissipation
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
 from smajax.report.fit_document import failed_document, fit_document
@@ -91,6 +89,7 @@ def fit(
     seed: int | None = None,
     starts: int | None = None,
     profile: Sequence[str] = (),
+    solver: Any = None,
     drop_bad_rows: bool = False,
     progress: ProgressCallback | None = None,
 ) -> FitStudy:
@@ -104,6 +103,7 @@ def fit(
         seed: Seed of the starting points; that of the rig by default.
         starts: Number of starting points; that of the rig by default.
         profile: Parameters whose profile likelihood is computed.
+        solver: Any optimistix least-squares solver; by default a bounded Levenberg-Marquardt method.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase and step; one that raises ``StopIteration``
             stops the fit with the best point so far.
@@ -120,7 +120,7 @@ def fit(
     with clock.time("read"):
         options = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
         inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
-    search = _search(inputs, reporter, clock)
+    search = _search(inputs, solver, reporter, clock)
     reporter.phase("writing the report")
     document, responses = _evaluate(inputs, search)
     failed = [
@@ -179,32 +179,11 @@ def _read_inputs(
     rig = with_start(rig, start)
     settings = dataclasses.replace(rig.fit, **options)
     recordings = read_train_and_holdout(rig, as_list(train), as_list(holdout), drop_bad_rows)
-    labels = _profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
-    train_names = {r.sha256: r.name for r, role in recordings if role == "train"}
-    warnings += [
-        f"{r.name} has the same content as {train_names[r.sha256]}: it is not an independent test."
-        for r, role in recordings
-        if role == "holdout" and r.sha256 in train_names
-    ]
+    labels = profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 
 
-def _profile_labels(names: Sequence[str], settings: FitSettings, train_names: Sequence[str]) -> list[str]:
-    """Return the labels to profile; a parameter per recording has one for each recording."""
-    per_recording = {*settings.per_recording, *(f"initial.{state}" for state in settings.initial)}
-    labels_of = {
-        name: [f"{name}@{r}" for r in train_names] if name in per_recording else [name] for name in settings.names
-    }
-    labels_of |= {label: [label] for labels in list(labels_of.values()) for label in labels}
-    for name in names:
-        if name not in labels_of:
-            free = ", ".join(settings.names)
-            hint = suggestion(name, settings.names)
-            raise InputError(f"--profile {name}: this parameter is not free{hint}: the free ones are {free}")
-    return [label for name in names for label in labels_of[name]]
-
-
-def _search(inputs: _FitInputs, reporter: Reporter, clock: Clock) -> _Search:
+def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -> _Search:
     """Fit and profile, until the end or an interruption."""
     train = inputs.with_role("train")
     settings: Any = inputs.settings  # frozen, and the protocol of ``fit`` has plain attributes
@@ -225,14 +204,11 @@ def _search(inputs: _FitInputs, reporter: Reporter, clock: Clock) -> _Search:
                 settings,
                 holdout=inputs.with_role("holdout"),
                 interpolation=inputs.rig.interpolation,
+                solver=solver,
                 progress=report,
             )
         except NumericsError as error:
             reason = str(error)
-        except KeyboardInterrupt:
-            if not reporter.stopped:
-                raise
-            raise Cancelled("the fit was cancelled before its first step had ended") from None
     with clock.time("profile"):
         for label in inputs.labels if result is not None and not reporter.stopped else ():
             try:
@@ -240,7 +216,7 @@ def _search(inputs: _FitInputs, reporter: Reporter, clock: Clock) -> _Search:
                 profiles[label] = profile_likelihood(result, label)
             except InputError as error:  # the fit is valid without the profile
                 inputs.warnings.append(f"{error}.")
-            except KeyboardInterrupt:
+            except (Cancelled, KeyboardInterrupt):
                 reporter.stopped = True
                 break
     return _Search(result, reason, profiles, reporter.stopped)
@@ -250,19 +226,14 @@ def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list
     """Return the document of a fit and the responses of all recordings, with the start values if the fit failed."""
     rig, result, warnings = inputs.rig, search.result, list(inputs.warnings)
     settings: Any = inputs.settings
+    train, holdout = inputs.with_role("train"), inputs.with_role("holdout")
     if result is None:
+        warnings += copied_holdout_warnings(train, holdout)
         document = failed_document(rig, settings, inputs.recordings, search.reason, warnings=warnings)
-        responses, _ = simulate_responses(
-            [rig.plant] * len(inputs.recordings),
-            [recording for recording, _ in inputs.recordings],
-            [role for _, role in inputs.recordings],
-            rig.fit.observe,
-            rig.interpolation,
-            None,
+        return document, start_responses(
+            rig.plant, train, rig.fit.observe, holdout=holdout, interpolation=rig.interpolation
         )
-        return document, responses
-    warnings += input_noise_warnings(result, rig.plant, inputs.with_role("train"), settings)
-    warnings += check_dissipation(result.plant, [{**r.recording.channels, **r.model} for r in result.responses])
+    warnings += fit_warnings(result, rig.plant, train, settings)
     document = fit_document(result, rig, settings, profiles=search.profiles, warnings=warnings)
     return document, list(result.responses)
 

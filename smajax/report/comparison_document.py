@@ -5,7 +5,7 @@ from typing import Any
 
 from smajax import __version__
 from smajax.comparison.model_result import ModelResult
-from smajax.comparison.scores import score_model
+from smajax.comparison.ranking import RankedModel, rank_models
 from smajax.files.documents import finite_or_none
 from smajax.files.rig_file import Rig
 from smajax.recordings.recording import Recording
@@ -27,8 +27,7 @@ def comparison_document(
     """
     channel = rig.fit.observe[0]
     unit, scale = difference_unit(recordings[0], channel)
-    models = [_model_entry(result, recordings, channel, scale) for result in results]
-    models.sort(key=lambda m: (m["rmse_holdout"] is None, m["rmse_holdout"]))
+    models = [_model_entry(ranked, scale) for ranked in rank_models(results, recordings, channel)]
     document = {
         "schema": CompareDocument.SCHEMA,
         "rig": rig.name,
@@ -44,11 +43,11 @@ def comparison_document(
     return CompareDocument.check(document | {"summary": summary(document)})
 
 
-def _model_entry(result: ModelResult, recordings: Sequence[Recording], channel: str, scale: float) -> dict[str, Any]:
+def _model_entry(ranked: RankedModel, scale: float) -> dict[str, Any]:
     """Entry of one model; ``scale`` converts from SI to the unit of the document."""
+    result, scores = ranked
     rmse, percent, bic = [None, None], [None, None], None
-    if not result.reason:
-        scores = score_model(result, recordings, channel)
+    if scores is not None:
         rmse, percent = [finite_or_none(e, scale) for e in scores.rmse], [finite_or_none(p) for p in scores.fit_percent]
         bic = finite_or_none(scores.bic)
     return {

@@ -1,6 +1,6 @@
 """Document and summary of ``smajax properties``: mean properties of thermal cycles with 95 % intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from smajax import __version__

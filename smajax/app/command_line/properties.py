@@ -2,13 +2,16 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from smajax.app.command_line.options import Json
 from smajax.app.command_line.run import start_run
 from smajax.errors import InputError
+
+if TYPE_CHECKING:
+    from smajax.api.properties import PropertiesStudy
 
 # Delimiters that a shell cannot pass easily, by name.
 _DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
@@ -76,30 +79,38 @@ def properties(
     """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals."""
     names = [name.strip() for name in columns.split(",")] if columns else None
     separator = _DELIMITERS.get(delimiter, delimiter)
-    with start_run(quiet) as progress:
-        from smajax.api.properties import START_VALUES, thermal_cycle_properties
-        from smajax.app.commands.properties_hints import hints_of_this_command
-        from smajax.files.documents import to_json
-        from smajax.files.toml import write_text
-
-        try:
-            study = thermal_cycle_properties(
-                recordings,
-                smooth=smooth,
-                tangent=tangent.value,
-                model=None if write_set is None else model.value,
-                columns=names,
-                delimiter=separator,
-                decimal=decimal,
-                progress=progress,
-            )
-        except InputError as error:
-            ending = next((path.suffix.lower() for path in recordings if str(error).startswith(f"{path}")), "")
-            raise InputError(hints_of_this_command(str(error), ending)) from None
-        if write_set is not None:
-            write_text(write_set, study.file_text(START_VALUES))
-    typer.echo(to_json(study.document).rstrip() if as_json else study.summary())
+    options = {"smooth": smooth, "tangent": tangent.value, "columns": names, "delimiter": separator, "decimal": decimal}
+    study = _analyse(recordings, None if write_set is None else model.value, options, quiet)
+    if write_set is not None:
+        _write_set(write_set, study)
+    typer.echo(_as_json(study) if as_json else study.summary())
     if write_set is not None and not as_json:
         typer.echo(f'\nWrote {write_set}: name it in a rig by [rig] parameters = "{write_set.name}".')
     if write_set is not None:
         typer.echo(f"smajax: {write_set.name}: {study.document['guessed']}", err=True)
+
+
+def _analyse(recordings: list[Path], model: str | None, options: dict[str, Any], quiet: bool) -> "PropertiesStudy":
+    """Analyse the cycles; the messages of reading errors name the options of this command."""
+    with start_run(quiet) as progress:
+        from smajax.api.properties import thermal_cycle_properties
+        from smajax.app.commands.properties_hints import hints_of_this_command
+
+        try:
+            return thermal_cycle_properties(recordings, model=model, progress=progress, **options)
+        except InputError as error:
+            ending = next((path.suffix.lower() for path in recordings if str(error).startswith(f"{path}")), "")
+            raise InputError(hints_of_this_command(str(error), ending)) from None
+
+
+def _write_set(path: Path, study: "PropertiesStudy") -> None:
+    from smajax.api.properties import START_VALUES
+    from smajax.files.toml import write_text
+
+    write_text(path, study.file_text(START_VALUES))
+
+
+def _as_json(study: "PropertiesStudy") -> str:
+    from smajax.files.documents import to_json
+
+    return to_json(study.document).rstrip()
