@@ -5,7 +5,7 @@ comes from the rig file, else from the parameter set that it names, else from th
 ``Rig.sources`` says which.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -14,6 +14,7 @@ from smajax import parameters
 from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
 from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
+from smajax.files.mappings import plain_tables
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
 from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
 from smajax.files.rig_kinds import DEFAULTS, KINDS, choose_stages
@@ -38,6 +39,7 @@ from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
 from smajax.recordings.read import read_recording
 from smajax.recordings.recording import Recording
+from smajax.recordings.sources import RecordingSource
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,19 +75,32 @@ class Rig:
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {self.kind}, {self.fit.model}>"
 
-    def read(self, path: str | Path, *, drop_bad_rows: bool = False, observed: bool = True) -> Recording:
+    def read(
+        self,
+        source: RecordingSource,
+        *,
+        name: str | None = None,
+        headers: Sequence[str] | None = None,
+        drop_bad_rows: bool = False,
+        observed: bool = True,
+    ) -> Recording:
         """Read a recording of this rig.
 
         Args:
-            path: The file, which must have the inputs of the plant.
+            source: A path, a DataFrame, a dictionary of columns, an array with ``headers``, or a ``Recording``, as in
+                ``read_recording``; it must have the inputs of the plant.
+            name: Name of the recording; by default that of the file, or "recording".
+            headers: Headers of an array, or of a text file without a header row.
             drop_bad_rows: Whether to omit rows that cannot be used.
-            observed: Whether the file must also have the channels that are fitted.
+            observed: Whether it must also have the channels that are fitted.
 
         Raises:
-            InputError: If the file cannot be used; the message names file, row and column.
+            InputError: If it cannot be used; the message names file or object, row and column.
         """
         return read_recording(
-            path,
+            source,
+            name=name,
+            headers=headers,
             mapping=self.channels.columns,
             ignore=self.channels.ignore,
             required=self.plant.signals,
@@ -128,18 +143,21 @@ class Rig:
         write_text(Path(path), self.to_toml(values))
 
 
-def read_rig(path: str | Path, *, drop_misplaced: bool = False) -> Rig:
-    """Read and check a rig file.
+def read_rig(source: str | Path | Mapping[str, Any], *, drop_misplaced: bool = False) -> Rig:
+    """Read and check a rig file, or a dictionary with the sections of one.
 
     Args:
-        path: The file.
+        source: The file; or a dictionary such as ``{"schema": 1, "rig": {"kind": ...}, "wire": {...}}``, in which paths
+            are relative to the current folder.
         drop_misplaced: Whether effects that do not apply to this rig are omitted (``Rig.misplaced`` has the reasons)
             instead of refused.
 
     Raises:
         InputError: If the file is missing or invalid; the message names file, section and key.
     """
-    path = Path(path)
+    if isinstance(source, Mapping):
+        return _parse_data(plain_tables(source, "rig"), "rig", {}, Path(), drop_misplaced)
+    path = Path(source)
     rig = parse_rig(read_text(path, "rig"), str(path), path.parent, drop_misplaced=drop_misplaced)
     return replace(rig, name=path.name, path=path)
 
@@ -156,9 +174,13 @@ def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, 
     Raises:
         InputError: If the text is invalid; the message names file, section and key.
     """
-    data = parse_toml(text, name)
+    return _parse_data(parse_toml(text, name), name, current_line_numbers(text), folder or Path(), drop_misplaced)
+
+
+def _parse_data(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path, drop_misplaced: bool) -> Rig:
+    """Check the tables of a rig file, whose keys stand in the given rows, and build the rig."""
     try:
-        rig = _build_rig(with_current_rig_keys(data), Path(name).name, current_line_numbers(text), folder or Path())
+        rig = _build_rig(with_current_rig_keys(data), Path(name).name, rows, folder)
         if rig.misplaced and not drop_misplaced:
             key, reason = next(iter(rig.misplaced.items()))
             raise InputError(f"effects.{key} does not apply to this rig: {reason}")

@@ -1,26 +1,32 @@
 """Training and holdout recordings of one rig, with distinct names."""
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
 from smajax.recordings.recording import Recording
+from smajax.recordings.sources import DEFAULT_NAME, RecordingSource, as_source_list, is_path
 
 # Folders that are added to a name to make it distinct; longer ones are replaced by the full path. Chosen by trial.
 _MAX_DEPTH = 64
 
 
 def read_train_and_holdout(
-    rig: Rig, train: Sequence[Path], holdout: Sequence[Path], drop_bad_rows: bool
+    rig: Rig,
+    train: RecordingSource | Sequence[RecordingSource],
+    holdout: RecordingSource | Sequence[RecordingSource] = (),
+    drop_bad_rows: bool = False,
 ) -> list[tuple[Recording, str]]:
     """Read the recordings of a fit.
 
     Args:
         rig: The rig that all were made on.
-        train: Files that are fitted.
-        holdout: Files that are only scored.
+        train: Files, tables in memory or recordings that are fitted; one, or several in a list or tuple.
+        holdout: Those that are only scored.
         drop_bad_rows: Whether to omit rows that cannot be used.
 
     Returns:
@@ -29,18 +35,44 @@ def read_train_and_holdout(
     Raises:
         InputError: If a recording cannot be used or is given twice, or only some of them have a time.
     """
-    paths = [*train, *holdout]
-    places = [path.resolve() for path in paths]
-    for k, place in enumerate(places):
-        if place in places[:k]:
-            raise InputError(f"{paths[k]}: this recording is given twice: name each one once")
-    recordings = [rig.read(path, drop_bad_rows=drop_bad_rows) for path in paths]
+    train, holdout = as_source_list(train), as_source_list(holdout)
+    sources = [Path(source) if is_path(source) else source for source in [*train, *holdout]]
+    names = _names(sources)
+    _refuse_repeated(sources, names)
+    in_memory = sum(not isinstance(source, Path | Recording) for source in sources)
+    recordings = [
+        rig.read(source, name=name if in_memory > 1 else None, drop_bad_rows=drop_bad_rows)
+        for source, name in zip(sources, names, strict=True)
+    ]
     if len({r.has_clock for r in recordings}) > 1:
         name = next(r.name for r in recordings if not r.has_clock)
         cure = "give it a time column, or fit it on its own"
         raise InputError(f"{name}: this recording has no time and the others do: {cure}")
-    renamed = [dataclasses.replace(r, name=name) for r, name in zip(recordings, _short_names(places), strict=True)]
+    renamed = [dataclasses.replace(r, name=name) for r, name in zip(recordings, names, strict=True)]
     return [(r, "train" if k < len(train) else "holdout") for k, r in enumerate(renamed)]
+
+
+def _refuse_repeated(sources: Sequence[Any], names: Sequence[str]) -> None:
+    """Refuse a path or an object that is given twice."""
+    keys = [source.resolve() if isinstance(source, Path) else id(source) for source in sources]
+    for k, key in enumerate(keys):
+        if key in keys[:k]:
+            label = sources[k] if isinstance(sources[k], Path) else names[keys.index(key)]
+            raise InputError(f"{label}: this recording is given twice: name each one once")
+
+
+def _names(sources: Sequence[Any]) -> list[str]:
+    """Return distinct names: those of files and recordings, "recording" and "recording 2" for tables in memory."""
+    file_names = iter(_short_names([source.resolve() for source in sources if isinstance(source, Path)]))
+    names: list[str] = []
+    for source in sources:
+        if isinstance(source, Path):
+            name = next(file_names)
+        else:
+            name = source.name if isinstance(source, Recording) else DEFAULT_NAME
+        numbered_names = (f"{name} {number}" for number in itertools.count(2))
+        names.append(next(n for n in itertools.chain([name], numbered_names) if n not in names))
+    return names
 
 
 def _short_names(places: Sequence[Path]) -> list[str]:

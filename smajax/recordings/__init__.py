@@ -1,7 +1,8 @@
 """Recordings: measured time series with named channels in SI units.
 
 - ``recording``: the class ``Recording`` (slice, resample, write) and the interpolation of its channels.
-- ``read``: reads and checks a file (CSV, MATLAB, Parquet, Excel); ``readers`` has one module per format.
+- ``read``: reads and checks a file (CSV, MATLAB, Parquet, Excel) or a table in memory; ``readers`` has one module per
+  format; ``sources``: what is taken where a recording is expected; ``recording_checks``: recordings that are read.
 - ``column_mapping``: the channel of each column; ``value_checks`` and ``unit_checks``: checks of the numbers.
 - ``shared_rows``: holdout recordings that repeat rows of training recordings.
 - ``datasets``: shipped and public recordings by name.
@@ -13,5 +14,6 @@ Nothing here imports JAX, so that a bad file is refused at once.
 from smajax.recordings.column_mapping import ChannelMap
 from smajax.recordings.read import read_recording
 from smajax.recordings.recording import Recording
+from smajax.recordings.sources import DataFrameLike, RecordingSource, as_source_list
 
-__all__ = ["ChannelMap", "Recording", "read_recording"]
+__all__ = ["ChannelMap", "DataFrameLike", "Recording", "RecordingSource", "as_source_list", "read_recording"]

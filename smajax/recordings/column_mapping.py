@@ -51,12 +51,12 @@ class FileColumn:
 
 
 def assign_columns(
-    path: Path, headers: Sequence[str], mapping: Mapping[str, ChannelMap], ignore: Sequence[str]
+    path: Path | str, headers: Sequence[str], mapping: Mapping[str, ChannelMap], ignore: Sequence[str]
 ) -> list[FileColumn]:
     """Return the columns that are channels, in the order of the file.
 
     Args:
-        path: The file, for messages.
+        path: The file, or the name of the object, for messages.
         headers: Headers of all columns.
         mapping: Column and unit by channel, as in the rig file.
         ignore: Headers (or names without unit) of columns that are not channels.
@@ -95,12 +95,12 @@ def assign_columns(
 
 
 def require_channels(
-    path: Path, columns: Sequence[FileColumn], names: Sequence[str], mapping: Mapping[str, ChannelMap]
+    path: Path | str, columns: Sequence[FileColumn], names: Sequence[str], mapping: Mapping[str, ChannelMap]
 ) -> None:
     """Check that a file has all required channels.
 
     Args:
-        path: The file, for messages.
+        path: The file, or the name of the object, for messages.
         columns: Columns of the file that are channels.
         names: Required channels.
         mapping: Column and unit by channel, as in the rig file.
@@ -117,11 +117,11 @@ def require_channels(
             source = f", which the rig maps to column '{mapping[name].column}'," if name in mapping else ""
             problem = f"the channel {name}{source} is missing{suggestion(name, present)}"
             cure = f"add a column '{_example_header(name)}' or map one to {name} under [channels] in the rig"
-            raise InputError(f"{path}: {problem}: the file has {', '.join(present)}, so {cure}")
+            raise InputError(f"{path}: {problem}: it has {', '.join(present)}, so {cure}")
 
 
 def _mapped_column(
-    path: Path, index: int, header: str, unit: str | None, channel: str, source: ChannelMap
+    path: Path | str, index: int, header: str, unit: str | None, channel: str, source: ChannelMap
 ) -> FileColumn:
     mapped_unit = _column_unit(path, header, channel, source.unit or unit)
     differs = unit and unit.strip() != mapped_unit
@@ -130,7 +130,7 @@ def _mapped_column(
 
 
 def _unknown_header(
-    path: Path,
+    path: Path | str,
     header: str,
     name: str,
     headers: Sequence[str],
@@ -144,7 +144,7 @@ def _unknown_header(
     return f'{path}: {problem}: {cure} with [channels] ignore = ["{header}"]{skip_hint}'
 
 
-def _refuse_double_channels(path: Path, columns: Sequence[FileColumn]) -> None:
+def _refuse_double_channels(path: Path | str, columns: Sequence[FileColumn]) -> None:
     first_of: dict[str, FileColumn] = {}
     for column in columns:
         first = first_of.setdefault(column.name, column)
@@ -154,7 +154,7 @@ def _refuse_double_channels(path: Path, columns: Sequence[FileColumn]) -> None:
             raise InputError(f"{path}: {pair} are both {column.name}: {cure}")
 
 
-def _column_unit(path: Path, header: str, name: str, unit: str | None) -> str:
+def _column_unit(path: Path | str, header: str, name: str, unit: str | None) -> str:
     """Return the checked unit of a column; that of a fraction may be missing."""
     canonical = channel_unit(name)
     if not unit or not unit.strip():

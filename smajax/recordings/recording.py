@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ _HOLD_SLACK = 1e-6
 _HOLD_SPACINGS = 4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
     """A recording with n rows.
 
@@ -38,7 +38,7 @@ class Recording:
             ``current_2``). A channel made from arrays may be NaN in rows in which it was not measured; one that was
             read from a file has a number in every row.
         units: Units of the columns in the file, in which results are reported; with ``time`` if there is a clock.
-        sha256: SHA-256 of the file in hexadecimal; empty if there is no file.
+        sha256: SHA-256 of the file, or of the columns in memory, in hexadecimal; empty for arrays until they are read.
         has_clock: Whether ``time`` is a time.
         notes: Sentences on changes that were made on request.
     """
@@ -88,6 +88,11 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        time = [self._range_text("time", self.time)] if self.has_clock else ["no time"]
+        channels = [self._range_text(name, values) for name, values in self.channels.items()]
+        return f"<Recording '{self.name}': {len(self)} rows, {', '.join([*time, *channels])}>"
 
     def slice(self, start: float, stop: float) -> "Recording":
         """Return the rows with start <= time < stop, with unchanged times.
@@ -147,13 +152,36 @@ class Recording:
         Raises:
             InputError: For another ending, or if the file cannot be written.
         """
-        columns = {"time": self.time} if self.has_clock else {}
-        columns |= self.channels
-        in_file = {
-            f"{name} [{self.units[name]}]": from_si(values, self.units[name], channel_unit(name))
-            for name, values in columns.items()
-        }
-        write_table(Path(path), in_file)
+        write_table(Path(path), self._columns())
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame in the units of the recording, with the time as its index; reading it gives the same.
+
+        Raises:
+            InputError: If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError(f'{self.name}: DataFrames need pandas: run pip install "smajax[io]"') from None
+        columns = self._columns()
+        time_header = next(iter(columns))
+        index = pandas.Index(columns.pop(time_header), name=time_header) if self.has_clock else None
+        return pandas.DataFrame(columns, index=index)
+
+    def _columns(self) -> dict[str, Floats]:
+        """Return the columns in the units of the recording by header, with the time first."""
+        values = ({"time": self.time} if self.has_clock else {}) | dict(self.channels)
+        units = {name: self.units.get(name, channel_unit(name)) for name in values}
+        return {f"{n} [{units[n]}]": from_si(column, units[n], channel_unit(n)) for n, column in values.items()}
+
+    def _range_text(self, name: str, values: Floats) -> str:
+        """Return a channel, its unit and its range, as text."""
+        unit, finite = self.units.get(name, channel_unit(name)), values[np.isfinite(values)]
+        if not len(finite):
+            return f"{name} [{unit}] without values"
+        low, high = from_si(np.array([finite.min(), finite.max()]), unit, channel_unit(name))
+        return f"{name} [{unit}] {low:.4g} to {high:.4g}"
 
 
 def sample_channels(

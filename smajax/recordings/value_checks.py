@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smajax.channels import channel_of, channel_unit
 from smajax.errors import InputError
 from smajax.recordings.column_mapping import FileColumn
-from smajax.recordings.readers.base import REPAIR_HINT
+from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.unit_checks import check_scale
 from smajax.units import to_si
 
@@ -21,42 +21,85 @@ Place = Callable[[FileColumn, int], str]
 
 
 def check_values(
-    path: Path,
+    path: Path | str,
     columns: Sequence[FileColumn],
     values: Mapping[str, NDArray[np.float64]],
     observed: Sequence[str],
     place: Place,
+    drop_option: str,
 ) -> None:
     """Check the values of a recording.
 
     Args:
-        path: The file, for messages.
+        path: The file, or the name of the object, for messages.
         columns: Columns that are read.
         values: Arrays, shape ``(rows,)``, by channel, in the units of the file.
         observed: Channels that must change.
         place: Returns a text such as "file: row 5, column 'x'" for a column and an index.
+        drop_option: The option that leaves bad rows out, for messages.
 
     Raises:
         InputError: If there is a single row, time does not increase, a value is not plausible, or an observed channel
             is constant.
     """
-    rows = len(values[columns[0].name])
-    if rows < 2:
-        raise InputError(f"{path}: the recording has a single row of data: record at least two")
+    check_row_count(path, len(values[columns[0].name]))
     peaks = _peaks(columns, values)
     for column in columns:
         numbers = values[column.name]
         if column.name == "time":
-            _check_time(column, numbers, place)
+            check_time(numbers, column.unit, lambda i, column=column: place(column, i), drop_option)
         if not column.any_scale:
             source = f"[channels] {column.name} to unit = " + '"{unit}"'
             cure = source if column.mapped else f"the header to '{column.name} [{{unit}}]'"
             peak = peaks[channel_of(column.name)]
             check_scale(numbers, column.name, column.unit, peak, lambda i, column=column: place(column, i), cure)
-        if column.name in observed and numbers.min() == numbers.max():
-            constant = f"the observed channel {column.name} is {numbers[0]:.15g} {column.unit} in all {rows} rows"
-            cure = "check the sensor, or remove it from [fit] observe"
-            raise InputError(f"{path}: column '{column.header}': {constant}: {cure}")
+        if column.name in observed:
+            check_changes(path, column, numbers)
+
+
+def check_row_count(path: Path | str, rows: int) -> None:
+    """Refuse a recording with a single row."""
+    if rows < 2:
+        raise InputError(f"{path}: the recording has a single row of data: record at least two")
+
+
+def check_changes(path: Path | str, column: FileColumn, values: NDArray[np.float64]) -> None:
+    """Refuse an observed channel that is constant.
+
+    Args:
+        path: The file, or the name of the object, for messages.
+        column: Column of the channel.
+        values: Values, shape ``(rows,)``, in the unit of the column.
+
+    Raises:
+        InputError: If all values are equal.
+    """
+    if values.min() == values.max():
+        constant = f"the observed channel {column.name} is {values[0]:.15g} {column.unit} in all {len(values)} rows"
+        cure = "check the sensor, or remove it from [fit] observe"
+        raise InputError(f"{path}: column '{column.header}': {constant}: {cure}")
+
+
+def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str], drop_option: str) -> None:
+    """Refuse time that does not increase.
+
+    Args:
+        time: Times, shape ``(rows,)``.
+        unit: Their unit.
+        place: Returns a text such as "file: row 5, column 'x'" for an index.
+        drop_option: The option that leaves bad rows out, for messages.
+
+    Raises:
+        InputError: If a time is not above the one before.
+    """
+    slips = np.flatnonzero(time[1:] <= time[:-1])
+    if slips.size:
+        i = int(slips[0]) + 1
+        constant = f"does not increase at {time[i]:.15g}"
+        problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
+        sort = f"sort the rows by time, or leave such rows out with {drop_option}"
+        cure = sort if slips.size > _MAX_TIME_SLIPS else repair_hint(drop_option)
+        raise InputError(f"{place(i)}: time {problem} {unit}: {cure}")
 
 
 def _peaks(columns: Sequence[FileColumn], values: Mapping[str, NDArray[np.float64]]) -> dict[str | None, float]:
@@ -67,15 +110,3 @@ def _peaks(columns: Sequence[FileColumn], values: Mapping[str, NDArray[np.float6
         peak = np.abs(to_si(ends, column.unit, channel_unit(column.name))).max()
         peaks[channel_of(column.name)] = max(peak, peaks.get(channel_of(column.name), 0.0))
     return peaks
-
-
-def _check_time(column: FileColumn, time: NDArray[np.float64], place: Place) -> None:
-    """Refuse time that does not increase."""
-    slips = np.flatnonzero(time[1:] <= time[:-1])
-    if slips.size:
-        i = int(slips[0]) + 1
-        constant = f"does not increase at {time[i]:.15g}"
-        problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
-        sort = "sort the rows by time, or leave such rows out with --drop-bad-rows"
-        cure = sort if slips.size > _MAX_TIME_SLIPS else REPAIR_HINT
-        raise InputError(f"{place(column, i)}: time {problem} {column.unit}: {cure}")

@@ -1,4 +1,4 @@
-"""Tables: files as named columns of numbers that are not yet assigned to channels.
+"""Tables: files and objects as named columns of numbers that are not yet assigned to channels.
 
 A table first reads its headers, so that the caller can choose columns, and then the numbers of these columns. A cell
 that is not a finite number is an error with its row and column, or NaN if the caller is ``lenient``.
@@ -26,19 +26,30 @@ _NOT_FINITE = ("nan", "inf", "infinity", "na", "n/a", "#n/a", "null", "none")
 _SHOWN_CHARACTERS = 30
 # Characters of the message of another package that a sentence shows; chosen to keep it on one line.
 _MESSAGE_CHARACTERS = 120
-REPAIR_HINT = "correct it, or leave such rows out with --drop-bad-rows"
+
+
+def repair_hint(drop_option: str) -> str:
+    """Return the cure for a bad row.
+
+    Args:
+        drop_option: The option that leaves such rows out.
+    """
+    return f"correct it, or leave such rows out with {drop_option}"
+
+
+REPAIR_HINT = repair_hint("--drop-bad-rows")
 
 
 class Table(abc.ABC):
-    """A file as a table.
+    """A file, or an object in memory, as a table.
 
     Attributes:
-        path: The file.
         headers: Header of each column, without white space at its ends.
         first_row: Number of the first row of data, counted as in the program that the format belongs to.
+        drop_option: The option that leaves bad rows out, for messages.
     """
 
-    path: Path
+    drop_option = "--drop-bad-rows"
     headers: tuple[str, ...]
     first_row: int
 
@@ -65,11 +76,11 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def refuse_if_too_large(path: Path, rows: float, columns: int) -> None:
+def refuse_if_too_large(path: Path | str, rows: float, columns: int) -> None:
     """Check that a table fits into the memory limit, before or while it is read.
 
     Args:
-        path: The file, for the message.
+        path: The file, or the name of the object, for the message.
         rows: Number of rows, or an estimate.
         columns: Number of columns that are read.
 

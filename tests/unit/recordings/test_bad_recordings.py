@@ -271,28 +271,28 @@ TABLE = [
         "time_missing",
         "current [A],displacement [mm]\n0.3,0\n0.3,1\n",
         {},
-        "wire.csv: the channel time is missing: the file has current, displacement, so add a column 'time [s]' or map one to "
+        "wire.csv: the channel time is missing: it has current, displacement, so add a column 'time [s]' or map one to "
         "time under [channels] in the rig",
     ),
     (
         "input_missing",
         column("current_1 [A]", [1, 2, 3]),
         {"required": ["current"]},
-        "wire.csv: the channel current is missing (did you mean 'current_1'?): the file has time, current_1, so add a column "
+        "wire.csv: the channel current is missing (did you mean 'current_1'?): it has time, current_1, so add a column "
         "'current [A]' or map one to current under [channels] in the rig",
     ),
     (
         "observed_missing",
         rows("0,0.3,0", "1,0.3,1"),
         {"observed": ["temperature"]},
-        "wire.csv: the channel temperature is missing: the file has time, current, displacement, so add a column 'temperature "
+        "wire.csv: the channel temperature is missing: it has time, current, displacement, so add a column 'temperature "
         "[degC]' or map one to temperature under [channels] in the rig",
     ),
     (
         "mapped_column_missing",
         column("current [A]", [1, 2, 3]),
         {"required": ["displacement"], "mapping": {"displacement": ChannelMap("Laser", "mm")}},
-        "wire.csv: the channel displacement, which the rig maps to column 'Laser', is missing: the file has time, current, so "
+        "wire.csv: the channel displacement, which the rig maps to column 'Laser', is missing: it has time, current, so "
         "add a column 'displacement [m]' or map one to displacement under [channels] in the rig",
     ),
     (
@@ -623,7 +623,7 @@ TABLE = [
         "too_many_bad_rows",
         rows("0,0.3,0", "0,x,0", "0,x,0", "0,x,0"),
         {"drop_bad_rows": True},
-        "wire.csv: 3 of 4 rows are bad, the first of them row 3, too many to drop: correct the file",
+        "wire.csv: 3 of 4 rows are bad, the first of them row 3, too many to drop: correct them",
     ),
     (
         "nothing_left_but_one_row",

@@ -1,0 +1,56 @@
+"""Checks of a recording that is already read, or was made from arrays: it needs the channels of a rig, too."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from smajax.channels import channel_unit
+from smajax.errors import InputError
+from smajax.recordings.column_mapping import ChannelMap, FileColumn, require_channels
+from smajax.recordings.readers.memory import MemoryTable, content_sha256
+from smajax.recordings.recording import Recording
+from smajax.recordings.value_checks import check_changes, check_row_count, check_time
+
+
+def check_recording(
+    recording: Recording, names: Sequence[str], observed: Sequence[str], mapping: Mapping[str, ChannelMap]
+) -> Recording:
+    """Check that a recording can be used; its values are in internal units, whose scale is not checked again.
+
+    Args:
+        recording: The recording.
+        names: Required channels, with ``time`` if it must have a clock.
+        observed: Channels that must change; they may be NaN in rows in which they were not measured.
+        mapping: Column and unit by channel, as in the rig file, for messages.
+
+    Returns:
+        The recording, with the SHA-256 of its content if it came from no file.
+
+    Raises:
+        InputError: If a channel is missing, time does not increase, an input is not finite, or an observed channel is
+            constant.
+    """
+    values = ({"time": recording.time} if recording.has_clock else {}) | dict(recording.channels)
+    columns = {
+        name: FileColumn(k, f"{name} [{channel_unit(name)}]", name, channel_unit(name)) for k, name in enumerate(values)
+    }
+    require_channels(recording.name, list(columns.values()), names, mapping)
+    check_row_count(recording.name, len(recording))
+    for name in dict.fromkeys(["time", *names]):
+        if name not in values:
+            continue
+        header = columns[name].header
+        missing = np.flatnonzero(~np.isfinite(values[name]))
+        if missing.size and name not in observed:
+            place = f"{recording.name}: row {missing[0]}, column '{header}'"
+            raise InputError(f"{place}: the value {values[name][missing[0]]} is not a finite number: correct it")
+        if missing.size == len(recording):
+            raise InputError(f"{recording.name}: column '{header}': no value is a finite number: correct them")
+        if name in observed:
+            check_changes(recording.name, columns[name], values[name][np.isfinite(values[name])])
+    check_time(recording.time, "s", lambda i: f"{recording.name}: row {i}, column 'time [s]'", MemoryTable.drop_option)
+    if recording.sha256:
+        return recording
+    headers = [column.header for column in columns.values()]
+    return dataclasses.replace(recording, sha256=content_sha256(headers, list(values.values())))
