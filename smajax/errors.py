@@ -3,7 +3,7 @@
 ``InputError`` reports a mistake in the input: one sentence that names the file, row, column or key, and the cure (exit
 code 2). ``NumericsError`` reports a failed calculation: the result code, the parameters that caused it, and the results
 that were saved before (exit code 3). ``Cancelled`` reports that a callback or Ctrl-C stopped the work before there was
-a result (exit code 130).
+a result (exit code 130). ``DerivativeError`` refuses a derivative that does not exist, in place of a wrong number.
 """
 
 import difflib
@@ -35,6 +35,10 @@ class InputError(ValueError):
         """
         super().__init__(message)
         self.code, self.fields = code, fields
+
+
+class DerivativeError(InputError):
+    """A derivative that does not exist; the message names the function and what to use instead."""
 
 
 class NumericsError(ArithmeticError):

@@ -54,10 +54,33 @@ class Declaration:
     whole: bool = False
 
 
+def require_x64() -> None:
+    """Check that JAX computes in double precision.
+
+    Raises:
+        InputError: If it does not.
+    """
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise InputError(
+            "JAX computes in single precision and smajax needs double precision: call "
+            'jax.config.update("jax_enable_x64", True) before making arrays, or set JAX_ENABLE_X64=1'
+        )
+
+
 def as_float(value: Any) -> Any:
-    """Convert a number to a float64 array; return ``None`` and the placeholder leaves of JAX unchanged."""
+    """Convert a number to a float64 array; return ``None`` and the placeholder leaves of JAX unchanged.
+
+    Raises:
+        InputError: If JAX computes in single precision, or the value is an array of single precision.
+    """
+    if getattr(value, "dtype", None) == jnp.float32:
+        require_x64()
+        raise InputError(
+            "a parameter is an array of float32 and smajax needs double precision: make it with dtype=jnp.float64"
+        )
     if value is None or isinstance(value, jax.Array) or not isinstance(value, int | float):
         return value
+    require_x64()
     return jnp.asarray(value, dtype=jnp.float64)
 
 

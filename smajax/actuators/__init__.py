@@ -7,4 +7,3 @@ Each is an ``AbstractActuator``: it declares its parameters as a plant does, and
 reads and writes their rig.toml.
 """
 
-from smajax.numerics import jax_setup as jax_setup

@@ -9,4 +9,3 @@
 - ``export``: a controller as C header, JSON document or FMU.
 """
 
-from smajax.numerics import jax_setup as jax_setup

@@ -197,7 +197,7 @@ class SampledPlant(AbstractSampledSystem):
 
     def start(self) -> Any:
         """Return the plant's state at rest without any command, and the time since then, 0 s."""
-        return self.plant.start(jnp.zeros(self.wires)), jnp.zeros(())
+        return self.plant.init(jnp.zeros(self.wires)), jnp.zeros(())
 
     def with_parameters(self, values: Mapping[str, ArrayLike]) -> "SampledPlant":
         """Return the sampled plant with other values of some parameters, named as in ``smajax.parameters``."""
@@ -212,7 +212,7 @@ class SampledPlant(AbstractSampledSystem):
         def substep(carry: tuple, _: Any) -> tuple[tuple, Float[Array, " unknowns"]]:
             state, time, unsolved = carry
             signal = self._signal(command, time)
-            state, failed = self.plant.step(state, signal, signal, duration)
+            state, failed = self.plant.solve_step(state, signal, signal, duration)
             return (state, time + duration, unsolved + failed), jnp.concatenate([state.temperature, state.unknown])
 
         (plant_state, time, unsolved), solutions = jax.lax.scan(

@@ -143,7 +143,7 @@ def bounds_of(plant: Plant, name: str, settings: Settings, free: Collection[str]
 def _state_value(plant: Plant, name: str, sample: Recording) -> float:
     """Start value of a state that the plant derives from the first row of its inputs."""
     first = jnp.asarray([sample.channels[c][0] for c in plant.signals])
-    state = plant.start(first)
+    state = plant.init(first)
     values = {
         "temperature": state.temperature,
         "detwinned": state.fractions.detwinned,

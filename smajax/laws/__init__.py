@@ -14,4 +14,3 @@ from smajax.laws.prandtl_ishlinskii import PrandtlIshlinskii as PrandtlIshlinski
 from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii as InversePrandtlIshlinskii
 from smajax.laws.switched import Switched as Switched
 from smajax.laws.transfer_function import TransferFunction as TransferFunction
-from smajax.numerics import jax_setup as jax_setup

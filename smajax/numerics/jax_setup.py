@@ -1,9 +1,7 @@
-"""Double precision and compiler options, set for the process by importing this module.
+"""Compiler options of JAX for a process, and the choice of the CPU for single simulations.
 
-All modules of smajax that compute import this one. A loop over time steps runs many times as fast if all of it, also
-with large arrays, is compiled into one function. Such a function operates on short vectors, which AVX-512 slows down,
-and XLA's older emitters compile it faster. Options that ``XLA_FLAGS`` already contains are left unchanged. If JAX has
-compiled something before, the options have no effect: results are the same, but everything is slower.
+Nothing here happens by importing smajax: the command line, the tests and the experiments call
+``smajax.numerics.process.prepare_jax``, which sets the options. From Python, results are the same without them.
 """
 
 import contextlib
@@ -12,6 +10,8 @@ import platform
 
 import jax
 
+# A loop over time steps runs many times as fast if all of it, also with large arrays, is compiled into one function.
+# Such a function operates on short vectors, which AVX-512 slows down, and XLA's older emitters compile it faster.
 XLA_FLAGS = (
     # XLA aborts the process on an unknown option, and the XLA of jax 0.11 no longer has this one.
     *(["--xla_cpu_use_fusion_emitters=false"] if jax.__version_info__ < (0, 11) else []),
@@ -19,11 +19,15 @@ XLA_FLAGS = (
     *(["--xla_cpu_max_isa=AVX2"] if platform.machine().lower() in ("x86_64", "amd64") else []),
 )
 
-_environment_flags = os.environ.get("XLA_FLAGS", "")
-os.environ["XLA_FLAGS"] = " ".join(
-    [_environment_flags, *(flag for flag in XLA_FLAGS if flag.split("=")[0] not in _environment_flags)]
-).strip()
-jax.config.update("jax_enable_x64", True)
+
+def set_compiler_options() -> None:
+    """Add ``XLA_FLAGS`` to the environment; options that it already contains are left unchanged.
+
+    If JAX has compiled something before, the options have no effect.
+    """
+    flags = os.environ.get("XLA_FLAGS", "")
+    added = [flag for flag in XLA_FLAGS if flag.split("=")[0] not in flags]
+    os.environ["XLA_FLAGS"] = " ".join([flags, *added]).strip()
 
 
 def on_cpu() -> contextlib.AbstractContextManager:

@@ -10,8 +10,6 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from smajax.numerics import jax_setup as jax_setup
-
 
 @jax.custom_jvp
 def maximum(a: ArrayLike, b: ArrayLike) -> jax.Array:

@@ -2,7 +2,6 @@
 
 import gc
 import os
-import sys
 import tempfile
 from pathlib import Path
 
@@ -12,27 +11,27 @@ _GARBAGE_THRESHOLD = 200_000
 
 
 def prepare_jax(accelerator: bool = False) -> None:
-    """Set up JAX for a process: CPU unless an accelerator is allowed, and compiled programs cached between runs.
+    """Set up JAX for a process of the command line: double precision, compiler options, platform and cache.
 
-    The cache is in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder can be written, nothing is
-    cached, and everything else works. A GPU is many times as slow for a few simulations at a time, and faster for
-    thousands of designs in parallel. Equinox's run-time checks are switched off first: they call Python from the
-    compiled program, which then cannot be cached. smajax's simulations have status codes instead.
+    Importing smajax does none of this. From Python only double precision is needed; the rest makes it faster.
+
+    Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder
+    can be written, nothing is cached, and everything else works. A GPU is many times as slow for a few simulations at a time, and faster for
+    thousands of designs in parallel. Equinox's run-time checks are switched off: they call Python from the
+    compiled program, which then cannot be cached. smajax's simulations have status codes instead. Where equinox was
+    imported before, its checks stay, and where JAX has compiled something before, its options do.
 
     Args:
         accelerator: Whether JAX may use an accelerator; otherwise it uses the CPU, unless ``JAX_PLATFORMS`` is set.
-
-    Raises:
-        RuntimeError: If equinox has been imported before, so that its checks cannot be switched off.
     """
-    if "equinox" in sys.modules and os.environ.get("EQX_ON_ERROR") != "off":
-        raise RuntimeError("prepare_jax has to be called before anything imports equinox")
     os.environ.setdefault("EQX_ON_ERROR", "off")
     gc.set_threshold(_GARBAGE_THRESHOLD, 20, 50)
     import jax
 
-    from smajax.numerics import jax_setup  # noqa: F401
+    from smajax.numerics.jax_setup import set_compiler_options
 
+    set_compiler_options()
+    jax.config.update("jax_enable_x64", True)
     if not accelerator and not os.environ.get("JAX_PLATFORMS"):
         jax.config.update("jax_platforms", "cpu")
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):

@@ -7,7 +7,6 @@ with ``convection`` (h(T)), ``materials``, ``mechanisms`` and ``sensor``. ``wire
 wire, and ``effects`` has optional terms of each stage, such as latent heat.
 """
 
-from smajax.numerics import jax_setup as jax_setup
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 

@@ -1,12 +1,9 @@
 """The plant: its initial state, its time step, and the readings of its sensors.
 
-A step is implicit. Its unknowns and equations are those of ``smajax.plant.step_equations``; ``Plant.step`` solves them
-by Newton's method (``smajax.numerics.newton``). The search is not differentiated: ``step_residual`` evaluates the
-equations at the solved end, and the implicit function theorem gives the derivatives (``smajax.plant.implicit_step``,
-``smajax.simulation.sensitivities``).
+A step is implicit. Its unknowns and equations are those of ``smajax.plant.step_equations``, ``smajax.plant.step_solver``
+solves them by Newton's method, and ``smajax.plant.implicit_step`` has the derivatives of the solution.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,21 +11,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from smajax.channels import numbered
-from smajax.numerics import newton
-from smajax.numerics.dense import solve_dense
+from smajax.numerics.derivative_order import once_differentiable
 from smajax.numerics.nonsmooth import minimum
 from smajax.plant.drive import resistance
 from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect, WireState
-from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
 from smajax.plant.state import State
-from smajax.plant.step_equations import StepEquations
+from smajax.plant.step_solver import StepSolver, newton_corrected
 
 # Channels that every wire has, apart from its strain; ``Plant.observe`` gives each of them.
 _WIRE_CHANNELS = ("temperature", "stress", "force", "resistance", "current", "voltage", "power")
 
 
-class Plant(StepEquations):
+class Plant(StepSolver):
     """Differentiable model of a rig: drive, heat, material, mechanism and sensors, and the effects that act on them.
 
     The parameters are the float leaves; ``smajax.parameters`` reads and sets them by name. A ``signal`` is the vector
@@ -48,7 +44,7 @@ class Plant(StepEquations):
         strain = numbered("strain", wires)
         return tuple(dict.fromkeys((self.mechanism.coordinate, *strain, *names, *self.mechanism.extra_channels)))
 
-    def start(self, signal: Float[Array, " signals"]) -> State:
+    def init(self, signal: Float[Array, " signals"]) -> State:
         """Compute the state at the first sample: as installed, at rest, in equilibrium.
 
         Args:
@@ -71,7 +67,7 @@ class Plant(StepEquations):
             strain, memory = self._initial_memory(temperature, fractions, stress, strain)
         state = State(temperature, fractions, stress, unknown, self.mechanism.initial_motion(strain), memory)
         # Under a known load the state is in equilibrium already; a prescribed strain takes a step of zero duration.
-        return self._equilibrium(state, signal) if "strain" in prescribed else state
+        return _equilibrium(self, state, signal) if "strain" in prescribed else state
 
     def _initial_fractions(self, temperature: Float[Array, " wires"], prescribed: dict) -> Fractions:
         """The fractions as installed, or as ``initial`` gives them."""
@@ -110,18 +106,6 @@ class Plant(StepEquations):
         memory = {e.key: e.initial_memory(wire_state, context) for e in self.all_effects}
         return strain, memory | self._shared_memory(wire_state)
 
-    def _equilibrium(self, state: State, signal: Float[Array, " signals"]) -> State:
-        """The state after a step of zero duration, differentiable."""
-        step = jnp.zeros(())
-        solved, _ = self.step(state, signal, signal, step)
-        end = jax.lax.stop_gradient(jnp.concatenate([solved.temperature, solved.unknown]))
-        _, jacobian_product = jax.linearize(
-            lambda z: jax.lax.stop_gradient(self).step_residual(jax.lax.stop_gradient(state), signal, signal, step, z),
-            end,
-        )
-        residual, state_at_end = self.step_residual(state, signal, signal, step, end)
-        return _newton_corrected(state_at_end, residual, jacobian_product)
-
     def step(
         self,
         state: State,
@@ -129,7 +113,7 @@ class Plant(StepEquations):
         after: Float[Array, " signals"],
         step: Float[Array, ""],
     ) -> tuple[State, Bool[Array, ""]]:
-        """Advance the state by one step. Not differentiable; ``step_residual`` is, at the solved end.
+        """Advance the state by one step; differentiable once, in both modes, in all arguments and in the plant.
 
         Args:
             state: The state at the start of the step.
@@ -139,57 +123,11 @@ class Plant(StepEquations):
 
         Returns:
             The state at the end, and whether the step could not be solved.
+
+        Raises:
+            DerivativeError: When a second derivative is taken.
         """
-        state = self._begin_step(state, step)
-        rate = self._net_heat(self._wire_state(state), state.memory, before)
-        guess = jnp.concatenate([self._predicted_temperature(state, rate, after, step), state.unknown])
-        constants = jax.lax.stop_gradient((self, state, rate, before, after, step))
-        if isinstance(self.heat, PrescribedTemperature) and not self.mechanism.unknowns:
-            end, failed = guess, jnp.asarray(False)
-        else:
-            end, failed = self._solve(
-                lambda z, coarse: Plant._residual(*constants, z, coarse=coarse)[0], jax.lax.stop_gradient(guess)
-            )
-        (residual, state_at_end), jacobian_product = jax.linearize(lambda z: Plant._residual(*constants, z), end)
-        return _newton_corrected(state_at_end, residual, jacobian_product), failed
-
-    def _predicted_temperature(
-        self, state: State, rate: Float[Array, " wires"], after: Float[Array, " signals"], step: Float[Array, ""]
-    ) -> Float[Array, " wires"]:
-        """First guess of the temperature at the end of a step: an explicit Euler step."""
-        if isinstance(self.heat, PrescribedTemperature):
-            return jnp.broadcast_to(self._prescribed_channels(after)["temperature"], state.temperature.shape)
-        return state.temperature + step * rate / self._heat_capacity(state.fractions.martensite)
-
-    def _solve(
-        self,
-        residual: Callable[[Float[Array, " unknowns"], bool], Float[Array, " unknowns"]],
-        guess: Float[Array, " unknowns"],
-    ) -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-        """Solve ``residual(z, coarse) = 0`` from ``guess``: the solution, and whether the search failed."""
-        wires = self.mechanism.wires
-
-        def solve_with_friction() -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-            # The last Newton step must not cross a nonsmooth point of the friction, so the search uses the exact
-            # balances.
-            return newton.solve_with_friction(lambda z: residual(z, False), guess, wires)
-
-        if self.mechanism.has_dry_friction:
-            return solve_with_friction()
-        if not self._has_drag:
-            # The balance of temperatures alone, without latent heat, is so nearly linear over a step that one Newton
-            # step and the last one are sufficient.
-            search = newton.solve if self.mechanism.unknowns or self.all_effects else newton.single_step
-            return search(lambda z: residual(z, True), guess, wires)
-        # A drag is an additional unknown. Without friction it is 0, and without it the search takes fewer iterations.
-        no_drag = jnp.zeros(1)
-
-        def solve_without_drag() -> tuple[Float[Array, " unknowns"], Bool[Array, ""]]:
-            end, failed = newton.solve(lambda z: residual(jnp.concatenate([z, no_drag]), True)[:-1], guess[:-1], wires)
-            return jnp.concatenate([end, no_drag]), failed
-
-        strengths = jnp.stack([e.strength for e in self._effects_of(MechanismEffect) if e.has_drag])
-        return jax.lax.cond(jnp.any(strengths != 0.0), solve_with_friction, solve_without_drag)
+        return implicit_step(self, state, before, after, step)
 
     def observe(self, state: State, signal: Float[Array, " signals"]) -> dict[str, Float[Array, ""]]:
         """Compute the channels at one instant, as their sensors read them.
@@ -271,12 +209,13 @@ class Plant(StepEquations):
         return frozenset(words if no_drag else words | {"drag"})
 
 
-def _newton_corrected(state: State, residual: Float[Array, " unknowns"], jacobian_product: Callable) -> State:
-    """The state after one more Newton step; ``jacobian_product`` is the linearised residual and state there.
-
-    The Jacobian is not differentiated, so the derivative of the result is that of the implicit function.
-    """
-    size = residual.shape[0]
-    jacobian, state_per_unknown = jax.vmap(jacobian_product, out_axes=-1)(jnp.eye(size))
-    change = -solve_dense(jacobian, residual)
-    return jax.tree.map(lambda s, d: s + sum(d[..., i] * change[i] for i in range(size)), state, state_per_unknown)
+@once_differentiable("Plant.init under a prescribed strain")
+def _equilibrium(plant: Plant, state: State, signal: Float[Array, " signals"]) -> State:
+    """The state after a step of zero duration, differentiable."""
+    step = jnp.zeros(())
+    fixed_plant, fixed_state, fixed_signal = jax.lax.stop_gradient((plant, state, signal))
+    solved, _ = fixed_plant.solve_step(fixed_state, fixed_signal, fixed_signal, step)
+    end = jnp.concatenate([solved.temperature, solved.unknown])
+    _, jacobian_product = jax.linearize(lambda z: fixed_plant.step_residual(fixed_state, signal, signal, step, z), end)
+    residual, state_at_end = plant.step_residual(state, signal, signal, step, end)
+    return newton_corrected(state_at_end, residual, jacobian_product)

@@ -7,7 +7,7 @@
 - Steps traced once: ``traced_step`` and ``traced_step_residual`` are separate jitted functions, so that all programs
   share one trace; tracing a step takes longer than compiling some of these programs.
 
-None of this changes a result. The equations of a step are those of ``Plant.step`` and ``Plant.step_residual``.
+None of this changes a result. The equations of a step are those of ``Plant.step_residual``.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from smajax.simulation.inputs import Inputs
 # further beyond ``end_index``.
 BLOCK = 64
 
-traced_step = eqx.filter_jit(lambda plant, *step: plant.step(*step))
+traced_step = eqx.filter_jit(lambda plant, *step: plant.solve_step(*step))
 traced_step_residual = eqx.filter_jit(lambda plant, *step: plant.step_residual(*step))
 
 
@@ -72,5 +72,5 @@ def state_unflattener(plant: Plant, inputs: Inputs) -> Callable[[Float[Array, " 
         plant: The plant, which determines the structure of its states.
         inputs: Its inputs on a grid.
     """
-    shape = jax.eval_shape(plant.start, inputs.sample_signals[0])
+    shape = jax.eval_shape(plant.init, inputs.sample_signals[0])
     return ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape))[1]

@@ -9,9 +9,11 @@ import itertools
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from smajax.errors import InputError, suggestion
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.step_size import default_step
@@ -26,6 +28,7 @@ _JUMP_SHARE = 0.05
 # Tolerance, as a share of a step, for the rounding of sample times, so that it does not cost an additional step: far
 # above rounding (1e-16).
 _ROUNDING = 1e-9
+_INTERPOLATIONS = ("hold", "linear")
 # Keeps a quotient finite for a constant input; near the smallest double-precision number, so it changes no other value.
 _TINY = 1e-300
 
@@ -65,6 +68,16 @@ class Inputs(eqx.Module):
             np.append(indices, np.full(more_samples, indices[-1])),
             np.concatenate([signals, np.repeat(signals[-1:], more_samples, axis=0)]),
         )
+
+    def scale(self, factor: Float[Array, ""] | Float[Array, " signals"] | float) -> "Inputs":
+        """Multiply the signals by a factor, such as the amplitude of the current; differentiable in it.
+
+        Args:
+            factor: One factor, or one for each signal in the order of ``Plant.signals``.
+        """
+        signals = (self.before, self.after, self.sample_signals)
+        before, after, sample_signals = (jnp.asarray(factor) * signal for signal in signals)
+        return Inputs(self.time, before, after, self.sample_indices, sample_signals)
 
     def coarsen(self, stride: int, *, held: bool, pieces: int = 1) -> "Inputs":
         """Take every ``stride``-th sample, on fewer and longer steps.
@@ -137,7 +150,14 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
             per row, since only the order of its rows matters.
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
         step: Longest step in s; ``default_step`` if not given.
+
+    Raises:
+        InputError: If the recording lacks a channel, the interpolation is unknown, or the step depends on a traced
+            plant.
     """
+    _check_channels(plant, recording)
+    if interpolation not in _INTERPOLATIONS:
+        raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
     time = recording.time
     pieces = _steps_per_sample(plant, recording, interpolation, step)
     indices = np.concatenate([[0], np.cumsum(pieces)])
@@ -159,12 +179,35 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
     return _inputs(grid, before, after, indices, signals)
 
 
+def _check_channels(plant: Plant, recording: Recording) -> None:
+    """Check that a recording has a channel for each signal of a plant."""
+    for name in plant.signals:
+        if name not in recording.channels:
+            columns = ", ".join(recording.channels) or "none"
+            raise InputError(
+                f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, which drives the "
+                f"plant: add a column '{name}' (it has {columns})"
+            )
+
+
+def _concrete_step(plant: Plant) -> float:
+    """``default_step`` of a plant, also where it is differentiated: the grid is no function of its parameters."""
+    try:
+        with jax.ensure_compile_time_eval():
+            return default_step(jax.lax.stop_gradient(plant))
+    except jax.errors.ConcretizationTypeError:
+        raise InputError(
+            "discretise: the default step depends on the plant, whose parameters are traced here: call discretise "
+            "outside jit and vmap, or give step="
+        ) from None
+
+
 def _steps_per_sample(plant: Plant, recording: Recording, interpolation: str, step: float | None) -> np.ndarray:
     """Number of steps from each sample to the next, shape ``(samples - 1,)``."""
     gaps = np.diff(recording.time)
     pieces = np.ones(len(gaps), int)
     if recording.has_clock:
-        pieces = np.maximum(1, np.ceil(gaps / (step or default_step(plant)) - _ROUNDING).astype(int))
+        pieces = np.maximum(1, np.ceil(gaps / (step or _concrete_step(plant)) - _ROUNDING).astype(int))
     if interpolation == "linear" and recording.has_clock:
         # Where the input changes strongly between two samples, heating may change to cooling in between: small steps
         # resolve that reversal.

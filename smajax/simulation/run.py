@@ -8,13 +8,15 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 
+import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from smajax import parameters
-from smajax.errors import NumericsError
+from smajax.errors import InputError, NumericsError
+from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
@@ -24,6 +26,7 @@ from smajax.simulation.inputs import Inputs, discretise
 from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.time_stepping import integrate
+from smajax.simulation.vector_field import integrate_vector_field
 
 # Wide vectors are faster in a batch; single simulations are slower with them.
 _BATCH_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
@@ -101,7 +104,7 @@ def blank_trajectory(plant: Plant, inputs: Inputs) -> Trajectory:
         inputs: Its inputs on a grid.
     """
     signal = inputs.sample_signals[0]
-    size = jax.eval_shape(lambda: flatten_state(plant, plant.start(signal), signal)).shape[0]
+    size = jax.eval_shape(lambda: flatten_state(plant, plant.init(signal), signal)).shape[0]
     return Trajectory(jnp.zeros((inputs.time.shape[0], size)), jnp.asarray(SimulationStatus.unsolved.value))
 
 
@@ -155,31 +158,86 @@ def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
     return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
 
 
-def simulate(
-    plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None, throw: bool = True
+@eqx.filter_jit
+def simulate_vector_field(
+    plant: Plant, inputs: Inputs, solver: dfx.AbstractSolver, adjoint: dfx.AbstractAdjoint | None = None
 ) -> Simulation:
-    """Simulate a plant under a recording's inputs; ``simulate_batch`` simulates many plants.
+    """Simulate a plant by a diffrax solver of its vector field.
 
     Args:
-        plant: The plant; its effects of strength 0 are left out.
-        recording: The recording that gives the inputs.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
-        step: Longest step in s; ``default_step`` if not given.
-        throw: Whether to raise if the simulation fails.
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        solver: The solver.
+        adjoint: How diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint`` if not given.
+
+    Raises:
+        InputError: If the plant has no vector field.
+    """
+    states, status = integrate_vector_field(plant, inputs, solver, adjoint)
+    channels = observe(plant, states, inputs, plant.observable)
+    return Simulation(inputs.time[inputs.sample_indices], channels, states, status)
+
+
+def simulate(
+    plant: Plant,
+    inputs: Inputs | Recording,
+    *,
+    interpolation: str = "hold",
+    step: float | None = None,
+    solver: dfx.AbstractSolver | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    throw: bool = True,
+) -> Simulation:
+    """Simulate a plant; safe under ``jax.jit``, ``jax.vmap`` and differentiation in both modes.
+
+    Differentiable once in the plant's parameters and in the inputs. ``simulate_batch`` simulates many plants faster.
+
+    Args:
+        plant: The plant; its effects of strength 0 are left out, unless the strength is traced.
+        inputs: The inputs on a grid (``discretise``), or a recording that gives them. With a recording the grid is made
+            here, which a plant under ``jax.jit`` or ``jax.vmap`` allows only with ``step``.
+        interpolation: Electrical inputs of a recording between its samples: ``hold`` or ``linear``.
+        step: Longest step in s for a recording; ``default_step`` if not given.
+        solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
+            adaptive step size, in place of the implicit step: a second opinion. Not every plant has one.
+        adjoint: With ``solver``: how diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint`` (reverse mode) if
+            not given.
+        throw: Whether to raise if the simulation fails. Under ``jax.jit`` or ``jax.vmap`` nothing is raised, so that
+            programs can be cached: look at ``status``.
 
     Returns:
-        The response at the recording's rows.
+        The response at the samples.
 
     Raises:
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
+        InputError: If something is of single precision, the recording lacks a channel, the grid would depend on a
+            traced plant, or the plant has no vector field for ``solver``.
+        DerivativeError: When a second derivative is taken.
     """
-    inputs = discretise(plant, recording, interpolation=interpolation, step=step)
-    effects = tuple(effect for effect in plant.effects if float(effect.strength) != 0.0)
-    result = simulate_inputs(dataclasses.replace(plant, effects=effects), inputs)
-    status = SimulationStatus(int(result.status))
-    if throw and status is not SimulationStatus.done:
-        raise NumericsError(f"{recording.name}: {status.name}: {status.hint}; parameters: {describe_parameters(plant)}")
+    name = "simulate"
+    if isinstance(inputs, Recording):
+        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation, step=step)
+    require_double(plant=plant, inputs=inputs)
+    if inputs.before.shape[-1:] != (len(plant.signals),):
+        raise InputError(
+            f"{name}: the inputs have {inputs.before.shape[-1]} signals and the plant is driven by "
+            f"{', '.join(plant.signals)}: call discretise with this plant"
+        )
+    present = dataclasses.replace(plant, effects=tuple(e for e in plant.effects if not _is_zero(e.strength)))
+    if solver is None:
+        result = simulate_inputs(present, inputs)
+    else:
+        result = simulate_vector_field(present, inputs, solver, adjoint)
+    if throw and not isinstance(result.status, jax.core.Tracer):
+        status = SimulationStatus(int(result.status))
+        if status is not SimulationStatus.done:
+            raise NumericsError(f"{name}: {status.name}: {status.hint}; parameters: {describe_parameters(plant)}")
     return result
+
+
+def _is_zero(strength: Float[Array, "..."]) -> bool:
+    """Whether an effect is absent, as far as that is known while a program is traced."""
+    return not isinstance(strength, jax.core.Tracer) and float(strength) == 0.0
 
 
 @functools.partial(eqx.filter_jit, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import implicit_jvp, jvp
 from smajax.plant.plant import Plant
 from smajax.simulation.compilation import (
@@ -64,7 +65,7 @@ def simulate_outputs(
 @simulate_outputs.def_jvp
 def _simulate_outputs_jvp(primals: tuple, tangents: tuple) -> tuple:
     """Simulate the trajectory first, then compute the tangents along it."""
-    plant, inputs, end_index, output_fn = primals
+    plant, inputs, end_index, output_fn = nondifferentiable(primals, first_order_only("simulate"))
     trajectory = Trajectory(*integrate(plant, inputs, flatten_state, end_index))
     outputs, output_tangents = _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
     return (outputs, trajectory.status), (output_tangents, None)
@@ -97,7 +98,7 @@ def outputs_along(
 @outputs_along.def_jvp
 def _outputs_along_jvp(primals: tuple, tangents: tuple) -> tuple:
     """Compute the tangents along the trajectory."""
-    plant, inputs, end_index, output_fn, trajectory = primals
+    plant, inputs, end_index, output_fn, trajectory = nondifferentiable(primals, first_order_only("simulate"))
     return _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
 
 
@@ -127,7 +128,7 @@ def _forward_sensitivities(
     step, step_tangents, signal_tangents = _step_rows(inputs, input_tangents)
     first_signal = None if input_tangents.sample_signals is None else input_tangents.sample_signals[0]
     first = jvp(
-        lambda plant, signal: ravel_pytree(plant.start(signal))[0],
+        lambda plant, signal: ravel_pytree(plant.init(signal))[0],
         (plant, inputs.sample_signals[0]),
         (plant_tangent, first_signal),
     )

@@ -11,7 +11,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
@@ -87,7 +87,7 @@ def integrate(
     Returns:
         The outputs at all grid points, leaves of shape ``(grid, ...)``, and the status code.
     """
-    start = plant.start(inputs.sample_signals[0])
+    start = plant.init(inputs.sample_signals[0])
     count = inputs.time.shape[0] - 1
     blocks = -(-count // BLOCK)
     last = inputs.after[-1]
@@ -117,11 +117,19 @@ def integrate(
         jnp.concatenate([a[None], b.reshape(blocks * BLOCK, *a.shape)[:count]])
         for a, b in zip(first, later, strict=True)
     ]
-    return jax.tree.unflatten(structure, outputs), _status(*carry)
+    return jax.tree.unflatten(structure, outputs), simulation_status(*carry)
 
 
-def _status(final: State, unsolved: jax.Array, hottest: jax.Array) -> Int[Array, ""]:
-    """Status code of a simulation from its final state, the number of unsolved steps and the highest temperature."""
+def simulation_status(
+    final: State, unsolved: Int[Array, ""] | Bool[Array, ""], hottest: Float[Array, ""]
+) -> Int[Array, ""]:
+    """Compute the status code (``SimulationStatus``) of a simulation or of a step.
+
+    Args:
+        final: The state at the end.
+        unsolved: Number of steps that could not be solved.
+        hottest: Highest temperature, degC; NaN if any temperature was NaN.
+    """
     status = jnp.where(unsolved > 0, SimulationStatus.unsolved, SimulationStatus.done)
     # A NaN in a fraction or a motion stays to the end; one in a temperature stays in the highest temperature.
     leaves_finite = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(final)]

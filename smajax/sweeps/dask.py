@@ -244,8 +244,7 @@ def simulate_chunk(text: str, designs: np.ndarray, steps: int, gradients: bool) 
     Raises:
         InputError: If the sweep belongs to another version of smajax.
     """
-    with contextlib.suppress(RuntimeError):  # JAX is set up already on a worker that has simulated before
-        prepare_jax(accelerator=True)
+    prepare_jax(accelerator=True)
     from smajax.sweeps.chunks import evaluate_designs
 
     return evaluate_designs(_problem(text), designs, steps, gradients=gradients)

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
 
 # Channels that follow the command without delay; the others change in the course of the period.
@@ -165,6 +166,7 @@ def _implicit_rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario:
 @_implicit_rollout.def_jvp
 def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
     """Propagate the tangent from sample to sample; linear in the tangent, so that JAX transposes it."""
+    primals = nondifferentiable(primals, first_order_only("the rollout of an implicit plant"))
     (system, loop, scenario), (system_tangent, loop_tangent, scenario_tangent) = primals, tangents
     result, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
     unflatten = ravel_pytree(_initial_carry(system, loop, scenario))[1]

@@ -27,6 +27,7 @@ class Backlash(MechanismEffect):
         "1", "position in the play at the first row: -1 at one end, 1 at the other", -1.0, 1.0, 0.0
     )
     key = "backlash"
+    obstacle_to_rates = "play"
     typical = 1e-4
     source = "estimate: 0.05 to 0.3 mm"
     confused_with = ("coulomb-friction",)

@@ -78,6 +78,8 @@ class AbstractEffect(eqx.Module):
             residual.
         absorbed_from: Share of its influence that free parameters have to compensate for it to count as absorbed. It is
             lower if the remaining share depends on nominal values that are not measured.
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
+            empty if there are rates.
     """
 
     key: ClassVar[str]
@@ -91,6 +93,7 @@ class AbstractEffect(eqx.Module):
     no_mean_effect: ClassVar[str] = ""
     # Everything but rounding and the linearisation's own error; chosen by trial, tests/unit/diagnosis holds it.
     absorbed_from: ClassVar[float] = 1.0 - 1e-7
+    obstacle_to_rates: ClassVar[str] = ""
     strength: eqx.AbstractVar[jax.Array]
 
     @classmethod

@@ -20,6 +20,7 @@ class CoulombFriction(MechanismEffect):
         "1", "contraction, as a strain, over which friction builds up from 0", 1e-7, 1e-3, 1e-5
     )
     key = "coulomb-friction"
+    obstacle_to_rates = "dry friction"
     typical = 2e7
     source = "capstan equation: 8 to 21 % of the load over a quarter turn at a coefficient of 0.05 to 0.15"
     confused_with = ("backlash",)

@@ -11,6 +11,7 @@ class Quantisation(SensorEffect):
 
     strength: jax.Array = parameter("1", "step of the converter", 0.0, 1.0, 0.0)
     key = "quantisation"
+    obstacle_to_rates = "rounded readings"
     typical = 1.0
     source = "the variance of rounding, step squared over 12"
     no_mean_effect = "rounding scatters and does not shift the mean: its variance is counted in the noise"

@@ -12,7 +12,7 @@ of any shape.
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -52,8 +52,13 @@ class AbstractMaterial(eqx.Module):
 
     The Clausius-Clapeyron slopes are ``clausius_clapeyron_austenite`` C_A and ``clausius_clapeyron_martensite`` C_M:
     a stress raises the transformation temperatures of austenite by sigma / C_A, those of martensite by sigma / C_M.
+
+    Attributes:
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
+            empty if there are rates.
     """
 
+    obstacle_to_rates: ClassVar[str] = ""
     martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
     martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
     austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)

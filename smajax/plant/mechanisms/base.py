@@ -47,6 +47,8 @@ class AbstractMechanism(eqx.Module):
         prescribed: Names of the recorded channels that the mechanism follows.
         coordinate: Name of the channel of its motion.
         extra_channels: Names of further channels that it adds to those of the plant.
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
+            empty if there are rates.
     """
 
     wires: eqx.AbstractClassVar[int]
@@ -54,6 +56,7 @@ class AbstractMechanism(eqx.Module):
     prescribed: eqx.AbstractClassVar[tuple[str, ...]]
     coordinate: eqx.AbstractClassVar[str]
     extra_channels: ClassVar[tuple[str, ...]] = ()
+    obstacle_to_rates: ClassVar[str] = ""
 
     @property
     def effects(self) -> tuple[AbstractEffect, ...]:

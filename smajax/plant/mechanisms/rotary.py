@@ -84,6 +84,7 @@ class MasslessRotary(AbstractRotary):
 
     pulley: Pulley
     wires, unknowns, prescribed, coordinate, extra_channels = 2, 1, (), "angle", ("torque",)
+    obstacle_to_rates = "play between two slack wires"
 
     def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stress."""
@@ -145,6 +146,7 @@ class AbstractInertialRotary(AbstractRotary):
     """
 
     wires, unknowns, prescribed, coordinate, extra_channels = 2, 3, (), "angle", ("torque", "rate")
+    obstacle_to_rates = "an inertia that its implicit step integrates by a rule of its own"
 
     @property
     def inertia(self) -> Float[Array, "..."]:

@@ -144,7 +144,7 @@ def test_a_plant_in_numpy_takes_the_same_steps(name):
             state, failed = plant.step(state, signal, signal, jnp.asarray(step))
             return state, (plant.observe(state, signal), failed)
 
-        return jax.lax.scan(single, plant.start(row[0]), row)[1]
+        return jax.lax.scan(single, plant.init(row[0]), row)[1]
 
     expected, unsolved = jax.jit(march)(jnp.asarray(signals))
     state = list(text["start"](values, list(signals[0])))

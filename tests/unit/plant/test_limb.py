@@ -144,7 +144,7 @@ def test_the_liner_takes_its_heat_and_gives_it_back(recording):
 def test_an_idle_arm_hangs_where_its_weight_and_spring_say(recording):
     """Cold wires at angle 0 carry the load; a wire cannot push: a limb without weight stays at the angle of the hot wire."""
     plant = plants.limb()
-    start = plant.start(jnp.zeros(1))
+    start = plant.init(jnp.zeros(1))
     moment = 0.12 * 9.81 * 0.15 * np.sin(0.3) + 0.02
     assert float(start.stress[0]) == pytest.approx(moment * 1.5 / (2.0 * float(plant.wire.area) * 0.03), rel=1e-12)
     idle = parameters.replace(plant, {"limb.mass": 0.0, "limb.stiffness": 0.0, "limb.preload": 0.0})

@@ -161,7 +161,7 @@ def test_every_derivative_is_that_of_differences_and_a_batch_is_a_loop(law):
 def test_compiled_is_eager(law):
     plant, recording = rig_of(law).plant, pulses()
     inputs = discretise(plant, recording)
-    state, compiled = plant.start(inputs.sample_signals[0]), simulate(plant, recording)
+    state, compiled = plant.init(inputs.sample_signals[0]), simulate(plant, recording)
     for k in range(int(inputs.sample_indices[1])):
         state, failed = plant.step(state, inputs.before[k], inputs.after[k], inputs.time[k + 1] - inputs.time[k])
         assert not failed

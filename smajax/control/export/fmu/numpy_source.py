@@ -68,7 +68,7 @@ _REDUCE = {
 # Operations whose literals are written as Python numbers, next to a NumPy value.
 _TAKES_NUMBERS = (*_INFIX, "max", "min", "clamp")
 # Operations that return their inputs.
-_IDENTITY = ("stop_gradient", "copy", "copy_p", "optimization_barrier")
+_IDENTITY = ("smajax_nondifferentiable", "stop_gradient", "copy", "copy_p", "optimization_barrier")
 # Parameters of a call that may hold the jaxpr that it calls.
 _INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 # Largest integer power that is written as a product. Chosen by trial; tests/unit/control/test_fmu.py compares results.

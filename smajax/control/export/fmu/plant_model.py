@@ -41,10 +41,10 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
         return parameters.replace(plant, dict(zip(values, numbers, strict=True)))
 
     def start(parameters: Any, inputs: Any) -> Any:
-        return with_values(parameters).start(_signal(inputs))
+        return with_values(parameters).init(_signal(inputs))
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
-        return with_values(parameters).step(state, _signal(inputs), _signal(inputs), step)
+        return with_values(parameters).solve_step(state, _signal(inputs), _signal(inputs), step)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
         channels = with_values(parameters).observe(state, _signal(inputs))

@@ -1,0 +1,281 @@
+"""The plant as a differential equation: rates of temperatures, martensite fractions and memories, for diffrax.
+
+    C dT/dt = q(t, T, xi, sigma) - d(stored)/dt       d(xi)/dt = K(xi, T, sigma; dT/dt, d(sigma)/dt)
+    0 = B(z, T, xi, t)                                sigma = sigma(z, t)
+
+q is the net heat, ``stored`` the latent heat, B the balance of the mechanism in its unknowns z, and K the material law.
+A law is written in increments that do not depend on the rate; its rates K are the one-sided derivative of an increment
+in the direction of dT/dt and d(sigma)/dt. That direction decides which transformation proceeds, and the transformation
+decides the direction: the rates are the root of a piecewise linear equation in dT/dt and dz/dt. All terms are those of
+``smajax.plant.step_equations``, so no equation is written twice.
+
+``integrate_vector_field`` integrates it with any diffrax solver and an adaptive step size. It shares the equations with
+the implicit step (``Plant.step``) and nothing of its integration in time, so it is a second opinion on the latter. It
+is slower: rates cost several evaluations of the equations, and they jump where a transformation starts or ends.
+"""
+
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from smajax.errors import InputError
+from smajax.numerics import newton
+from smajax.numerics.dense import solve_dense
+from smajax.plant.effects.base import WireState
+from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.materials.base import Fractions
+from smajax.plant.plant import Plant
+from smajax.plant.state import State
+from smajax.simulation.inputs import Inputs
+from smajax.simulation.status import SimulationStatus
+from smajax.simulation.time_stepping import simulation_status
+
+# s. Duration of the increment whose derivative is a rate: so long that rounding does not decide which transformation
+# proceeds (a band of 20 K at 1e-3 K/s advances by 5e-11, ``NO_PROGRESS`` is 1e-12), so short that the rate at its end
+# is that at its start (relative difference 1e-6 with a time constant of 1 s).
+_INCREMENT = 1e-6
+# Newton steps for the unknowns of the mechanism at given fractions. Their equation is piecewise linear, nearly, and the
+# first guess is the integrated unknown; two steps reach rounding, the third makes higher derivatives exact.
+_BALANCE_STEPS = 3
+# Relative tolerance of the step size control, and the absolute ones of temperature (K), fraction, and unknown (Pa);
+# tests/unit/simulation/test_vector_field.py holds the resulting difference to the implicit step.
+_RELATIVE_TOLERANCE = 1e-7
+_ABSOLUTE_TOLERANCE = 1e-7
+# Steps per sample for which diffrax has room. Chosen by trial: 5 to 20 are usual.
+_STEPS_PER_SAMPLE = 256
+
+
+class Differential(NamedTuple):
+    """The variables of the differential equation.
+
+    Attributes:
+        temperature: Temperatures of the wires, shape ``(wires,)``, degC.
+        fractions: Martensite fractions, shape ``(wires,)`` each.
+        unknown: Unknowns of the mechanism as shares of Young's modulus of austenite: first guesses of the solution of
+            its balance, which alone counts.
+        memory: States of the effects (``State.memory``).
+    """
+
+    temperature: Float[Array, " wires"]
+    fractions: Fractions
+    unknown: Float[Array, " unknowns"]
+    memory: dict[str, Any]
+
+
+class FieldArguments(NamedTuple):
+    """What the vector field needs in addition to time and variables: ``args`` of diffrax.
+
+    Attributes:
+        plant: The plant.
+        inputs: Its inputs on a grid.
+        motion: State of the mechanism, which is constant.
+    """
+
+    plant: Plant
+    inputs: Inputs
+    motion: Any
+
+
+def check_vector_field(plant: Plant) -> None:
+    """Check that a plant has a vector field.
+
+    Args:
+        plant: The plant.
+
+    Raises:
+        InputError: If it has none; the message names the part and the reason.
+    """
+    parts = [("the material law", plant.material), ("the mechanism", plant.mechanism)]
+    parts += [(f"the effect '{effect.key}'", effect) for effect in plant.all_effects]
+    for name, part in parts:
+        reason = part.obstacle_to_rates or ("a drag, which depends on the last step" * getattr(part, "has_drag", False))
+        if reason:
+            raise InputError(
+                f"simulate: {name} has {reason}, so that the plant has no vector field for a diffrax solver: leave out "
+                "solver= to take implicit steps"
+            )
+
+
+def plant_term() -> dfx.ODETerm:
+    """Return the plant's vector field as a diffrax term; its ``args`` are ``FieldArguments``."""
+    return dfx.ODETerm(rates)
+
+
+def initial_variables(plant: Plant, signal: Float[Array, " signals"]) -> tuple[Differential, Any]:
+    """Compute the variables at the first sample, and the constant state of the mechanism.
+
+    Args:
+        plant: The plant.
+        signal: Signals at the first sample.
+    """
+    state = plant.init(signal)
+    unknown = state.unknown / plant._mechanism_context().modulus
+    return Differential(state.temperature, state.fractions, unknown, state.memory), state.motion
+
+
+def state_of(variables: Differential, signal: Float[Array, " signals"], plant: Plant, motion: Any) -> State:
+    """Compute the state of the plant: the balance of the mechanism gives the stress.
+
+    Args:
+        variables: The variables of the differential equation.
+        signal: Signals at the same instant.
+        plant: The plant.
+        motion: State of the mechanism.
+    """
+    prescribed, context, mechanism = plant._prescribed_channels(signal), plant._mechanism_context(), plant.mechanism
+    temperature = variables.temperature
+    if isinstance(plant.heat, PrescribedTemperature):
+        temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
+
+    def state_with(unknown: jax.Array) -> State:
+        stress = mechanism.stress(unknown, prescribed, context)
+        return State(temperature, variables.fractions, stress, unknown, motion, variables.memory)
+
+    def balance(unknown: jax.Array) -> jax.Array:
+        state = state_with(unknown)
+        strain = plant._strain(plant._wire_state(state), state.memory)
+        return mechanism.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
+
+    unknown = variables.unknown * context.modulus
+    if mechanism.unknowns:
+        for _ in range(_BALANCE_STEPS):
+            unknown = unknown - solve_dense(jax.jacfwd(balance)(unknown), balance(unknown))
+    state = state_with(unknown)
+    if not plant.all_effects:
+        return state
+    strain = plant._strain(plant._wire_state(state), state.memory)
+    return state._replace(memory=state.memory | {"contraction": mechanism.contraction(strain)})
+
+
+def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
+    """Compute the time derivatives of the variables; the signature is that of a diffrax vector field.
+
+    Args:
+        t: Time, s.
+        y: The variables.
+        args: Plant, inputs, and the state of the mechanism.
+
+    Returns:
+        The derivatives, in units of the variables per second.
+    """
+    plant, inputs, motion = args
+    signal, slope = _signal_at(inputs, t)
+    state = plant._begin_step(state_of(y, signal, plant, motion), jnp.asarray(_INCREMENT))
+    first, wires = plant._wire_state(state), plant.mechanism.wires
+    net_heat = plant._net_heat(first, state.memory, signal)
+    start = jnp.concatenate([state.temperature, state.unknown])
+
+    def derivative(rate: jax.Array) -> tuple:
+        return jax.jvp(
+            lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h),
+            (jnp.asarray(_INCREMENT),),
+            (jnp.ones(()),),
+        )[1]
+
+    def residual(rate: jax.Array) -> jax.Array:
+        balance, stored, _ = derivative(rate)
+        if isinstance(plant.heat, PrescribedTemperature):
+            heat = rate[:wires] - plant._prescribed_channels(slope)["temperature"]
+        else:
+            heat = rate[:wires] - (net_heat - stored) / plant._heat_capacity(first.fractions.martensite)
+        return jnp.concatenate([heat, balance])
+
+    rate = _solve_rates(residual, jnp.zeros_like(start), wires)
+    _, _, end = derivative(rate)
+    modulus = plant._mechanism_context().modulus
+    return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.memory)
+
+
+def _increment(
+    plant: Plant, state: State, first: WireState, ends: tuple, step: Float[Array, ""]
+) -> tuple[Float[Array, " balances"], Float[Array, " wires"], State]:
+    """Balance, stored heat and state after an increment to signals and unknowns; the terms of ``_residual``."""
+    signal, end = ends
+    mechanism, context = plant.mechanism, plant._mechanism_context()
+    prescribed, unknown = plant._prescribed_channels(signal), end[mechanism.wires :]
+    last, memory = plant._end_of_step(state, first, unknown, prescribed, step, end)
+    strain = plant._strain(last, memory)
+    if plant.all_effects:
+        last = last._replace(contraction=mechanism.contraction(strain))
+        memory = memory | plant._shared_memory(last)
+    balance = mechanism.balance(unknown, strain, state.motion, prescribed, context, step)
+    stored = jnp.zeros_like(last.temperature) + plant._stored_heat(first, last)
+    return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, state.motion, memory)
+
+
+def _solve_rates(residual: Any, guess: Float[Array, " unknowns"], wires: int) -> Float[Array, " unknowns"]:
+    """The root of a piecewise linear equation, differentiable: two Newton steps follow the search."""
+    fixed = jax.closure_convert(residual, guess)
+    function, constants = fixed[0], fixed[1:]
+    constants = jax.lax.stop_gradient(constants[0] if len(constants) == 1 else constants)
+    rate, failed = newton.solve(lambda z: function(z, *constants), guess, wires)
+    rate = jax.lax.stop_gradient(jnp.where(failed, jnp.nan, rate))
+    for _ in range(2):
+        rate = rate - solve_dense(jax.jacfwd(residual)(rate), residual(rate))
+    return rate
+
+
+def _signal_at(inputs: Inputs, t: Any) -> tuple[Float[Array, " signals"], Float[Array, " signals"]]:
+    """The signals at a time and their slopes, from the step of the grid that holds it."""
+    index = jnp.clip(jnp.searchsorted(inputs.time, t, side="right") - 1, 0, inputs.before.shape[0] - 1)
+    before, after = inputs.before[index], inputs.after[index]
+    duration = inputs.time[index + 1] - inputs.time[index]
+    duration = jnp.where(duration > 0.0, duration, 1.0)
+    slope = (after - before) / duration
+    return before + (t - inputs.time[index]) * slope, slope
+
+
+def integrate_vector_field(
+    plant: Plant,
+    inputs: Inputs,
+    solver: dfx.AbstractSolver,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    controller: dfx.AbstractAdaptiveStepSizeController | None = None,
+) -> tuple[State, Int[Array, ""]]:
+    """Integrate the plant's vector field with an adaptive step size; compilation is up to the caller.
+
+    Args:
+        plant: The plant.
+        inputs: Its inputs on a grid, of which only the samples matter: the solver steps to each of them, since a held
+            input jumps there.
+        solver: The diffrax solver, such as ``diffrax.Tsit5()`` or ``diffrax.Kvaerno5()``.
+        adjoint: How diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint()`` if not given.
+        controller: Step size control; by default ``diffrax.PIDController`` with tolerances of 1e-7.
+
+    Returns:
+        States at the samples, each leaf with a leading axis of ``samples``, and the status code.
+
+    Raises:
+        InputError: If the plant has no vector field.
+    """
+    check_vector_field(plant)
+    controller = controller or dfx.PIDController(rtol=_RELATIVE_TOLERANCE, atol=_ABSOLUTE_TOLERANCE)
+    samples = inputs.time[inputs.sample_indices]
+    first, motion = initial_variables(plant, inputs.sample_signals[0])
+    solution = dfx.diffeqsolve(
+        plant_term(),
+        solver,
+        samples[0],
+        samples[-1],
+        None,
+        first,
+        args=FieldArguments(plant, inputs, motion),
+        stepsize_controller=dfx.ClipStepSizeController(controller, jump_ts=samples[1:-1]),
+        saveat=dfx.SaveAt(ts=samples),
+        max_steps=_STEPS_PER_SAMPLE * len(samples),
+        adjoint=dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+        throw=False,
+    )
+    states = jax.vmap(lambda y, signal: state_of(y, signal, plant, motion))(solution.ys, inputs.sample_signals)
+    return states, _status(states, dfx.is_okay(solution.result))
+
+
+def _status(states: State, succeeded: Bool[Array, ""]) -> Int[Array, ""]:
+    """Status code: not finite, too hot, or ended before the last sample."""
+    last = jax.tree.map(lambda leaf: leaf[-1], states)
+    status = simulation_status(last, ~succeeded, jnp.max(states.temperature))
+    # After the solver has given up, diffrax fills the rows with infinity, which says nothing about the plant.
+    return jnp.where(succeeded, status, SimulationStatus.unsolved)
