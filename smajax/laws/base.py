@@ -13,13 +13,10 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from smajax.errors import InputError
-
-# Rows are equally spaced up to this share of the step: rounding of the times.
-_SPACING_ROUNDING = 1e-6
+from smajax.laws.row_spacing import refuse_uneven_rows
 
 
 class AbstractInputOutputModel(eqx.Module):
@@ -97,7 +94,12 @@ class AbstractInputOutputModel(eqx.Module):
 
         Returns:
             Predicted outputs at the rows; the first one is the measured output.
+
+        Raises:
+            InputError: The model is in discrete time, and the rows are not equally spaced.
         """
+        if self.needs_even_rows and not isinstance(time, Tracer):  # fits check their rows before
+            values = refuse_uneven_rows(time, values, type(self).__name__)
         numbers = jnp.arange(1, len(values))
         past = measured[jnp.maximum(numbers[:, None] - 1 - jnp.arange(self.history_length)[None, :], 0)]
 
@@ -124,7 +126,7 @@ class AbstractInputOutputModel(eqx.Module):
                 error at run time.
         """
         if self.needs_even_rows:
-            time = _refuse_uneven(time, type(self).__name__)
+            values = refuse_uneven_rows(time, values, type(self).__name__)
         return self.even_response(time, values)
 
     def even_response(self, time: Float[Array, " rows"], values: Float[Array, " rows"]) -> Float[Array, " rows"]:
@@ -143,33 +145,3 @@ class AbstractInputOutputModel(eqx.Module):
         first = self.init(values[0])
         _, outputs = jax.lax.scan(advance, first, (values[:-1], values[1:], jnp.diff(time)))
         return jnp.append(self.output(first, values[0]), outputs)
-
-
-def is_evenly_spaced(time: Any) -> bool:
-    """Return whether rows are equally spaced, up to rounding; false for traced times, whose values are unknown.
-
-    Args:
-        time: Times of the rows, s.
-    """
-    return (
-        not isinstance(time, jax.core.Tracer) and float(_largest_deviation(np.asarray(time), np)) <= _SPACING_ROUNDING
-    )
-
-
-def _largest_deviation(time: Any, library: Any) -> Any:
-    """Largest deviation of a step from the mean one, as a share of it; 0 for fewer than three rows."""
-    if len(time) < 3:
-        return library.zeros(())
-    mean = (time[-1] - time[0]) / (len(time) - 1)
-    return library.max(library.abs(library.diff(time) - mean)) / mean
-
-
-def _refuse_uneven(time: Float[Array, " rows"], name: str) -> Float[Array, " rows"]:
-    """The times, with an error where the rows are not equally spaced."""
-    sentence = f"{name} is a model in discrete time and needs equally spaced rows: resample them (Recording.resample)"
-    if isinstance(time, jax.core.Tracer):
-        return eqx.error_if(time, ~(_largest_deviation(time, jnp) <= _SPACING_ROUNDING), sentence)
-    if not is_evenly_spaced(time):
-        gaps = np.diff(np.asarray(time))
-        raise InputError(f"{sentence}; these are {gaps.min():.4g} to {gaps.max():.4g} s apart")
-    return time

@@ -23,7 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.laws.base import AbstractInputOutputModel, is_evenly_spaced
+from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.row_spacing import is_evenly_spaced
 
 Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
 STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.signal import lfilter
+from scipy.signal import correlate, lfilter
 
 from smajax.fitting.autoregression import fit_autoregression
 from smajax.properties.minor_loops import noise_of_averages
@@ -115,6 +115,6 @@ def debias_autocorrelation(
 def _correlation_rows(residual: np.ndarray) -> float:
     """Correlation length of residuals (n,) in rows, at least 1: sum of their autocorrelation up to its first zero."""
     centred = residual - residual.mean()
-    covariances = np.correlate(centred, centred, "full")[len(centred) - 1 :]
+    covariances = correlate(centred, centred, "full")[len(centred) - 1 :]
     shares = covariances / max(float(covariances[0]), _TINY)
     return float(np.sum(shares[: int(np.argmax(shares <= 0.0))])) if np.any(shares <= 0.0) else 1.0

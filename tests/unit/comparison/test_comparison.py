@@ -1,6 +1,7 @@
 """``smajax compare``: material laws and input-output models on one recording, by the command line."""
 
 import json
+import math
 import shutil
 
 import numpy as np
@@ -8,13 +9,19 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
+from smajax.comparison import compare
 from smajax.comparison.driving_input import changing_inputs
 from smajax.comparison.material_models import with_material_law
+from smajax.comparison.model_result import ModelResult
+from smajax.comparison.ranking import rank_models
 from smajax.comparison.scores import fit_percent
+from smajax.errors import Cancelled
 from smajax.files.rig_file import read_rig
 from smajax.fitting.io_models.fit import IOModelFit
+from smajax.recordings.datasets import data_path
 from smajax.recordings.recording import Recording
 from tests.conftest import ROOT
+from tests.support import plants
 
 FOLDER = ROOT / "data" / "recordings" / "dead-weight"
 
@@ -354,3 +361,33 @@ def test_fit_percent_is_that_of_matlab():
     assert fit_percent(y, y) == 100.0
     assert fit_percent(y, np.full(4, 1.5)) == pytest.approx(0.0)
     assert fit_percent(np.append(y, np.nan), np.append(y, 7.0)) == 100.0
+
+
+def _result(name: str, error: float, reason: str = "") -> ModelResult:
+    predictions = () if reason else (np.arange(10.0), np.arange(10.0) + error)
+    return ModelResult(name, "input-output", 2, predictions, reason=reason)
+
+
+def test_models_are_ranked_by_the_holdout_and_failed_ones_come_last():
+    recordings = [plants.recording({"displacement": np.arange(10.0)}, np.arange(10.0))] * 2
+    results = [_result("a", 0.3), _result("b", 0.0, "it failed"), _result("c", 0.1), _result("d", math.nan)]
+    ranked = rank_models(results, recordings, "displacement")
+    assert [model.result.name for model in ranked] == ["c", "a", "b", "d"]
+    assert ranked[0].scores is not None and ranked[0].scores.rmse[1] == pytest.approx(0.1)
+    assert ranked[2].scores is None
+
+
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
+def test_a_comparison_that_is_stopped_has_the_models_before(signal, monkeypatch):
+    def stop(name):
+        if name == stopped_at:
+            raise signal
+
+    monkeypatch.setattr(compare, "_fit_model", lambda rig, name, *_: _result(name, 0.1))
+    rig = read_rig(data_path("recordings", "dead-weight") / "rig.toml")
+    stopped_at = "c"
+    results = compare.compare_models(rig, ["a", "b", "c", "d"], [], seed=0, progress=stop)
+    assert [result.name for result in results] == ["a", "b"]
+    stopped_at = "a"
+    with pytest.raises(Cancelled, match="before a model was fitted"):
+        compare.compare_models(rig, ["a", "b"], [], seed=0, progress=stop)

@@ -16,12 +16,13 @@ from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting import fit as fit_module
 from smajax.fitting import intervals
 from smajax.fitting.autoregression import fit_autoregression
+from smajax.fitting.evaluation import copied_holdout_warnings, fit_warnings, start_responses
 from smajax.fitting.fit import fit
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem, build_problem
-from smajax.fitting.profile import crossing, profile_likelihood
+from smajax.fitting.profile import crossing, profile_labels, profile_likelihood
 from smajax.fitting.responses import simulate_responses
 from smajax.report.prediction import recording_series
 from smajax.simulation.status import SimulationStatus
@@ -221,6 +222,43 @@ def test_a_fit_that_is_interrupted_in_its_first_step_has_no_result(monkeypatch):
     monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
     with pytest.raises(Cancelled):
         fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04)
+
+
+@pytest.mark.parametrize("signal", [KeyboardInterrupt, StopIteration])
+def test_a_fit_that_is_stopped_has_the_best_point_so_far(signal):
+    def stop(step, cost):
+        costs.append(cost)
+        if step == 2:
+            raise signal
+
+    costs: list[float] = []
+    result = fit(plants.dead_weight(), [recorded(TRUTH)], Settings(), step=0.04, progress=stop)
+    assert result.status is SolverStatus.interrupted and result.steps == 2 and result.cost == costs[-1]
+    assert all(estimate.lower95 is not None for estimate in result.estimates)
+
+
+def test_labels_of_profiles():
+    settings = Settings(free=("heat.h0", "load.mass"), per_recording=("load.mass",), initial=("temperature",))
+    recordings = ["a.csv", "b.csv"]
+    assert profile_labels(["heat.h0", "load.mass"], settings, recordings) == [
+        "heat.h0", "load.mass@a.csv", "load.mass@b.csv"
+    ]  # fmt: skip
+    assert profile_labels(["initial.temperature@b.csv"], settings, recordings) == ["initial.temperature@b.csv"]
+    with pytest.raises(InputError, match=r"profile heat.h1: this parameter is not free \(did you mean 'heat.h0'\?\)"):
+        profile_labels(["heat.h1"], settings, recordings)
+
+
+def test_warnings_and_start_values_of_a_fit(result):
+    train = [dataclasses.replace(recorded(TRUTH), sha256="1" * 64)]
+    copies = [dataclasses.replace(recorded(TRUTH), sha256="1" * 64, name="copy.csv"), recorded(TRUTH, seed=7)]
+    (sentence,) = copied_holdout_warnings(train, copies)
+    assert sentence == "copy.csv has the same content as made.csv: it is not an independent test."
+    assert fit_warnings(result, plants.dead_weight(), [recorded(TRUTH)], Settings(starts=3)) == []
+    train_response, held = start_responses(
+        plants.dead_weight(), train, ("displacement",), holdout=copies[1:], step=0.04
+    )
+    assert (train_response.role, held.role) == ("train", "holdout")
+    assert held.status is SimulationStatus.done and held.rmse("displacement") > 10 * NOISE
 
 
 def test_an_interrupted_profile_is_no_profile(result, monkeypatch):

@@ -114,6 +114,9 @@ def test_models_in_discrete_time_refuse_uneven_rows():
             compute_response(model, time, u)
         with pytest.raises(Exception, match="needs equally spaced rows"):
             jax.block_until_ready(eqx.filter_jit(compute_response)(model, time, u))
+        if isinstance(model, Narx):
+            with pytest.raises(InputError, match="Narx is a model in discrete time"):
+                model.predict_ahead(time, u, u, jnp.asarray(5))
         even = compute_response(model, jnp.asarray(TIME[:10]), u)
         np.testing.assert_allclose(eqx.filter_jit(compute_response)(model, jnp.asarray(TIME[:10]), u), even, rtol=1e-9)
 
