@@ -36,6 +36,15 @@ class InputError(ValueError):
         super().__init__(message)
         self.code, self.fields = code, fields
 
+    def with_cure(self, cure: str) -> "InputError":
+        """Return the error with another cure, for a front end whose options have other names.
+
+        Args:
+            cure: The text in place of the field ``cure``, which is a part of the sentence.
+        """
+        before, _, after = str(self).rpartition(self.fields["cure"])
+        return InputError(before + cure + after, code=self.code, **(self.fields | {"cure": cure}))
+
 
 class DerivativeError(InputError):
     """A derivative that does not exist; the message names the function and what to use instead."""

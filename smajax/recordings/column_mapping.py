@@ -86,7 +86,7 @@ def assign_columns(
             columns.append(_mapped_column(path, index, header, unit, channel, source))
         if not sources:
             if channel_of(name) is None:
-                raise InputError(_unknown_header(path, header, name, headers, mapping, ignore))
+                raise _unknown_header(path, header, name, headers, mapping, ignore)
             columns.append(FileColumn(index, header, name, _column_unit(path, header, name, unit)))
     _refuse_double_channels(path, columns)
     if not columns:
@@ -117,7 +117,9 @@ def require_channels(
             source = f", which the rig maps to column '{mapping[name].column}'," if name in mapping else ""
             problem = f"the channel {name}{source} is missing{suggestion(name, present)}"
             cure = f"add a column '{_example_header(name)}' or map one to {name} under [channels] in the rig"
-            raise InputError(f"{path}: {problem}: it has {', '.join(present)}, so {cure}")
+            message = f"{path}: {problem}: it has {', '.join(present)}, so {cure}"
+            example = _example_header(name)
+            raise InputError(message, code="channel-missing", cure=cure, channel=name, example=example)
 
 
 def _mapped_column(
@@ -136,12 +138,13 @@ def _unknown_header(
     headers: Sequence[str],
     mapping: Mapping[str, ChannelMap],
     ignore: Sequence[str],
-) -> str:
+) -> InputError:
     has_known_columns = any(channel_of(other.partition("[")[0].strip()) or other in ignore for other in headers)
     skip_hint = "" if has_known_columns or mapping else ", or set skip_rows if the header comes further down"
     problem = f"column '{header}' is not a known channel{channel_suggestion(name)}"
     cure = "rename it, map it under [channels] in the rig, or leave it out"
-    return f'{path}: {problem}: {cure} with [channels] ignore = ["{header}"]{skip_hint}'
+    cure += f' with [channels] ignore = ["{header}"]{skip_hint}'
+    return InputError(f"{path}: {problem}: {cure}", code="unknown-column", cure=cure)
 
 
 def _refuse_double_channels(path: Path | str, columns: Sequence[FileColumn]) -> None:
@@ -161,7 +164,8 @@ def _column_unit(path: Path | str, header: str, name: str, unit: str | None) -> 
         if canonical == "1":
             return "1"
         cure = f"write the header like '{_example_header(name)}', or give the unit under [channels]"
-        raise InputError(f"{path}: column '{header}' has no unit: {cure}")
+        message, example = f"{path}: column '{header}' has no unit: {cure}", _example_header(name)
+        raise InputError(message, code="unit-missing", cure=cure, channel=name, example=example)
     try:
         conversion(unit.strip(), canonical)
     except InputError as error:

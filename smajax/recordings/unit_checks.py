@@ -99,8 +99,8 @@ def _looks_like_kelvin(values: NDArray[np.float64]) -> bool:
 def _refuse(place: str, problem: str, likely: str | None, name: str, cure: str) -> None:
     looks = f", and the numbers look like {likely}" if likely else ", outside the range of rigs with SMA wires"
     advice = f"correct {cure.format(unit=likely)}" if likely else "correct the unit or the value"
-    exception = f"or, if it is right, give {name} any_scale = true under [channels] in the rig"
-    raise InputError(f"{place}: {problem}{looks}: {advice}, {exception}")
+    exception = f", or, if it is right, give {name} any_scale = true under [channels] in the rig"
+    raise InputError(f"{place}: {problem}{looks}: {advice}{exception}", code="implausible", cure=exception)
 
 
 def _likely_unit(values: NDArray[np.float64], kind: str, unit: str) -> str | None:

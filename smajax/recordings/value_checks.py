@@ -77,7 +77,8 @@ def check_changes(path: Path | str, column: FileColumn, values: NDArray[np.float
     if values.min() == values.max():
         constant = f"the observed channel {column.name} is {values[0]:.15g} {column.unit} in all {len(values)} rows"
         cure = "check the sensor, or remove it from [fit] observe"
-        raise InputError(f"{path}: column '{column.header}': {constant}: {cure}")
+        message = f"{path}: column '{column.header}': {constant}: {cure}"
+        raise InputError(message, code="constant-channel", cure=cure)
 
 
 def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str], drop_option: str) -> None:
@@ -99,7 +100,8 @@ def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str]
         problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
         sort = f"sort the rows by time, or leave such rows out with {drop_option}"
         cure = sort if slips.size > _MAX_TIME_SLIPS else repair_hint(drop_option)
-        raise InputError(f"{place(i)}: time {problem} {unit}: {cure}")
+        message = f"{place(i)}: time {problem} {unit}: {cure}"
+        raise InputError(message, code="time-order" if cure == sort else "bad-row", cure=cure)
 
 
 def _peaks(columns: Sequence[FileColumn], values: Mapping[str, NDArray[np.float64]]) -> dict[str | None, float]:

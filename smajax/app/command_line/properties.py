@@ -94,13 +94,13 @@ def _analyse(recordings: list[Path], model: str | None, options: dict[str, Any],
     """Analyse the cycles; the messages of reading errors name the options of this command."""
     with start_run(quiet) as progress:
         from smajax.api.properties import thermal_cycle_properties
-        from smajax.app.commands.properties_hints import hints_of_this_command
+        from smajax.app.commands.properties_hints import with_cure_of_this_command
 
         try:
             return thermal_cycle_properties(recordings, model=model, progress=progress, **options)
         except InputError as error:
             ending = next((path.suffix.lower() for path in recordings if str(error).startswith(f"{path}")), "")
-            raise InputError(hints_of_this_command(str(error), ending)) from None
+            raise with_cure_of_this_command(error, ending) from None
 
 
 def _write_set(path: Path, study: "PropertiesStudy") -> None:

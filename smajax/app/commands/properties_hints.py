@@ -1,63 +1,69 @@
-"""Hints in the error messages of ``smajax properties``.
+"""Cures in the error messages of ``smajax properties``.
 
-The messages of the readers of recordings name keys of a rig file; this command has no rig. Each rule replaces such a
-hint by the option of this command, or the change of the file, with the same effect.
+The cures of the readers of recordings name keys of a rig file; this command has no rig. The errors have codes; for each
+one there is the option of this command, or the change of the file, with the same effect.
 """
 
-import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from smajax.errors import InputError
 
 _TEXT_ENDINGS = (".csv", ".txt")
 _COLUMNS_HINT = "--columns, as in --columns 'temperature [degC],strain [%]'"
-# Rules for all files.
-_RULES = (
-    (r'set delimiter = " " under \[channels\] in the rig', "give --delimiter space"),
-    (r", or, if it is right, give \w+ any_scale = true under \[channels\] in the rig", ""),
-    (r'set delimiter = ("[^"]+") and decimal = "," under \[channels\] in the rig', r"give --delimiter \1 --decimal ,"),
-    (r'set delimiter = ("[^"]+")( under \[channels\] in the rig)?', r"give --delimiter \1"),
-    (r'set decimal = "," under \[channels\] in the rig', "give --decimal ,"),
-    (r"set delimiter and decimal under \[channels\]", "give --delimiter and --decimal"),
-    (r"begin with a row like '[^']+'", f"name the columns by {_COLUMNS_HINT}"),
-    (r"correct it, or leave such rows out with --drop-bad-rows", "correct it, or remove its row"),
-    (r"sort the rows by time, or leave such rows out with --drop-bad-rows", "sort the rows by time"),
-    (r", or remove it from \[fit\] observe", ""),
-)
-_RULES_OF_TEXT = (
-    (r"rename it, map it under \[channels\].*", f"rename it, or name it by {_COLUMNS_HINT}"),
-    (r"or give the unit under \[channels\]", "in the file or by --columns"),
-    (r"or map one to \w+ under \[channels\] in the rig", f"or name the columns by {_COLUMNS_HINT}"),
-)
-_RULES_OF_MAT = (
-    (r"rename it, map it under \[channels\].*", "save one vector per channel, named temperature, strain and stress"),
-    (
-        r"write the header like '(\w+) \[([^]]+)\]', or give the unit under \[channels\]",
-        r"save a struct next to it with units.\1 = '\2'",
-    ),
-    (
-        r"so add a column '(\w+) [^']*' or map one to \w+ under \[channels\] in the rig",
-        r"so save a vector \1 next to them",
-    ),
-    (
-        r"give the file headers like 'temperature \[degC\]'",
-        "name its variables temperature and strain, with a struct units: units.strain = '%'",
-    ),
-)
-_RULES_OF_OTHERS = (
-    (r"rename it, map it under \[channels\].*", "rename it in the file, or remove it"),
-    (r", or give the unit under \[channels\]", ""),
-    (r" or map one to \w+ under \[channels\] in the rig", ""),
-)
+
+Fields = Mapping[str, Any]
 
 
-def hints_of_this_command(message: str, ending: str) -> str:
-    """Replace the hints in a message by those of this command.
+def _unit_of(fields: Fields) -> str:
+    """Unit in the example of a header, as in 'strain [%]'."""
+    return fields["example"].partition("[")[2].removesuffix("]")
+
+
+def _delimiter(fields: Fields) -> str:
+    name = "space" if fields["delimiter"] == " " else fields["delimiter"]
+    return f"give --delimiter {name}" + (" --decimal ," if fields.get("decimal") == "," else "")
+
+
+# Cures by code that hold for all files.
+_CURES: dict[str, Callable[[Fields], str]] = {
+    "delimiter": _delimiter,
+    "delimiter-is-decimal": lambda fields: 'give --delimiter ";" or "\\t"',
+    "decimal": lambda fields: "give --decimal ,",
+    "decimal-commas": lambda fields: "save with another delimiter and give --delimiter and --decimal",
+    "header-missing": lambda fields: f"name the columns by {_COLUMNS_HINT}",
+    "bad-row": lambda fields: "correct it, or remove its row",
+    "time-order": lambda fields: "sort the rows by time",
+    "constant-channel": lambda fields: "check the sensor",
+    "implausible": lambda fields: "",
+}
+_CURES_OF_TEXT: dict[str, Callable[[Fields], str]] = {
+    "unknown-column": lambda fields: f"rename it, or name it by {_COLUMNS_HINT}",
+    "unit-missing": lambda fields: f"write the header like '{fields['example']}', in the file or by --columns",
+    "channel-missing": lambda fields: f"add a column '{fields['example']}' or name the columns by {_COLUMNS_HINT}",
+}
+_CURES_OF_MAT: dict[str, Callable[[Fields], str]] = {
+    "unknown-column": lambda fields: "save one vector per channel, named temperature, strain and stress",
+    "unit-missing": lambda fields: f"save a struct next to it with units.{fields['channel']} = '{_unit_of(fields)}'",
+    "channel-missing": lambda fields: f"save a vector {fields['channel']} next to them",
+    "columns-named": lambda fields: (
+        "name its variables temperature and strain, with a struct units: units.strain = '%'"
+    ),
+}
+_CURES_OF_OTHERS: dict[str, Callable[[Fields], str]] = {
+    "unknown-column": lambda fields: "rename it in the file, or remove it",
+    "unit-missing": lambda fields: f"write the header like '{fields['example']}'",
+    "channel-missing": lambda fields: f"add a column '{fields['example']}'",
+}
+
+
+def with_cure_of_this_command(error: InputError, ending: str) -> InputError:
+    """Return an error of the readers of recordings with the cure of this command.
 
     Args:
-        message: Message of a reader of recordings.
+        error: The error.
         ending: Ending of the file name, such as ".csv".
     """
-    format_rules = (
-        _RULES_OF_TEXT if ending in _TEXT_ENDINGS else _RULES_OF_MAT if ending == ".mat" else _RULES_OF_OTHERS
-    )
-    for pattern, replacement in (*_RULES, *format_rules):
-        message = re.sub(pattern, replacement, message)
-    return message
+    of_format = _CURES_OF_TEXT if ending in _TEXT_ENDINGS else _CURES_OF_MAT if ending == ".mat" else _CURES_OF_OTHERS
+    cure = {**_CURES, **of_format}.get(error.code)
+    return error if cure is None else error.with_cure(cure(error.fields))

@@ -44,7 +44,8 @@ def open_table(
             return CsvTable(path, skip_rows, delimiter, decimal, headers)
         if headers is not None:
             cure = "give the file headers like 'temperature [degC]'"
-            raise InputError(f"{path}: only columns of text files can be named: {cure}")
+            problem = "only columns of text files can be named"
+            raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
         if suffix == ".mat":
             from smajax.recordings.readers.mat import MatTable
 

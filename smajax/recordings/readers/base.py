@@ -109,28 +109,37 @@ def parse_number(text: str, decimal: str) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def number_error(text: str, decimal: str) -> str:
-    """Return the error and the cure for a cell that ``parse_number`` refuses.
+def row_error(problem: str) -> InputError:
+    """Return the error of a row that can be left out.
 
     Args:
+        problem: The sentence without the cure.
+    """
+    return InputError(f"{problem}: {REPAIR_HINT}", code="bad-row", cure=REPAIR_HINT)
+
+
+def number_error(place: str, text: str, decimal: str) -> InputError:
+    """Return the error of a cell that ``parse_number`` refuses.
+
+    Args:
+        place: The cell's place, with which the sentence begins.
         text: Text of the cell.
         decimal: Decimal sign, ``.`` or ``,``.
-
-    Returns:
-        The end of a sentence that begins with the place of the cell.
     """
     shown = text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
     if not text:
-        return f"the cell is blank: {REPAIR_HINT}"
+        return row_error(f"{place}: the cell is blank")
     if text.lower().strip("+-") in _NOT_FINITE:
-        return f"'{shown}' is not a finite number: {REPAIR_HINT}"
+        return row_error(f"{place}: '{shown}' is not a finite number")
     if decimal == "." and _COMMA_NUMBER.fullmatch(text):
-        return f"'{shown}' has a decimal comma: set decimal = \",\" under [channels] in the rig"
+        cure = 'set decimal = "," under [channels] in the rig'
+        return InputError(f"{place}: '{shown}' has a decimal comma: {cure}", code="decimal", cure=cure)
     if decimal == "," and _PLAIN_NUMBER.fullmatch(text):
-        return f"'{shown}' has a decimal point although decimal is \",\": write every number in the same way"
+        problem = f"'{shown}' has a decimal point although decimal is \",\""
+        return InputError(f"{place}: {problem}: write every number in the same way", code="mixed-decimals")
     if _PLAIN_NUMBER.fullmatch(text.replace(",", ".")):
-        return f"'{shown}' is too large for a number: {REPAIR_HINT}"
-    return f"'{shown}' is not a number: {REPAIR_HINT}"
+        return row_error(f"{place}: '{shown}' is too large for a number")
+    return row_error(f"{place}: '{shown}' is not a number")
 
 
 def first_line(error: Exception) -> str:

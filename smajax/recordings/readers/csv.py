@@ -15,7 +15,7 @@ from typing import final
 import numpy as np
 
 from smajax.errors import InputError
-from smajax.recordings.readers.base import REPAIR_HINT, Table, number_error, parse_number, refuse_if_too_large
+from smajax.recordings.readers.base import Table, number_error, parse_number, refuse_if_too_large, row_error
 
 # Bytes that are read at a time: no effect on the numbers; large enough that the overhead of a block is negligible.
 BLOCK = 4 * 2**20
@@ -100,7 +100,8 @@ class CsvTable(Table):
             raise InputError(f"{self.path}: delimiter = {self.delimiter!r} is not possible: {cure}")
         if self.delimiter == self.decimal:
             problem = f'delimiter and decimal are both "{self.decimal}"'
-            raise InputError(f'{self.path}: {problem}: set delimiter = ";" or "\\t"')
+            cure = 'set delimiter = ";" or "\\t"'
+            raise InputError(f"{self.path}: {problem}: {cure}", code="delimiter-is-decimal", cure=cure)
 
     def _refuse_other_than_text(self, head: bytes) -> None:
         """Check that the file begins as text in UTF-8, with or without a byte order mark, in rows with a line feed."""
@@ -137,7 +138,8 @@ class CsvTable(Table):
         filled = [cell for cell in cells if cell]
         if all(parse_number(cell, self.decimal) is not None or cell.lower() == "nan" for cell in filled):
             cure = "begin with a row like 'time [s],current [A]'"
-            raise InputError(f"{place}: the header is missing ('{filled[0]}' is a number): {cure}")
+            problem = f"the header is missing ('{filled[0]}' is a number)"
+            raise InputError(f"{place}: {problem}: {cure}", code="header-missing", cure=cure)
         self._refuse_other_delimiter(place, cells, next_line)
         return tuple(cells)
 
@@ -146,12 +148,18 @@ class CsvTable(Table):
         others = [other for other in _DELIMITER_TEXTS if other != self.delimiter and other in cells[0]]
         if len(cells) == 1 and not others and self.delimiter != " " and self._is_spaced(next_line):
             cure = 'set delimiter = " " under [channels] in the rig'
-            raise InputError(f"{place}: the columns are separated by spaces: {cure}")
+            problem = "the columns are separated by spaces"
+            raise InputError(f"{place}: {problem}: {cure}", code="delimiter", cure=cure, delimiter=" ")
         if len(cells) == 1 and others:
             comma = 'and decimal = "," ' if others[0] != "," and b"," in next_line and b"." not in next_line else ""
+            name = _DELIMITER_TEXTS[others[0]]
+            cure = f"set delimiter = {name} {comma}under [channels] in the rig"
             raise InputError(
-                f"{place}: the columns are separated by {_DELIMITER_TEXTS[others[0]]}: "
-                f"set delimiter = {_DELIMITER_TEXTS[others[0]]} {comma}under [channels] in the rig"
+                f"{place}: the columns are separated by {name}: {cure}",
+                code="delimiter",
+                cure=cure,
+                delimiter=name,
+                decimal="," if comma else ".",
             )
 
     def _is_spaced(self, line: bytes) -> bool:
@@ -165,7 +173,8 @@ class CsvTable(Table):
         cells = self._cells(line, self.first_row)
         others = [text for c, text in _DELIMITER_TEXTS.items() if c != self.delimiter and c in cells[0]]
         if len(cells) == 1 and others:
-            raise InputError(f"{place}: the columns are separated by {others[0]}: set delimiter = {others[0]}")
+            problem, cure = f"the columns are separated by {others[0]}", f"set delimiter = {others[0]}"
+            raise InputError(f"{place}: {problem}: {cure}", code="delimiter", cure=cure, delimiter=others[0])
         if len(cells) != len(headers):
             count = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
             raise InputError(f"{place}: {count}: name every column, with - for one to ignore")
@@ -237,7 +246,7 @@ class CsvTable(Table):
         try:
             cells = self._cells(line, row)
             if len(cells) != len(self.headers):
-                raise InputError(self._ragged_error(place, cells))
+                raise self._ragged_error(place, cells)
         except InputError:
             if lenient:
                 return [np.nan] * len(indices)
@@ -246,19 +255,19 @@ class CsvTable(Table):
         for index in indices:
             number = parse_number(cells[index], self.decimal)
             if number is None and not lenient:
-                error = number_error(cells[index], self.decimal)
-                raise InputError(f"{place}, column '{self.headers[index]}': {error}")
+                raise number_error(f"{place}, column '{self.headers[index]}'", cells[index], self.decimal)
             numbers.append(np.nan if number is None else number)
         return numbers
 
-    def _ragged_error(self, place: str, cells: list[str]) -> str:
+    def _ragged_error(self, place: str, cells: list[str]) -> InputError:
         if not any(cells):
-            return f"{place}: the row is blank: {REPAIR_HINT}"
+            return row_error(f"{place}: the row is blank")
         count = f"{place}: the row has {len(cells)} cells and the header {len(self.headers)}"
         if self.delimiter == "," and len(self.headers) < len(cells) <= 2 * len(self.headers):
             cure = "save with another delimiter and set delimiter and decimal under [channels]"
-            return f"{count}: if the commas are decimal commas, {cure}"
-        return f"{count}: {REPAIR_HINT}"
+            problem = f"{count}: if the commas are decimal commas"
+            return InputError(f"{problem}, {cure}", code="decimal-commas", cure=cure)
+        return row_error(count)
 
     def _cells(self, line: bytes, row: int) -> list[str]:
         try:
@@ -268,4 +277,4 @@ class CsvTable(Table):
             problem = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"
             raise InputError(f"{self.path}: row {row}: {problem}: save the file as UTF-8") from None
         except csv.Error:
-            raise InputError(f"{self.path}: row {row}: the row cannot be divided into cells: {REPAIR_HINT}") from None
+            raise row_error(f"{self.path}: row {row}: the row cannot be divided into cells") from None

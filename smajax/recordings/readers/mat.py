@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 
 from smajax.errors import InputError
-from smajax.recordings.readers.base import REPAIR_HINT, Table, file_sha256, first_line, refuse_if_too_large
+from smajax.recordings.readers.base import Table, file_sha256, first_line, refuse_if_too_large, row_error
 
 # Types of the data elements of a version 5 file (MATLAB's "MAT-File Format").
 _MATRIX = 14
@@ -97,7 +97,7 @@ class MatTable(Table):
             raise InputError(f"{place}: the vector is empty: record at least two samples")
         bad = np.flatnonzero(~np.isfinite(numbers))
         if bad.size and not lenient:
-            raise InputError(f"{self.path}: row {bad[0] + 1}, column '{name}': the value is not finite: {REPAIR_HINT}")
+            raise row_error(f"{self.path}: row {bad[0] + 1}, column '{name}': the value is not finite")
         numbers[bad] = np.nan
         return numbers
 

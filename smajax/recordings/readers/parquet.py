@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from smajax.errors import InputError
-from smajax.recordings.readers.base import REPAIR_HINT, Table, file_sha256, first_line, refuse_if_too_large
+from smajax.recordings.readers.base import Table, file_sha256, first_line, refuse_if_too_large, row_error
 
 
 def pyarrow_parquet(path: Path, instead: str = ", or use CSV") -> Any:
@@ -77,6 +77,6 @@ class ParquetTable(Table):
         bad = np.flatnonzero(~np.isfinite(numbers))
         if bad.size and not lenient:
             cell = f"row {bad[0] + 1}, column '{self.headers[index]}'"
-            raise InputError(f"{self.path}: {cell}: the cell is blank or not finite: {REPAIR_HINT}")
+            raise row_error(f"{self.path}: {cell}: the cell is blank or not finite")
         numbers[bad] = np.nan
         return numbers

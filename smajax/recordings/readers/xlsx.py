@@ -128,6 +128,6 @@ class XlsxTable(Table):
             number = parse_number(repr(cell) if is_number else text, "." if is_number else self._decimal)
             if number is None and not lenient:
                 place = f"{self.path}: row {row}, column '{self.headers[index]}'"
-                raise InputError(f"{place}: {number_error(text, self._decimal)}")
+                raise number_error(place, text, self._decimal)
             numbers.append(np.nan if number is None else number)
         return numbers

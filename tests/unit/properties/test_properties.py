@@ -937,3 +937,22 @@ def test_several_recordings_are_analysed_together():
             analyse_recordings(recordings)
     with pytest.raises(InputError, match="good has no channel strain"):
         analyse_recordings([plants.recording({"temperature": t}, np.arange(len(t)) * 1.0, "good")])
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "cure"),
+    [
+        ("temperature [degC];strain [%]\n1;2\n", "delimiter", 'give --delimiter ";"'),
+        ("temperature [degC],warm\n1,2\n", "unknown-column", "rename it, or name it by --columns"),
+        ("temperature [degC],strain\n1,x\n", "bad-row", "correct it, or remove its row"),
+        ("temperature [degC]\n1\n2\n", "channel-missing", "add a column 'strain [1]' or name the columns by --columns"),
+    ],
+)
+def test_errors_of_a_reader_have_a_code_and_the_cure_of_the_front_end(tmp_path, text, code, cure):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_recording(path, required=("temperature",), observed=("strain",), clock=False)
+    assert caught.value.code == code and caught.value.fields["cure"] in str(caught.value)
+    output = CliRunner().invoke(app, ["properties", str(path)]).output
+    assert cure in output and caught.value.fields["cure"] not in output
