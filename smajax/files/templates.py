@@ -1,10 +1,12 @@
 """Files of ``smajax init``: a rig file to fill in, and an example."""
 
 import os
-import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+
+import tomlkit
+from tomlkit.items import Table
 
 from smajax.errors import InputError
 from smajax.recordings.datasets import data_path
@@ -30,14 +32,13 @@ def write_example(kind: str, out: Path) -> tuple[Path, Path, Path, list[Path]]:
         InputError: If one of the files exists (then none is written), or they cannot be written.
     """
     example = _example_of(kind)
-    template = data_path("templates", f"{kind}.toml").read_text("utf-8")
-    example_head = tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
+    template = tomlkit.parse(data_path("templates", f"{kind}.toml").read_text("utf-8"))
+    head, example_head = template["rig"], tomllib.loads((example / "rig.toml").read_text("utf-8"))["rig"]
     for key in _OF_RECORDING:
-        if key in example_head:
-            line = f'{key} = "{example_head[key]}"'
-            template = re.sub(rf'^{key} = "[^"]*"', line, template, count=1, flags=re.MULTILINE)
+        if key in example_head and key in head:
+            _set_value(head, key, example_head[key])
     files = {
-        out / "rig.toml": template.encode(),
+        out / "rig.toml": tomlkit.dumps(template).encode(),
         out / "example.toml": (example / "rig.toml").read_bytes(),
         out / "example.csv": (example / "train.csv").read_bytes(),
     }
@@ -75,6 +76,15 @@ def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
     rig = data_path("actuators", kind, "rig.toml").read_bytes()
     _write({out / "rig.toml": rig, out / "sweep.toml": sweep.encode()}, out)
     return out / "rig.toml", out / "sweep.toml"
+
+
+def _set_value(table: Table, key: str, value: str) -> None:
+    """Set a value whose comment keeps its column."""
+    old = table.item(key)
+    gap = len(old.trivia.comment_ws) + len(old.as_string())
+    table[key] = value
+    new = table.item(key)
+    new.trivia.comment_ws = " " * max(gap - len(new.as_string()), 1) if new.trivia.comment else ""
 
 
 def _write(files: Mapping[Path, bytes], out: Path) -> None:

@@ -30,7 +30,6 @@ _MAX_LISTED = 8
 _SHOWN_CHARACTERS = 60
 _HEADING = re.compile(r"\s*\[\s*([\w.\-]+)\s*\]")
 _SETTING = re.compile(r"\s*([\w.\-]+)\s*=")
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 # Form of the messages of tomllib: what is wrong, and where.
 _TOML_ERROR = re.compile(
     r"^(?P<what>.*) \(at (?:line (?P<row>\d+), column (?P<column>\d+)|end of document)\)$", re.DOTALL
@@ -248,12 +247,14 @@ def quantity_at(value: Any, unit: str, place: str, *, least: float = -math.inf) 
 
 
 def render_toml(data: Mapping[str, Any]) -> str:
-    """Return the TOML text of nested tables; ``parse_toml`` returns the same tables.
+    """Return the TOML text of nested tables; ``parse_toml`` returns the same tables and the same floats.
 
     Args:
         data: Tables of text, numbers, booleans and lists; keys with the value ``None`` are omitted.
     """
-    return "\n".join(_table(data, ())).strip("\n") + "\n"
+    import tomlkit  # slow to import, and not needed to read a file
+
+    return tomlkit.dumps(_present(data))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -272,34 +273,10 @@ def write_text(path: Path, text: str) -> None:
         os.fsync(file.fileno())
 
 
-def _table(data: Mapping[str, Any], names: tuple[str, ...]) -> list[str]:
-    present = {key: value for key, value in data.items() if value is not None}
-    values = {key: value for key, value in present.items() if not isinstance(value, Mapping)}
-    rows = ["", f"[{'.'.join(map(_key, names))}]"] if names and (values or not present) else []
-    rows += [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
-    for key, value in present.items():
-        if key not in values:
-            rows += _table(value, (*names, key))
-    return rows
-
-
-def _key(key: str) -> str:
-    return key if _BARE_KEY.fullmatch(key) else _text(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return _text(value)
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
-
-
-def _text(text: str) -> str:
-    escapes = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
-    control = {chr(code): f"\\u{code:04x}" for code in (*range(32), 127)}
-    return '"' + "".join(escapes.get(c) or control.get(c, c) for c in text) + '"'
+def _present(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table without the keys that have no value, also in its own tables."""
+    return {
+        key: _present(value) if isinstance(value, Mapping) else value
+        for key, value in table.items()
+        if value is not None
+    }
