@@ -79,7 +79,7 @@ def _cut_sentence(doc: Document, channel: str) -> str:
 def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
     """The training recording's residual: its correlations, and the stages that can explain it."""
     rows = [
-        (channel, when, name, significant(statistics["rms"], 4), f"{100 * share:.0f} %")
+        (channel, when, name, significant(statistics["rms"], 4), _percent(share))
         for channel, by_fit in doc["residual"].items()
         for when, statistics in by_fit.items()
         for name, share in statistics["outside"].items()
@@ -89,11 +89,15 @@ def _residual_section(doc: Document, pictures: list[Picture]) -> list[str]:
     for channel, by_fit in doc["residual"].items():
         sections.append(pages.add_picture(autocorrelation_picture(channel, by_fit), pictures))
     sections.append("<h2>Share of the residual that each stage can explain</h2>")
-    shares = [(stage, f"{100 * share:.0f} %") for stage, share in doc["stages"].items()]
+    shares = [(stage, _percent(share)) for stage, share in doc["stages"].items()]
     sections.append(pages.table(("stage", "share"), shares, numbers=(1,)))
     if doc["free_form"]:
         sections.append(pages.add_picture(nonparametric_picture(doc["free_form"]), pictures))
     return sections
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f} %"
 
 
 def _effects_section(doc: Document) -> list[str]:

@@ -102,14 +102,14 @@ def provenance_sections(run: Mapping[str, Any], rig: str, *details: str) -> list
 
     Args:
         run: The document run.json.
-        rig: Text of the rig file.
+        rig: Text of the rig file; empty if there is none.
         details: Sections of HTML that come first.
     """
     return [
         "<h2>Provenance</h2>",
         *details,
         _run_section(run),
-        folded("The rig file", f"<pre>{escape(rig)}</pre>"),
+        *([folded("The rig file", f"<pre>{escape(rig)}</pre>")] if rig else []),
     ]
 
 

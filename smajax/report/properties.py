@@ -21,6 +21,7 @@ _LABELS = {
     "width": "hysteresis width",
     "span": "span A_f - M_f",
 }
+PROPERTY_HEAD = ("property", "mean", "95 % from", "to", "unit")
 _STRAINS = ("transformation_strain", "actuation_strain")
 _TEMPERATURE_DIFFERENCES = ("width", "span")
 _DEFINITIONS: dict[str, str] = {
@@ -107,16 +108,31 @@ def _unit(name: str) -> str:
 
 def _group_text(entry: Mapping[str, Any]) -> list[str]:
     """Lines about the cycles of a recording at one stress."""
+    rows = [PROPERTY_HEAD, *property_rows(entry)]
+    return [group_title(entry), *table(rows, right=(1, 2, 3)), *left_out_sentences(entry)]
+
+
+def group_title(entry: Mapping[str, Any]) -> str:
+    """Return the title of a recording's cycles at one stress; ``entry`` is one of ``recordings`` of the document."""
     count, stress = len(entry["cycles"]), entry["stress_Pa"]
     head = f"{entry['name']}: {count} cycle{'s' if count > 1 else ''}"
     head += f" at {stress / 1e6:.4g} MPa" if stress is not None else ""
-    head += f", temperatures smoothed over {entry['smoothed_rows']} rows" if entry["smoothed_rows"] > 1 else ""
+    return head + (f", temperatures smoothed over {entry['smoothed_rows']} rows" if entry["smoothed_rows"] > 1 else "")
+
+
+def property_rows(entry: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return table rows of the mean properties: name, mean, ends of the interval, unit."""
     rows = []
     for name, value in entry["mean"].items():
         scale, digits, unit = (100.0, 3, "%") if name in _STRAINS else (1.0, 2, _unit(name))
         numbers = (f"{scale * value[k]:.{digits}f}" for k in ("value", "lower95", "upper95"))
         rows.append((_LABELS[name], *numbers, unit))
-    lines = [head, *table([("property", "mean", "95 % from", "to", "unit"), *rows], right=(1, 2, 3))]
+    return rows
+
+
+def left_out_sentences(entry: Mapping[str, Any]) -> list[str]:
+    """List sentences about rows of a recording that are in no cycle, or in a minor loop of one."""
+    lines = []
     for cycle in entry["cycles"]:
         for first, last in cycle["loops_left_out"]:
             lines.append(f"Left out of cycle {cycle['number']}: rows {first} to {last}, a loop within it.")

@@ -10,6 +10,7 @@ from smajax.report.comparison import comparison_page
 from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
+from smajax.report.properties_page import properties_page
 from smajax.report.run_pages import fit_page, simulation_page
 from smajax.report.sweep import sweep_page
 from smajax.report.tuning import tuning_page
@@ -23,6 +24,7 @@ PAGES: Mapping[str, Callable[[Mapping[str, Any], Any, Mapping[str, Any], str], s
     "compare": comparison_page,
     "tune": tuning_page,
     "sweep": sweep_page,
+    "properties": properties_page,
     "simulate": simulation_page,
 }
 
@@ -45,15 +47,15 @@ def rebuild_report(folder: Path) -> Path:
     name = "sweep.parquet" if run.command == "sweep" else "prediction.csv"
     data: Any = read_table(folder / name) if run.command == "sweep" else read_predictions(folder / name)
     try:
-        rig = (folder / "rig.toml").read_text("utf-8")
+        # Thermal cycles need no rig.
+        rig = "" if run.command == "properties" else (folder / "rig.toml").read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8"
         raise InputError(f"{folder / 'rig.toml'}: the file cannot be read ({reason}): run the command again") from None
     try:
         page = PAGES[run.command](document.to_dict(), data, run.to_dict(), rig)
-    except KeyError as error:
-        raise InputError(
-            f"{folder / name}: it lacks {error}, which the document of the folder names: run the command again"
-        ) from None
+    except (LookupError, StopIteration, ValueError) as error:
+        problem = f"it does not fit the document of the folder ({type(error).__name__} {error})"
+        raise InputError(f"{folder / name}: {problem}: run the command again") from None
     replace_file(folder / "report.html", page)
     return folder / "report.html"

@@ -1,36 +1,18 @@
 """The main figure of each command's result, a function of its document and of its predictions."""
 
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from smajax.report.figures import (
-    MEASURED,
-    MODEL,
-    RESIDUAL,
-    axis_style,
-    axis_title,
-    base_layout,
-    line_trace,
-)
 from smajax.report.prediction import Series
+from smajax.report.properties_page import cycles_picture
 from smajax.report.run_pages import simulated_channels
 from smajax.report.sweep import design_picture
 from smajax.report.time_figures import comparison_picture, response_picture, time_picture
 
 Document = Mapping[str, Any]
-
-# Properties that are temperatures of the transformation, with the colour of their lines: cooling blue, heating orange.
-_TRANSFORMATIONS = {
-    "martensite_start": ("M<sub>s</sub>", RESIDUAL),
-    "martensite_finish": ("M<sub>f</sub>", RESIDUAL),
-    "austenite_start": ("A<sub>s</sub>", MODEL),
-    "austenite_finish": ("A<sub>f</sub>", MODEL),
-}
-_PROPERTIES_HEIGHT = 480
 
 
 def figure_of_fit(document: Document, series: Sequence[Series]) -> go.Figure:
@@ -116,23 +98,7 @@ def figure_of_properties(document: Document, series: Sequence[Series]) -> go.Fig
         document: The content of properties.json.
         series: Recordings with the measured channels temperature and strain.
     """
-    layout = base_layout()
-    layout.height, layout.showlegend = _PROPERTIES_HEIGHT, True
-    layout.xaxis = axis_style(axis_title("temperature", series[0].units))
-    layout.yaxis = axis_style(axis_title("strain", series[0].units))
-    data = []
-    for recording in series:
-        strain, temperature = recording.measured["strain"], recording.measured["temperature"]
-        data.append(line_trace(temperature, strain, escape(recording.name), MEASURED, "y")[0])
-    figure = go.Figure(data, layout)
-    groups = [entry["mean"] for entry in document["recordings"] if entry["mean"] is not None]
-    for mean in groups:
-        for name, (label, colour) in _TRANSFORMATIONS.items():
-            entry = mean[name]
-            figure.add_vrect(x0=entry["lower95"], x1=entry["upper95"], fillcolor=colour, opacity=0.15, line_width=0)
-            line = {"dash": "dot", "color": colour, "width": 1}
-            figure.add_vline(x=entry["value"], line=line, annotation_text=label if len(groups) == 1 else "")
-    return figure
+    return cycles_picture(document, series).standalone()
 
 
 # Function of each command that makes its main figure from the content of its document and its predictions; a sweep has

@@ -16,9 +16,13 @@ Rows = Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
 class Part(BaseModel):
-    """A part of a document: what smajax writes has exactly these keys, and values of exactly these types."""
+    """A part of a document.
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True, serialize_by_alias=True)
+    What smajax writes has exactly these keys (``check``), and values of exactly these types. A document that is read
+    may have more keys, since a later version of smajax may add some to the same schema; they are kept.
+    """
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True, serialize_by_alias=True)
 
     @classmethod
     def check(cls, content: Content) -> Content:
@@ -30,7 +34,7 @@ class Part(BaseModel):
         Raises:
             pydantic.ValidationError: If it does not fit the model, which is a fault in smajax.
         """
-        cls.model_validate(content)
+        cls.model_validate(content, extra="forbid")
         return content
 
     def to_dict(self) -> dict[str, Any]:
@@ -53,9 +57,7 @@ class Document(Part):
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> Self:
-        """Return the document with this content.
-
-        Keys that the model does not have are kept: a later version of smajax may add some to the same schema.
+        """Return the document with this content; keys that the model does not have are kept.
 
         Args:
             content: The content of a file of the current schema.
@@ -63,4 +65,4 @@ class Document(Part):
         Raises:
             pydantic.ValidationError: If a key is missing, or a value has another type.
         """
-        return cls.model_validate(content, extra="allow")
+        return cls.model_validate(content)

@@ -57,7 +57,9 @@ def current_content(content: Mapping[str, Any], model: type[Document]) -> dict[s
 def _with_all_keys(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a document of schema 1 with all keys."""
     if content["schema"] == "smajax.diagnosis/1":
-        return _FIRST_DIAGNOSIS | dict(content)
+        filled = _FIRST_DIAGNOSIS | dict(content)
+        tables = [key for key in ("ranking", "preflight") if isinstance(filled.get(key), list)]
+        return filled | {key: [_with(entry, "why", "") for entry in filled[key]] for key in tables}
     if content["schema"] != "smajax.fit/1":
         return dict(content)
     observed = list(content["rmse"]) if isinstance(content.get("rmse"), dict) else []

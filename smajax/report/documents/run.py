@@ -18,7 +18,7 @@ class _RunHead(Document):
         description="the command"
     )
     argv: list[str] = Field(description="the command line; that of Python if the library was called")
-    rig: str = Field(description="file name of the rig or actuator")
+    rig: str = Field(description="file name of the rig or actuator; empty for properties")
     started: str = Field(description="start of the run, ISO 8601 in UTC")
     exit_code: int = Field(description="exit code: 0 done, 3 failed numerics, 130 interrupted")
     seed: int | None = Field(description="seed of all random numbers; null if there are none")

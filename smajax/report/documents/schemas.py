@@ -37,5 +37,9 @@ def write_schemas(folder: str | Path) -> list[Path]:
 
 
 def _schema(file: DocumentFile) -> dict[str, Any]:
-    title = f"{file.name} of smajax, schema {file.model.SCHEMA}"
-    return {"$schema": _DIALECT} | file.model.model_json_schema() | {"title": title}
+    """Return the schema of what smajax writes: without keys that the model does not have."""
+    schema = file.model.model_json_schema()
+    for part in [schema, *schema.get("$defs", {}).values()]:
+        if "properties" in part:
+            part["additionalProperties"] = False
+    return {"$schema": _DIALECT} | schema | {"title": f"{file.name} of smajax, schema {file.model.SCHEMA}"}

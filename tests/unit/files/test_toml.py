@@ -65,14 +65,14 @@ def test_the_layout_is_that_of_a_hand_written_file():
 
 @settings(max_examples=60, deadline=None)
 @given(
-    value=st.floats(-1e300, 1e300),
+    value=st.floats(0.0, 1e4),
     source=TEXTS.filter(bool),
     recording=st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20),
 )
 def test_parameter_sets_round_trip(tmp_path_factory, value, source, recording):
     path = tmp_path_factory.mktemp("sets") / "fit.toml"
     name = f"load.mass@{recording}"
-    entries = {name: Entry(abs(value), "kg", source=source, free=True, at_bound=False)}
+    entries = {name: Entry(value, "kg", source=source, free=True, at_bound=False)}
     write_parameters(path, entries, {"title": source, "fit": {"recordings": [recording]}})
     assert read_parameters(path) == entries
     assert read_header(path) == {"title": source, "fit": {"recordings": [recording]}}

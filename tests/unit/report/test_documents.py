@@ -15,9 +15,11 @@ from smajax.errors import InputError
 from smajax.report.documents import DOCUMENTS, ControllerDocument, FitDocument, read_document, read_fit, read_run
 from smajax.report.documents.schemas import schemas, write_schemas
 from smajax.report.documents.write import write_result
-from smajax.report.prediction import make_series
+from smajax.report.prediction import make_series, write_predictions
+from smajax.report.rebuild import rebuild_report
 from smajax.report.result_figures import FIGURES
 from smajax.report.summaries import SUMMARIES, summarise
+from smajax.sweeps.table import write_table
 from tests.conftest import ROOT
 from tests.unit.report.example_documents import CONTROLLER, EXAMPLES, FIT, SIMULATION, run
 
@@ -76,7 +78,7 @@ def test_values_of_a_fit_by_name(tmp_path):
         ("fit", "seed", True, "seed"),
         ("fit", "solver/code", "bored", "solver.code"),
         ("fit", "recordings", [], "recordings"),
-        ("fit", "parameters/heat.h0/estimate", float("nan"), "parameters.heat.h0.estimate"),
+        ("fit", "parameters/heat.h0/estimate", float("nan"), "should be a finite number"),
         ("fit", "parameters/heat.h0/lower95", 120.0, "lower95 is above upper95"),
         ("fit", "indistinct/0/direction", [1.0], "direction and parameters have different lengths"),
         ("fit", "correlations/matrix", [[1.0, 0.5]], "a row and a column for each"),
@@ -211,8 +213,9 @@ def example_series(command: str) -> Any:
     if command == "properties":
         measured = {"temperature": 80.0 * time, "strain": 0.04 * time}
     return [
-        make_series(name, "holdout", time, measured, {"displacement": 1.1e-3 * time}, {"time": "s"}, has_clock=True)
+        make_series(name, role, time, measured, {"displacement": 1.1e-3 * time}, {"time": "s"}, has_clock=True)
         for name in names
+        for role in (("train", "holdout") if command == "compare" else ("holdout",))
     ]
 
 
@@ -242,3 +245,22 @@ def test_a_fit_document_is_frozen(tmp_path):
     assert isinstance(document, FitDocument)
     with pytest.raises(pydantic.ValidationError):
         document.seed = 3
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_a_page_is_rebuilt_from_the_folder(tmp_path, command):
+    if command == "sweep":
+        pytest.importorskip("pyarrow")
+    inputs = {"inputs": ["current"]} if command in ("diagnose", "compare") else {}
+    folder = write_run(tmp_path, command, EXAMPLES[command], **inputs)
+    if command == "sweep":
+        write_table(folder / "sweep.parquet", example_series(command))
+    else:
+        write_predictions(folder / "prediction.csv", example_series(command))
+    if command != "properties":
+        with pytest.raises(InputError, match=r"rig\.toml: the file cannot be read .*: run the command again"):
+            rebuild_report(folder)
+        (folder / "rig.toml").write_text("[rig]", "utf-8")
+    page = rebuild_report(folder).read_text("utf-8")
+    assert page.startswith("<!DOCTYPE html>") and 'id="picture-0"' in page
+    assert ("The rig file" in page) == (command != "properties")
