@@ -98,8 +98,8 @@ def _meaning(doc: Document, key: str) -> str:
 
 def _holdout_sentences(doc: Document) -> list[str]:
     """Sentences about the part of the holdout in the choice of the effects; none if it had none."""
-    entry = doc.get("holdout") or {"decided": False}
-    if not entry["decided"]:
+    entry = doc.get("holdout")  # absent in documents of earlier versions
+    if entry is None or not entry["decided"]:
         return []
     decision = (
         f"rejected {' and '.join(entry['removed'])}, which did not reduce its error"
