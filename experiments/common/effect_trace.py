@@ -106,8 +106,8 @@ def effect_rows(result: TraceResult, prefix: str = "") -> list[Row]:
         )
         equivalents = ", ".join(state.equivalent.get(key, ())) or "none"
         rows.append(Row(f"{prefix}effect accepted: {key}", "-", f"{values}; as good: {equivalents}", None))
-    for rejected in state.rejected:
-        rows.append(Row(f"{prefix}left out: {rejected.key}", "-", rejection_text(rejected), None))
+    for rejection in state.rejected:
+        rows.append(Row(f"{prefix}left out: {rejection.key}", "-", rejection_text(rejection), None))
     summaries = sorted(
         (r for r in state.ranking.values() if r.refit_rmse_select is not None), key=lambda r: r.refit_rmse_select or 0.0
     )

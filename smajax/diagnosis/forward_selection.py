@@ -203,8 +203,8 @@ def _run_round(
         for fit in fits:
             summary = state.ranking[fit.key]
             state.ranking[fit.key] = dataclasses.replace(summary, refit_rmse_select=fit.rmse_select)
-    if rejected := rejection(current, best, problem.samples):
-        state.rejected.append(rejected)
+    if reason := rejection(current, best, problem.samples):
+        state.rejected.append(reason)
         return []
     before, after = math.sqrt(state.base_fit.select_chi2), math.sqrt(best.select_chi2)
     report_progress(f"with {' and '.join(best.keys)}: error over noise {before:.3g} -> {after:.3g}, selected")
@@ -339,9 +339,9 @@ def _free_held_parameters(
     Nothing is refitted if the best fit is at the noise: the parameters that were held cannot make another one better.
     """
     near = [] if best.at_noise else [fit for fit in fits if fit.total_chi2 < _NEAR_BEST * best.total_chi2]
-    held = [fit for fit in near if evaluator.problem.holds_parameters(fit.refit)][:_MAX_CONVERGED]
-    refitted = {id(fit): evaluator.with_all_parameters_free(fit) for fit in held}
-    return [refitted.get(id(fit), fit) for fit in fits]
+    incomplete = [fit for fit in near if evaluator.problem.holds_parameters(fit.refit)][:_MAX_CONVERGED]
+    replacements = {id(fit): evaluator.with_all_parameters_free(fit) for fit in incomplete}
+    return [replacements.get(id(fit), fit) for fit in fits]
 
 
 def _refit_open_fits_jointly(
