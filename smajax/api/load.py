@@ -10,6 +10,7 @@ from smajax.api.compare import ComparisonStudy
 from smajax.api.diagnose import DiagnosisStudy
 from smajax.api.fit import FitStudy
 from smajax.api.predict import PredictionStudy
+from smajax.api.properties import PropertiesStudy
 from smajax.api.study import PREDICTIONS, REPORT, FileContent, Study
 from smajax.api.sweep import load_sweep
 
@@ -19,7 +20,7 @@ from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 
 _STUDIES: dict[str, type[Study]] = {
-    study.command: study for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy)
+    study.command: study for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy, PropertiesStudy)
 }
 # Suffixes of files that are kept as text; others are copied when the study is saved again.
 _TEXTS = (".toml", ".json", ".h")

@@ -107,9 +107,8 @@ class Study:
             write_predictions(folder / PREDICTIONS, self.series)
             # The table is read back, so that `smajax report` makes the same page.
             data = read_predictions(folder / PREDICTIONS)
-        if self.command in PAGES:
-            page = PAGES[self.command](self.document, data, self.run, self.file_text("rig.toml"))
-            (folder / REPORT).write_text(page, "utf-8")
+        rig = self.file_text("rig.toml") if "rig.toml" in self.files else ""  # thermal cycles have none
+        (folder / REPORT).write_text(PAGES[self.command](self.document, data, self.run, rig), "utf-8")
 
     def file_text(self, name: str) -> str:
         """Return the text of a file of the study.
