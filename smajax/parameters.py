@@ -7,15 +7,18 @@ number that sets several leaves, such as ``heat.capacity`` for a capacity that d
 """
 
 import dataclasses
+import inspect
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from smajax.errors import InputError, suggestion
+from smajax.units import as_text
 
 TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),
@@ -30,6 +33,8 @@ ORDERED_PAIRS: tuple[tuple[str, str], ...] = (
     ("wire.diameter", "wire.coil_diameter"),
 )
 _EFFECTS = "effects."
+# Share of a bound by which a value may be beyond it: an estimate at its bound is so up to the rounding of its scale.
+_BOUND_ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,8 +72,128 @@ def require_x64() -> None:
         )
 
 
+class CheckedModule(eqx.Module):
+    """Base class of everything with declared parameters: it checks their values at construction, and its own class.
+
+    Values that JAX traces, and the placeholders with which it rebuilds modules, are not checked; neither are leaves
+    that ``equinox.tree_at`` replaces. The docstring of a derived class ends with a list of its parameters, by their
+    declarations.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Add the declared parameters to the docstring of a derived class."""
+        super().__init_subclass__(**options)
+        fields = {name: field for base in cls.__mro__[:0:-1] for name, field in _dataclass_fields(base).items()}
+        fields |= {name: vars(cls)[name] for name in inspect.get_annotations(cls) if name in vars(cls)}
+        declared = {
+            name: field.metadata.get("declaration") for name, field in fields.items() if hasattr(field, "metadata")
+        }
+        lines = [f"    {_describe(name, declaration)}" for name, declaration in declared.items() if declaration]
+        if lines:
+            text = inspect.cleandoc(vars(cls).get("__doc__") or f"{cls.__name__}.")
+            cls.__doc__ = "\n".join([text, "", "Parameters:", *lines])
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        """Make an instance.
+
+        Raises:
+            TypeError: If the class lacks methods of its base class; the message says what each of them does.
+        """
+        if missing := missing_methods(cls):
+            raise TypeError(f"{cls.__name__} cannot be constructed: {missing}")
+        return super().__new__(cls)
+
+    def __check_init__(self) -> None:
+        """Check the values of the declared parameters.
+
+        Raises:
+            InputError: If one is outside of its bounds.
+        """
+        for key, declared in declarations(self).items():
+            check_value(f"{type(self).__name__}.{key}", getattr(self, key), declared)
+
+
+def _dataclass_fields(cls: type) -> dict[str, dataclasses.Field]:
+    return vars(cls).get("__dataclass_fields__", {})
+
+
+def _describe(name: str, declaration: Declaration) -> str:
+    """A parameter in one line: name, unit, meaning, bounds and default."""
+    ends = [f"{end:g}" for end in (declaration.lower, declaration.upper)]
+    default = declaration.default
+    start = (
+        "required" if default is None else "derived by default" if math.isnan(default) else f"{default:g} by default"
+    )
+    return f"{name} [{declaration.unit}]: {declaration.meaning}; {ends[0]} to {ends[1]}, {start}."
+
+
+def missing_methods(cls: type) -> str:
+    """Return in words which abstract methods a class does not define; empty if it defines all of them.
+
+    Args:
+        cls: The class.
+    """
+    names = sorted(getattr(cls, "__abstractmethods__", ()))
+    docs = [((getattr(cls, name).__doc__ or "").strip().splitlines() or [""])[0].rstrip(".") for name in names]
+    purposes = [
+        f"'{name}'" + (f" ({doc[0].lower()}{doc[1:]})" if doc else "") for name, doc in zip(names, docs, strict=True)
+    ]
+    return f"define the {'method' if len(names) == 1 else 'methods'} {', '.join(purposes)}" if names else ""
+
+
+def module_types(cls: type, field: dataclasses.Field) -> list[type[eqx.Module]]:
+    """Return the classes of modules in the type of a field: ``[Sheath]`` for ``sheath: Sheath | None``.
+
+    Args:
+        cls: The class that has the field.
+        field: The field.
+    """
+    annotation = get_type_hints(cls)[field.name] if isinstance(field.type, str) else field.type
+    return [t for t in (annotation, *get_args(annotation)) if isinstance(t, type) and issubclass(t, eqx.Module)]
+
+
+def bounds_error(value: str, declaration: Declaration) -> str:
+    """Return the sentence about a value outside of the bounds of its parameter.
+
+    Args:
+        value: The value as it was given.
+        declaration: Declaration of the parameter.
+    """
+    ends = (declaration.lower, declaration.upper)
+    low, high = (as_text(end, declaration.unit) if math.isfinite(end) else "" for end in ends)
+    span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
+    return f"{value} is not possible for the {declaration.meaning}: give a value {span}"
+
+
+def check_value(name: str, value: Any, declaration: Declaration) -> None:
+    """Check that a value is within the bounds of its declaration; traced values and ``None`` pass.
+
+    Args:
+        name: Name of the parameter, for the message.
+        value: A number or an array in the internal unit.
+        declaration: Declaration of the parameter.
+
+    Raises:
+        InputError: If a value is outside of the bounds, NaN, or text.
+    """
+    if isinstance(value, str):
+        raise InputError(f"{name} = '{value}' is text: give a number in {declaration.unit}")
+    if isinstance(value, jax.core.Tracer) or not isinstance(value, jax.Array | np.ndarray | np.number | int | float):
+        return
+    numbers = np.asarray(value, float)
+    lower, upper = (
+        end * (1.0 + sign * math.copysign(_BOUND_ROUNDING, end))
+        for end, sign in ((declaration.lower, -1.0), (declaration.upper, 1.0))
+    )
+    outside = ~((lower <= numbers) & (numbers <= upper))
+    if np.any(outside):
+        worst = float(numbers[outside].flat[0])
+        shown = as_text(worst, declaration.unit) if math.isfinite(worst) else f"{worst} {declaration.unit}"
+        raise InputError(f"{name}: {bounds_error(shown, declaration)}")
+
+
 def as_float(value: Any) -> Any:
-    """Convert a number to a float64 array; return ``None`` and the placeholder leaves of JAX unchanged.
+    """Convert a number or a NumPy array to a float64 array; return anything else, such as ``None``, unchanged.
 
     Raises:
         InputError: If JAX computes in single precision, or the value is an array of single precision.
@@ -78,7 +203,7 @@ def as_float(value: Any) -> Any:
         raise InputError(
             "a parameter is an array of float32 and smajax needs double precision: make it with dtype=jnp.float64"
         )
-    if value is None or isinstance(value, jax.Array) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number | np.ndarray):
         return value
     require_x64()
     return jnp.asarray(value, dtype=jnp.float64)
@@ -111,7 +236,7 @@ def parameter(
     if default is None:
         return eqx.field(converter=as_float, metadata=metadata)
     if math.isnan(default):
-        return eqx.field(default=None, metadata=metadata)
+        return eqx.field(converter=as_float, default=None, metadata=metadata)
     return eqx.field(converter=as_float, default=default, metadata=metadata)
 
 
@@ -170,7 +295,10 @@ def declaration(plant: Any, name: str) -> Declaration:
     Raises:
         InputError: If there is no such parameter; it suggests the most similar name.
     """
-    table = all_declarations(plant)
+    return _find(all_declarations(plant), name)
+
+
+def _find(table: Mapping[str, Declaration], name: str) -> Declaration:
     if name not in table:
         raise InputError(f"there is no parameter '{name}' in this plant{suggestion(name, table)}")
     return table[name]
@@ -215,8 +343,13 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 
     Returns:
         The plant or actuator with the new values.
+
+    Raises:
+        InputError: If there is no such parameter, or a value that JAX does not trace is outside of its bounds.
     """
+    table = all_declarations(plant) if values else {}
     for name, value in values.items():
+        check_value(name, value, _find(table, name))
         for member in TIES.get(name, (name,)):
             plant = eqx.tree_at(
                 lambda p, m=member: _leaf(p, m), plant, jnp.asarray(value, jnp.float64), is_leaf=lambda x: x is None

@@ -5,14 +5,17 @@ a beam that bends. Its parameters are grouped in sections, one field each. ``sma
 name, as it does those of a plant.
 """
 
+import abc
 from collections.abc import Mapping
 from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from smajax.parameters import CheckedModule
 
-class AbstractActuator(eqx.Module):
+
+class AbstractActuator(CheckedModule):
     """Base class of the actuators.
 
     Attributes:
@@ -24,6 +27,7 @@ class AbstractActuator(eqx.Module):
     # Chosen by trial: larger batches are no faster on a CPU.
     batch_size: ClassVar[int] = 8
 
+    @abc.abstractmethod
     def metrics(self) -> dict[str, Float[Array, ""]]:
         """Compute the metrics of the design.
 
@@ -32,7 +36,6 @@ class AbstractActuator(eqx.Module):
         Returns:
             Scalars by name, in SI units and degC; NaN if the dimensions do not fit together.
         """
-        raise NotImplementedError
 
     def check(self) -> None:
         """Check that the dimensions fit together.

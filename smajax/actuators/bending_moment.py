@@ -16,12 +16,11 @@ take the arcsine of a number above 1 there.
 
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.brinson import Brinson
 
 
@@ -57,7 +56,7 @@ def _cap_moment_jvp(order: int, primals: tuple, tangents: tuple) -> tuple:
     return cap_moment(order, share), -4.0 * share**order * _half_width(share) * tangent
 
 
-class BilinearStressStrain(eqx.Module):
+class BilinearStressStrain(CheckedModule):
     """Bilinear stress-strain curve of a wire in bending: elastic, then hardening.
 
     All methods work elementwise on arrays of one shape. Moments have the sign of the curvature.

@@ -10,15 +10,14 @@ The force moves by delta_a only, so its work is P delta_a / 2, which is 2 a / (3
 ``Cantilever`` computes both.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class Cantilever(eqx.Module):
+class Cantilever(CheckedModule):
     """Round music wire, clamped at one end."""
 
     diameter: jax.Array = parameter("m", "diameter of the cantilever", 1e-5, 0.1)

@@ -23,10 +23,10 @@ from smajax.actuators.conduction_stage import STAGES, STEPS, ConductionStage, St
 from smajax.actuators.cooling_curve import CoolingCurve
 from smajax.actuators.section_grid import AbstractPlacement, Columns, graded_widths
 from smajax.actuators.wire_shares import place_shares
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class Layer(eqx.Module):
+class Layer(CheckedModule):
     """Sheet of one material."""
 
     thickness: jax.Array = parameter("m", "thickness of the layer", 1e-6, 0.1)
@@ -35,7 +35,7 @@ class Layer(eqx.Module):
     conductivity: jax.Array = parameter("W/m/K", "thermal conductivity", 1e-3, 1e3)
 
 
-class SectionWire(eqx.Module):
+class SectionWire(CheckedModule):
     """Wires in the section, all of one diameter and material."""
 
     diameter: jax.Array = parameter("m", "wire diameter", 1e-6, 0.02)
@@ -45,7 +45,7 @@ class SectionWire(eqx.Module):
     offset: jax.Array = parameter("m", "distance of the wires' row above the midplane", -0.1, 0.1, 0.0)
 
 
-class Cooling(eqx.Module):
+class Cooling(CheckedModule):
     """Air around the section, and the temperatures at which cooling begins."""
 
     convection: jax.Array = parameter("W/m^2/K", "convection coefficient at the surface", 0.0, 1e5, 10.0)
@@ -56,7 +56,7 @@ class Cooling(eqx.Module):
     )
 
 
-class CrossSection(eqx.Module):
+class CrossSection(CheckedModule):
     """Two sheets of tape, silicone between them, and a row of wires in the silicone.
 
     The wires have to fit within the silicone and next to each other; otherwise every temperature is NaN.

@@ -37,7 +37,7 @@ from smajax.actuators.cross_section import Cooling, CrossSection, Layer, Section
 from smajax.actuators.section_grid import EvenWires, SpacedWires
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 # Duration of the simulated cooling in s, and in pauses of the test; the longer of the two counts. Chosen by trial: a
 # longer ``time_to_cool`` counts as infinite.
@@ -45,7 +45,7 @@ _SHORTEST_COOLING = 10.0
 _PAUSES = 10.0
 
 
-class FlexuralBody(eqx.Module):
+class FlexuralBody(CheckedModule):
     """Strip as a whole; one wire is laid back and forth in it, so that its passes lie side by side."""
 
     count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
@@ -60,7 +60,7 @@ class FlexuralBody(eqx.Module):
     )
 
 
-class FlexuralHeating(eqx.Module):
+class FlexuralHeating(CheckedModule):
     """Heating of the wires."""
 
     current: jax.Array = parameter("A", "current through the wire while it is heated", 1e-3, 100.0)
@@ -68,7 +68,7 @@ class FlexuralHeating(eqx.Module):
     latent_heat: jax.Array = parameter("J/kg", "latent heat of the whole transformation", 0.0, 1e5, 0.0)
 
 
-class FlexuralTest(eqx.Module):
+class FlexuralTest(CheckedModule):
     """Test by which a cooling is rated."""
 
     target: jax.Array = parameter(

@@ -3,16 +3,15 @@
 Source: hybrid_knee_ankle_orthosis, section 3.2.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class Joint(eqx.Module):
+class Joint(CheckedModule):
     """Knee joint and the mass that hangs on it."""
 
     radius: jax.Array = parameter("m", "radius of the pulley on which the springs pull", 1e-4, 1.0)
@@ -26,7 +25,7 @@ class Joint(eqx.Module):
     )
 
 
-class Motor(eqx.Module):
+class Motor(CheckedModule):
     """Geared motor; its constants are those of the output shaft."""
 
     resistance: jax.Array = parameter("ohm", "resistance of the windings", 1e-4, 1e4)
@@ -40,7 +39,7 @@ class Motor(eqx.Module):
     friction: jax.Array = parameter("N m", "dry friction at the output", 0.0, 1e3, 0.0)
 
 
-class Clutch(eqx.Module):
+class Clutch(CheckedModule):
     """Magnetic particle clutch on the motor's output, and the belt behind it."""
 
     torque: jax.Array = parameter("N m", "torque at the rated current", 0.0, 1e4)
@@ -71,7 +70,7 @@ class Clutch(eqx.Module):
         return self.torque * share * jnp.tanh(slip / self.slip) + jnp.where(share > 0, self.damping, 0.0) * slip
 
 
-class KneeCommand(eqx.Module):
+class KneeCommand(CheckedModule):
     """Voltages and current that are switched on, from rest, for ``duration``: the working state of the knee."""
 
     duration: jax.Array = parameter("s", "time for which they are switched on", 1e-3, 1e5)

@@ -6,6 +6,7 @@ temperatures are smooth functions of every dimension. Outside a square the cells
 size of the cells in the square.
 """
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 # Logarithm of the last cell over the first, down to which cells shrink towards the end of a narrow gap; chosen by
 # trial, tests/unit/actuators/test_cross_section.py holds it (narrow gaps conserve heat).
@@ -42,9 +43,10 @@ class Columns(NamedTuple):
     open: bool
 
 
-class AbstractPlacement(eqx.Module):
+class AbstractPlacement(CheckedModule):
     """Placement of the wires across the section's width."""
 
+    @abc.abstractmethod
     def columns(self, width: Float[Array, ""], diameter: Float[Array, ""], cells: int) -> Columns:
         """Compute the columns of half the section, or of half a part of it that repeats.
 
@@ -53,7 +55,6 @@ class AbstractPlacement(eqx.Module):
             diameter: Diameter of the wires, m.
             cells: Number of columns across a wire, even; there are twice as many in each gap next to it.
         """
-        raise NotImplementedError
 
 
 class EvenWires(AbstractPlacement):

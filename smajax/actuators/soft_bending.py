@@ -19,7 +19,6 @@ Source: hybrid_knee_ankle_orthosis, section 3.3, equations 21 and 22.
 from collections.abc import Mapping
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -31,14 +30,14 @@ from smajax.actuators.elastica import BentShape, solve_elastica
 from smajax.actuators.section_grid import EvenWires
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 # Duration of the simulated cooling in s; a longer ``time_to_cool`` counts as infinite. Far above the minute in which
 # such bars cool; chosen by trial.
 _COOLING_DURATION = 600.0
 
 
-class SoftBar(eqx.Module):
+class SoftBar(CheckedModule):
     """Silicone bar, clamped at one end."""
 
     length: jax.Array = parameter("m", "length of the bar", 1e-3, 10.0)
@@ -50,7 +49,7 @@ class SoftBar(eqx.Module):
     conductivity: jax.Array = parameter("W/m/K", "thermal conductivity of the silicone", 1e-3, 1e3, 0.15)
 
 
-class MemoryWires(eqx.Module):
+class MemoryWires(CheckedModule):
     """Wires in the middle plane of the bar, all of one diameter and material."""
 
     count: jax.Array = parameter("1", "number of wires side by side", 1.0, 1000.0, whole=True)
@@ -63,13 +62,13 @@ class MemoryWires(eqx.Module):
     conductivity: jax.Array = parameter("W/m/K", "thermal conductivity of the wires", 1e-3, 1e3, 18.0)
 
 
-class Cable(eqx.Module):
+class Cable(CheckedModule):
     """Cable at the tip."""
 
     force: jax.Array = parameter("N", "force of the cable against the bend, across the undeformed bar", -1e4, 1e4, 0.0)
 
 
-class SoftHeating(eqx.Module):
+class SoftHeating(CheckedModule):
     """Heating of the wires, which are in series, and the temperature at which they count as cooled."""
 
     current: jax.Array = parameter("A", "current through the wires while they are heated", 1e-3, 100.0, 10.0)
@@ -78,7 +77,7 @@ class SoftHeating(eqx.Module):
     cooled: jax.Array = parameter("degC", "temperature of the wires at which they have cooled", -100.0, 500.0, 36.0)
 
 
-class SoftCooling(eqx.Module):
+class SoftCooling(CheckedModule):
     """Air around the bar, and the temperatures at which cooling begins."""
 
     convection: jax.Array = parameter("W/m^2/K", "convection coefficient at the surface", 0.0, 1e5, 10.0)

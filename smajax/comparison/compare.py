@@ -11,7 +11,7 @@ from smajax.comparison.material_models import fit_material_model
 from smajax.comparison.model_result import ModelResult
 from smajax.errors import STOP_SIGNALS, Cancelled, InputError, NumericsError
 from smajax.files.rig_file import Rig
-from smajax.files.rig_kinds import MATERIALS
+from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.recording import Recording
 
 # Absolute value from which a prediction counts as not finite: its square would overflow in the scores.
@@ -30,7 +30,7 @@ def compare_models(
 
     Args:
         rig: The rig, with the fit settings of the material laws.
-        models: Names of the models, as in ``MODELS``.
+        models: Names of the models, as in ``model_names()``.
         recordings: The training recording and the holdout.
         seed: Seed of the starts.
         progress: Called with the name of each model before it is fitted; ends the comparison if it raises

@@ -9,14 +9,14 @@ import numpy as np
 
 from smajax import parameters
 from smajax.comparison.model_result import ModelResult
-from smajax.errors import NumericsError
+from smajax.errors import InputError, NumericsError
 from smajax.files.documents import finite_or_none, is_undetermined
 from smajax.files.rig_file import Rig
-from smajax.files.rig_kinds import MATERIALS
 from smajax.fitting.fit import fit
 from smajax.fitting.io_models.problem import check_rows
 from smajax.fitting.result import Estimate
 from smajax.parameters import declarations
+from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.recording import Recording
 from smajax.simulation.status import SimulationStatus
 from smajax.units import as_text
@@ -77,6 +77,9 @@ def with_material_law(rig: Rig, name: str) -> Rig:
     Args:
         rig: The rig.
         name: The new law, as in ``MATERIALS``.
+
+    Raises:
+        InputError: If the new law has a parameter without a default that the old one does not have.
     """
     law, old_material = MATERIALS[name], rig.plant.material
     if type(old_material) is law:
@@ -85,6 +88,10 @@ def with_material_law(rig: Rig, name: str) -> Rig:
     old_keys = declarations(old_material)
     common = {key: float(getattr(old_material, key)) for key in declarations(law) if key in old_keys}
     values: dict[str, Any] = held | free | common  # numbers, which the law turns into arrays
+    missing = [key for key, d in declarations(law).items() if d.default is None and key not in values]
+    if missing:
+        cure = f'give it a default in the class, or compare from a rig with [fit] model = "{name}"'
+        raise InputError(f"{name} has no start value of material.{missing[0]}: {cure}")
     plant = eqx.tree_at(lambda p: p.material, rig.plant, law(**values))
     declared = parameters.all_declarations(plant)
     settings = dataclasses.replace(

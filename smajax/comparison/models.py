@@ -3,19 +3,23 @@
 from collections.abc import Sequence
 
 from smajax.errors import InputError, suggestion
-from smajax.files.rig_kinds import MATERIALS
 from smajax.fitting.io_models.specs import MODEL_SPECS
+from smajax.plant.materials.registry import MATERIALS
 
 TRANSFER_FUNCTION = "transfer-function"
 TRANSFER_FUNCTIONS = tuple(name for name in MODEL_SPECS if name.startswith(f"{TRANSFER_FUNCTION}-"))
-MODELS = (*MATERIALS, *MODEL_SPECS)
+
+
+def model_names() -> tuple[str, ...]:
+    """Return the names of all models: the material laws, registered ones among them, and the input-output models."""
+    return (*MATERIALS, *MODEL_SPECS)
 
 
 def select_models(names: Sequence[str]) -> list[str]:
     """Check names of models, and replace "transfer-function" by its four structures.
 
     Args:
-        names: The names, as in ``MODELS``, or "transfer-function".
+        names: The names, as in ``model_names()``, or "transfer-function".
 
     Returns:
         The names in their order, each once.
@@ -27,13 +31,13 @@ def select_models(names: Sequence[str]) -> list[str]:
     for name in names:
         if name == TRANSFER_FUNCTION:
             selected += TRANSFER_FUNCTIONS
-        elif name in MODELS:
+        elif name in MATERIALS or name in MODEL_SPECS:
             selected.append(name)
         else:
-            choices = (*MODELS, TRANSFER_FUNCTION)
+            choices = (*model_names(), TRANSFER_FUNCTION)
             raise InputError(
                 f"--models: '{name}' is not known{suggestion(name, choices)}: the models are {', '.join(choices)}"
             )
     if not selected:
-        raise InputError(f"--models names no model: give some of {', '.join(MODELS)}, with commas between")
+        raise InputError(f"--models names no model: give some of {', '.join(model_names())}, with commas between")
     return list(dict.fromkeys(selected))

@@ -8,10 +8,11 @@ from typing import Any
 from smajax import parameters
 from smajax.channels import channel_of, channel_unit
 from smajax.errors import InputError, suggestion
-from smajax.files.rig_kinds import KINDS, rig_phrase
+from smajax.files.rig_kinds import rig_phrase
 from smajax.files.rig_schema import FitSection
 from smajax.files.toml import flatten_keys, show
 from smajax.parameters import TIES, Declaration
+from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial
 from smajax.units import as_text, parse_quantity
@@ -60,13 +61,14 @@ def observed_channels(fit: FitSection, kind: str) -> tuple[str, ...]:
 
     Args:
         fit: The section of the file.
-        kind: Kind of the rig; the default is its coordinate, or the stress of a testing machine.
+        kind: Kind of the rig; the default is its coordinate, or the stress if that is prescribed.
 
     Raises:
         InputError: If the list in the file is empty or has a channel twice.
     """
     if fit.observe is None:
-        return ("stress" if kind == "testing-machine" else KINDS[kind].coordinate,)
+        mechanism = MECHANISMS[kind]
+        return ("stress" if mechanism.coordinate in mechanism.prescribed else mechanism.coordinate,)
     if not fit.observe:
         cure = 'name at least one channel, as in observe = ["displacement"], or leave the line out'
         raise InputError(f"fit.observe is empty: {cure}")

@@ -5,27 +5,34 @@ from collections.abc import Iterator
 import equinox as eqx
 
 from smajax.channels import channel_of
-from smajax.files.rig_kinds import HEATS, KINDS, MATERIALS, parts_of
+from smajax.files.rig_kinds import HEATS
 from smajax.parameters import TIES, Declaration, declarations
 from smajax.plant.coil import Coil
 from smajax.plant.drive import DRIVES
+from smajax.plant.materials.registry import MATERIALS
+from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.sensor import Sensor
 from smajax.plant.wire import Environment, Initial, Wire
 
 
-def owners() -> Iterator[tuple[str, type[eqx.Module], str]]:
+def owners(*, installed: bool = True) -> Iterator[tuple[str, type[eqx.Module], str]]:
     """Yield every parameter section that a rig file may have.
+
+    Args:
+        installed: Whether to look for materials and mechanisms of installed packages, too, which takes some time.
 
     Returns:
         Tuples of the section's name, its class, and the choice in the rig file that selects this class, in words.
     """
+    materials, mechanisms = (table if installed else table.loaded for table in (MATERIALS, MECHANISMS))
     yield from (("wire", Wire, "a straight wire"), ("wire", Coil, "a coiled wire"))
     yield from (("environment", Environment, ""), ("initial", Initial, ""))
     yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())
     yield from (("heat", heat, words) for words, heat in HEATS.items())
-    yield from (("material", material, f'model = "{model}"') for model, material in MATERIALS.items())
-    for kind, mechanism in KINDS.items():
-        yield from ((section, part, f'kind = "{kind}"') for section, part in parts_of(mechanism).items())
+    yield from (("material", material, f'model = "{model}"') for model, material in materials.items())
+    for kind, mechanism in mechanisms.items():
+        sections = mechanism.rig_sections()
+        yield from ((section, part, f'kind = "{kind}"') for section, part in sections.items())
 
 
 def declarations_of(name: str) -> list[Declaration]:
@@ -44,9 +51,12 @@ def declarations_of(name: str) -> list[Declaration]:
         sensor = Sensor.identity((channel,) if channel_of(channel) else ()).declarations()
         return [sensor[key]] if key in sensor else []
     keys = {member.partition(".")[2] for member in TIES.get(name, (name,))}
-    tables = {part: declarations(part) for other, part, _ in owners() if other == section}
-    matches = [next(table[k] for k in table if k in keys) for table in tables.values() if keys <= table.keys()]
-    return list(dict.fromkeys(matches))
+    for installed in (False, True):
+        tables = {part: declarations(part) for other, part, _ in owners(installed=installed) if other == section}
+        matches = [next(table[k] for k in table if k in keys) for table in tables.values() if keys <= table.keys()]
+        if matches:
+            return list(dict.fromkeys(matches))
+    return []
 
 
 def all_parameter_names() -> list[str]:

@@ -25,6 +25,10 @@ from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.renamed_keys import current_name
 from smajax.files.toml import STRICT, parse_toml, read_text, render_toml, show, validate, write_text
 from smajax.files.validators import quantity
+from smajax.parameters import TIES, declarations
+from smajax.plant.materials.base import AbstractMaterial
+from smajax.plant.materials.registry import MATERIALS
+from smajax.recordings.datasets import data_path
 from smajax.units import as_text, parse_quantity
 
 SCHEMA = "smajax.parameters/1"
@@ -77,6 +81,58 @@ def read_parameters(path: str | Path) -> dict[str, Entry]:
         InputError: If the file is missing or invalid; the message names file and key.
     """
     return _read(Path(path))[1]
+
+
+def shipped_sets() -> list[str]:
+    """Return the names of the parameter sets that are shipped."""
+    return sorted(path.stem for path in data_path("parameters").glob("*.toml"))
+
+
+def find_set(name: str, folder: Path | None = None) -> Path:
+    """Return the path of a parameter set.
+
+    Args:
+        name: Name of a shipped set, or the path of a file that ends in ``.toml``.
+        folder: Folder to which a path is relative; the current one by default.
+
+    Raises:
+        InputError: If no shipped set has the name.
+    """
+    shipped = shipped_sets()
+    if name in shipped:
+        return data_path("parameters", f"{name}.toml")
+    if name.endswith(".toml") or "/" in name:
+        return (folder or Path()) / name
+    choices = f"the shipped ones are {', '.join(shipped)}, and a file of your own ends in .toml"
+    raise InputError(f"there is no parameter set '{name}'{suggestion(name, shipped)}: {choices}")
+
+
+def load_material(name: str | Path, model: str = "brinson", **values: float) -> AbstractMaterial:
+    """Return a material law with the values of a parameter set.
+
+    Args:
+        name: Name of a shipped set such as ``rotary-table1``, or the path of a file that ends in ``.toml``.
+        model: The law, as in rig files.
+        values: Parameters of the law in internal units (SI, degC); they have precedence over those of the set.
+
+    Raises:
+        InputError: If the set or the law is unknown, or a parameter of the law has no value.
+    """
+    if model not in MATERIALS:
+        raise InputError(f"there is no material '{model}'{suggestion(model, MATERIALS)}: choose {', '.join(MATERIALS)}")
+    entries, law = read_parameters(find_set(str(name))), MATERIALS[model]
+    declared = declarations(law)
+    for key in values.keys() - declared.keys():
+        raise InputError(f"{model} has no parameter '{key}'{suggestion(key, declared)}: correct or remove it")
+    for tie, members in TIES.items():
+        if tie in entries:
+            entries = dict.fromkeys(members, entries[tie]) | entries
+    known_values = {key: entries[n].value for key in declared if (n := f"material.{key}") in entries} | values
+    missing = [key for key, declaration in declared.items() if declaration.default is None and key not in known_values]
+    if missing:
+        problem = f"parameter set {name} has no {', '.join(missing)}"
+        raise InputError(f"{problem}, which {model} needs: give the missing values as arguments")
+    return law(**known_values)
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

@@ -30,6 +30,8 @@ def check_sections(data: Mapping[str, Any]) -> None:
     Raises:
         InputError: For the first such key, with its section if it is a known key of one.
     """
+    if data.keys() <= {"schema", *OTHER_SECTIONS, *(section for section, _, _ in owners(installed=False))}:
+        return
     sections = [*dict.fromkeys(["rig", *(section for section, _, _ in owners()), *OTHER_SECTIONS])]
     homes = {key: section for section, part, _ in reversed(list(owners())) for key in declarations(part)}
     homes |= {key: "fit" for key in FitSection.model_fields} | {key: "rig" for key in RigSection.model_fields}
@@ -61,16 +63,15 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
     for section, content in data.items():
         if section == "schema" or section in OTHER_SECTIONS:
             continue
+        if section in stages.parts and (not isinstance(content, dict) or content.keys() <= stages.keys(section).keys()):
+            continue
         choices = {words: part for other, part, words in owners() if other == section}
         if section not in stages.parts:
             kinds = [f'kind = "{kind}"' for kind, mechanism in KINDS.items() if section in parts_of(mechanism)]
             cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
             raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
-        if not isinstance(content, dict):
-            continue
-        for key in content:
-            if key not in stages.keys(section):
-                raise InputError(_misplaced_key(section, key, stages, choices))
+        key = next(key for key in content if key not in stages.keys(section))
+        raise InputError(_misplaced_key(section, key, stages, choices))
 
 
 def _misplaced_key(section: str, key: str, stages: Stages, choices: Mapping[str, type[eqx.Module]]) -> str:

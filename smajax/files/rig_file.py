@@ -17,7 +17,7 @@ from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_ob
 from smajax.files.mappings import plain_tables
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
 from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
-from smajax.files.rig_kinds import DEFAULTS, KINDS, choose_stages
+from smajax.files.rig_kinds import DEFAULTS, choose_stages
 from smajax.files.rig_plant import build_effects, build_plant, build_sensor, value_of
 from smajax.files.rig_schema import FitSection, RigSection
 from smajax.files.rig_text import rig_toml
@@ -35,6 +35,7 @@ from smajax.files.rig_values import (
 )
 from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
 from smajax.parameters import TIES, Declaration
+from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
 from smajax.recordings.read import read_recording
@@ -49,7 +50,7 @@ class Rig:
     Attributes:
         name: Name of the file.
         path: Path of the file; ``None`` for a rig made from text.
-        kind: Kind of the rig, a key of ``rig_kinds.KINDS``.
+        kind: Kind of the rig, a key of ``MECHANISMS``.
         plant: The plant with the nominal values.
         interpolation: Interpolation of the inputs between samples.
         fit: The section ``[fit]``.
@@ -258,7 +259,7 @@ def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]
 def _refuse_actuator(head: Any) -> None:
     """Refuse an actuator file, which is not a rig file."""
     kind = head.get("kind") if isinstance(head, dict) else None
-    if not isinstance(kind, str) or kind in KINDS:
+    if not isinstance(kind, str) or kind in MECHANISMS:
         return
     from smajax.files.actuator_file import ACTUATORS
 

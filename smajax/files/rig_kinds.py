@@ -1,12 +1,11 @@
 """Kinds of rigs, and the stages of the plant of each.
 
-The sections of a rig file are the parts of the plant that its kind, control and model select. A new kind, material or
-law of convection is one entry in a table.
+The sections of a rig file are the parts of the plant that its kind, control and model select. Kinds and material laws
+are in the registries ``smajax.plant.mechanisms.registry`` and ``smajax.plant.materials.registry``.
 """
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import get_args
 
 import equinox as eqx
 
@@ -16,43 +15,17 @@ from smajax.plant.convection import PolynomialConvection, PowerLawConvection
 from smajax.plant.drive import DRIVES, AbstractDrive, NoDrive
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial
-from smajax.plant.materials.brinson import Brinson
-from smajax.plant.materials.lagoudas import Lagoudas
-from smajax.plant.materials.liang_rogers import LiangRogers
-from smajax.plant.materials.tanaka import Tanaka
+from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.base import AbstractMechanism
-from smajax.plant.mechanisms.bias_spring import BiasSpring
-from smajax.plant.mechanisms.dead_weight import DeadWeight
-from smajax.plant.mechanisms.limb import TendonLimb
-from smajax.plant.mechanisms.rotary import Joint, Rotary
+from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.mechanisms.stress_path import StressPath
 from smajax.plant.mechanisms.testing_machine import TestingMachine
-from smajax.plant.wire import AbstractWire, Environment, Initial, Wire
+from smajax.plant.wire import AbstractWire, Environment, Initial
 
-KINDS: Mapping[str, type[AbstractMechanism]] = {
-    "dead-weight": DeadWeight,
-    "bias-spring": BiasSpring,
-    "antagonistic-rotary": Rotary,
-    "testing-machine": TestingMachine,
-    "path": StressPath,
-    "coil-dead-weight": DeadWeight,
-    "coil-bias-spring": BiasSpring,
-    "coil-antagonistic": Rotary,
-    "hip": Joint,
-    "elbow": TendonLimb,
-    "wrist": TendonLimb,
-    "glove-finger": TendonLimb,
-}
-# Classes of wires by kind of rig; the wire of any other kind is straight.
+# Classes of wires by kind of rig; the wire of any other kind is that of its mechanism.
 WIRES: Mapping[str, type[AbstractWire]] = dict.fromkeys(
     ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip"), Coil
 )
-MATERIALS: Mapping[str, type[AbstractMaterial]] = {
-    "brinson": Brinson,
-    "lagoudas": Lagoudas,
-    "tanaka": Tanaka,
-    "liang-rogers": LiangRogers,
-}
 # Laws of convection by the choice in the rig file that selects them, in words.
 HEATS: Mapping[str, type[AbstractHeat]] = {
     "h(T) as a polynomial": PolynomialConvection,
@@ -83,8 +56,10 @@ class Stages:
     @property
     def parts(self) -> dict[str, type[eqx.Module]]:
         """Classes by parameter section; a stage without parameters has no section."""
-        specific = {"drive": self.drive, "heat": self.heat, "material": self.material, **parts_of(self.mechanism)}
-        shared = {"wire": WIRES.get(self.kind, Wire), "environment": Environment, "initial": Initial}
+        sections = self.mechanism.rig_sections()
+        specific = {"drive": self.drive, "heat": self.heat, "material": self.material, **sections}
+        wire = WIRES.get(self.kind, self.mechanism.wire_class)
+        shared = {"wire": wire, "environment": Environment, "initial": Initial}
         return {section: part for section, part in (specific | shared).items() if declarations(part)}
 
     @property
@@ -111,29 +86,19 @@ def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[
     """Return the classes of the stages of a rig.
 
     Args:
-        kind: Kind of the rig; a path prescribes the recorded strain if its stress is observed, else the recorded
-            stress.
+        kind: Kind of the rig, a key of ``MECHANISMS``; a path prescribes the recorded strain if its stress is observed,
+            else the recorded stress.
         control: Electrical input, a key of ``DRIVES``; not used for a path.
         model: Material law, a key of ``MATERIALS``.
         observe: Channels that are fitted.
         exponent: Whether h(T) has an exponent.
     """
+    material = MATERIALS[model]
     if kind == "path":
         mechanism = TestingMachine if "stress" in observe else StressPath
-        return Stages(kind, mechanism, NoDrive, PrescribedTemperature, MATERIALS[model])
-    return Stages(
-        kind,
-        KINDS[kind],
-        DRIVES[control or ""],
-        PowerLawConvection if exponent else PolynomialConvection,
-        MATERIALS[model],
-    )
-
-
-def parts_of(mechanism: type[AbstractMechanism]) -> dict[str, type[eqx.Module]]:
-    """Return the sections of a mechanism, such as ``load`` or ``pulley``, with their classes."""
-    field_types = [(f.name, part) for f in dataclasses.fields(mechanism) for part in (f.type, *get_args(f.type))]
-    return {name: part for name, part in field_types if isinstance(part, type) and issubclass(part, eqx.Module)}
+        return Stages(kind, mechanism, NoDrive, PrescribedTemperature, material)
+    heat = PowerLawConvection if exponent else PolynomialConvection
+    return Stages(kind, MECHANISMS[kind], DRIVES[control or ""], heat, material)
 
 
 def rig_phrase(kind: str) -> str:

@@ -6,11 +6,12 @@ from typing import Any
 
 from smajax import parameters
 from smajax.errors import InputError, suggestion
-from smajax.files.rig_kinds import Stages, parts_of
+from smajax.files.rig_kinds import Stages
 from smajax.files.rig_values import section_values
 from smajax.parameters import as_float, declarations
 from smajax.plant.effects import catalogue
 from smajax.plant.effects.base import AbstractEffect
+from smajax.plant.mechanisms.base import OWN_SECTION
 from smajax.plant.mechanisms.rotary import MasslessRotary, Rotary
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
@@ -28,21 +29,22 @@ def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[st
         free: Names of the parameters that are fitted.
     """
 
-    def build(section: str, part: type) -> Any:
+    def build(section: str, part: type, **fields: Any) -> Any:
         keys = [key for key in declarations(part) if f"{section}.{key}" in values]
-        return part(**{key: as_float(values[f"{section}.{key}"]) for key in keys})
+        return part(**{key: as_float(values[f"{section}.{key}"]) for key in keys}, **fields)
 
     mechanism = stages.mechanism
     if mechanism is Rotary and not any(values.get(n) or n in free for n in ("pulley.inertia", "pulley.damping")):
         mechanism = MasslessRotary
-    stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
-    parts = {section: build(section, part) for section, part in stage_classes.items()}
-    mechanism_parts = {section: parts.pop(section) for section in parts_of(stages.mechanism)}
+    sections = stages.mechanism.rig_sections()
+    mechanism_parts = {section: build(section, part) for section, part in sections.items() if section != OWN_SECTION}
     if "sheath" in mechanism_parts:
         has_effect = values.get("sheath.friction") or values.get("sheath.conductance_ratio")
         if not has_effect and not any(n.startswith("sheath.") for n in free):
             mechanism_parts["sheath"] = None
-    return Plant(mechanism=mechanism(**mechanism_parts), sensor=Sensor.identity(()), **parts)
+    stage_classes = {"drive": stages.drive, "heat": stages.heat, **stages.parts}
+    parts = {section: build(section, part) for section, part in stage_classes.items() if section not in sections}
+    return Plant(mechanism=build(OWN_SECTION, mechanism, **mechanism_parts), sensor=Sensor.identity(()), **parts)
 
 
 def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[AbstractEffect, ...], dict[str, str]]:

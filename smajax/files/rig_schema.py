@@ -4,10 +4,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field
 
-from smajax.files.rig_kinds import KINDS, MATERIALS
 from smajax.files.toml import STRICT
 from smajax.files.validators import one_of
 from smajax.plant.drive import DRIVES
+from smajax.plant.materials.registry import MATERIALS
+from smajax.plant.mechanisms.registry import MECHANISMS
 
 INTERPOLATIONS = ("hold", "linear")
 # Largest seed of NumPy's and JAX's random generators.
@@ -20,7 +21,7 @@ class RigSection(BaseModel):
     """The section ``[rig]``."""
 
     model_config = STRICT
-    kind: Annotated[str, one_of(KINDS)] = Field(examples=['"dead-weight"'])
+    kind: Annotated[str, one_of(MECHANISMS)] = Field(examples=['"dead-weight"'])
     control: Annotated[str, one_of(DRIVES)] | None = Field(None, examples=['"current"'])
     interpolation: Annotated[str, one_of(INTERPOLATIONS)] = "hold"
     parameters: Any = Field(None, examples=['"my-wire.toml"'])

@@ -5,13 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from smajax.errors import InputError, suggestion
-from smajax.files.parameter_sets import Entry, read_parameters
+from smajax.errors import InputError
+from smajax.files.parameter_sets import Entry, find_set, read_parameters
 from smajax.files.rig_kinds import Stages
 from smajax.files.toml import show, validate
 from smajax.files.validators import section_model
 from smajax.parameters import TIES, Declaration
-from smajax.recordings.datasets import data_path
 
 
 class ParameterSet(NamedTuple):
@@ -44,20 +43,10 @@ def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
     name = data["rig"].get("parameters")
     if name is None:
         return ParameterSet("", {})
-    shipped = sorted(path.stem for path in data_path("parameters").glob("*.toml"))
     if not isinstance(name, str) or not name:
-        cure = f'write it like parameters = "{shipped[0] if shipped else "my-wire.toml"}"'
-        raise InputError(f"rig.parameters = {show(name)} is not a name: {cure}")
-    if name in shipped:
-        path = data_path("parameters", f"{name}.toml")
-    elif name.endswith(".toml") or "/" in name:
-        path = folder / name
-    else:
-        choices = f"the shipped ones are {', '.join(shipped)}" if shipped else "none is shipped"
-        problem = f"rig.parameters = '{name}' is not known{suggestion(name, shipped)}"
-        raise InputError(f"{problem}: {choices}, and a file of your own ends in .toml")
+        raise InputError(f'rig.parameters = {show(name)} is not a name: write it like parameters = "my-wire.toml"')
     try:
-        entries = read_parameters(path)
+        entries = read_parameters(find_set(name, folder))
     except InputError as error:
         raise InputError(f"rig.parameters: {error}") from None
     per_recording = tuple(n for n in entries if "@" in n)

@@ -1,15 +1,14 @@
 """Validators of single values in files, for the models of their sections."""
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, create_model
 
 from smajax.errors import InputError, suggestion
 from smajax.files.toml import STRICT, show
-from smajax.parameters import Declaration
-from smajax.units import as_text, parse_quantity
+from smajax.parameters import Declaration, bounds_error
+from smajax.units import parse_quantity
 
 
 def quantity(value: Any, declaration: Declaration) -> float:
@@ -24,10 +23,7 @@ def quantity(value: Any, declaration: Declaration) -> float:
     """
     number = parse_quantity(value, declaration.unit)
     if not declaration.lower <= number <= declaration.upper:
-        bounds = (declaration.lower, declaration.upper)
-        low, high = (as_text(end, declaration.unit) if math.isfinite(end) else "" for end in bounds)
-        span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
-        raise InputError(f"{show(value)} is not possible for the {declaration.meaning}: give a value {span}")
+        raise InputError(bounds_error(show(value), declaration))
     return number
 
 
@@ -46,14 +42,17 @@ def section_model(section: str, keys: Mapping[str, Declaration]) -> type[BaseMod
     return create_model(section, __config__=STRICT, **fields)
 
 
-def one_of(choices: Iterable[str]) -> BeforeValidator:
-    """Return a validator that accepts one of some words; it suggests the most similar one for any other."""
-    words = tuple(choices)
+def one_of(choices: Collection[str]) -> BeforeValidator:
+    """Return a validator that accepts one of some words; it suggests the most similar one for any other.
+
+    Args:
+        choices: The words; a registry is asked anew at each check.
+    """
 
     def check(value: Any) -> str:
-        if value in words:
+        if isinstance(value, str) and value in choices:
             return value
-        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in words]
+        shown = [word if word.isidentifier() or "-" in word else repr(word) for word in choices]
         hint = suggestion(str(value), shown)
         raise InputError(f"{show(value)} is not known{hint}: it is one of {', '.join(shown)}")
 

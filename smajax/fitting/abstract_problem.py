@@ -1,5 +1,6 @@
 """The interface between a fit problem and a search, and the two functions of a problem that are compiled."""
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -8,9 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.fitting.compilation import vmap_unless_single
+from smajax.parameters import CheckedModule
 
 
-class AbstractFitProblem(eqx.Module):
+class AbstractFitProblem(CheckedModule):
     """A weighted residual as a function of one vector of ``p`` numbers of order one, with bounds.
 
     Attributes:
@@ -25,22 +27,22 @@ class AbstractFitProblem(eqx.Module):
         return self.data.measured.size
 
     @property
+    @abc.abstractmethod
     def nominal(self) -> np.ndarray:
         """The vector at which a search starts, shape ``(p,)``."""
-        raise NotImplementedError
 
     @property
+    @abc.abstractmethod
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of the vector, each of shape ``(p,)``."""
-        raise NotImplementedError
 
     def search_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Return finite bounds within ``bounds``, each of shape ``(p,)``, for random starts and populations."""
         return self.bounds
 
+    @abc.abstractmethod
     def residual(self, vector: Float[Array, " p"]) -> Float[Array, " size"]:
         """Return measurement minus model over the noise, shape ``(size,)``; zero where nothing was measured."""
-        raise NotImplementedError
 
 
 def residual(vector: Float[Array, " p"], problem: AbstractFitProblem) -> Float[Array, " size"]:

@@ -8,18 +8,19 @@ Models in discrete time need equally spaced rows. ``response`` refuses others; `
 times and is for rows that were checked before, as in a fit.
 """
 
+import abc
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from smajax.laws.row_spacing import refuse_uneven_rows
+from smajax.parameters import CheckedModule
 
 
-class AbstractInputOutputModel(eqx.Module):
+class AbstractInputOutputModel(CheckedModule):
     """Base class of the input-output models.
 
     Attributes:
@@ -28,6 +29,7 @@ class AbstractInputOutputModel(eqx.Module):
 
     needs_even_rows: ClassVar[bool] = False
 
+    @abc.abstractmethod
     def init(self, first: Float[Array, ""]) -> Any:
         """Return the state at the first row, whose input is taken to have been held before it.
 
@@ -37,8 +39,8 @@ class AbstractInputOutputModel(eqx.Module):
         Returns:
             The state, a pytree.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def step(self, state: Any, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]) -> Any:
         """Advance the state from one row to the next.
 
@@ -51,8 +53,8 @@ class AbstractInputOutputModel(eqx.Module):
         Returns:
             The state at the next row.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def output(self, state: Any, value: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the output at a row.
 
@@ -60,21 +62,20 @@ class AbstractInputOutputModel(eqx.Module):
             state: State at the row.
             value: Input at the row.
         """
-        raise NotImplementedError
 
     @property
     def history_length(self) -> int:
-        """Number of past outputs that the state holds."""
-        raise NotImplementedError
+        """Number of past outputs that the state holds; by default none."""
+        return 0
 
     def with_history(self, state: Any, outputs: Float[Array, " history"]) -> Any:
-        """Return the state with its past outputs replaced.
+        """Return the state with its past outputs replaced; by default it holds none, and is unchanged.
 
         Args:
             state: The state.
             outputs: Past outputs, newest first, shape ``(history_length,)``.
         """
-        raise NotImplementedError
+        return state
 
     def predict_ahead(
         self,

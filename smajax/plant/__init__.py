@@ -7,7 +7,29 @@ with ``convection`` (h(T)), ``materials``, ``mechanisms`` and ``sensor``. ``wire
 wire, and ``effects`` has optional terms of each stage, such as latent heat.
 """
 
+from smajax.plant.coil import Coil
+from smajax.plant.convection import PolynomialConvection, PowerLawConvection
+from smajax.plant.drive import CurrentDrive, DutyDrive, NoDrive, PowerDrive, VoltageDrive
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
+from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
+from smajax.plant.wire import Environment, Initial, Wire
 
-__all__ = ["Plant", "State"]
+__all__ = [
+    "Coil",
+    "CurrentDrive",
+    "DutyDrive",
+    "Environment",
+    "Initial",
+    "NoDrive",
+    "Plant",
+    "PolynomialConvection",
+    "PowerDrive",
+    "PowerLawConvection",
+    "PrescribedTemperature",
+    "Sensor",
+    "State",
+    "VoltageDrive",
+    "Wire",
+]

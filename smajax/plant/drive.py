@@ -10,20 +10,23 @@ resistivity.
 Source of the Joule heat: fast_rotary_actuator, equation 7.
 """
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.wire import AbstractWire
 
 
-class AbstractDrive(eqx.Module):
+class AbstractDrive(CheckedModule):
     """Base class of the drives. All methods work elementwise on arrays of any shape."""
 
     control: eqx.AbstractClassVar[str]
 
+    @abc.abstractmethod
     def joule(
         self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
     ) -> Float[Array, "..."]:
@@ -34,8 +37,8 @@ class AbstractDrive(eqx.Module):
             resistivity: Resistivity rho_e of the wire, ohm m.
             wire: The wire.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def current(
         self, signal: Float[Array, "..."], resistivity: Float[Array, "..."], wire: AbstractWire
     ) -> Float[Array, "..."]:
@@ -46,7 +49,6 @@ class AbstractDrive(eqx.Module):
             resistivity: Resistivity rho_e of the wire, ohm m.
             wire: The wire.
         """
-        raise NotImplementedError
 
 
 class CurrentDrive(AbstractDrive):

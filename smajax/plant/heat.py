@@ -18,16 +18,19 @@ would shift estimated parameters by a standard error at practical step sizes.
 Source of the balance: fast_rotary_actuator, equation 7.
 """
 
-import equinox as eqx
+import abc
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.parameters import CheckedModule
 from smajax.plant.wire import AbstractWire, Environment
 
 
-class AbstractHeat(eqx.Module):
+class AbstractHeat(CheckedModule):
     """Base class of the heat stages. All methods work elementwise on arrays of any shape."""
 
+    @abc.abstractmethod
     def convection(self, temperature: Float[Array, "..."]) -> Float[Array, "..."]:
         """Compute the convection coefficient h(T).
 
@@ -37,8 +40,8 @@ class AbstractHeat(eqx.Module):
         Returns:
             h in W/m^2/K.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def capacity(self, martensite: Float[Array, "..."]) -> Float[Array, "..."]:
         """Compute the heat capacity C per volume.
 
@@ -48,7 +51,6 @@ class AbstractHeat(eqx.Module):
         Returns:
             C in J/m^3/K.
         """
-        raise NotImplementedError
 
     def net_heat(
         self,

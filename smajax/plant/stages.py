@@ -39,24 +39,24 @@ class PlantStages(eqx.Module):
 
     Attributes:
         wire: Geometry of the wire.
-        environment: Air around the wire, and gravity.
-        initial: State at the start, if it is not that as installed.
+        environment: Air around the wire, and gravity; by default at 20 degC and 9.81 m/s^2.
+        initial: State at the start; by default that as installed, at rest, at ambient temperature.
         drive: From the electrical input to the Joule heat.
         heat: Heat balance of the wire.
         material: Constitutive law.
         mechanism: Load of the wires.
-        sensor: Gains and offsets of the sensors.
+        sensor: Gains and offsets of the sensors; by default every channel is read as it is.
         effects: Effects that are added to the stages.
     """
 
     wire: AbstractWire
-    environment: Environment
-    initial: Initial
+    environment: Environment = eqx.field(default_factory=Environment, kw_only=True)
+    initial: Initial = eqx.field(default_factory=Initial, kw_only=True)
     drive: AbstractDrive
     heat: AbstractHeat
     material: AbstractMaterial
     mechanism: AbstractMechanism
-    sensor: Sensor
+    sensor: Sensor = eqx.field(default_factory=lambda: Sensor.identity(()), kw_only=True)
     effects: tuple[AbstractEffect, ...] = ()
 
     @property

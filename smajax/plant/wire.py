@@ -6,15 +6,17 @@ modulus relative to Young's modulus. Heat balance and drive use the ``length`` a
 law, mechanism and effect works with every geometry.
 """
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class AbstractWire(eqx.Module):
+class AbstractWire(CheckedModule):
     """Base class of the geometries of a round wire. If a rig has several wires, all have the same geometry."""
 
     diameter: eqx.AbstractVar[jax.Array]
@@ -27,19 +29,19 @@ class AbstractWire(eqx.Module):
         return jnp.pi / 4 * self.diameter**2
 
     @property
+    @abc.abstractmethod
     def force_per_stress(self) -> Float[Array, "..."]:
         """Force at the end over the stress of the material law, in m^2."""
-        raise NotImplementedError
 
     @property
+    @abc.abstractmethod
     def motion_per_strain(self) -> Float[Array, "..."]:
         """Motion of the end over the strain of the material law, in m."""
-        raise NotImplementedError
 
     @property
+    @abc.abstractmethod
     def modulus_factor(self) -> Float[Array, "..."] | float:
         """Elastic modulus between that stress and that strain over Young's modulus."""
-        raise NotImplementedError
 
 
 class Wire(AbstractWire):
@@ -67,14 +69,14 @@ class Wire(AbstractWire):
         return 1.0
 
 
-class Environment(eqx.Module):
+class Environment(CheckedModule):
     """Air around the wire, and gravity."""
 
     ambient: jax.Array = parameter("degC", "temperature of the surroundings", -100.0, 300.0, 20.0)
     gravity: jax.Array = parameter("m/s^2", "gravitational acceleration", 0.0, 30.0, 9.81)
 
 
-class Initial(eqx.Module):
+class Initial(CheckedModule):
     """State at the start of a recording; values of ``None`` are those of the rig as installed, at rest, at ambient."""
 
     temperature: jax.Array | None = parameter(

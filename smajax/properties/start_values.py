@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from smajax.errors import InputError
+from smajax.errors import InputError, suggestion
 from smajax.files.parameter_sets import Entry
+from smajax.plant.materials.registry import MATERIALS
 from smajax.properties.strain_start_values import (
     STRAIN_BOUNDS,
     brinson_start_values,
@@ -71,14 +72,19 @@ def make_start_values(levels: Sequence[StressLevel], model: str) -> dict[str, En
 
     Args:
         levels: Mean properties at each stress.
-        model: The material law, one of ``rig_kinds.MATERIALS``.
+        model: The material law, a key of ``MATERIALS``.
 
     Returns:
         Entries of a parameter set by parameter name, in internal units; values that are not finite are left out.
 
     Raises:
-        InputError: A stress was not recorded, or the largest transformation strain is below the bounds of all laws.
+        InputError: The law is unknown, a stress was not recorded, or the largest transformation strain is below the
+            bounds of all laws.
     """
+    if model not in MATERIALS:
+        raise InputError(
+            f"'{model}' is not a material law{suggestion(model, MATERIALS)}: choose {', '.join(MATERIALS)}"
+        )
     unknown = [level.recording for level in levels if level.stress is None]
     if unknown:
         raise InputError(

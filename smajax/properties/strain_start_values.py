@@ -8,11 +8,11 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from smajax.files.parameter_sets import Entry
-from smajax.files.rig_kinds import MATERIALS
 from smajax.parameters import declarations
+from smajax.plant.materials.brinson import Brinson
 from smajax.properties.stress_levels import count_stresses
 
-_DECLARED_STRAIN = declarations(MATERIALS["brinson"])["max_transformation_strain"]
+_DECLARED_STRAIN = declarations(Brinson)["max_transformation_strain"]
 # Bounds of the largest transformation strain, which are the same in all laws.
 STRAIN_BOUNDS = (_DECLARED_STRAIN.lower, _DECLARED_STRAIN.upper)
 

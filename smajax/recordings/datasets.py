@@ -125,7 +125,6 @@ def get(name: str) -> tuple[Path, tuple[str, ...]]:
 def _fetch(dataset: Dataset) -> Path:
     """Fetch the files of a public data set into the cache, and return their folder."""
     import pooch  # here, since `import smajax.recordings.datasets` has to be fast
-    import requests
 
     if all(file.path is None for file in dataset.files):
         cure = f"point {LOCAL} to a folder that has a copy"
@@ -140,7 +139,7 @@ def _fetch(dataset: Dataset) -> Path:
         except ValueError:
             problem = "the fetched file is not the listed one (its SHA-256 differs)"
             raise InputError(f"{address}: {problem}: try again, or report it") from None
-        except (OSError, requests.RequestException) as error:
+        except OSError as error:  # also every error of requests, with which pooch fetches
             reason = str(error) if isinstance(error, PermissionError) else type(error).__name__
             cure = f"check the network, or point {LOCAL} to a folder that has a copy"
             raise InputError(f"{address}: the file cannot be fetched ({reason}): {cure}") from None

@@ -63,7 +63,11 @@ class Recording:
 
     @classmethod
     def from_arrays(
-        cls, name: str, time: Floats | None, channels: Mapping[str, Floats], units: Mapping[str, str]
+        cls,
+        name: str,
+        time: Floats | None,
+        channels: Mapping[str, Floats],
+        units: Mapping[str, str] = MappingProxyType({}),
     ) -> "Recording":
         """Return a recording of arrays in SI units (temperatures in degC).
 

@@ -30,7 +30,7 @@ def feasible_mask(
 def constraint_violation(
     values: Mapping[str, float] | Mapping[str, np.ndarray], constraints: Mapping[str, tuple[float, float]]
 ) -> np.ndarray:
-    """Return the sum of the violations of constraints, each relative to the larger of its bounds.
+    """Return the sum of the violations of constraints, each relative to the larger of its finite bounds.
 
     A metric that is NaN, or infinitely far from its bound, adds 1e6.
 
@@ -43,8 +43,11 @@ def constraint_violation(
     """
     total = np.zeros(())
     for name, (lower, upper) in constraints.items():
-        size = max(abs(bound) for bound in (lower, upper) if np.isfinite(bound)) or 1.0
-        excess = np.maximum(np.maximum(lower - values[name], values[name] - upper), 0.0) / size
+        size = max((abs(bound) for bound in (lower, upper) if np.isfinite(bound)), default=1.0) or 1.0
+        value = np.asarray(values[name])
+        # An infinite metric is within an infinite bound, although their difference is NaN.
+        below, above = (lower - value if np.isfinite(lower) else 0.0, value - upper if np.isfinite(upper) else 0.0)
+        excess = np.where(np.isnan(value), np.nan, np.maximum(np.maximum(below, above), 0.0) / size)
         total = total + np.where(np.isfinite(excess), excess, _INFINITE_VIOLATION)
     return np.asarray(total)
 

@@ -19,7 +19,7 @@ from smajax.plant.mechanisms.stress_path import StressPath
 from smajax.plant.mechanisms.testing_machine import TestingMachine
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
-from smajax.plant.wire import Environment, Initial, Wire
+from smajax.plant.wire import Initial, Wire
 from smajax.recordings.recording import Recording
 
 MATERIAL = {
@@ -55,9 +55,14 @@ HEAT = {"h0": 100.6, "h2": 0.001, "capacity_austenite": 2.046e6, "capacity_marte
 def _plant(mechanism, wire: Wire, drive, heat=None, material=None, initial: Initial | None = None) -> Plant:
     channels = (mechanism.coordinate, "stress") if mechanism.wires == 1 else (mechanism.coordinate,)
     return Plant(
-        wire, Environment(), initial or Initial(), drive, heat or PolynomialConvection(**HEAT), Brinson(**(material or MATERIAL)), mechanism,
-        Sensor.identity(channels),
-    )  # fmt: skip
+        wire=wire,
+        initial=initial or Initial(),
+        drive=drive,
+        heat=heat or PolynomialConvection(**HEAT),
+        material=Brinson(**(material or MATERIAL)),
+        mechanism=mechanism,
+        sensor=Sensor.identity(channels),
+    )
 
 
 def dead_weight(**material: float) -> Plant:

@@ -8,6 +8,7 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from smajax.errors import InputError
 from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.parameter_sets import Entry, read_header, read_parameters, write_parameters
 from smajax.files.rig_file import parse_rig
+from smajax.plant.wire import Initial, Wire
 from smajax.recordings.datasets import data_path
 
 
@@ -27,9 +29,10 @@ def plant():
 
 class TestNames:
     def test_all_names_can_be_read_and_replaced(self, plant):
-        for name in parameters.all_declarations(plant):
-            changed = parameters.replace(plant, {name: 0.25})
-            assert float(parameters.get(changed, name)) == 0.25, name
+        for name, declared in parameters.all_declarations(plant).items():
+            value = min(max(0.25, declared.lower), declared.upper)
+            changed = parameters.replace(plant, {name: value})
+            assert float(parameters.get(changed, name)) == value, name
             others = set(parameters.expand(parameters.all_declarations(plant))) - set(parameters.expand([name]))
             for other in others:
                 before, after = parameters.get(plant, other), parameters.get(changed, other)
@@ -66,6 +69,52 @@ class TestNames:
             return parameters.replace(plant, {"heat.h0": h0}).heat.convection(jnp.asarray(80.0))
 
         assert float(jax.jit(jax.grad(cooling))(100.0)) == 1.0
+
+
+class TestChecks:
+    """Python refuses what files refuse, in the same sentence; what JAX traces is not checked."""
+
+    def test_an_unknown_name_is_refused(self, plant):
+        with pytest.raises(InputError, match=r"no parameter 'heat\.h00' in this plant \(did you mean 'heat\.h0'\?\)"):
+            parameters.replace(plant, {"heat.h00": 1.0})
+
+    def test_a_value_outside_of_its_bounds_is_refused_as_in_files(self, plant):
+        sentence = r"wire\.length: {} is not possible for the wire length: give a value from 0\.1 mm to 100000 mm$"
+        for value, shown in ((-3.0, "-3000 mm"), (1e3, "1000000 mm"), (math.nan, "nan m"), (math.inf, "inf m")):
+            with pytest.raises(InputError, match="^" + sentence.format(shown)):
+                parameters.replace(plant, {"wire.length": value})
+        text = data_path("templates", "dead-weight.toml").read_text("utf-8")
+        with pytest.raises(InputError, match=sentence.format("'-3000 mm'")):
+            parse_rig(text.replace('length = "230 mm"', 'length = "-3000 mm"'))
+
+    def test_a_tie_and_a_stack_of_values_are_checked(self, plant):
+        with pytest.raises(InputError, match=r"^heat\.capacity: 1e-6 MJ/m\^3/K is not possible"):
+            parameters.replace(plant, {"heat.capacity": 1.0})
+        with pytest.raises(InputError, match=r"^load\.mass: -2 kg"):
+            parameters.replace(plant, {"load.mass": jnp.array([1.0, -2.0])})
+
+    def test_a_value_is_checked_at_construction(self):
+        with pytest.raises(InputError, match=r"^Wire\.length: -3000 mm is not possible for the wire length"):
+            Wire(1e-4, -3.0)
+        with pytest.raises(InputError, match=r"^Wire\.diameter = '0\.1 mm' is text: give a number in m$"):
+            Wire("0.1 mm", 0.2)
+        assert Wire(np.float32(1e-4), np.int64(1)).length.dtype == jnp.float64
+        assert Initial(temperature=25.0).temperature.dtype == jnp.float64 and Initial().temperature is None
+
+    def test_a_value_beyond_its_bound_by_rounding_passes(self):
+        assert float(Wire(1e-6 * (1.0 - 1e-15), 100.0 * (1.0 + 1e-15)).length) > 100.0
+
+    def test_traced_values_and_placeholders_are_not_checked(self, plant):
+        def length(value):
+            return parameters.replace(plant, {"wire.length": value}).wire.length + Wire(1e-4, value).length
+
+        assert float(jax.jit(length)(-1.0)) == -2.0
+        assert float(jax.grad(length)(1.0)) == 2.0
+        assert jax.vmap(length)(jnp.array([-1.0, 1.0])).tolist() == [-2.0, 2.0]
+        leaves, structure = jax.tree.flatten(Wire(1e-4, 1.0))
+        assert isinstance(jax.tree.unflatten(structure, [object()] * len(leaves)), Wire)
+        shapes = jax.eval_shape(lambda: Wire(1e-4, 1.0))
+        assert shapes.length.shape == ()
 
 
 NAMES = [name for name in all_parameter_names() if name != "heat.h2"]

@@ -17,15 +17,6 @@ if TYPE_CHECKING:
 _DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
 
 
-class StartModel(StrEnum):
-    """Material laws for which thermal cycles give start values."""
-
-    brinson = "brinson"
-    lagoudas = "lagoudas"
-    tanaka = "tanaka"
-    liang_rogers = "liang-rogers"
-
-
 class TangentLine(StrEnum):
     """Lines along a transformation."""
 
@@ -57,7 +48,9 @@ def properties(
         Path | None,
         typer.Option("--write-set", metavar="FILE.toml", help="Write a parameter set to start a fit from."),
     ] = None,
-    model: Annotated[StartModel, typer.Option("--model", help="The law that the set is for.")] = StartModel.brinson,
+    model: Annotated[
+        str, typer.Option("--model", metavar="LAW", help="The law that the set is for, as under [fit] of a rig.")
+    ] = "brinson",
     columns: Annotated[
         str,
         typer.Option(
@@ -80,7 +73,7 @@ def properties(
     names = [name.strip() for name in columns.split(",")] if columns else None
     separator = _DELIMITERS.get(delimiter, delimiter)
     options = {"smooth": smooth, "tangent": tangent.value, "columns": names, "delimiter": separator, "decimal": decimal}
-    study = _analyse(recordings, None if write_set is None else model.value, options, quiet)
+    study = _analyse(recordings, None if write_set is None else model, options, quiet)
     if write_set is not None:
         _write_set(write_set, study)
     typer.echo(_as_json(study) if as_json else study.summary())

@@ -1,25 +1,55 @@
 """Physical effects that a plant may have in addition to its five stages; the diagnosis searches among them.
 
-``catalogue`` lists all effects by key. It collects them from the modules of this folder: a new effect is a new file
-with a subclass of the base class of its stage. ``base`` has the base classes with their hooks, ``memory`` dynamics that
-several effects share, and ``skip_at_zero`` compile-time machinery.
+``catalogue`` lists all effects by key: those of the modules of this folder, where a new effect is a new file with a
+subclass of the base class of its stage, and those that ``smajax.register`` or an installed package adds (``registry``).
+``base`` has the base classes with their hooks, ``memory`` dynamics that several effects share, and ``skip_at_zero``
+compile-time machinery. The classes are importable from here by name: ``smajax.plant.effects.Coating``.
 """
 
-import importlib
-import pkgutil
 from collections.abc import Mapping
-from functools import cache
+from typing import Any
 
-from smajax.plant.effects.base import AbstractEffect
+from smajax.plant.effects.base import (
+    AbstractEffect,
+    DriveEffect,
+    HeatEffect,
+    MaterialEffect,
+    MechanismEffect,
+    SensorEffect,
+    StageContext,
+    ThermalNode,
+    WireState,
+)
+from smajax.plant.effects.registry import EFFECTS
+
+__all__ = [
+    "AbstractEffect",
+    "DriveEffect",
+    "HeatEffect",
+    "MaterialEffect",
+    "MechanismEffect",
+    "SensorEffect",
+    "StageContext",
+    "ThermalNode",
+    "WireState",
+    "catalogue",
+]
 
 
-@cache
 def catalogue() -> Mapping[str, type[AbstractEffect]]:
-    """Return all effects by key, in the order of their keys."""
-    effects: dict[str, type[AbstractEffect]] = {}
-    for name in (module.name for module in pkgutil.iter_modules(__path__) if module.name != "base"):
-        module = importlib.import_module(f"{__name__}.{name}")
-        for effect in vars(module).values():
-            if isinstance(effect, type) and issubclass(effect, AbstractEffect) and effect.__module__ == module.__name__:
-                effects[effect.key] = effect
-    return dict(sorted(effects.items()))
+    """Return all effects by key."""
+    return EFFECTS
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class of an effect by its name; the modules of the effects are imported when one is asked for."""
+    if not name.startswith("_"):
+        for effect in EFFECTS.loaded.values():
+            if effect.__name__ == name:
+                return effect
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Return the names of the base classes and of all effects."""
+    return sorted([*__all__, *(effect.__name__ for effect in EFFECTS.loaded.values())])

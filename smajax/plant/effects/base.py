@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import declarations
+from smajax.parameters import CheckedModule, declarations
 from smajax.plant.effects.memory import first_order_lag
 from smajax.plant.heat import AbstractHeat
 from smajax.plant.materials.base import AbstractMaterial, Fractions
@@ -60,7 +60,7 @@ class StageContext(NamedTuple):
     heat: AbstractHeat
 
 
-class AbstractEffect(eqx.Module):
+class AbstractEffect(CheckedModule):
     """Base class of all effects.
 
     Attributes:

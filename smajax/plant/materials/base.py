@@ -11,15 +11,17 @@ degC, stresses in Pa (tension positive); strains and fractions are dimensionless
 of any shape.
 """
 
-import dataclasses
+import abc
+from dataclasses import KW_ONLY
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 # Share of a transformation's band. If its progress over a step is less, it counts as constant: where nothing changes
 # over a step, rounding would otherwise select the branch, possibly another one for the derivative than for the value.
@@ -44,11 +46,13 @@ class Fractions(NamedTuple):
         return self.detwinned + self.twinned
 
 
-class AbstractMaterial(eqx.Module):
+class AbstractMaterial(CheckedModule):
     """Base class of the constitutive laws: their common parameters, and the quantities that follow from these alone.
 
-    A law adds the evolution of the fractions (``evolve``), the transformation strain of martensite that grows under a
-    stress (``current_transformation_strain``), and the mixing rule of Young's modulus (``modulus``).
+    A law adds the evolution of the fractions (``evolve``), and its own parameters as further fields. It may replace the
+    transformation strain of martensite that grows under a stress (``current_transformation_strain``) and the mixing
+    rule of Young's modulus (``modulus``). A law with one martensite fraction is easier to derive from
+    ``AbstractOneFraction``: it adds its kinetics alone.
 
     The Clausius-Clapeyron slopes are ``clausius_clapeyron_austenite`` C_A and ``clausius_clapeyron_martensite`` C_M:
     a stress raises the transformation temperatures of austenite by sigma / C_A, those of martensite by sigma / C_M.
@@ -59,6 +63,7 @@ class AbstractMaterial(eqx.Module):
     """
 
     obstacle_to_rates: ClassVar[str] = ""
+    _: KW_ONLY
     martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
     martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)
     austenite_start: jax.Array = parameter("degC", "austenite start temperature at zero stress", -200.0, 600.0)
@@ -85,12 +90,11 @@ class AbstractMaterial(eqx.Module):
         Args:
             factor: The factor, such as ``AbstractWire.modulus_factor``.
         """
-        moduli = {
-            "modulus_austenite": factor * self.modulus_austenite,
-            "modulus_martensite": factor * self.modulus_martensite,
-        }
-        return dataclasses.replace(self, **moduli)
+        scaled = (factor * self.modulus_austenite, factor * self.modulus_martensite)
+        # Not a constructor: the modulus of a geometry may be beyond the bounds of Young's modulus.
+        return eqx.tree_at(lambda law: (law.modulus_austenite, law.modulus_martensite), self, scaled)
 
+    @abc.abstractmethod
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """Advance the fractions over a step in which temperature and stress change monotonically.
 
@@ -102,15 +106,14 @@ class AbstractMaterial(eqx.Module):
         Returns:
             Fractions at the end.
         """
-        raise NotImplementedError
 
     def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Compute the transformation strain H_cur of martensite that grows under a stress.
+        """Compute the transformation strain H_cur of martensite that grows under a stress; by default eps_L.
 
         Args:
             stress: Stress, Pa.
         """
-        raise NotImplementedError
+        return jnp.broadcast_to(self.max_transformation_strain, jnp.shape(stress))
 
     @property
     def forward_start(self) -> Float[Array, "..."]:
@@ -152,8 +155,11 @@ class AbstractMaterial(eqx.Module):
         return elastic + self.transformation_strain(fractions) + expansion * (temperature - reference)
 
     def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute Young's modulus E(xi) in Pa."""
-        raise NotImplementedError
+        """Compute Young's modulus in Pa, by default E(xi) = E_A + xi (E_M - E_A).
+
+        Source: brinson1993, equation 8.
+        """
+        return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
 
     def resistivity(self, fractions: Fractions) -> Float[Array, "..."]:
         """Compute the electrical resistivity rho_e(xi) in ohm m, linear in the martensite fraction."""

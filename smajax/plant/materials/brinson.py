@@ -23,16 +23,13 @@ correction, with which the fractions cannot exceed 1 (Brinson's expression reach
 Source: brinson1993, equations 1 and 14 to 16; chung2007 for the twinned branch below M_s.
 """
 
-from dataclasses import KW_ONLY
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
-from smajax.plant.materials.base import NO_PROGRESS, AbstractMaterial, Fractions, mix
+from smajax.plant.materials.base import NO_PROGRESS, AbstractMaterial, Fractions
 from smajax.plant.materials.cosine_kinetics import DEFAULT_SMOOTHING, cosine_remainder
 
 
@@ -44,7 +41,6 @@ class Brinson(AbstractMaterial):
     Source: brinson1993, chung2007.
     """
 
-    _: KW_ONLY
     detwinning_start_stress: jax.Array = parameter("Pa", "stress at which detwinning starts at or below M_s", 0.0, 1e9)
     detwinning_finish_stress: jax.Array = parameter(
         "Pa", "stress at which detwinning is complete at or below M_s", 0.0, 2e9
@@ -83,14 +79,3 @@ class Brinson(AbstractMaterial):
             detwinning * (1.0 / (self.detwinning_finish_stress - self.detwinning_start_stress)),
             -above * (1.0 / (self.martensite_start - self.martensite_finish)),
         )
-
-    def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return eps_L at every stress: martensite that grows under a load is detwinned."""
-        return jnp.broadcast_to(self.max_transformation_strain, jnp.shape(stress))
-
-    def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute Young's modulus E(xi) = E_A + xi (E_M - E_A) in Pa.
-
-        Source: brinson1993, equation 8.
-        """
-        return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)

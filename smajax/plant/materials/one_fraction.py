@@ -12,24 +12,34 @@ over the step, so partial loops need no memory of reversals, as in ``smajax.plan
 Source: tanaka1986, liang1990, elahinia2005.
 """
 
+import abc
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.plant.materials.base import NO_PROGRESS, AbstractMaterial, Fractions, mix
+from smajax.numerics.nonsmooth import clip
+from smajax.plant.materials.base import NO_PROGRESS, AbstractMaterial, Fractions
+from smajax.plant.materials.cosine_kinetics import DEFAULT_SMOOTHING
 
 
 class AbstractOneFraction(AbstractMaterial):
-    """Base class of the laws with one martensite fraction; ``remainder`` is the kinetics of a law."""
+    """Base class of the laws with one martensite fraction; ``remainder`` is the kinetics of a law.
 
+    Kinetics that are a function of the progress from start to finish are easier to write in ``AbstractBandKinetics``.
+    """
+
+    @abc.abstractmethod
     def remainder(self, start: Float[Array, "..."], end: Float[Array, "..."]) -> Float[Array, "..."]:
         """Compute the share that remains to transform at the end of a step over that at its start.
 
         Args:
-            start: Progress p or q at the start of the step.
+            start: Progress p or q at the start of the step; any number, also far below 0 and far above 1.
             end: Progress at the end, larger than at the start.
+
+        Returns:
+            The ratio, which has to be finite, with a finite derivative, for all such numbers.
         """
-        raise NotImplementedError
 
     def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
         """Advance the fractions over a step: the reverse transformation first, then the forward one.
@@ -57,10 +67,25 @@ class AbstractOneFraction(AbstractMaterial):
             forward * (1.0 / (self.martensite_start - self.martensite_finish)),
         )
 
-    def current_transformation_strain(self, stress: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return eps_L at every stress: martensite that grows carries the whole strain."""
-        return jnp.broadcast_to(self.max_transformation_strain, jnp.shape(stress))
 
-    def modulus(self, fractions: Fractions) -> Float[Array, "..."]:
-        """Compute Young's modulus E(xi) = E_A + xi (E_M - E_A) in Pa."""
-        return mix(fractions.martensite, self.modulus_austenite, self.modulus_martensite)
+class AbstractBandKinetics(AbstractOneFraction):
+    """Base class of laws with one martensite fraction that transform between start and finish temperature alone.
+
+    A law adds one function, ``remaining_share``, and its own parameters.
+    """
+
+    @abc.abstractmethod
+    def remaining_share(self, progress: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the share f that remains to transform: 1 at progress 0, 0 at progress 1, and falling in between.
+
+        Args:
+            progress: Progress p or q through the band of the transformation, 0 to 1.
+        """
+
+    def remainder(self, start: Float[Array, "..."], end: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute f(end) / f(start), with f limited to at least ``DEFAULT_SMOOTHING`` so that the ratio is finite."""
+        after, before = (
+            DEFAULT_SMOOTHING + (1.0 - DEFAULT_SMOOTHING) * self.remaining_share(clip(progress, 0.0, 1.0))
+            for progress in (end, start)
+        )
+        return after / before

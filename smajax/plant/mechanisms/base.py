@@ -7,6 +7,8 @@ slack, as the stress that would stretch the wire elastically by that length. So 
 wires. Contraction is positive displacement; strains and stresses are positive in tension.
 """
 
+import abc
+import dataclasses
 import math
 from typing import Any, ClassVar, NamedTuple
 
@@ -16,12 +18,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum
+from smajax.parameters import CheckedModule, declarations, module_types
 from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.materials.base import AbstractMaterial, Fractions
-from smajax.plant.wire import AbstractWire, Environment
+from smajax.plant.wire import AbstractWire, Environment, Wire
 
 # degC. Below every transformation temperature that a rig file accepts (-200 degC), also at the largest stress.
 _COLD = -1e4
+# Section of a rig file with the parameters that a mechanism declares itself: its field in the plant.
+OWN_SECTION = "mechanism"
 
 
 class MechanismContext(NamedTuple):
@@ -38,7 +43,7 @@ class MechanismContext(NamedTuple):
     modulus: jax.Array
 
 
-class AbstractMechanism(eqx.Module):
+class AbstractMechanism(CheckedModule):
     """Base class of the mechanisms.
 
     Attributes:
@@ -49,6 +54,7 @@ class AbstractMechanism(eqx.Module):
         extra_channels: Names of further channels that it adds to those of the plant.
         obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
             empty if there are rates.
+        wire_class: Geometry of the wire in a rig file.
     """
 
     wires: eqx.AbstractClassVar[int]
@@ -57,6 +63,17 @@ class AbstractMechanism(eqx.Module):
     coordinate: eqx.AbstractClassVar[str]
     extra_channels: ClassVar[tuple[str, ...]] = ()
     obstacle_to_rates: ClassVar[str] = ""
+    wire_class: ClassVar[type[AbstractWire]] = Wire
+
+    @classmethod
+    def rig_sections(cls) -> dict[str, type[eqx.Module]]:
+        """Return the classes of the parameter sections that the mechanism adds to a rig file, by section.
+
+        A field that is a module, such as ``load: Load``, is a section of its name. Parameters that the mechanism
+        declares itself are those of ``[mechanism]``.
+        """
+        parts = {field.name: part for field in dataclasses.fields(cls) for part in module_types(cls, field)}
+        return ({OWN_SECTION: cls} if declarations(cls) else {}) | parts
 
     @property
     def effects(self) -> tuple[AbstractEffect, ...]:
@@ -113,6 +130,7 @@ class AbstractMechanism(eqx.Module):
         share = jnp.ones(1) if self.wires == 1 else jnp.array([0.5, -0.5])
         return maximum(stress + share * drag, 0.0)
 
+    @abc.abstractmethod
     def fractions(
         self,
         material: AbstractMaterial,
@@ -128,8 +146,8 @@ class AbstractMechanism(eqx.Module):
             prescribed: Prescribed channels at the start.
             context: Wire, environment and scale.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def stress(
         self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
     ) -> Float[Array, " wires"]:
@@ -140,8 +158,8 @@ class AbstractMechanism(eqx.Module):
             prescribed: Prescribed channels at the same instant.
             context: Wire, environment and scale.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def balance(
         self,
         unknown: Float[Array, " unknowns"],
@@ -161,8 +179,8 @@ class AbstractMechanism(eqx.Module):
             context: Wire, environment and scale.
             step: Duration, s.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
         """Compute the unknowns at the start in Pa.
 
@@ -170,16 +188,16 @@ class AbstractMechanism(eqx.Module):
             prescribed: Prescribed channels at the start.
             context: Wire, environment and scale.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def initial_motion(self, strain: Float[Array, " wires"]) -> Any:
         """Return the state of the mechanism at the start, a pytree.
 
         Args:
             strain: Strains of the wires at the start.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def update_motion(
         self,
         unknown: Float[Array, " unknowns"],
@@ -197,8 +215,8 @@ class AbstractMechanism(eqx.Module):
             context: Wire, environment and scale.
             step: Duration, s.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def channels(
         self,
         strain: Float[Array, " wires"],
@@ -217,7 +235,6 @@ class AbstractMechanism(eqx.Module):
         Returns:
             ``coordinate`` and ``extra_channels`` by name, SI.
         """
-        raise NotImplementedError
 
 
 def detwinned_fractions(

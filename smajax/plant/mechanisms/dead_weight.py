@@ -2,18 +2,17 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import MechanismContext, detwinned_fractions
 from smajax.plant.mechanisms.single_wire import AbstractDisplacement
 
 
-class Load(eqx.Module):
+class Load(CheckedModule):
     """Mass that hangs on the wire."""
 
     mass: jax.Array = parameter("kg", "hanging mass", 0.0, 1e4)

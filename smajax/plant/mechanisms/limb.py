@@ -15,13 +15,12 @@ Source: copaci2020 for the actuator and the elbow.
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum, minimum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.effects.memory import presliding_state
 from smajax.plant.materials.base import AbstractMaterial, Fractions
@@ -30,7 +29,7 @@ from smajax.plant.mechanisms.pulley import Pulley
 from smajax.plant.mechanisms.sheath import Liner, Sheath
 
 
-class Limb(eqx.Module):
+class Limb(CheckedModule):
     """Limb that the wires lift: M(theta) = m g a sin(theta + tilt) + stiffness theta + preload.
 
     The moment M is positive where it stretches the wires.
@@ -56,7 +55,7 @@ class Limb(eqx.Module):
         return weight + self.stiffness * angle + self.preload
 
 
-class Transmission(eqx.Module):
+class Transmission(CheckedModule):
     """Number of wires, and transmission of their motion to the pulley."""
 
     count: jax.Array = parameter(

@@ -1,14 +1,13 @@
 """Pulley with inertia and damping, and the time integration of its rotation."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class Pulley(eqx.Module):
+class Pulley(CheckedModule):
     """Pulley that wires turn."""
 
     radius: jax.Array = parameter("m", "radius at which the wires act", 1e-5, 1.0)

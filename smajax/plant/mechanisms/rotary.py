@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip, maximum, minimum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
 from smajax.plant.mechanisms.pulley import Pulley
@@ -38,7 +38,7 @@ _SHORTEST_LIMIT = 0.01
 _STEPS_PER_PERIOD = 12.0
 
 
-class Link(eqx.Module):
+class Link(CheckedModule):
     """Limb that hangs down from the axis of the pulley at angle 0."""
 
     mass: jax.Array = parameter("kg", "mass of the link", 0.0, 500.0)

@@ -23,16 +23,15 @@ at s = 0.
 Source: copaci2020 for the PTFE tube in a Bowden cable.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 from smajax.plant.effects.base import ThermalNode
 
 
-class Sheath(eqx.Module):
+class Sheath(CheckedModule):
     """Friction and heat of a sheath; with the default values the wire is free in air."""
 
     friction: jax.Array = parameter("1", "coefficient of friction between wire and sheath", 0.0, 2.0, 0.0)

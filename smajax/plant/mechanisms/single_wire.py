@@ -1,10 +1,14 @@
 """Base classes of the mechanisms with a single wire: those that move a load, and those that only have a strain."""
 
+import abc
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
+from smajax.numerics.nonsmooth import maximum
+from smajax.plant.materials.base import AbstractMaterial, Fractions
+from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
 
 
 class AbstractDisplacement(AbstractMechanism):
@@ -39,6 +43,58 @@ class AbstractDisplacement(AbstractMechanism):
     ) -> dict[str, Float[Array, ""]]:
         """Compute the displacement in m."""
         return {"displacement": context.wire.motion_per_strain * (motion - strain[0])}
+
+
+class AbstractElasticLoad(AbstractDisplacement):
+    """Base class of one wire that pulls on a load whose force F(x) depends on the displacement alone.
+
+    It starts as detwinned martensite under F(0), where the displacement x is 0. The unknown is the wire's stress. A
+    mechanism adds its parameters and ``force``.
+    """
+
+    unknowns = 1
+
+    @abc.abstractmethod
+    def force(self, displacement: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Compute the force F(x) of the load in N; it should not fall as the displacement rises.
+
+        Args:
+            displacement: Displacement x, the contraction of the wire, m.
+        """
+
+    def fractions(
+        self,
+        material: AbstractMaterial,
+        temperature: Float[Array, " wires"],
+        prescribed: dict,
+        context: MechanismContext,
+    ) -> Fractions:
+        """Compute the fractions of martensite that grew under the load at displacement 0."""
+        strain = material.current_transformation_strain(self.initial_unknowns(prescribed, context))
+        return detwinned_fractions(material, temperature, strain)
+
+    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+        """Return the stress under the load at displacement 0."""
+        return self.force(jnp.zeros((1,))) / context.wire.force_per_stress
+
+    def stress(
+        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+    ) -> Float[Array, " wires"]:
+        """Return the unknown, or zero for a slack wire."""
+        return maximum(unknown, 0.0)
+
+    def balance(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict,
+        context: MechanismContext,
+        step: Float[Array, ""],
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate the stress of the wire less that of the load: sigma - F(x) / A."""
+        contraction = context.wire.motion_per_strain * (motion - strain)
+        return unknown - self.force(contraction) / context.wire.force_per_stress
 
 
 class AbstractMaterialPoint(AbstractMechanism):

@@ -12,10 +12,10 @@ from smajax import parameters
 from smajax.errors import InputError
 from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.rig_file import parse_rig, read_rig
-from smajax.files.rig_kinds import KINDS
 from smajax.plant.convection import PolynomialConvection, PowerLawConvection
 from smajax.plant.drive import DutyDrive, NoDrive, PowerDrive, VoltageDrive
 from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.mechanisms.registry import MECHANISMS as KINDS
 from smajax.plant.mechanisms.rotary import MasslessRotary, Rotary
 from smajax.plant.mechanisms.stress_path import StressPath
 from smajax.plant.mechanisms.testing_machine import TestingMachine

@@ -20,7 +20,7 @@ from smajax.plant.mechanisms.pulley import Pulley
 from smajax.plant.mechanisms.rotary import Joint, Link, MasslessRotary
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
-from smajax.plant.wire import Environment, Initial
+from smajax.plant.wire import Environment
 from smajax.simulation.run import simulate
 from smajax.simulation.step_size import default_step
 from tests.reference import coil as exact
@@ -45,9 +45,14 @@ COIL = {"diameter": 0.5e-3, "coil_diameter": 3e-3, "turns": 25.0, "poisson_ratio
 def plant(mechanism, law: str = "brinson", drive=None, **coil: float) -> Plant:
     channels = (mechanism.coordinate,)
     return Plant(
-        Coil(**COIL | coil), Environment(25.0), Initial(), drive or CurrentDrive(), PolynomialConvection(**HEAT), LAWS[law], mechanism,
-        Sensor.identity(channels),
-    )  # fmt: skip
+        wire=Coil(**COIL | coil),
+        environment=Environment(25.0),
+        drive=drive or CurrentDrive(),
+        heat=PolynomialConvection(**HEAT),
+        material=LAWS[law],
+        mechanism=mechanism,
+        sensor=Sensor.identity(channels),
+    )
 
 
 def reference(law: str = "brinson", springs: float = 1.0) -> tuple:

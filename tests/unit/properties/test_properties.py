@@ -16,8 +16,8 @@ from smajax.api.properties import START_VALUES, PropertiesStudy, thermal_cycle_p
 from smajax.errors import InputError
 from smajax.files.parameter_sets import read_parameters
 from smajax.files.rig_file import parse_rig, read_rig
-from smajax.files.rig_kinds import MATERIALS
 from smajax.fitting.fit import fit
+from smajax.plant.materials.registry import MATERIALS
 from smajax.properties.cycle_rows import turning_points
 from smajax.properties.recording_analysis import analyse_recordings
 from smajax.properties.refused_cycles import merge_refusals

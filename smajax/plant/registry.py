@@ -1,0 +1,177 @@
+"""Registries: the classes of materials, mechanisms and effects by the names under which rig files select them.
+
+A registry is a mapping from names to classes. It has the shipped classes, those that ``register`` adds, and those of
+installed packages, which name them as entry points of the group of the registry:
+
+    [project.entry-points."smajax.materials"]
+    my-law = "my_package:MyLaw"
+
+Entry points are looked at only where a name is not known otherwise, or where all names are asked for.
+"""
+
+import dataclasses
+import importlib.metadata
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any, TypeVar
+
+from smajax.errors import InputError, suggestion
+from smajax.parameters import CheckedModule, missing_methods, module_types
+
+Module = TypeVar("Module", bound=CheckedModule)
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+class Registry(Mapping[str, type[Module]]):
+    """Classes of one kind by name.
+
+    Attributes:
+        kind: What the classes are, in one word: ``material``.
+        base: Base class of all classes.
+        group: Group of the entry points of installed packages: ``smajax.materials``.
+
+    Args:
+        kind: What the classes are.
+        base: Base class of all classes.
+        shipped: Function that returns the shipped classes by name; it is called once, when they are needed.
+        check: Function that returns what is wrong with a class of this kind under a name, in words with the cure; an
+            empty text if nothing is.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        base: type[Module],
+        shipped: Callable[[], Mapping[str, type[Module]]],
+        check: Callable[[str, type[Module]], str] = lambda name, cls: "",
+    ):
+        self.kind, self.base, self.group = kind, base, f"smajax.{kind}s"
+        self._read_shipped, self._check = shipped, check
+        self._added: dict[str, type[Module]] = {}
+        self._broken: dict[str, str] = {}
+
+    @cached_property
+    def _shipped(self) -> Mapping[str, type[Module]]:
+        return dict(self._read_shipped())
+
+    @cached_property
+    def _entry_points(self) -> dict[str, importlib.metadata.EntryPoint]:
+        return {point.name: point for point in importlib.metadata.entry_points(group=self.group)}
+
+    @property
+    def loaded(self) -> Mapping[str, type[Module]]:
+        """The classes by name without those of installed packages that no one has asked for yet."""
+        return {**self._shipped, **self._added}
+
+    def register(self, name: str, cls: Any) -> None:
+        """Add a class under a name.
+
+        A class may be registered again under its name after its definition was run again, as in a notebook.
+
+        Args:
+            name: The name, in small letters with hyphens: ``my-law``.
+            cls: The class.
+
+        Raises:
+            InputError: If the name is taken or has another form, or the class cannot be used.
+        """
+        if problem := self._problem(name, cls):
+            raise InputError(f"{self.kind} '{name}': {problem}")
+        self._added[name] = cls
+
+    def unregister(self, name: str) -> None:
+        """Remove a class that was registered.
+
+        Args:
+            name: Its name.
+
+        Raises:
+            InputError: If no class was registered under this name.
+        """
+        if name not in self._added:
+            hint = suggestion(name, self._added)
+            raise InputError(f"{self.kind} '{name}' was not registered{hint}: there is nothing to remove")
+        del self._added[name]
+
+    def __getitem__(self, name: str) -> type[Module]:
+        """Return the class of a name; one of an installed package is imported first.
+
+        Raises:
+            KeyError: If there is no such name.
+            InputError: If an installed package names a class that cannot be imported or used.
+        """
+        if name in self._shipped:
+            return self._shipped[name]
+        if name not in self._added and name in self._entry_points:
+            self._load(name)
+        return self._added[name]
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether a name is known."""
+        return name in self._shipped or name in self._added or name in self._entry_points
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names; what an installed package names and cannot be used is left out with a warning."""
+        for name in self._entry_points:
+            if name in self._added or name in self._broken:
+                continue
+            try:
+                self._load(name)
+            except InputError as error:
+                self._broken[name] = str(error)
+                warnings.warn(str(error), stacklevel=2)
+        return iter(self.loaded)
+
+    def __len__(self) -> int:
+        """Return the number of names."""
+        return len(list(iter(self)))
+
+    def _load(self, name: str) -> None:
+        """Import the class that an installed package names, and add it."""
+        point = self._entry_points[name]
+        package = point.dist.name if point.dist else point.module
+        try:
+            self.register(name, point.load())
+        except Exception as error:
+            problem = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"the package {package} offers the {self.kind} '{name}' ({point.value}), which cannot be used: "
+                f"{problem}; repair or uninstall {package}"
+            ) from error
+
+    def _problem(self, name: str, cls: Any) -> str:
+        """Return what is wrong with a name or a class, with the cure; an empty text if nothing is."""
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            return "the name is not in small letters with hyphens: write it like 'my-law'"
+        if not isinstance(cls, type):
+            return f"{cls!r} is not a class: give the class itself, without parentheses behind its name"
+        if not issubclass(cls, self.base):
+            return f"{cls.__name__} is not of this kind: derive it from {self.base.__module__}.{self.base.__name__}"
+        other = self.loaded.get(name)
+        if other is not None and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
+            return f"the name is taken by {other.__module__}.{other.__qualname__}: choose another name"
+        problem = class_problem(cls) or self._check(name, cls)
+        return f"{cls.__name__} cannot be used: {problem}" if problem else ""
+
+
+def class_problem(cls: type) -> str:
+    """Return what a class lacks, with the cure: methods, class attributes, or the declaration of a field.
+
+    Args:
+        cls: A class derived from ``CheckedModule``.
+
+    Returns:
+        The problem in words; an empty text if there is none.
+    """
+    if missing := missing_methods(cls):
+        return missing
+    names = sorted({*getattr(cls, "__abstractvars__", ()), *getattr(cls, "__abstractclassvars__", ())})
+    if names:
+        return f"define {', '.join(repr(name) for name in names)} in the body of the class"
+    for field in dataclasses.fields(cls):
+        if "declaration" not in field.metadata and not field.metadata.get("static") and not module_types(cls, field):
+            cure = f"write {field.name}: jax.Array = smajax.parameters.parameter(UNIT, MEANING, LOWER, UPPER, DEFAULT)"
+            return f"its field '{field.name}' has no declaration: {cure}, or equinox.field(static=True) for an option"
+    return ""
