@@ -6,4 +6,3 @@ Each is an ``AbstractActuator``: it declares its parameters as a plant does, and
 (hybrid_knee_ankle_orthosis) of ``knee_parts`` and the coil and material of the plant. ``smajax.files.actuator_file``
 reads and writes their rig.toml.
 """
-

@@ -10,7 +10,7 @@ from smajax.api.sources import as_rig, one_source, rig_text
 from smajax.api.study import Study
 from smajax.comparison.compare import compare_models
 from smajax.comparison.model_result import ModelResult
-from smajax.comparison.models import MODELS, select_models
+from smajax.comparison.models import model_names, select_models
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
@@ -66,7 +66,7 @@ def compare(
         Cancelled: If the callback stopped the comparison.
     """
     clock, reporter = Clock(), Reporter(progress)
-    names = select_models(MODELS if models is None else models)
+    names = select_models(model_names() if models is None else models)
     reporter.phase("reading")
     with clock.time("read"):
         rig = as_rig(rig)

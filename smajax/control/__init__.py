@@ -8,4 +8,3 @@
 - ``analysis``, ``tuning``: step response, margins, reachable range; the search for gains.
 - ``export``: a controller as C header, JSON document or FMU.
 """
-

@@ -175,7 +175,8 @@ def parse_rig(text: str, name: str = "rig.toml", folder: Path | None = None, *, 
     Raises:
         InputError: If the text is invalid; the message names file, section and key.
     """
-    return _parse_data(parse_toml(text, name), name, current_line_numbers(text), folder or Path(), drop_misplaced)
+    rig = _parse_data(parse_toml(text, name), name, current_line_numbers(text), folder or Path(), drop_misplaced)
+    return replace(rig, text=text)
 
 
 def _parse_data(data: dict[str, Any], name: str, rows: Mapping[str, int], folder: Path, drop_misplaced: bool) -> Rig:
@@ -185,7 +186,7 @@ def _parse_data(data: dict[str, Any], name: str, rows: Mapping[str, int], folder
         if rig.misplaced and not drop_misplaced:
             key, reason = next(iter(rig.misplaced.items()))
             raise InputError(f"effects.{key} does not apply to this rig: {reason}")
-        return replace(rig, text=text)
+        return rig
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
 

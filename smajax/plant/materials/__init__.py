@@ -14,4 +14,13 @@ from smajax.plant.materials.liang_rogers import LiangRogers
 from smajax.plant.materials.one_fraction import AbstractBandKinetics, AbstractOneFraction
 from smajax.plant.materials.tanaka import Tanaka
 
-__all__ = ["AbstractBandKinetics", "AbstractMaterial", "AbstractOneFraction", "Brinson", "Fractions", "Lagoudas", "LiangRogers", "Tanaka"]
+__all__ = [
+    "AbstractBandKinetics",
+    "AbstractMaterial",
+    "AbstractOneFraction",
+    "Brinson",
+    "Fractions",
+    "Lagoudas",
+    "LiangRogers",
+    "Tanaka",
+]

@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
-from smajax.report.tune_document import TunedLoop, tune_document
 from smajax.control.analysis.closed_loop_checks import DrawChecks, check_draws, evaluate_gains
 from smajax.control.analysis.margins import Margins, margins_of_draws, worst_margins
 from smajax.control.analysis.reachable_range import ReachableRange, clip_reference, reachable_range
@@ -40,6 +39,7 @@ from smajax.fitting.io_models.problem import Series
 from smajax.laws.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.laws.response import compute_response
 from smajax.progress import Progress
+from smajax.report.tune_document import TunedLoop, tune_document
 from smajax.report.tuning import text, tuning_summary
 from tests.conftest import ROOT
 from tests.unit.control.test_control import hip, loop_of, pid

@@ -11,8 +11,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 from typer.testing import CliRunner
 
-from smajax.app.cli import app
 from smajax.api.properties import START_VALUES, PropertiesStudy, thermal_cycle_properties
+from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files.parameter_sets import read_parameters
 from smajax.files.rig_file import parse_rig, read_rig

@@ -30,8 +30,8 @@ from typer.testing import CliRunner
 
 from smajax import parameters
 from smajax.actuators.knee import Knee
-from smajax.app.cli import app
 from smajax.api.sweep import sweep
+from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.rig_file import read_rig
@@ -641,7 +641,10 @@ def test_a_finished_sweep_is_not_resumed(folder, monkeypatch):
         patch.setattr("smajax.api.sweep.run_chunks", None)
         again = run(folder, resume=True)
     assert "since this sweep was finished: its result is unchanged" in again.note
-    assert again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8")) and again.exit_code == first.exit_code
+    assert (
+        again.document == json.loads((folder / "out" / "sweep.json").read_text("utf-8"))
+        and again.exit_code == first.exit_code
+    )
     assert (folder / "out" / "run.json").read_bytes() == written
     shown = CliRunner().invoke(app, ["sweep", str(folder / "sweep.toml"), "--out", str(folder / "out"), "--resume"])
     assert shown.exit_code == 0 and "smajax: there was nothing to resume, since" in shown.stderr
@@ -778,7 +781,8 @@ def test_constraints_that_no_design_keeps(folder):
     outcome = run(folder)
     assert "degC (allowed: at most 21 degC)" in outcome.reason
     assert (
-        outcome.exit_code == 3 and "none of the 130 designs satisfies the constraints: the nearest, design" in outcome.reason
+        outcome.exit_code == 3
+        and "none of the 130 designs satisfies the constraints: the nearest, design" in outcome.reason
     )
     assert (folder / "out" / "sweep.parquet").is_file()
 
