@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from smajax.errors import Cancelled
 
@@ -33,6 +33,18 @@ class ProgressEvent(NamedTuple):
 
 
 ProgressCallback = Callable[[ProgressEvent], object]
+
+
+class PhasesAndSteps(Protocol):
+    """What long work reports to: a ``Reporter`` or a ``Progress``."""
+
+    def phase(self, text: str) -> None:
+        """Report the beginning of a phase."""
+        ...
+
+    def step(self, text: str) -> None:
+        """Report a step within the phase."""
+        ...
 
 
 class Reporter:

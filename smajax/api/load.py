@@ -13,6 +13,7 @@ from smajax.api.predict import PredictionStudy
 from smajax.api.properties import PropertiesStudy
 from smajax.api.study import PREDICTIONS, REPORT, FileContent, Study
 from smajax.api.sweep import load_sweep
+from smajax.api.tune import TuningStudy
 
 # TUNE
 from smajax.errors import InputError
@@ -20,7 +21,7 @@ from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 
 _STUDIES: dict[str, type[Study]] = {
-    study.command: study for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy, PropertiesStudy)
+    study.command: study for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy, PropertiesStudy, TuningStudy)
 }
 # Suffixes of files that are kept as text; others are copied when the study is saved again.
 _TEXTS = (".toml", ".json", ".h")

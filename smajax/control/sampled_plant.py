@@ -5,6 +5,7 @@ that solve an implicit equation have a second form, ``differentiable_step``, whi
 is differentiable without solving again.
 """
 
+import abc
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -34,26 +35,33 @@ _ROUNDING = 1e-9
 
 
 class AbstractSampledSystem(eqx.Module):
-    """Base class of the systems that a loop controls, sampled once a period."""
+    """Base class of the systems that a loop controls, sampled once a period.
+
+    Attributes:
+        period: Period of the samples, s.
+    """
+
+    period: eqx.AbstractVar[float]
 
     @property
     def is_implicit(self) -> bool:
-        """Whether ``step`` solves implicit equations, whose solutions ``differentiable_step`` reuses."""
-        raise NotImplementedError
+        """Whether ``step`` solves implicit equations, whose solutions ``differentiable_step`` reuses; default: no."""
+        return False
 
     @property
+    @abc.abstractmethod
     def wires(self) -> int:
         """Number of commands."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def start(self) -> Any:
         """Return the state at rest without any command."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def with_parameters(self, values: Mapping[str, ArrayLike]) -> "AbstractSampledSystem":
         """Return the system with other values of some parameters, scalars in internal units by name."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def step(self, state: Any, command: Float[Array, " wires"]) -> tuple[Any, Any, Int[Array, ""]]:
         """Take one period.
 
@@ -65,28 +73,28 @@ class AbstractSampledSystem(eqx.Module):
             The state at the end, the solutions that ``differentiable_step`` takes, and the number of steps that could
             not be solved.
         """
-        raise NotImplementedError
 
     def differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
-        """Return the state at the end of a period, differentiable once, in forward and in reverse mode.
+        """Return the state at the end of a period, differentiable once, in both modes; by default that of ``step``.
 
         Args:
             state: State at the beginning.
             command: Commands during the period, in the unit of the drive.
             step_solutions: Solutions that ``step`` has returned for this state and these commands.
         """
-        raise NotImplementedError
+        return self.step(state, command)[0]
 
     def twice_differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
-        """Return the state at the end of a period, differentiable twice.
+        """Return the state at the end of a period, differentiable twice; by default that of ``step``.
 
         Args:
             state: State at the beginning.
             command: Commands during the period, in the unit of the drive.
             step_solutions: Solutions that ``step`` has returned for this state and these commands.
         """
-        raise NotImplementedError
+        return self.step(state, command)[0]
 
+    @abc.abstractmethod
     def observe(self, state: Any, command: Float[Array, " wires"]) -> dict[str, Float[Array, ""]]:
         """Return the channels at a sample by name.
 
@@ -94,7 +102,6 @@ class AbstractSampledSystem(eqx.Module):
             state: State at the sample.
             command: Commands, under which the electrical channels are computed.
         """
-        raise NotImplementedError
 
     def estimated_leaves(self, state: Any) -> Any:
         """Return which leaves of a state a Kalman filter estimates: a pytree of booleans of the state's structure."""
@@ -281,11 +288,6 @@ class SampledTransferFunction(AbstractSampledSystem):
     period: float = eqx.field(static=True)
     delay_periods: int = eqx.field(static=True)
 
-    @property
-    def is_implicit(self) -> bool:
-        """False: the step is explicit."""
-        return False
-
     @classmethod
     def of(cls, function: TransferFunction, channel: str, period: float) -> "SampledTransferFunction":
         """Build the sampled system.
@@ -329,10 +331,6 @@ class SampledTransferFunction(AbstractSampledSystem):
             transition, input_gain = self.function.zero_order_hold(duration)
             states = transition @ states + input_gain * ring[(index - age) % size]
         return states, ring, (index + 1) % size
-
-    def twice_differentiable_step(self, state: Any, command: Float[Array, " wires"], step_solutions: Any) -> Any:
-        """Return the state at the end of the period; ``step_solutions`` is not used."""
-        return self.differentiable_step(state, command, step_solutions)
 
     def observe(self, state: Any, command: Float[Array, " wires"]) -> dict[str, Float[Array, ""]]:
         """Return the output under the name of its channel."""

@@ -149,7 +149,7 @@ def simulate_response(
     """
     value = np.asarray(simulate_gains(problem, gains_by_name(gains, filter_time)).channels["angle"])[0]
     return metrics.step_responses(
-        value, np.asarray(problem.reference.values), problem.jumps, problem.loop.controller.inner.period
+        value, np.asarray(problem.reference.values), problem.jumps, problem.loop.period
     )[0], value
 
 

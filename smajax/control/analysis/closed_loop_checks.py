@@ -17,6 +17,7 @@ from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
 from smajax.control.loop.rollout import Rollout, Scenario
 from smajax.control.sampled_plant import SampledPlant
+from smajax.control.sampling_period import check_same_period
 from smajax.files.documents import finite_or_none
 
 # Draws in one call of the compiled program; chosen by trial for speed.
@@ -52,6 +53,10 @@ class ControlTask:
     scenario: Scenario
     limits: Mapping[str, float]
     band: float
+
+    def __post_init__(self) -> None:
+        check_same_period("plant", self.system.period, "controller", self.loop.period)
+        object.__setattr__(self, "loop", self.loop.for_wires(self.system.wires))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +115,9 @@ def evaluate_gains(task: ControlTask, gains: Mapping[str, float]) -> GainEvaluat
 
 def _instability_of(task: ControlTask, quiet: Rollout, member: int) -> str:
     """Why a member of a rollout without noise counts as unstable; empty if it does not."""
-    pid = task.loop.controller.inner
+    lower, upper = task.loop.controller.limits
     command, value = np.asarray(quiet.command[member]), np.asarray(quiet.channels[task.loop.channel][member])
-    return instability_reason(command, np.asarray(task.scenario.reference), value, float(pid.upper) - float(pid.lower))
+    return instability_reason(command, np.asarray(task.scenario.reference), value, float(upper) - float(lower))
 
 
 def _rollout_metrics(task: ControlTask, channels: Mapping[str, np.ndarray], command: np.ndarray) -> dict[str, float]:

@@ -88,7 +88,7 @@ def _loop_gain(
 
     (a, c), (b, d) = (jax.jacfwd(step, argnums=i)(flat, value) for i in (0, 1))
     command = controller.step(controller_state, reference, value)[1]
-    commands, direction = loop.allocation(command), jax.jacfwd(loop.allocation)(command)
+    commands, direction = loop.allocate(command), jax.jacfwd(loop.allocate)(command)
     plant = system.frequency_response(state, commands, direction, loop.channel, z)
 
     def controller_response(z: jax.Array) -> jax.Array:
@@ -109,7 +109,7 @@ def stability_margins(
         scenario: Scenario of the rollout along which a nonlinear plant is linearised.
         samples: Number of samples of the rollout, evenly spread over those at which the command changes.
     """
-    period = loop.controller.inner.period
+    period = loop.period
     count = scenario.reference.shape[0]
     lowest = _LOWEST_FREQUENCY * math.pi / (count * period)
     frequencies = np.geomspace(lowest, math.pi / period, _FREQUENCIES)

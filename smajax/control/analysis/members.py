@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import with_gains
-from smajax.control.loop.rollout import Rollout, Scenario, rollout
+from smajax.control.loop.rollout import Rollout, Scenario, simulate_loop
 from smajax.control.sampled_plant import AbstractSampledSystem
 
 
@@ -39,7 +39,7 @@ def rollout_members(
 
     def simulate(values: dict[str, jax.Array], draws: jax.Array, gains: dict[str, jax.Array]) -> Rollout:
         plant = system.with_parameters(values) if values else system
-        return rollout(plant, with_gains(loop, gains), dataclasses.replace(scenario, draws=draws))
+        return simulate_loop(plant, with_gains(loop, gains), dataclasses.replace(scenario, draws=draws))
 
     # A single rollout is faster than a batch of one.
     if not members and noise.shape[0] == 1:

@@ -45,14 +45,14 @@ def reachable_range(
         scenario: Scenario with the reference, for its duration.
         limits: Limits on ``temperature``, ``stress`` and ``current``, internal units; others are ignored.
     """
-    period = loop.controller.inner.period
+    period = loop.period
     count = max(scenario.reference.shape[0], math.ceil(_MIN_DURATION / period))
     bounds = {k: limits.get(k, math.inf) for k in ("temperature", "stress", "current")}
     if loop.temperature_limiter is not None:
         bounds["temperature"] = min(bounds["temperature"], float(loop.temperature_limiter.limit))
     greedy = _greedy_rollout(system, loop.channel, bounds, count)
     parts = [np.array([_value_at_rest(system, loop.channel)])]
-    for wire, max_command in enumerate(loop.allocation.max_commands):
+    for wire, max_command in enumerate(loop.max_commands):
         value, keeps = map(np.asarray, greedy(jnp.zeros(system.wires).at[wire].set(max_command)))
         parts.append(value[keeps])
     values = np.concatenate(parts)
@@ -117,8 +117,8 @@ def falls_when_heated(system: AbstractSampledSystem, loop: ClosedLoop) -> bool:
         system: The sampled plant.
         loop: The closed loop, for the channel and the largest command.
     """
-    commands = loop.allocation.max_commands * (jnp.arange(system.wires) == 0)
-    count = math.ceil(2.0 * _MIN_DURATION / loop.controller.inner.period)
+    commands = loop.max_commands * (jnp.arange(system.wires) == 0)
+    count = math.ceil(2.0 * _MIN_DURATION / loop.period)
 
     def sample(state: Any, _: Any) -> tuple[Any, jax.Array]:
         state, _, _ = system.step(state, commands)

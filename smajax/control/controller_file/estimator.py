@@ -1,6 +1,6 @@
 """Section [estimator] of a controller file: a thermal observer, or an extended Kalman filter."""
 
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any
 
 from smajax import parameters
@@ -8,7 +8,7 @@ from smajax.control.controller_file.quantities import float_arrays, optional_qua
 from smajax.control.controller_file.renamed_keys import with_current_parameters
 from smajax.control.controller_file.schema import EstimatorSection
 from smajax.control.estimators.extended_kalman_filter import ExtendedKalmanFilter
-from smajax.control.estimators.thermal_observer import ThermalObserver
+from smajax.control.estimators.thermal_observer import ThermalObserver, UnstableObserverError
 from smajax.control.loop.temperature_limiter import TemperatureLimiter
 from smajax.control.sampled_plant import SampledPlant
 from smajax.control.sensors.instruments import Instruments
@@ -100,13 +100,12 @@ def build_thermal_observer(
         missing = "a1" if section.a1 is None else "a2"
         raise InputError(f"estimator.{missing} is missing: give both a1 and a2, or neither for those of the rig")
     gain = optional_quantity(section.gain, "1/s", "estimator.gain")
-    observer = ThermalObserver.of(rig.plant, float(limiter.limit), period, gain)
     if section.a1 is None:
         if section.exponent != 1:
             raise InputError(
                 f"estimator.exponent = {show(section.exponent)} needs an a1 and an a2: give both, or take it out"
             )
-        return _check_stability(observer, limiter, section)
+        return _stable(lambda: ThermalObserver.of(rig.plant, float(limiter.limit), period, gain), limiter, section)
     a1 = quantity_at(section.a1, "K/J", "estimator.a1")
     if not a1 > 0.0:
         raise InputError(f"estimator.a1 = {show(section.a1)} would not heat a wire by its power: give one above 0")
@@ -114,25 +113,24 @@ def build_thermal_observer(
     a2 = quantity_at(section.a2, unit, "estimator.a2")
     if not a2 < 0.0:
         raise InputError(f"estimator.a2 = {show(section.a2)} would heat the wire without power: give one below 0")
-    numbers = dict(zip(("a1", "a2", "exponent"), float_arrays(a1, a2, section.exponent), strict=True))
-    return _check_stability(replace(observer, **numbers), limiter, section)
+    ambient = float(rig.plant.environment.ambient)
+    numbers = float_arrays(a1, a2, section.exponent, ambient, gain)
+    return _stable(lambda: ThermalObserver(*numbers, period=period), limiter, section)
 
 
-def _check_stability(
-    observer: ThermalObserver, limiter: TemperatureLimiter, section: EstimatorSection
+def _stable(
+    build: Callable[[], ThermalObserver], limiter: TemperatureLimiter, section: EstimatorSection
 ) -> ThermalObserver:
-    """The observer, if its explicit step is stable at the limiter's limit: rate times period at most 1."""
-    excess, exponent = float(limiter.limit - observer.ambient), float(observer.exponent)
-    loss_rate, gain = -exponent * float(observer.a2) * excess ** (exponent - 1.0), float(observer.gain)
-    if observer.period * (loss_rate + gain) > 1.0:
-        key = "gain" if gain > loss_rate else "a2"
-        cause = (
-            f"estimator.{key} = {show(getattr(section, key))}"
-            if getattr(section, key) is not None
-            else "the rig's heat loss in [estimator]"
-        )
-        longest = as_text(1.0 / (loss_rate + gain), "s")
+    """The observer, if its explicit step is stable at the limiter's limit."""
+    try:
+        observer = build()
+        observer.check_stability(limiter.limit)
+    except UnstableObserverError as error:
+        key = "gain" if error.gain_is_faster else "a2"
+        value = getattr(section, key)
+        cause = "the rig's heat loss in [estimator]" if value is None else f"estimator.{key} = {show(value)}"
+        longest = as_text(error.longest_period, "s")
         raise InputError(
             f"{cause} acts faster than controller.period: give a smaller one, or a period of at most {longest}"
-        )
+        ) from None
     return observer

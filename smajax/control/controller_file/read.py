@@ -1,7 +1,7 @@
 """Reader of controller.toml: the controller and its channel, the reference, the sensors, and the tuning.
 
     [controller]
-    kind = "pid"                      # pid, bpid, ppid, adaptive-pid
+    kind = "pid"                      # pid, bpid, ppid, adaptive-pid, or the name of a registered one
     period = "20 ms"
     output = ["0 A", "0.5 A"]         # limits of the command
     [gains]                           # where the search starts
@@ -30,7 +30,7 @@ sentence that names file and key.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +40,7 @@ from smajax.control.analysis.step_response import find_jumps
 from smajax.control.controller_file.quantities import float_arrays
 from smajax.control.controller_file.renamed_keys import with_current_controller_keys
 from smajax.control.controller_file.scenario import read_scenario
-from smajax.control.controller_file.schema import SECTIONS, ControllerSection, TuneSection
+from smajax.control.controller_file.schema import OPTIONS, SECTIONS, ControllerSection, TuneSection, controller_section
 from smajax.control.controller_file.search_sections import (
     Robust,
     read_bounds,
@@ -50,11 +50,8 @@ from smajax.control.controller_file.search_sections import (
     read_robust,
 )
 from smajax.control.controller_file.sensors import read_sensors
-from smajax.control.controllers.adaptive_pid import AdaptivePID
 from smajax.control.controllers.base import AbstractController
-from smajax.control.controllers.bpid import BPID
-from smajax.control.controllers.pid import PID
-from smajax.control.controllers.ppid import PPID
+from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import gains, unit_of, with_gains
@@ -84,13 +81,15 @@ class ControllerFile(TuningTask):
         feedforward: Section [feedforward]; ``None`` if there is none.
         seed: Seed of all random numbers.
         robust: Section [robust]; ``None`` if there is none.
+        place: What messages call it, such as its path.
     """
 
     name: str
     units: Mapping[str, str]
-    feedforward: Feedforward | None
-    seed: int
-    robust: Robust | None
+    feedforward: Feedforward | None = None
+    seed: int = 0
+    robust: Robust | None = None
+    place: str = "controller"
 
 
 class _Units(NamedTuple):
@@ -137,14 +136,12 @@ def _current_sections(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
-    head = validate(ControllerSection, data["controller"], "controller")
+    head = controller_section(data["controller"])
     tune = validate(TuneSection, data.get("tune", {}), "tune")
     period = quantity_at(head.period, "s", "controller.period", least=_MIN_PERIOD)
     units = _units(head, rig)
     system = _sampled_plant(head, rig, period)
     output = _output(head, units.command, system)
-    if head.kind != "adaptive-pid" and "law" in data["controller"]:
-        raise InputError('controller.law belongs to kind = "adaptive-pid": take it out, or change the kind')
     loop, gain_units = _loop(data, rig, head, units, (period, system.wires, output))
     rest = system.observe(system.start(), jnp.zeros(system.wires))
     rest_value = float(rest[units.channel])
@@ -174,6 +171,7 @@ def _read(data: Mapping[str, Any], path: Path, rig: Rig) -> ControllerFile:
         starts=tune.starts,
         seed=tune.seed,
         robust=read_robust(data["robust"], path, rig) if "robust" in data else None,
+        place=str(path),
     )
 
 
@@ -234,26 +232,26 @@ def _loop(
     """The closed loop with its start gains, and the unit of each; ``sampling`` is period, wires and output limits."""
     period, wires, (lower, upper) = sampling
     sensors = read_sensors(data, rig, (units.command, units.difference), period, max(upper, -lower))
-    second_upper = jnp.asarray(-lower) if wires == 2 else None
+    allocation = Allocation(*float_arrays(upper, 0.0), wires, jnp.asarray(-lower)) if wires > 1 else None
     loop = ClosedLoop(
-        _controller(head, period, (lower, upper)),
-        Allocation(*float_arrays(upper, 0.0), wires=wires, second_upper=second_upper),
+        _controller(data["controller"], head, period, (lower, upper)),
+        allocation,
         **sensors._asdict(),
         channel=units.channel,
     )
     return _with_gains(loop, head.kind, data["gains"], (units.command, units.difference))
 
 
-def _controller(head: ControllerSection, period: float, output: tuple[float, float]) -> AbstractController:
-    """The controller with all gains 0."""
-    pid = PID(*float_arrays(0.0, 0.0, 0.0, 0.0, *output), period=period, derivative_on=cast(Any, head.derivative_on))
-    if head.kind == "bpid":
-        return BPID(pid)
-    if head.kind == "ppid":
-        return PPID(pid, *float_arrays(0.0, 0.0))
-    if head.kind == "adaptive-pid":
-        return AdaptivePID(pid, law=cast(Any, head.law))
-    return pid
+def _controller(
+    section: Mapping[str, Any], head: ControllerSection, period: float, output: tuple[float, float]
+) -> AbstractController:
+    """The controller with its default gains, and with the options that the section gives."""
+    cls = controller_class(head.kind)
+    for name in OPTIONS:
+        if name in section and name not in cls.options():
+            owners = " or ".join(f'"{kind}"' for kind, other in file_kinds().items() if name in other.options())
+            raise InputError(f"controller.{name} belongs to kind = {owners}: take it out, or change the kind")
+    return cls.with_default_gains(output, period, **{name: section[name] for name in cls.options() if name in section})
 
 
 def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str]) -> tuple[ClosedLoop, dict[str, str]]:
@@ -271,8 +269,16 @@ def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str
         except InputError as error:
             raise InputError(f"gains.{name}: {error}") from None
     if not any(values.get(name) for name in gains(loop.controller)):
-        raise InputError(f"[gains] holds no gain above 0: give at least kp, in {gain_units['kp']}")
-    return with_gains(loop, values), gain_units
+        first = next(iter(gains(loop.controller)), None)
+        if first is not None:
+            name = "kp" if "kp" in gain_units else first
+            raise InputError(f"[gains] holds no gain above 0: give at least {name}, in {gain_units[name]}")
+    loop = with_gains(loop, values)
+    try:
+        loop.controller.check_gains()
+    except InputError as error:
+        raise InputError(f"gains: {error}") from None
+    return loop, gain_units
 
 
 def _check_jumps(scenario: Scenario, period: float, settle: bool, limits: Mapping[str, float]) -> None:

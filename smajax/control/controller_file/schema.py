@@ -2,16 +2,14 @@
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, BeforeValidator, Field
 
-from smajax.control.controllers.adaptive_pid import AdaptivePID
-from smajax.control.controllers.bpid import BPID
-from smajax.control.controllers.pid import PID
-from smajax.control.controllers.ppid import PPID
-from smajax.files.toml import STRICT
+from smajax.control.controllers.registry import controller_class, file_kinds
+from smajax.files.toml import STRICT, validate
 from smajax.files.validators import one_of
 
-CONTROLLER_KINDS = {"pid": PID, "bpid": BPID, "ppid": PPID, "adaptive-pid": AdaptivePID}
+# Keys of [controller] that belong to some kinds only.
+OPTIONS = ("derivative_on", "law")
 SECTIONS = (
     "schema",
     "controller",
@@ -33,13 +31,29 @@ class ControllerSection(BaseModel):
     """Section [controller]: kind, period, channel and limits of the command."""
 
     model_config = STRICT
-    kind: Annotated[str, one_of(CONTROLLER_KINDS)] = "pid"
+    kind: Annotated[str, BeforeValidator(lambda kind: one_of(file_kinds()).func(kind))] = "pid"
     period: str = Field(examples=['"20 ms"'])
     output: list[Any] = Field(min_length=2, max_length=2, examples=['["0 A", "0.5 A"]'])
     channel: str | None = Field(None, examples=['"displacement"'])
     derivative_on: Annotated[str, one_of(("error", "value"))] = "error"
     law: Annotated[str, one_of(("gradient", "printed"))] = "gradient"
     carrier: Any = Field(None, examples=['"100 Hz"'])
+
+
+def controller_section(data: Any) -> ControllerSection:
+    """Read [controller]; an own kind may have its static fields as further keys, which are left out here.
+
+    Args:
+        data: The section.
+
+    Raises:
+        InputError: for a wrong or unknown key or value.
+    """
+    kind = data.get("kind", "pid") if isinstance(data, dict) else None
+    own = controller_class(kind).options() if kind in file_kinds() else ()
+    if isinstance(data, dict):
+        data = {name: value for name, value in data.items() if name in OPTIONS or name not in own}
+    return validate(ControllerSection, data, "controller")
 
 
 class FeedforwardSection(BaseModel):

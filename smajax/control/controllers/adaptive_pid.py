@@ -4,7 +4,8 @@
     gradient     K_p += g_p e e     K_i += g_i e int e dt       K_d += g_d e de/dt
 
 The printed law is linear in the error, so that K_p is a second integral of the error. The gradient law (MIT rule) is
-what the paper describes in words. Both keep each gain between 0 and a largest value.
+what the paper describes in words. Both keep each gain between 0 and a multiple of its start value, so that a gain that
+starts at 0 cannot adapt.
 
 Source: ali2026 (printed law); wittenmark1995, chapter 5 (MIT rule).
 """
@@ -14,10 +15,13 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.around_pid import AbstractControllerAroundPID
 from smajax.control.controllers.pid import PID, PIDState
+from smajax.errors import InputError
 from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
 
@@ -40,7 +44,7 @@ class AdaptiveState(NamedTuple):
     kd: Float[Array, ""]
 
 
-class AdaptivePID(AbstractController):
+class AdaptivePID(AbstractControllerAroundPID):
     """PID whose gains are adapted at each sample.
 
     Attributes:
@@ -65,10 +69,24 @@ class AdaptivePID(AbstractController):
     growth: float = eqx.field(static=True, default=10.0)
     law: Literal["printed", "gradient"] = eqx.field(static=True, default="gradient")
 
-    @property
-    def inner(self) -> PID:
-        """The PID with the start gains."""
-        return self.pid
+    def __check_init__(self) -> None:
+        self.check_gains()
+
+    def check_gains(self) -> None:
+        """Check that each gain with an adaptation rate starts above 0.
+
+        Raises:
+            InputError: if one starts at 0: its largest value is a multiple of its start value, so it could never adapt.
+        """
+        for name in ("p", "i", "d"):
+            start, rate = getattr(self.pid, f"k{name}"), getattr(self, f"rate_{name}")
+            if isinstance(start, Tracer) or isinstance(rate, Tracer) or start is None or rate is None:
+                continue
+            if np.any((np.asarray(rate) > 0.0) & (np.asarray(start) <= 0.0)):
+                raise InputError(
+                    f"k{name} starts at 0 and has the adaptation rate rate_{name}, and a gain grows up to "
+                    f"{self.growth:g} times its start value: give k{name} a value above 0, or leave rate_{name} out"
+                )
 
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> AdaptiveState:
         """Return the state at rest, with the start gains."""

@@ -3,24 +3,73 @@
 A controller is sampled: once a period it takes the reference and the measured value, both in the channel's internal
 unit, and returns a command in the unit of the drive (A, V, W or a duty cycle). ``reset`` and ``step`` are pure
 functions of the state. Gains are the fields that are declared as parameters; in their units ``u`` stands for the unit
-of the command and ``y`` for that of the channel.
+of the command and ``y`` for that of the channel. The loop needs nothing else of a controller than its period and the
+limits of its command.
 """
 
+import abc
+import dataclasses
+import inspect
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.errors import InputError
+from smajax.parameters import declarations
+
 _Controller = TypeVar("_Controller", bound="AbstractController")
+# Fields that are given by rig and sampling, and are neither gains nor options.
+_LIMITS = ("lower", "upper")
 
 
 class AbstractController(eqx.Module):
-    """Base class of the controllers; each is built around a PID, ``inner``, with its period and output limits."""
+    """Base class of the controllers of one channel.
+
+    A subclass has the fields ``lower``, ``upper`` and ``period`` (or properties of these names), ``reset`` and
+    ``step``. Its state is a pytree of numbers, integers or flags; the names of a ``NamedTuple``'s fields become those
+    of the state in the C header.
+
+    Attributes:
+        lower: Smallest command, in the unit of the drive.
+        upper: Largest command, in the unit of the drive.
+        period: Period of the samples, s.
+    """
+
+    lower: eqx.AbstractVar[jax.Array]
+    upper: eqx.AbstractVar[jax.Array]
+    period: eqx.AbstractVar[float]
+
+    @classmethod
+    def with_default_gains(
+        cls: type[_Controller], limits: tuple[Any, Any], period: float, **options: Any
+    ) -> _Controller:
+        """Build the controller with the default values of its gains, or 0 where they have none.
+
+        Args:
+            limits: Smallest and largest command, in the unit of the drive.
+            period: Period of the samples, s.
+            options: Values of the fields that are neither gains nor limits, by name.
+        """
+        lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
+        return cls(**zero_gains(cls), lower=lower, upper=upper, period=period, **options)
+
+    @classmethod
+    def options(cls) -> tuple[str, ...]:
+        """Return the names of the static fields other than the period, such as ``derivative_on`` of a PID."""
+        names = [f.name for f in dataclasses.fields(cls) if f.metadata.get("static") and f.name != "period"]
+        return tuple(names)
+
+    def constants(self) -> dict[str, Any]:
+        """Return the fixed constants and options by their names in documents: by default the static fields."""
+        return {name: getattr(self, name) for name in self.options()}
 
     @property
-    def inner(self) -> Any:
-        """The PID inside, or the controller itself if it is a PID."""
-        raise NotImplementedError
+    def limits(self) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Smallest and largest command, in the unit of the drive."""
+        return self.lower, self.upper
 
     def with_limits(self: _Controller, lower: Float[Array, ""], upper: Float[Array, ""]) -> _Controller:
         """Return the controller with other limits of its output.
@@ -29,8 +78,12 @@ class AbstractController(eqx.Module):
             lower: Smallest command, in the unit of the drive.
             upper: Largest command, in the unit of the drive.
         """
-        return eqx.tree_at(lambda c: (c.inner.lower, c.inner.upper), self, (lower, upper))
+        return eqx.tree_at(lambda c: (c.lower, c.upper), self, (lower, upper))
 
+    def check_gains(self) -> None:
+        """Raise an ``InputError`` for gains with which the controller cannot do what it is for; by default none."""
+
+    @abc.abstractmethod
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
         """Return the state of a controller whose reference and measured value have been constant.
 
@@ -38,8 +91,8 @@ class AbstractController(eqx.Module):
             reference: Reference so far, in the channel's unit.
             value: Measured value so far, in the channel's unit.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
         """Take one sample.
 
@@ -51,4 +104,32 @@ class AbstractController(eqx.Module):
         Returns:
             The state after this sample, and the command until the next one, in the unit of the drive.
         """
-        raise NotImplementedError
+
+
+def zero_gains(cls: type[AbstractController]) -> dict[str, jax.Array]:
+    """Return the start values of the gains that a class declares: their defaults, or the smallest ones from 0 on.
+
+    Args:
+        cls: The class.
+    """
+    return {
+        name: jnp.asarray(max(0.0, d.lower) if d.default is None else d.default, jnp.float64)
+        for name, d in declarations(cls).items()
+        if name not in _LIMITS
+    }
+
+
+def check_controller_class(cls: Any) -> None:
+    """Check that a class is a complete controller.
+
+    Args:
+        cls: The class.
+
+    Raises:
+        InputError: if it is no class derived from ``AbstractController``, or lacks methods or fields.
+    """
+    if not (inspect.isclass(cls) and issubclass(cls, AbstractController)):
+        raise InputError(f"{cls!r} is not a controller: give a class derived from smajax.control.AbstractController")
+    missing = sorted([*cls.__abstractmethods__, *cls.__abstractvars__])
+    if missing:
+        raise InputError(f"{cls.__name__} is not a complete controller: it lacks {', '.join(missing)}")

@@ -10,10 +10,12 @@ tuned.
 Source: copaci2020 (name of the controller; its formula is not printed there and is derived here from the plant above).
 """
 
+from typing import Any
+
 import jax
 from jaxtyping import Array, Float
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.around_pid import AbstractControllerAroundPID
 from smajax.control.controllers.pid import PID, PIDState
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
@@ -23,7 +25,7 @@ from smajax.parameters import parameter
 MIN_DENOMINATOR = 0.05
 
 
-class BPID(AbstractController):
+class BPID(AbstractControllerAroundPID):
     """PID with a bilinear compensator; the limits of the PID apply to the output of the compensator.
 
     Attributes:
@@ -36,10 +38,9 @@ class BPID(AbstractController):
     kb: jax.Array = parameter("1/y", "bilinear gain", default=0.0)
     tuning_point: jax.Array = parameter("y", "value at which the PID was tuned", default=0.0)
 
-    @property
-    def inner(self) -> PID:
-        """The PID before the compensator."""
-        return self.pid
+    def constants(self) -> dict[str, Any]:
+        """Return the fixed constants: those of the PID, and ``least``, the lower bound of 1 + K_b y."""
+        return super().constants() | {"least": MIN_DENOMINATOR}
 
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> PIDState:
         """Return the state at rest, that of the PID."""

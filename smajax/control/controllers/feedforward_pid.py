@@ -3,18 +3,32 @@
 Source: copaci2020 (inverse Prandtl-Ishlinskii operator as feedforward); krejci2001 for the inverse.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.control.controllers.base import AbstractController
-from smajax.control.controllers.pid import PID
+from smajax.control.controllers.around_pid import AbstractControllerAroundPID
+from smajax.control.controllers.pid import PID, PIDState
 from smajax.laws.base import AbstractInputOutputModel
 from smajax.numerics.nonsmooth import clip
 
 
-class FeedforwardPID(AbstractController):
+class FeedforwardState(NamedTuple):
+    """State of a PID with feedforward.
+
+    Attributes:
+        pid: State of the PID.
+        plays: State of the inverse operator; for a Prandtl-Ishlinskii operator its plays, shape ``(plays,)``.
+        last_reference: Reference at the last sample, a scalar in the channel's unit.
+    """
+
+    pid: PIDState
+    plays: Any
+    last_reference: Float[Array, ""]
+
+
+class FeedforwardPID(AbstractControllerAroundPID):
     """Sum of a feedforward and a PID.
 
     At each sample the output of the PID is limited to the range of the actuator minus the feedforward, so that the
@@ -28,16 +42,13 @@ class FeedforwardPID(AbstractController):
     pid: PID
     inverse: AbstractInputOutputModel
 
-    @property
-    def inner(self) -> PID:
-        """The PID next to the feedforward."""
-        return self.pid
+    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> FeedforwardState:
+        """Return the state at rest."""
+        return FeedforwardState(self.pid.reset(reference, value), self.inverse.init(reference), reference)
 
-    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
-        """Return the state at rest: state of the PID, state of the inverse operator, and the last reference."""
-        return self.pid.reset(reference, value), self.inverse.init(reference), reference
-
-    def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
+    def step(
+        self, state: FeedforwardState, reference: Float[Array, ""], value: Float[Array, ""]
+    ) -> tuple[FeedforwardState, Float[Array, ""]]:
         """Take one sample; return the state and the sum of feedforward and PID."""
         pid_state, operator, last_reference = state
         operator = self.inverse.step(operator, last_reference, reference, jnp.asarray(self.pid.period))
@@ -45,4 +56,4 @@ class FeedforwardPID(AbstractController):
         pid_state, correction = self.pid.step_within(
             pid_state, reference, value, self.pid.lower - feedforward, self.pid.upper - feedforward
         )
-        return (pid_state, operator, reference), feedforward + correction
+        return FeedforwardState(pid_state, operator, reference), feedforward + correction

@@ -64,11 +64,6 @@ class PID(AbstractController):
     period: float = eqx.field(static=True, kw_only=True)
     derivative_on: Literal["error", "value"] = eqx.field(static=True, kw_only=True, default="error")
 
-    @property
-    def inner(self) -> "PID":
-        """The controller itself."""
-        return self
-
     def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> PIDState:
         """Return the state at rest: no integral and no derivative."""
         return PIDState(jnp.zeros(()), self._differentiated_signal(reference, value), jnp.zeros(()))

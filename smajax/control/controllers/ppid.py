@@ -10,21 +10,38 @@ a wire is cooled by its surroundings only.
 Source: copaci2020; the reset and the hysteresis of the band are added here against chattering.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from smajax.control.controllers.base import AbstractController
+from smajax.control.controllers.around_pid import AbstractControllerAroundPID
 from smajax.control.controllers.pid import PID, PIDState
 from smajax.laws.base import AbstractInputOutputModel
 from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
 
 
-class PPID(AbstractController):
+class PPIDState(NamedTuple):
+    """State of a PPID.
+
+    Attributes:
+        pid: State of the PID.
+        plays: State of the inverse operator; for a Prandtl-Ishlinskii operator its plays, shape ``(plays,)``. An empty
+            tuple without a feedforward.
+        last_reference: Reference at the last sample, a scalar in the channel's unit.
+        in_band: Whether the error was within the band at the last sample.
+    """
+
+    pid: PIDState
+    plays: Any
+    last_reference: Float[Array, ""]
+    in_band: Bool[Array, ""]
+
+
+class PPID(AbstractControllerAroundPID):
     """Controller that switches between PD and feedforward plus PI.
 
     Attributes:
@@ -41,17 +58,18 @@ class PPID(AbstractController):
     exit_factor: float = eqx.field(static=True, default=1.5)
     inverse: AbstractInputOutputModel | None = None
 
-    @property
-    def inner(self) -> PID:
-        """The PID whose gains, period and limits are used."""
-        return self.pid
+    def constants(self) -> dict[str, Any]:
+        """Return the fixed constants: those of the PID, and ``leave``, which is ``exit_factor``."""
+        return self.pid.constants() | {"leave": self.exit_factor}
 
-    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> Any:
-        """Return the state at rest: of PID and inverse operator, last reference, whether the error is in the band."""
+    def reset(self, reference: Float[Array, ""], value: Float[Array, ""]) -> PPIDState:
+        """Return the state at rest."""
         operator = () if self.inverse is None else self.inverse.init(reference)
-        return self.pid.reset(reference, value), operator, reference, jnp.abs(reference - value) <= self.band
+        return PPIDState(self.pid.reset(reference, value), operator, reference, jnp.abs(reference - value) <= self.band)
 
-    def step(self, state: Any, reference: Float[Array, ""], value: Float[Array, ""]) -> tuple[Any, Float[Array, ""]]:
+    def step(
+        self, state: PPIDState, reference: Float[Array, ""], value: Float[Array, ""]
+    ) -> tuple[PPIDState, Float[Array, ""]]:
         """Take one sample; return the state and the command."""
         pid_state, operator, last_reference, was_in_band = state
         error = reference - value
@@ -71,4 +89,6 @@ class PPID(AbstractController):
         )
         pd_state, pd_output = pd.step(pid_state, reference, value)
         pid_state = jax.tree.map(lambda a, b: jnp.where(in_band, a, b), pi_state, pd_state)
-        return (pid_state, operator, reference, in_band), jnp.where(in_band, feedforward + pi_output, pd_output)
+        return PPIDState(pid_state, operator, reference, in_band), jnp.where(
+            in_band, feedforward + pi_output, pd_output
+        )

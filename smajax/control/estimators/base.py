@@ -1,5 +1,6 @@
 """Interfaces of the estimators of states that a rig does not measure."""
 
+import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,12 +15,18 @@ class AbstractTemperatureEstimator(eqx.Module):
     """Base class of the estimators of the wires' temperatures, which a temperature limiter uses.
 
     At each sample ``update`` takes the measured channels, then ``apply_command`` the commands until the next sample.
+
+    Attributes:
+        period: Period of the samples, s.
     """
 
+    period: eqx.AbstractVar[float]
+
+    @abc.abstractmethod
     def init(self, measured: dict[str, Float[Array, ""]]) -> Any:
         """Return the state at rest, from the measured channels at the first sample by name."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def update(self, state: Any, measured: dict[str, Float[Array, ""]]) -> tuple[Any, Float[Array, " wires"]]:
         """Take the measurements of one sample.
 
@@ -30,8 +37,8 @@ class AbstractTemperatureEstimator(eqx.Module):
         Returns:
             The state at this sample, and the estimated temperatures of the wires, degC.
         """
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def apply_command(self, state: Any, command: Float[Array, " wires"]) -> Any:
         """Return the state with the commands until the next sample.
 
@@ -39,12 +46,12 @@ class AbstractTemperatureEstimator(eqx.Module):
             state: State at this sample.
             command: Commands of the wires, in the unit of the drive.
         """
-        raise NotImplementedError
 
 
 class AbstractFilter(AbstractTemperatureEstimator):
     """Base class of the filters of the whole plant, whose estimate of a channel a controller may use."""
 
+    @abc.abstractmethod
     def estimated_channel(self, state: Any, channel: str) -> Float[Array, ""]:
         """Return the estimate of a channel at this sample.
 
@@ -52,7 +59,6 @@ class AbstractFilter(AbstractTemperatureEstimator):
             state: State of the filter at this sample.
             channel: Name of the channel.
         """
-        raise NotImplementedError
 
 
 class Estimate(NamedTuple):

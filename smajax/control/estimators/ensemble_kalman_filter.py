@@ -104,6 +104,11 @@ class EnsembleKalmanFilter(AbstractFilter):
     members: int = eqx.field(static=True, default=_MEMBERS)
     seed: int = eqx.field(static=True, default=0)
 
+    @property
+    def period(self) -> float:
+        """Period of the samples, s: that of the plant."""
+        return self.system.period
+
     def reset(self) -> Ensemble:
         """Return the ensemble at rest without any command."""
         draws = jax.random.normal(jax.random.key(self.seed), (self.members, len(self.parameter_deviations)))

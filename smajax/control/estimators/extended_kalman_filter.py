@@ -43,6 +43,7 @@ from smajax import parameters
 from smajax.channels import channel_of
 from smajax.control.estimators.base import AbstractFilter, Estimate
 from smajax.control.sampled_plant import AbstractSampledSystem, SampledPlant
+from smajax.control.sampling_period import check_same_period
 from smajax.control.sensors.instruments import Instruments, thermocouple_reading
 from smajax.numerics.nonsmooth import clip, maximum
 from smajax.parameters import parameter
@@ -109,6 +110,14 @@ class ExtendedKalmanFilter(AbstractFilter):
         0.0,
         default=_HUBER_THRESHOLD,
     )
+
+    def __check_init__(self) -> None:
+        check_same_period("plant of the filter", self.system.period, "instruments", self.instruments.period)
+
+    @property
+    def period(self) -> float:
+        """Period of the samples, s: that of the plant."""
+        return self.system.period
 
     @classmethod
     def of(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.control.estimators.angle_kalman_filter import AngleKalmanFilter, AngleState
+from smajax.control.sensors.base import AbstractSensor
 from smajax.control.sensors.sensor_model import quantise
 
 
@@ -27,11 +28,10 @@ class ImuState(NamedTuple):
     delayed: jax.Array
 
 
-class ImuSensor(eqx.Module):
+class ImuSensor(AbstractSensor):
     """Sensor of an angle by an ``AngleKalmanFilter`` from a gyroscope and a tilt sensor on the moving link.
 
-    The draw of a sample is the noise of the tilt, and one sample later that of the gyroscope. Apart from its delay, the
-    response of the sensor to the angle is 1, which ``smajax.control.analysis.margins`` uses.
+    The draw of a sample is the noise of the tilt, and one sample later that of the gyroscope.
 
     Attributes:
         filter: The Kalman filter.
@@ -55,6 +55,11 @@ class ImuSensor(eqx.Module):
     def noise(self) -> jax.Array:
         """Standard deviation of the tilt's noise, a scalar, rad."""
         return self.tilt_noise
+
+    @property
+    def sampling_period(self) -> float:
+        """Period of the samples, s: that of the filter."""
+        return self.filter.period
 
     def reset(self, value: Float[Array, ""]) -> ImuState:
         """Return the state of a sensor whose angle has been ``value``, in rad."""

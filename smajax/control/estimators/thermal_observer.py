@@ -13,10 +13,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from smajax.control.estimators.base import AbstractTemperatureEstimator, per_wire
+from smajax.errors import InputError
+from smajax.numerics.nonsmooth import maximum
 from smajax.plant.plant import Plant
 
 # Martensite fraction at which ``ThermalObserver.of`` evaluates the heat capacity: the middle of a transformation.
@@ -35,6 +39,35 @@ class ThermalState(NamedTuple):
     estimate: jax.Array
     reading: jax.Array
     power: jax.Array
+
+
+class UnstableObserverError(InputError):
+    """An observer whose explicit step is too long for its rates.
+
+    Attributes:
+        longest_period: Longest period with which the observer is stable, s.
+        gain_is_faster: Whether the correction is faster than the heat loss.
+    """
+
+    def __init__(self, period: float, longest_period: float, gain_is_faster: bool):
+        """Make the error.
+
+        Args:
+            period: Period of the observer, s.
+            longest_period: Longest period with which the observer is stable, s.
+            gain_is_faster: Whether the correction is faster than the heat loss.
+        """
+        cause = "gain" if gain_is_faster else "a2"
+        super().__init__(
+            f"the thermal observer's {cause} acts faster than its period of {period:g} s: give a smaller one, or a "
+            f"period of at most {longest_period:.4g} s"
+        )
+        self.longest_period, self.gain_is_faster = longest_period, gain_is_faster
+
+
+def _is_traced(value: ArrayLike) -> bool:
+    """Whether a value has no number to check: that of a program while it is traced, or a placeholder of JAX."""
+    return isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | float | int)
 
 
 class ThermalObserver(AbstractTemperatureEstimator):
@@ -58,6 +91,33 @@ class ThermalObserver(AbstractTemperatureEstimator):
     ambient: jax.Array
     gain: jax.Array
     period: float = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        linear = not _is_traced(self.exponent) and np.all(np.asarray(self.exponent) == 1.0)
+        # The loss of a linear observer has one rate; that of others depends on the temperature (``check_stability``).
+        self._check_rates(-self.a2 if linear else jnp.zeros(()))
+
+    def check_stability(self, temperature: ArrayLike) -> None:
+        """Check that the explicit step is stable up to a temperature.
+
+        Args:
+            temperature: The temperature, a scalar, degC.
+
+        Raises:
+            UnstableObserverError: if the sum of the rates of heat loss and correction is above one per period. Between
+                one and two per period the error would alternate in sign, and beyond it would grow.
+        """
+        if not any(map(_is_traced, (temperature, self.ambient, self.a2, self.exponent))):
+            excess = maximum(temperature - self.ambient, 0.0)
+            self._check_rates(-self.exponent * self.a2 * excess ** (self.exponent - 1.0))
+
+    def _check_rates(self, loss_rate: jax.Array) -> None:
+        """Raise the error if loss and correction are too fast for the period; tracers are not checked."""
+        if any(map(_is_traced, (loss_rate, self.gain))):
+            return
+        rate = float(np.max(np.asarray(loss_rate + self.gain)))
+        if self.period * rate > 1.0:
+            raise UnstableObserverError(self.period, 1.0 / rate, bool(np.max(self.gain - loss_rate) > 0.0))
 
     @classmethod
     def of(cls, plant: Plant, temperature: float, period: float, gain: float = 0.0) -> "ThermalObserver":

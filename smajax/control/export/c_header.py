@@ -1,10 +1,11 @@
 """A tuned controller as a C header for a microcontroller.
 
 The header contains one controller: its gains as constants, its state as a structure, and two functions,
-``smajax_reset`` and ``smajax_step``, which are equivalent to ``reset`` and ``step`` in Python, operation by operation.
-It uses no heap, and no library except the ``atanh`` of a feedforward and the ``pow`` of a nonlinear observer;
-``smajax_step`` is called once a period. A measurement that is NaN is replaced by the last finite one for
-``DROPOUT_TIMEOUT``; then the command is 0, and with the next finite value the controller is reset.
+``smajax_reset`` and ``smajax_step``. They are written from traces of ``reset`` and ``step`` in Python, operation by
+operation, so that an own controller is exported like those of smajax. The header uses no heap, and no library except
+the functions of math.h that the controller needs; ``smajax_step`` is called once a period. A measurement that is NaN is
+replaced by the last finite one for ``DROPOUT_TIMEOUT``; then the command is 0, and with the next finite value the
+controller is reset.
 
 - For two wires, ``smajax_allocate`` gives each wire its command.
 - With a temperature limiter, ``smajax_guard`` limits a wire's command according to its temperature, to 0 if the
@@ -13,54 +14,47 @@ It uses no heap, and no library except the ``atanh`` of a feedforward and the ``
 - With a thermal observer, ``smajax_observe`` estimates the temperature from the wire's power.
 """
 
-from typing import NamedTuple
+import re
+from typing import Any, NamedTuple
 
-from smajax.control.controllers.adaptive_pid import AdaptivePID
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
 from smajax.control.controllers.base import AbstractController
-from smajax.control.controllers.bpid import BPID
-from smajax.control.controllers.feedforward_pid import FeedforwardPID
-from smajax.control.controllers.pid import PID
-from smajax.control.controllers.ppid import PPID
+from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.export import c_templates
-from smajax.control.export.json_document import (
-    estimator_document,
-    feedforward_inverse,
-    fixed_constants,
-    inverse_document,
-    limiter_document,
+from smajax.control.export.c_functions import (
+    Constants,
+    StateType,
+    definition,
+    pure_function,
+    scalar_inputs,
+    state_function,
+    state_type,
+    vector_input,
+    with_needed_leaves,
 )
+from smajax.control.export.c_source import CProgram
+from smajax.control.export.c_values import CValue
+from smajax.control.export.json_document import estimator_document
+from smajax.control.export.named_leaves import leaf_names
+from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop
-from smajax.control.loop.gains import gain, gains
-from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT
-from smajax.errors import InputError
-from smajax.laws.prandtl_ishlinskii import EDGE
-from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
+from smajax.control.loop.dropouts import ReferenceHold, step_with_dropouts
+from smajax.control.loop.temperature_limiter import TemperatureLimiter
+from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT, DropoutHold
+
+# The time after which a missing measurement counts as lost.
+_BLIND = (jnp.zeros(()), [CValue("SMAJAX_BLIND", (), "real")])
 
 
-class _Controller(NamedTuple):
-    """C texts of a controller.
+class _State(NamedTuple):
+    """State of an exported controller: that of the controller, and the holds of measurement and reference."""
 
-    Attributes:
-        kind: Name of the kind.
-        step: Body of the step function.
-        constants: Constants in addition to the gains, by name.
-        state: Members of the state in addition to those of a PID.
-        reset: Statements that reset these members.
-    """
-
-    kind: str
-    step: str
-    constants: dict[str, float]
-    state: str = ""
-    reset: str = ""
-
-
-class _Limiter(NamedTuple):
-    """C texts of temperature limiter and thermal observer: functions, instructions for use, and included headers."""
-
-    functions: str
-    use: str
-    include: str
+    controller: Any
+    hold: DropoutHold
+    reference: ReferenceHold
 
 
 def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], version: str) -> str:
@@ -72,108 +66,253 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
         version: Version of smajax.
 
     Raises:
-        InputError: for a kind of controller that has no C text, or an estimator other than a thermal observer.
+        InputError: for an operation of the controller that cannot be written in C, with its name, or for an estimator
+            other than a thermal observer.
     """
-    controller = owner.controller if isinstance(owner, ClosedLoop) else owner
-    inverse = feedforward_inverse(controller)
-    limiter = _limiter(owner) if isinstance(owner, ClosedLoop) else _Limiter("", "", "")
-    texts, pid = _controller(controller, inverse), controller.inner
-    values = {name: float(gain(owner, name)) for name in gains(owner)} | texts.constants
-    functions, include, state, reset, plays = "", "", texts.state, texts.reset, []
-    if inverse is not None:
-        numbers = inverse_document(inverse)
-        values |= numbers["envelope"] | {"direct": numbers["direct"], "edge": EDGE}
-        lists = {k: ", ".join(f"(smajax_real){v!r}" for v in numbers[k]) for k in ("thresholds", "densities")}
-        functions = c_templates.INVERSE.format(**lists)
-        include = c_templates.MATH.format(name="ATANH", function="atanh")
-        state += "\n    smajax_real plays[SMAJAX_PLAYS];"
-        reset += c_templates.RESET_PLAYS
-        plays = [f"#define SMAJAX_PLAYS {len(inverse.thresholds)}"]
-    constants = [f"#define SMAJAX_{name.upper()} ((smajax_real){value!r})" for name, value in values.items()]
-    error = "return reference - value;"
+    loop = owner if isinstance(owner, ClosedLoop) else ClosedLoop(owner, channel="value")
+    program, controller = CProgram(), loop.controller
+    numbers = Constants(program, controller)
+    functions = _step_functions(program, numbers)
+    allocation, limiter, defines = loop.allocation, loop.temperature_limiter, [*numbers.defines]
+    wires = None
+    if allocation is not None and allocation.wires > 1:
+        wires = Constants(program, allocation, renamed=_ALLOCATION_NAMES)
+        defines += wires.defines
+        functions.append(_allocate(program, wires))
+    if loop.estimator is not None:
+        estimator_document(loop.estimator)
+    if limiter is not None:
+        guard = Constants(program, limiter, "guard_", literal=lambda name, number: number == 0.0)
+        defines += guard.defines
+        functions += _guard_functions(program, guard, loop)
+        functions.append(_step_guarded(program, loop, numbers, wires))
+        if isinstance(loop.estimator, ThermalObserver):
+            observer = Constants(program, loop.estimator, "observer_", literal=lambda name, number: "exponent" in name)
+            defines += observer.defines
+            functions += _observer_functions(program, observer)
+    return _header(loop, units, version, program, (defines, functions))
+
+
+def _header(
+    loop: ClosedLoop, units: tuple[str, str], version: str, program: CProgram, parts: tuple[list[str], list[str]]
+) -> str:
+    """The text of the header; ``parts`` are the definitions of the constants, and the functions."""
+    defines, functions = parts
+    body = "\n".join(functions)
+    static = {"period": float(loop.period), **program.static.values}
+    limits = [
+        f"#define SMAJAX_{name.upper()} ((smajax_real){number!r})"
+        for name, number in static.items()
+        if name == "period" or f"SMAJAX_{name.upper()}" in body
+    ]
+    blind = f"#define SMAJAX_BLIND ((smajax_real){DROPOUT_TIMEOUT!r})"
+    limits.append(f"{blind} /* s without a measurement after which the command is 0 */")
+    helpers = {name: text for name, text in c_templates.HELPERS.items() if f"{name}(" in body}
+    math = [c_templates.MATH.format(name=name.upper(), function=name) for name in sorted(program.math)]
+    used = [text for name, text in zip(sorted(program.math), math, strict=True) if f"SMAJAX_{name.upper()}(" in body]
     return c_templates.HEADER.format(
-        kind=texts.kind,
+        kind=type(loop.controller).__name__,
         version=version,
         command_unit=units[0],
         channel_unit=units[1],
-        period=pid.period,
-        lower=float(pid.lower),
-        upper=float(pid.upper),
-        blind=DROPOUT_TIMEOUT,
-        constants="\n".join(constants + plays),
-        seen=error if pid.derivative_on == "error" else "(void)reference; return -value;",
-        step=texts.step,
-        pair=_pair(owner),
-        guard=limiter.functions,
-        use=limiter.use or (c_templates.PAIR_USE if _has_two_wires(owner) else c_templates.USE),
-        more=state,
-        reset=reset,
-        functions=functions,
-        include=include + limiter.include,
+        use=_instructions(loop),
+        include="".join(["#include <math.h>\n"] * bool(used) + used),
+        constants="\n".join([*limits, *defines, *program.definitions]),
+        helpers="\n\n".join(helpers.values()),
+        functions=body,
     )
 
 
-def _has_two_wires(owner: AbstractController | ClosedLoop) -> bool:
-    return isinstance(owner, ClosedLoop) and owner.allocation.wires > 1
-
-
-def _controller(controller: AbstractController, inverse: InversePrandtlIshlinskii | None) -> _Controller:
-    """The texts of a controller by its kind."""
-    if isinstance(controller, PID):
-        return _Controller("PID", c_templates.STEP_PID, {})
-    if isinstance(controller, BPID):
-        return _Controller("BPID", c_templates.STEP_BPID, fixed_constants(controller))
-    if isinstance(controller, FeedforwardPID):
-        return _Controller("PID with feedforward", c_templates.STEP_FEEDFORWARD, {})
-    if isinstance(controller, PPID):
-        ahead = "0" if inverse is None else "smajax_ahead(s, reference, lower, upper)"
-        size = "(reference - value < 0 ? value - reference : reference - value)"
-        return _Controller(
-            "PPID" + " with feedforward" * (inverse is not None),
-            c_templates.STEP_PPID.format(ahead=ahead),
-            fixed_constants(controller),
-            "\n    int rested;",
-            f"\n    s->rested = {size} <= SMAJAX_BAND;",
-        )
-    if isinstance(controller, AdaptivePID):
-        return _adaptive_pid(controller)
-    raise InputError(f"a {type(controller).__name__} cannot be written in C yet: PID, BPID, PPID and adaptive PID can")
-
-
-def _adaptive_pid(controller: AdaptivePID) -> _Controller:
-    p, i, d = ("1", "s->ki", "s->kd") if controller.law == "printed" else ("error", "error", "error")
-    start_gains = "".join(f"\n    s->{name} = SMAJAX_{name.upper()};" for name in ("kp", "ki", "kd"))
-    return _Controller(
-        f"adaptive PID ({controller.law} law)",
-        c_templates.STEP_ADAPTIVE.format(p=p, i=i, d=d),
-        {"growth": controller.growth},
-        "\n    smajax_real summed, kp, ki, kd;",
-        "\n    s->summed = 0;" + start_gains,
-    )
-
-
-def _pair(owner: AbstractController | ClosedLoop) -> str:
-    """The text of the allocation to two wires; empty for one wire."""
-    if not isinstance(owner, ClosedLoop) or not _has_two_wires(owner):
-        return ""
-    first, second = (float(command) for command in owner.allocation.max_commands)
-    return c_templates.PAIR.format(first=first, second=second)
-
-
-def _limiter(loop: ClosedLoop) -> _Limiter:
-    """The texts of a loop's temperature limiter and thermal observer; empty without a limiter."""
-    observer = estimator_document(loop.estimator) if loop.estimator is not None else None
+def _instructions(loop: ClosedLoop) -> str:
+    """The lines of the header's comment that say what to call in each period."""
+    pair = loop.wires > 1
     if loop.temperature_limiter is None:
-        return _Limiter("", "", "")
-    two = _has_two_wires(loop)
-    functions = c_templates.LIMITER.format(**limiter_document(loop.temperature_limiter))
-    functions += c_templates.LIMITED_PAIR if two else c_templates.LIMITED
-    use = c_templates.LIMITED_PAIR_USE if two else c_templates.LIMITER_USE
-    if observer is None:
-        return _Limiter(functions, use, "")
-    linear = observer["exponent"] == 1.0
-    loss = "excess" if linear else c_templates.SIGNED_POWER.format(**observer)
-    include = "" if linear else c_templates.MATH.format(name="POW", function="pow")
-    return _Limiter(
-        functions + c_templates.OBSERVER.format(**observer, lost=loss), use + c_templates.OBSERVER_USE, include
+        return c_templates.PAIR_USE if pair else c_templates.USE
+    use = c_templates.LIMITED_PAIR_USE if pair else c_templates.LIMITER_USE
+    return use + c_templates.OBSERVER_USE * isinstance(loop.estimator, ThermalObserver)
+
+
+def _step_functions(program: CProgram, numbers: Constants) -> list[str]:
+    """State of the controller, and its functions."""
+
+    def reset(values: Any, blind: jax.Array, reference: jax.Array, value: jax.Array) -> _State:
+        held = ReferenceHold.init(reference)
+        hold = DropoutHold.init(value, held.begun, blind)
+        return _State(numbers.module(values).reset(held.reference, hold.value), hold, held)
+
+    def step(values: Any, state: _State, blind: jax.Array, *inputs: jax.Array) -> tuple[_State, jax.Array]:
+        reference, value, lower, upper = inputs
+        controller = numbers.module(values).with_limits(lower, upper)
+        held = state.reference.update(reference)
+        hold = state.hold.update(value, controller.period, held.begun)
+        timed_out = (state.hold.has_timed_out(blind), hold.has_timed_out(blind))
+        after, command = step_with_dropouts(controller, state.controller, timed_out, held.reference, hold.value)
+        return _State(after, hold, held), command
+
+    first = [numbers.argument, _BLIND, *scalar_inputs("reference", "value")]
+    each = [*first, *scalar_inputs("lower", "upper")]
+    state = state_type("smajax_state", "s", reset, [example for example, _ in first], _member_names)
+    state = with_needed_leaves(program, state, step, each)
+    meaning = type(numbers.others).__doc__ or "Controller."
+    parameters = ["smajax_state *s", "smajax_real reference", "smajax_real value"]
+    return [
+        state.definition(f"State of the controller. {_first_sentence(meaning)}"),
+        definition(
+            "Starts the controller, as if reference and value had been constant.",
+            "void",
+            "smajax_reset",
+            parameters,
+            state_function(program, state, reset, first, takes_state=False),
+        ),
+        definition(
+            "One sample within other limits of the command: the command until the next one.",
+            "smajax_real",
+            "smajax_step_within",
+            [*parameters, "smajax_real lower", "smajax_real upper"],
+            state_function(program, state, step, each, output="command"),
+        ),
+        c_templates.STEP,
+    ]
+
+
+def _first_sentence(text: str) -> str:
+    """The first sentence of a docstring, without what would end a comment."""
+    return re.split(r"(?<=[.])\s|\n\n", text.strip().replace("*/", ""))[0].replace("\n", " ")
+
+
+def _member_names(state: _State) -> list[str]:
+    """Names of the members: those of the controller's own state, which may not be those of the holds."""
+    holds = leaf_names((state.hold, state.reference))
+    return [*(f"{name}_" if name in holds else name for name in leaf_names(state.controller)), *holds]
+
+
+_ALLOCATION_NAMES = {"upper": "max_command_1", "second_upper": "max_command_2"}
+
+
+def _allocate(program: CProgram, wires: Constants) -> str:
+    """The allocation of a command to two wires."""
+    lines, (each,) = pure_function(
+        program,
+        lambda values, command: wires.module(values)(command),
+        [wires.argument, *scalar_inputs("command")],
+        ["commands"],
     )
+    body = [*lines, *(f"    each[{i}] = {each.element(i)};" for i in range(each.size))]
+    return definition(
+        "The commands of two wires that pull against each other: a command above 0 heats the first, one below 0 the "
+        "second.",
+        "void",
+        "smajax_allocate",
+        ["smajax_real command", f"smajax_real each[{each.size}]"],
+        body,
+    )
+
+
+def _guard_functions(program: CProgram, guard: Constants, loop: ClosedLoop) -> list[str]:
+    """State and functions of the temperature limiter of a wire."""
+
+    def limiter(values: Any, blind: jax.Array) -> TemperatureLimiter:
+        return eqx.tree_at(lambda part: part.timeout, guard.module(values), blind)
+
+    def reset(values: Any, blind: jax.Array, temperature: jax.Array) -> Any:
+        return limiter(values, blind).reset(temperature)
+
+    def step(values: Any, state: Any, blind: jax.Array, temperature: jax.Array, command: jax.Array) -> Any:
+        return limiter(values, blind).step(state, temperature, command)
+
+    first = [guard.argument, _BLIND, *scalar_inputs("temperature")]
+    each = [*first, *scalar_inputs("command")]
+    state = state_type("smajax_guard_state", "g", reset, [example for example, _ in first], leaf_names)
+    state = with_needed_leaves(program, state, step, each)
+    parameters = ["smajax_guard_state *g", "smajax_real temperature"]
+    limit = float(loop.temperature_limiter.limit) if loop.temperature_limiter is not None else 0.0
+    return [
+        state.definition(f"Temperature limiter, which keeps a wire below {limit:.6g} degC: a state for each wire."),
+        definition(
+            "Starts the limiter at a temperature in degC.",
+            "void",
+            "smajax_guard_reset",
+            parameters,
+            state_function(program, state, reset, first, takes_state=False),
+        ),
+        definition(
+            "One sample: the command of the wire, at most what its temperature in degC allows.",
+            "smajax_real",
+            "smajax_guard",
+            [*parameters, "smajax_real command"],
+            state_function(program, state, step, each, output="allowed"),
+        ),
+    ]
+
+
+def _step_guarded(program: CProgram, loop: ClosedLoop, numbers: Constants, wires: Constants | None) -> str:
+    """The sample of a controller within what the limiters of the wires allow."""
+
+    def with_numbers(values: Any, allocation: Any) -> ClosedLoop:
+        other: Allocation | None = None if wires is None else wires.module(allocation)
+        return eqx.tree_at(
+            lambda part: (part.controller, part.allocation),
+            loop,
+            (numbers.module(values), other),
+            is_leaf=lambda part: part is None,
+        )
+
+    pair = loop.wires > 1
+    constants = [numbers.argument, ((), []) if wires is None else wires.argument]
+    most = vector_input("most", loop.wires)
+    limits, (lower, upper) = pure_function(
+        program,
+        lambda values, allocation, most: with_numbers(values, allocation).command_limits(most),
+        [*constants, most],
+        ["lower", "upper"],
+    )
+    call = f"smajax_step_within(s, reference, value, {lower.element(0)}, {upper.element(0)})"
+    if not pair:
+        body = [*limits, f"    return smajax_min({call}, most);"]
+    else:
+        body = [*limits, f"    smajax_allocate({call}, each);"]
+        body += [f"    each[{i}] = smajax_min(each[{i}], most[{i}]);" for i in range(loop.wires)]
+    parameters = ["smajax_state *s", "smajax_real reference", "smajax_real value"]
+    parameters += [f"const smajax_real most[{loop.wires}]", f"smajax_real each[{loop.wires}]"] if pair else []
+    return definition(
+        "One sample: the command of each wire, at most what smajax_guard allows; nothing winds up meanwhile.",
+        "void" if pair else "smajax_real",
+        "smajax_step_guarded",
+        parameters if pair else [*parameters, "smajax_real most"],
+        body,
+    )
+
+
+def _observer_functions(program: CProgram, observer: Constants) -> list[str]:
+    """State and functions of the thermal observer of a wire."""
+
+    def reset(values: Any, temperature: jax.Array) -> Any:
+        return observer.module(values).init({"temperature": temperature})
+
+    def step(values: Any, state: Any, power: jax.Array, thermocouple: jax.Array) -> tuple[Any, jax.Array]:
+        state, (temperature,) = observer.module(values).update(state, {"power": power, "temperature": thermocouple})
+        return state, temperature
+
+    first = [observer.argument, *scalar_inputs("temperature")]
+    each = [observer.argument, *scalar_inputs("power", "thermocouple")]
+    state: StateType = state_type("smajax_observer_state", "o", reset, [e for e, _ in first], leaf_names)
+    state = with_needed_leaves(program, state, step, each)
+    return [
+        state.definition("Thermal observer: a wire's temperature by its electrical power, a state for each wire."),
+        definition(
+            "At rest at a temperature in degC; NaN: at that of the surroundings.",
+            "void",
+            "smajax_observer_reset",
+            ["smajax_observer_state *o", "smajax_real temperature"],
+            state_function(program, state, reset, first, takes_state=False),
+        ),
+        definition(
+            "The temperature now, in degC. power: the mean over the last period, in W. thermocouple: its reading; NaN: "
+            "none.\n * A power that is NaN is replaced by the last finite one, and the result is NaN: smajax_guard "
+            "then allows nothing\n * after SMAJAX_BLIND s.",
+            "smajax_real",
+            "smajax_observe",
+            ["smajax_observer_state *o", "smajax_real power", "smajax_real thermocouple"],
+            state_function(program, state, step, each, output="measured"),
+        ),
+    ]

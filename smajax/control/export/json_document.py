@@ -1,15 +1,18 @@
 """A controller as a JSON document, with its feedforward, temperature limiter and thermal observer."""
 
+from collections.abc import Mapping
 from typing import Any
 
-from smajax.control.controllers.adaptive_pid import AdaptivePID
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from smajax.control.controllers.base import AbstractController
-from smajax.control.controllers.bpid import BPID, MIN_DENOMINATOR
-from smajax.control.controllers.feedforward_pid import FeedforwardPID
-from smajax.control.controllers.pid import PID
-from smajax.control.controllers.ppid import PPID
+from smajax.control.controllers.registry import kind_of
 from smajax.control.estimators.base import AbstractTemperatureEstimator
 from smajax.control.estimators.thermal_observer import ThermalObserver
+from smajax.control.export.named_leaves import leaf_names
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import gain, gains
 from smajax.control.loop.temperature_limiter import TemperatureLimiter
@@ -20,7 +23,8 @@ from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
 # With schema 2 the kinds of Kalman filters changed: ExtendedKalmanFilter was ExtendedFilter. The keys are those of
 # schema 1.
 SCHEMA = "smajax.controller/2"
-_KINDS = {PID: "pid", BPID: "bpid", PPID: "ppid", AdaptivePID: "adaptive-pid", FeedforwardPID: "pid-feedforward"}
+# Constants that are keys of the document itself; those of own controllers are below ``constants``.
+_OWN_KEYS = ("derivative_on", "law", "growth", "leave", "least")
 
 
 def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlinskii | None:
@@ -37,49 +41,48 @@ def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlins
     return inverse
 
 
-def fixed_constants(controller: AbstractController) -> dict[str, Any]:
-    """Return a controller's constants other than gains, by their names in C header and JSON document."""
-    if isinstance(controller, BPID):
-        return {"least": MIN_DENOMINATOR}
-    if isinstance(controller, PPID):
-        return {"leave": controller.exit_factor}
-    if isinstance(controller, AdaptivePID):
-        return {"law": controller.law, "growth": controller.growth}
-    return {}
-
-
-def controller_document(owner: AbstractController | ClosedLoop, units: dict[str, str]) -> dict[str, Any]:
+def controller_document(owner: AbstractController | ClosedLoop, units: Mapping[str, str]) -> dict[str, Any]:
     """Return a controller as a JSON document.
 
-    Its keys: ``kind``, ``period_s``, ``output`` (limits of the command), ``gains`` with their units. ``law`` and
+    Its keys: ``kind`` (the registered name, or the name of the class), ``period_s``, ``output`` (limits of the
+    command), ``gains`` with their units, ``state`` (names of the numbers of the state, as in the C header). ``law`` and
     ``growth`` are those of an adaptive PID; ``leave`` is the ``exit_factor`` of a PPID; ``least`` the smallest value
     of 1 + kb y of a BPID; ``blind_s`` the time in s for which the channel, or a temperature, may be NaN before the
     command is 0. ``wires`` are the largest commands of two wires, ``guard`` the temperature limiter and ``observer``
-    the estimator, if there are any; ``steers`` is true if the controller uses the estimate.
+    the estimator, if there are any; ``steers`` is true if the controller uses the estimate. ``constants`` are other
+    constants of an own controller.
 
     Args:
         owner: The controller, or a loop.
         units: Unit of each gain by name.
 
     Raises:
-        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope.
+        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope, or a
+            gain without a unit.
     """
     controller = owner.controller if isinstance(owner, ClosedLoop) else owner
-    pid, inverse = controller.inner, feedforward_inverse(controller)
+    inverse, constants, lone = feedforward_inverse(controller), controller.constants(), jnp.zeros(())
+    for name in gains(owner):
+        if name not in units:
+            raise InputError(f"the gain '{name}' has no unit: give one of {', '.join(gains(owner))} each a unit")
+    state = jax.eval_shape(controller.reset, lone, lone)
     document = {
         "schema": SCHEMA,
-        "kind": _KINDS[type(controller)],
-        "period_s": pid.period,
-        "output": [float(pid.lower), float(pid.upper)],
+        "kind": kind_of(controller),
+        "period_s": controller.period,
+        "output": [float(end) for end in controller.limits],
         "blind_s": DROPOUT_TIMEOUT,
-        "derivative_on": pid.derivative_on,
         "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
-        **fixed_constants(controller),
+        **{name: value for name, value in constants.items() if name in _OWN_KEYS},
+        "state": leaf_names(state),
     }
+    others = {name: value for name, value in constants.items() if name not in _OWN_KEYS} | _other_numbers(controller)
+    if others:
+        document["constants"] = others
     if inverse is not None:
         document["feedforward"] = inverse_document(inverse)
-    if isinstance(owner, ClosedLoop) and owner.allocation.wires > 1:
-        document["wires"] = [float(command) for command in owner.allocation.max_commands]
+    if isinstance(owner, ClosedLoop) and owner.wires > 1:
+        document["wires"] = [float(command) for command in owner.max_commands]
     if isinstance(owner, ClosedLoop) and owner.temperature_limiter is not None:
         document["guard"] = limiter_document(owner.temperature_limiter)
     if isinstance(owner, ClosedLoop) and owner.estimator is not None:
@@ -89,6 +92,15 @@ def controller_document(owner: AbstractController | ClosedLoop, units: dict[str,
         )
         document["observer"] |= {"steers": True} if owner.use_estimate else {}
     return document
+
+
+def _other_numbers(controller: AbstractController) -> dict[str, Any]:
+    """Numbers of a controller that are neither gains, limits nor those of a feedforward, by name."""
+    numbers = eqx.filter(controller, eqx.is_inexact_array)
+    if getattr(numbers, "inverse", None) is not None:
+        numbers = eqx.tree_at(lambda part: part.inverse, numbers, None)
+    named = zip(leaf_names(numbers), jax.tree.leaves(numbers), strict=True)
+    return {n: np.asarray(v).tolist() for n, v in named if n not in (*gains(controller), "lower", "upper")}
 
 
 def limiter_document(limiter: TemperatureLimiter) -> dict[str, float]:

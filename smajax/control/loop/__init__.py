@@ -7,7 +7,16 @@ The module ``gains`` has the tunable parameters by name, the module ``references
 
 from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop, Measurement
-from smajax.control.loop.rollout import Rollout, Scenario, rollout
+from smajax.control.loop.rollout import Rollout, Scenario, rollout, simulate_loop
 from smajax.control.loop.temperature_limiter import TemperatureLimiter
 
-__all__ = ["Allocation", "ClosedLoop", "Measurement", "Rollout", "Scenario", "TemperatureLimiter", "rollout"]
+__all__ = [
+    "Allocation",
+    "ClosedLoop",
+    "Measurement",
+    "Rollout",
+    "Scenario",
+    "TemperatureLimiter",
+    "rollout",
+    "simulate_loop",
+]

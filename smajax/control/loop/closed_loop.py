@@ -1,5 +1,6 @@
 """Closed loop: sensor, estimator, temperature limiter, controller and allocation, sampled once a period."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,13 +10,17 @@ from jaxtyping import Array, Float
 
 from smajax.control.controllers.base import AbstractController
 from smajax.control.estimators.base import AbstractFilter, AbstractTemperatureEstimator, per_wire
-from smajax.control.estimators.imu_sensor import ImuSensor
+from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.loop.allocation import Allocation
+from smajax.control.loop.dropouts import step_with_dropouts
 from smajax.control.loop.temperature_limiter import TemperatureLimiter
+from smajax.control.sampling_period import check_same_period
+from smajax.control.sensors.base import AbstractSensor
 from smajax.control.sensors.dropout_hold import DropoutHold
 from smajax.control.sensors.instruments import Instruments
-from smajax.control.sensors.sensor_model import SensorModel
-from smajax.numerics.nonsmooth import clip, maximum, minimum
+from smajax.control.sensors.sensor_model import ideal_sensor
+from smajax.errors import InputError
+from smajax.numerics.nonsmooth import maximum, minimum
 
 
 class Measurement(NamedTuple):
@@ -57,10 +62,12 @@ class ClosedLoop(eqx.Module):
     it never is), and is held at its last value; after ``DROPOUT_TIMEOUT`` the command is 0, or the smallest one, until
     the controller is reset at the next finite value.
 
+    The period is that of the controller; all other parts have to have the same.
+
     Attributes:
         controller: Controller of the channel.
-        allocation: Allocation of its command to the wires.
-        sensor: Sensor of the controlled channel.
+        allocation: Allocation of its command to the wires; ``None``: a single wire gets it unchanged.
+        sensor: Sensor of the controlled channel; by default an exact one.
         temperature_limiter: Limiter of each wire's command by its temperature.
         estimator: Estimator of the temperatures that the limiter gets; ``None``: they are measured.
         instruments: Sensors of the channels that limiter and estimator get; ``None``: those channels are exact.
@@ -68,26 +75,124 @@ class ClosedLoop(eqx.Module):
         use_estimate: Whether the controller gets the estimate of the channel by ``estimator``, a filter of the whole
             plant, instead of the value of ``sensor``.
         allow_dropouts: Whether the controlled channel may be NaN.
-
-    Raises:
-        ValueError: if ``use_estimate`` is set without a filter of the whole plant, or with ``allow_dropouts``.
     """
 
     controller: AbstractController
-    allocation: Allocation
-    sensor: SensorModel | ImuSensor
-    temperature_limiter: TemperatureLimiter | None = None
-    estimator: AbstractTemperatureEstimator | None = None
-    instruments: Instruments | None = None
-    channel: str = eqx.field(static=True, kw_only=True)
-    use_estimate: bool = eqx.field(static=True, kw_only=True, default=False)
-    allow_dropouts: bool = eqx.field(static=True, kw_only=True, default=False)
+    allocation: Allocation | None
+    sensor: AbstractSensor
+    temperature_limiter: TemperatureLimiter | None
+    estimator: AbstractTemperatureEstimator | None
+    instruments: Instruments | None
+    channel: str = eqx.field(static=True)
+    use_estimate: bool = eqx.field(static=True)
+    allow_dropouts: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        controller: AbstractController,
+        allocation: Allocation | None = None,
+        sensor: AbstractSensor | None = None,
+        temperature_limiter: TemperatureLimiter | None = None,
+        estimator: AbstractTemperatureEstimator | None = None,
+        instruments: Instruments | None = None,
+        *,
+        channel: str,
+        limits: tuple[Any, Any] | None = None,
+        use_estimate: bool = False,
+        allow_dropouts: bool = False,
+    ) -> None:
+        """Build a loop.
+
+        Args:
+            controller: Controller of the channel.
+            allocation: Allocation of its command to the wires; a rollout of two wires makes one from the limits.
+            sensor: Sensor of the controlled channel; by default an exact one.
+            temperature_limiter: Limiter of each wire's command by its temperature.
+            estimator: Estimator of the temperatures that the limiter gets.
+            instruments: Sensors of the channels that limiter and estimator get.
+            channel: Name of the controlled channel.
+            limits: Smallest and largest command, in the unit of the drive, instead of those of the controller.
+            use_estimate: Whether the controller gets the estimate of the channel by ``estimator``.
+            allow_dropouts: Whether the controlled channel may be NaN.
+
+        Raises:
+            InputError: if the parts have different periods; if the limits are not in order; or if ``use_estimate`` is
+                set without a filter of the whole plant, or with ``allow_dropouts``.
+        """
+        if limits is not None:
+            lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
+            if not isinstance(lower, jax.core.Tracer) and not isinstance(upper, jax.core.Tracer) and lower >= upper:
+                raise InputError(f"limits = ({lower:g}, {upper:g}): the first command has to be below the second")
+            controller = controller.with_limits(lower, upper)
+        self.controller = controller
+        self.allocation = allocation
+        self.sensor = ideal_sensor() if sensor is None else sensor
+        self.temperature_limiter = temperature_limiter
+        self.estimator = estimator
+        self.instruments = instruments
+        self.channel = channel
+        self.use_estimate = use_estimate
+        self.allow_dropouts = allow_dropouts
 
     def __check_init__(self) -> None:
         if self.use_estimate and not isinstance(self.estimator, AbstractFilter):
-            raise ValueError("a loop with use_estimate needs a filter of the whole plant as its estimator")
+            raise InputError("a loop with use_estimate needs a filter of the whole plant as its estimator")
         if self.use_estimate and self.allow_dropouts:
-            raise ValueError("a filter skips a measurement that is NaN: leave allow_dropouts out with use_estimate")
+            raise InputError("a filter skips a measurement that is NaN: leave allow_dropouts out with use_estimate")
+        limiter = self.temperature_limiter
+        periods = {
+            "sensor": self.sensor.sampling_period,
+            "temperature limiter": None if limiter is None else limiter.pid.period,
+            "estimator": None if self.estimator is None else self.estimator.period,
+            "instruments": None if self.instruments is None else self.instruments.period,
+        }
+        for name, period in periods.items():
+            if period is not None:
+                check_same_period(name, period, "controller", self.period)
+        if limiter is not None and isinstance(self.estimator, ThermalObserver):
+            self.estimator.check_stability(limiter.limit)
+
+    @property
+    def period(self) -> float:
+        """Period of the samples, s: that of the controller."""
+        return self.controller.period
+
+    @property
+    def wires(self) -> int:
+        """Number of wires that get a command."""
+        return 1 if self.allocation is None else self.allocation.wires
+
+    @property
+    def max_commands(self) -> Float[Array, " wires"]:
+        """Largest command of each wire."""
+        return self.controller.upper[None] if self.allocation is None else self.allocation.max_commands
+
+    def for_wires(self, wires: int) -> "ClosedLoop":
+        """Return the loop for a plant of so many wires; two wires get an allocation if there is none.
+
+        Args:
+            wires: Number of wires of the plant.
+
+        Raises:
+            InputError: if the loop is for another number of wires.
+        """
+        if self.allocation is None and wires == 2:
+            lower, upper = self.controller.limits
+            pair = Allocation(upper, jnp.zeros(()), wires, -lower)
+            return dataclasses.replace(self, allocation=pair)
+        if self.wires != wires:
+            raise InputError(
+                f"the plant has {wires} wires, and the loop is for {self.wires}: give an Allocation with wires={wires}"
+            )
+        return self
+
+    def allocate(self, command: Float[Array, ""]) -> Float[Array, " wires"]:
+        """Return the commands of the wires.
+
+        Args:
+            command: Command of the controller.
+        """
+        return command[None] if self.allocation is None else self.allocation(command)
 
     def reset(self, reference: Float[Array, ""], channels: dict[str, Float[Array, ""]]) -> LoopState:
         """Return the state of a loop whose reference and channels have been constant.
@@ -127,22 +232,19 @@ class ClosedLoop(eqx.Module):
             The state after this sample, and the commands of the wires until the next one.
         """
         controller_state, measurement_states, limiters, last_hold = state
-        hold = None if last_hold is None else last_hold.update(channels[self.channel], self.controller.inner.period)
+        hold = None if last_hold is None else last_hold.update(channels[self.channel], self.period)
         if hold is not None:
             channels = channels | {self.channel: hold.value}
         measurement = self.measure(measurement_states, channels, draw)
         controller, limiters, max_commands = self.apply_temperature_limits(limiters, measurement.temperatures)
-        if last_hold is not None:
-            controller_state = jax.tree.map(
-                lambda a, b: jnp.where(last_hold.timed_out, a, b),
-                controller.reset(reference, measurement.value),
-                controller_state,
+        if last_hold is None or hold is None:
+            controller_state, command = controller.step(controller_state, reference, measurement.value)
+        else:
+            timed_out = (last_hold.timed_out, hold.timed_out)
+            controller_state, command = step_with_dropouts(
+                controller, controller_state, timed_out, reference, measurement.value
             )
-        controller_state, command = controller.step(controller_state, reference, measurement.value)
-        if hold is not None:
-            no_command = clip(jnp.zeros(()), controller.inner.lower, controller.inner.upper)
-            command = jnp.where(hold.timed_out, no_command, command)
-        commands = self.allocation(command)
+        commands = self.allocate(command)
         if self.temperature_limiter is not None:
             commands = minimum(commands, max_commands)
         sensor, estimator, instruments = measurement.states
@@ -185,13 +287,22 @@ class ClosedLoop(eqx.Module):
             (infinite without a limiter).
         """
         if self.temperature_limiter is None or temperatures is None:
-            return self.controller, limiters, jnp.full(self.allocation.wires, jnp.inf)
+            return self.controller, limiters, jnp.full(self.wires, jnp.inf)
         steps = [
             self.temperature_limiter.step(state, temperature, command)
-            for state, temperature, command in zip(limiters, temperatures, self.allocation.max_commands, strict=True)
+            for state, temperature, command in zip(limiters, temperatures, self.max_commands, strict=True)
         ]
         states, max_commands = tuple(state for state, _ in steps), jnp.stack([command for _, command in steps])
-        pid = self.controller.inner
-        lowest, largest = self.allocation.command_limits(max_commands)
-        upper = minimum(pid.upper, largest)
-        return self.controller.with_limits(minimum(maximum(pid.lower, lowest), upper), upper), states, max_commands
+        return self.controller.with_limits(*self.command_limits(max_commands)), states, max_commands
+
+    def command_limits(self, max_commands: Float[Array, " wires"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Return the smallest and the largest command of the controller that the wires can follow.
+
+        Args:
+            max_commands: Largest allowed command of each wire at this sample.
+        """
+        lowest, largest = jnp.asarray(-jnp.inf), max_commands[0]
+        if self.allocation is not None:
+            lowest, largest = self.allocation.command_limits(max_commands)
+        upper = minimum(self.controller.upper, largest)
+        return minimum(maximum(self.controller.lower, lowest), upper), upper

@@ -1,5 +1,7 @@
 """Gains by name: the tunable parameters of a controller or of a closed loop, with units and bounds."""
 
+import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -23,10 +25,18 @@ def gains(owner: AbstractController | ClosedLoop) -> dict[str, Declaration]:
 
     Args:
         owner: A controller or a closed loop; the co-contraction is a gain of a loop of two wires.
+
+    Raises:
+        InputError: if two parts of a controller declare a gain of the same name.
     """
     declared: dict[str, Declaration] = {}
     for part in _parts(owner):
-        declared |= {name: d for name, d in declarations(part).items() if name not in _NOT_TUNED}
+        for name, declaration in declarations(part).items():
+            if name in _NOT_TUNED:
+                continue
+            if name in declared:
+                raise InputError(f"two parts of the {_name(owner)} declare the gain '{name}': rename one of them")
+            declared[name] = declaration
     return declared
 
 
@@ -67,16 +77,22 @@ def unit_of(name: str, owner: AbstractController | ClosedLoop, command: str, cha
         command: Internal unit of the command.
         channel: Internal unit of the channel.
     """
-    unit = gains(owner)[name].unit
-    dimensionless = {"u": "1", "u/y": "1/y", "u/y/s": "1/y/s", "u s/y": "s/y"}
-    return (dimensionless.get(unit, unit) if command == "1" else unit.replace("u", command)).replace("y", channel)
+    unit = re.sub(r"\bu\b", command, gains(owner)[name].unit)
+    if command == "1":
+        unit = re.sub(r"/1\b|^1 (?=\S)", "", unit)
+    return re.sub(r"\by\b", channel, unit)
 
 
-def _parts(owner: AbstractController | ClosedLoop) -> list[Any]:
-    """The modules that declare the gains."""
+def _parts(owner: Any) -> list[Any]:
+    """The modules that declare the gains: a controller and the modules in it, and the allocation to two wires."""
     if isinstance(owner, ClosedLoop):
-        return [*_parts(owner.controller), *([owner.allocation] if owner.allocation.wires > 1 else [])]
-    return [owner] if owner.inner is owner else [owner, owner.inner]
+        return [*_parts(owner.controller), *([owner.allocation] if owner.wires > 1 else [])]
+    inner = (getattr(owner, field.name) for field in dataclasses.fields(owner))
+    return [owner, *(part for module in inner if isinstance(module, eqx.Module) for part in _parts(module))]
+
+
+def _name(owner: AbstractController | ClosedLoop) -> str:
+    return type(owner.controller if isinstance(owner, ClosedLoop) else owner).__name__
 
 
 def _part(owner: AbstractController | ClosedLoop, name: str) -> Any:

@@ -14,18 +14,24 @@ What makes the derivatives fast:
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from smajax.channels import channel_of
 from smajax.control.loop.closed_loop import ClosedLoop
-from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.control.sampled_plant import AbstractSampledSystem, SampledPlant
+from smajax.control.sampling_period import check_same_period
+from smajax.errors import InputError, NumericsError, suggestion
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
+from smajax.plant.plant import Plant
+from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 
 # Channels that follow the command without delay; the others change in the course of the period.
 _ELECTRICAL = ("current", "voltage", "power")
@@ -59,7 +65,7 @@ class Scenario(eqx.Module):
 
     @classmethod
     def noiseless(
-        cls, reference: Any, initial_reference: float = 0.0, changes: dict[str, Any] | None = None
+        cls, reference: Any, initial_reference: Any = 0.0, changes: dict[str, Any] | None = None
     ) -> "Scenario":
         """Build a scenario without noise.
 
@@ -67,30 +73,133 @@ class Scenario(eqx.Module):
             reference: Reference at the samples, shape ``(n,)``, in the channel's unit.
             initial_reference: Reference before the first sample.
             changes: Parameters that change with time by name, shape ``(n,)`` each, internal units.
+
+        Raises:
+            InputError: if the reference is not a series of values.
         """
         reference = jnp.asarray(reference, jnp.float64)
+        if reference.ndim != 1 or not reference.shape[0]:
+            raise InputError(f"the reference has the shape {reference.shape}: give one value for each sample")
         initial = jnp.asarray(initial_reference, jnp.float64)
         arrays = {name: jnp.asarray(values, jnp.float64) for name, values in (changes or {}).items()}
         return cls(reference, initial, jnp.zeros_like(reference), arrays)
 
 
-class Rollout(NamedTuple):
-    """Result of a rollout of n samples.
+class Rollout(eqx.Module):
+    """Result of a rollout of n samples; a batch of rollouts has leading axes.
 
     Attributes:
         channels: Exact channels (not as measured) at the samples by name, shape ``(n,)`` each, internal units.
         command: Commands held from each sample on, shape ``(n, wires)``, in the unit of the drive.
-        unsolved: Number of the plant's steps that could not be solved, a scalar.
+        unsolved: Number of the plant's steps that could not be solved, a scalar; ``None`` in a tangent.
         final_states: States of plant and loop after the last period, and the last commands.
     """
 
     channels: dict[str, jax.Array]
     command: jax.Array
-    unsolved: jax.Array
+    unsolved: jax.Array | None
     final_states: Any
 
+    @property
+    def status(self) -> Int[Array, "*batch"]:
+        """How the rollout ended: a code of ``SimulationStatus`` for each rollout of a batch."""
+        finite = jnp.all(jnp.isfinite(self.command), axis=(-2, -1))
+        melted = jnp.zeros_like(finite)
+        for name, values in self.channels.items():
+            finite &= jnp.all(jnp.isfinite(values), axis=-1)
+            if channel_of(name) == "temperature":
+                melted |= jnp.any(values > MELTING_TEMPERATURE, axis=-1)
+        unsolved = jnp.asarray(self.unsolved) > 0
+        code = jnp.where(unsolved, SimulationStatus.unsolved, SimulationStatus.done)
+        return jnp.where(finite, jnp.where(melted, SimulationStatus.overheated, code), SimulationStatus.diverged)
 
-def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
+
+def rollout(
+    system: Plant | AbstractSampledSystem,
+    loop: ClosedLoop,
+    reference: Any,
+    *,
+    initial_reference: Any = None,
+    period: float | None = None,
+    step: float | None = None,
+    throw: bool = True,
+) -> Rollout:
+    """Simulate a closed loop over a reference.
+
+    Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``; differentiable once, in forward and in reverse mode, in the
+    plant's parameters, the gains, the reference and the changes.
+
+    Args:
+        system: A plant, or a sampled one. A plant whose parameters are traced needs ``step``.
+        loop: The closed loop.
+        reference: Reference at the samples, shape ``(n,)``, in the channel's unit; or a ``Scenario``, which also has
+            noise and changes.
+        initial_reference: Reference before the first sample; by default the channel's value at rest. That of a scenario
+            is used in any case.
+        period: Period of the samples, s, to check that it is the loop's.
+        step: Longest step of a plant that is not sampled yet, s; by default ``default_step`` of the plant.
+        throw: Whether to raise if the simulation fails. In a traced function nothing is raised: check ``status``.
+
+    Returns:
+        Channels and commands at the samples, the final states, and the status.
+
+    Raises:
+        InputError: if periods differ, the numbers of wires differ, or the step of a traced plant is not given.
+        NumericsError: if the simulation fails and ``throw`` is set; the message says what to do.
+    """
+    if period is not None:
+        check_same_period("rollout", period, "controller", loop.period)
+    sampled = _sampled(system, loop.period, step)
+    loop = loop.for_wires(sampled.wires)
+    result = _compiled_simulation(sampled, loop, _scenario(sampled, loop, reference, initial_reference))
+    if throw and not isinstance(result.status, jax.core.Tracer):
+        raise_for_status(result)
+    return result
+
+
+def raise_for_status(result: Rollout) -> None:
+    """Raise an error for the first failed rollout of a batch.
+
+    Args:
+        result: A rollout or a batch of rollouts.
+
+    Raises:
+        NumericsError: if one failed; the message says what to do.
+    """
+    codes = np.atleast_1d(np.asarray(result.status)).ravel()
+    failed = np.flatnonzero(codes != SimulationStatus.done)
+    if len(failed):
+        status = SimulationStatus(int(codes[failed[0]]))
+        which = f"rollout {failed[0]}" if len(codes) > 1 else "rollout"
+        raise NumericsError(f"{which}: {status.name}: {status.hint}")
+
+
+def _sampled(system: Plant | AbstractSampledSystem, period: float, step: float | None) -> AbstractSampledSystem:
+    """The sampled plant."""
+    if isinstance(system, AbstractSampledSystem):
+        return system
+    if step is None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(system)):
+        raise InputError(
+            "the number of steps in a period cannot depend on a traced plant: give step, or SampledPlant.of outside of "
+            "the traced function"
+        )
+    return SampledPlant.of(system, period, step=step)
+
+
+def _scenario(system: AbstractSampledSystem, loop: ClosedLoop, reference: Any, initial: Any) -> Scenario:
+    """The scenario of a reference."""
+    if isinstance(reference, Scenario):
+        return reference
+    channels = system.observe(system.start(), jnp.zeros(system.wires))
+    if loop.channel not in channels:
+        raise InputError(
+            f"the plant has no channel '{loop.channel}'{suggestion(loop.channel, channels)}: "
+            f"its channels are {', '.join(channels)}"
+        )
+    return Scenario.noiseless(reference, channels[loop.channel] if initial is None else initial)
+
+
+def simulate_loop(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
     """Simulate a closed loop over a scenario; compilation and batching are up to the caller.
 
     Differentiable once, in forward and in reverse mode, in the plant's parameters, the gains, the reference and the
@@ -98,12 +207,16 @@ def rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario)
 
     Args:
         system: The sampled plant.
-        loop: The closed loop, of the same period.
+        loop: The closed loop, for its number of wires.
         scenario: Reference, noise and changes.
 
     Returns:
         Channels and commands at the samples, and the final states.
+
+    Raises:
+        InputError: if plant and loop have different periods.
     """
+    check_same_period("plant", system.period, "controller", loop.period)
     if system.is_implicit:
         return _implicit_rollout(system, loop, scenario)
     return rollout_with_solutions(system, loop, scenario)[0]
@@ -157,6 +270,9 @@ def _sample(system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tu
     return (state, loop_state, command), (channels, command, extra)
 
 
+_compiled_simulation = eqx.filter_jit(simulate_loop)
+
+
 @eqx.filter_custom_jvp
 def _implicit_rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
     """The rollout of an implicit plant, whose derivative uses the stored states and step solutions."""
@@ -202,7 +318,7 @@ def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
     final_tangents = jax.tree.map(
         lambda value, tangent: tangent if eqx.is_inexact_array(value) else None, result.final_states, unflatten(end)
     )
-    return result, Rollout(channels, command, cast(Any, None), final_tangents)
+    return result, Rollout(channels, command, None, final_tangents)
 
 
 def _is_none(leaf: Any) -> bool:

@@ -5,7 +5,7 @@ A wire whose temperature is missing for longer than ``DROPOUT_TIMEOUT`` gets no 
 Source: ali2026 (temperature PID that only heats).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.control.controllers.pid import PID, PIDState
-from smajax.control.sensors.dropout_hold import DropoutHold
+from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT, DropoutHold
 from smajax.numerics.nonsmooth import maximum, minimum
 
 
@@ -35,14 +35,16 @@ class TemperatureLimiter(eqx.Module):
     Attributes:
         pid: PID of the temperature; its error is the limit minus the temperature, its output the allowed command.
         limit: Setpoint of the temperature, a scalar, degC.
+        timeout: Time for which a temperature may be missing before the wire gets no command, s.
     """
 
     pid: PID
     limit: jax.Array
+    timeout: Any = DROPOUT_TIMEOUT
 
     def reset(self, temperature: Float[Array, ""]) -> TemperatureLimiterState:
         """Return the state at rest at a temperature in degC."""
-        hold = DropoutHold.init(temperature)
+        hold = DropoutHold.init(temperature, timeout=self.timeout)
         return TemperatureLimiterState(self.pid.reset(self.limit, hold.value), hold)
 
     def step(
@@ -60,7 +62,6 @@ class TemperatureLimiter(eqx.Module):
         """
         hold = state.hold.update(temperature, self.pid.period)
         pid_state, allowed = self.pid.step(state.inner, self.limit, hold.value)
-        inner = jax.tree.map(lambda a, b: jnp.where(hold.timed_out, a, b), state.inner, pid_state)
-        return TemperatureLimiterState(inner, hold), minimum(
-            command, jnp.where(hold.timed_out, 0.0, maximum(allowed, 0.0))
-        )
+        timed_out = hold.has_timed_out(self.timeout)
+        inner = jax.tree.map(lambda a, b: jnp.where(timed_out, a, b), state.inner, pid_state)
+        return TemperatureLimiterState(inner, hold), minimum(command, jnp.where(timed_out, 0.0, maximum(allowed, 0.0)))

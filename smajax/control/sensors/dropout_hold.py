@@ -22,22 +22,48 @@ class DropoutHold(NamedTuple):
     missing: Float[Array, ""]
 
     @classmethod
-    def init(cls, measured: Float[Array, ""]) -> "DropoutHold":
-        """Return the state at the first sample; if that measurement is not finite, the hold has timed out already."""
-        finite = jnp.isfinite(measured)
-        return cls(jnp.where(finite, measured, 0.0), jnp.where(finite, 0.0, DROPOUT_TIMEOUT))
+    def init(
+        cls,
+        measured: Float[Array, ""],
+        accept: Bool[Array, ""] | bool = True,
+        timeout: Float[Array, ""] | float = DROPOUT_TIMEOUT,
+    ) -> "DropoutHold":
+        """Return the state at the first sample; if that measurement is not finite, the hold has timed out already.
 
-    def update(self, measured: Float[Array, ""], period: float) -> "DropoutHold":
+        Args:
+            measured: Measurement at that sample.
+            accept: Whether the measurement counts at all.
+            timeout: Time after which the hold times out, s.
+        """
+        finite = _counts(measured, accept)
+        return cls(jnp.where(finite, measured, 0.0), jnp.where(finite, 0.0, timeout))
+
+    def update(self, measured: Float[Array, ""], period: float, accept: Bool[Array, ""] | bool = True) -> "DropoutHold":
         """Return the state after the next sample.
 
         Args:
             measured: Measurement at that sample; NaN: a dropout.
             period: Time since the last sample, s.
+            accept: Whether the measurement counts at all.
         """
-        finite = jnp.isfinite(measured)
+        finite = _counts(measured, accept)
         return DropoutHold(jnp.where(finite, measured, self.value), jnp.where(finite, 0.0, self.missing + period))
 
     @property
     def timed_out(self) -> Bool[Array, ""]:
         """Whether the measurement has been missing for ``DROPOUT_TIMEOUT`` or longer."""
-        return self.missing >= DROPOUT_TIMEOUT
+        return self.has_timed_out(DROPOUT_TIMEOUT)
+
+    def has_timed_out(self, timeout: Float[Array, ""] | float) -> Bool[Array, ""]:
+        """Return whether the measurement has been missing for a time or longer.
+
+        Args:
+            timeout: The time, s.
+        """
+        return self.missing >= timeout
+
+
+def _counts(measured: Float[Array, ""], accept: Bool[Array, ""] | bool) -> Bool[Array, ""]:
+    """Whether a measurement is finite and accepted."""
+    finite = jnp.isfinite(measured)
+    return finite if accept is True else finite & accept

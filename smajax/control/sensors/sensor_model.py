@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from smajax.control.sensors.base import AbstractSensor
+
 
 def quantise(value: Float[Array, ""], quantum: Float[Array, ""]) -> Float[Array, ""]:
     """Round a value to a whole multiple of ``quantum``.
@@ -20,7 +22,7 @@ def quantise(value: Float[Array, ""], quantum: Float[Array, ""]) -> Float[Array,
     return value + jax.lax.stop_gradient(rounded - value)
 
 
-class SensorModel(eqx.Module):
+class SensorModel(AbstractSensor):
     """Sensor of one channel.
 
     Attributes:

@@ -132,9 +132,9 @@ def _simulated_cycle(
 ) -> Series:
     """The second of two slow cycles of the command, simulated."""
     slow = SampledPlant.of(system.plant, float(time_constant(system.plant)))
-    pid = loop.controller.inner
+    limits = loop.controller.limits
     if command_range is None:
-        command, value, temperature = _second_cycle(slow, loop, (float(pid.lower), float(pid.upper)))
+        command, value, temperature = _second_cycle(slow, loop, (float(limits[0]), float(limits[1])))
         command_range = _hysteretic_range(command, value, temperature, max_temperature)
     command, value, temperature = _second_cycle(slow, loop, command_range)
     if not np.all(np.isfinite(value)) or temperature.max() > max_temperature + _TEMPERATURE_TOLERANCE:
@@ -161,7 +161,7 @@ def _simulate(slow: SampledPlant, loop: ClosedLoop, command: jax.Array) -> tuple
     """Channel and highest temperature under a command, shape ``(n,)`` each."""
 
     def sample(state: Any, command: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
-        commands = loop.allocation(command)
+        commands = loop.allocate(command)
         state, _, _ = slow.step(state, commands)
         channels = slow.observe(state, commands)
         temperatures = jnp.stack([channels[n] for n in numbered("temperature", slow.wires)])

@@ -21,6 +21,7 @@ from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import gain, with_gains
 from smajax.control.loop.rollout import Rollout, Scenario
 from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.control.sampling_period import check_same_period
 from smajax.control.tuning.objective import Objective, ObjectiveTerms, ReferenceSignal, evaluate_objective
 from smajax.errors import InputError
 
@@ -88,8 +89,11 @@ class TuningProblem(eqx.Module):
             spread: Relative spread of the gains that several members evaluate.
 
         Raises:
-            InputError: if the controller has no such gain, or its start value does not lie between positive bounds.
+            InputError: if periods or numbers of wires differ, if the controller has no such gain, or if its start value
+                does not lie between positive bounds.
         """
+        check_same_period("plant", system.period, "controller", loop.period)
+        loop = loop.for_wires(system.wires)
         for name, (low, high) in bounds.items():
             value = float(gain(loop, name))
             if not 0.0 < low <= value <= high:
@@ -182,12 +186,13 @@ class TuningProblem(eqx.Module):
         Returns:
             Terms, shape ``(m, 4, n)``, and violations, shape ``(m, 5, n)``.
         """
-        rollouts = self._simulate(self.gains((point[None] + self.offsets).T))._replace(final_states=None)
+        rollouts = self._simulate(self.gains((point[None] + self.offsets).T))
+        rollouts = dataclasses.replace(rollouts, final_states=None)
         return jax.vmap(lambda rollout: evaluate_objective(rollout, self.reference, objective))(rollouts)
 
 
 def _reference_signal(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> ReferenceSignal:
-    period = loop.controller.inner.period
+    period = loop.period
     reference, initial = np.asarray(scenario.reference), float(scenario.initial_reference)
     jumps = find_jumps(reference, initial, period)
     values = np.append(reference, initial)

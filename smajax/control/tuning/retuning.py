@@ -22,7 +22,7 @@ from smajax.control.analysis.reachable_range import ReachableRange
 from smajax.control.tuning.problem import TuningProblem
 from smajax.control.tuning.task import TuningTask
 from smajax.control.tuning.tune import TuningResult, tune, violation_rank
-from smajax.progress import Progress
+from smajax.progress import PhasesAndSteps
 
 # All constants were chosen by trial; tests/unit/control/test_tuning.py holds them.
 
@@ -57,7 +57,7 @@ class SearchOutcome(NamedTuple):
 
 
 def search_gains(
-    task: TuningTask, problem: TuningProblem, reachable: ReachableRange, seed: int, progress: Progress
+    task: TuningTask, problem: TuningProblem, reachable: ReachableRange, seed: int, progress: PhasesAndSteps
 ) -> SearchOutcome:
     """Tune the gains; repeat from more starts, or with a larger weight of the effort, if the gains are not good enough.
 
@@ -97,7 +97,7 @@ def search_gains(
     return outcome
 
 
-def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, progress: Progress) -> TuningResult:
+def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, progress: PhasesAndSteps) -> TuningResult:
     return tune(
         problem,
         task.weights,
@@ -124,7 +124,7 @@ def _increase_effort_weight(
     before: SearchOutcome,
     reachable: ReachableRange,
     seed: int,
-    progress: Progress,
+    progress: PhasesAndSteps,
 ) -> SearchOutcome:
     """Outcome of searches with an increasing weight of the effort, until rollout and margins are stable.
 
@@ -157,7 +157,7 @@ def retune_on_failing_draws(
     checks: Mapping[str, DrawChecks],
     draws: Mapping[str, Float[np.ndarray, " draws"]],
     seed: int,
-    progress: Progress,
+    progress: PhasesAndSteps,
 ) -> tuple[TuningResult, DrawChecks]:
     """Tune again, up to three times, for the draws that fail, together with some of the draws of the previous search.
 

@@ -164,8 +164,8 @@ class GainSearch:
         terms, violations = self.evaluate(problem.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
         self.scale = np.where(usable, terms[0], 1.0)
-        pid = problem.loop.controller.inner
-        command_range = float(pid.upper) - float(pid.lower)
+        lower, upper = problem.loop.controller.limits
+        command_range = float(upper) - float(lower)
         count = problem.reference.values.shape[0]
         if command_range < _UNBOUNDED_RANGE:
             self.scale[TERMS.index("effort")] = count * (_UNIT_MOVE * command_range) ** 2

@@ -20,6 +20,7 @@ from smajax.control.controller_file.read import read_controller
 from smajax.control.estimators.extended_kalman_filter import ExtendedKalmanFilter
 from smajax.control.estimators.thermal_observer import ThermalObserver
 from smajax.control.export.c_header import c_header
+from smajax.control.export.files import ExportedFiles
 from smajax.control.export.fmu.controller_model import controller_model
 from smajax.control.export.json_document import controller_document
 from smajax.control.loop.gains import gain, gains
@@ -33,13 +34,14 @@ from smajax.control.tuning.population import evolve_population
 from smajax.control.tuning.problem import TuningProblem, evaluate_points, noise_draws
 from smajax.control.tuning.search import Candidate, GainSearch
 from smajax.control.tuning.tune import TuningResult, cost_function, tune
+from smajax.control.tuning.tuning_study import ControllerTuning
 from smajax.errors import InputError, NumericsError
 from smajax.files.rig_file import read_rig
 from smajax.fitting.io_models.problem import Series
 from smajax.laws.prandtl_ishlinskii import Envelope, PrandtlIshlinskii
 from smajax.laws.response import compute_response
 from smajax.progress import Progress
-from smajax.report.tune_document import TunedLoop, tune_document
+from smajax.report.tune_document import tune_document
 from smajax.report.tuning import text, tuning_summary
 from tests.conftest import ROOT
 from tests.unit.control.test_control import hip, loop_of, pid
@@ -679,13 +681,15 @@ def test_a_draw_that_is_unstable_when_linearised_is_a_problem(tmp_path, monkeypa
     assert result.failing == (1,) and result.document["unstable"] == 0 and result.document["unstable_linearised"] == 1
     assert result.document["worst_margins"] == {"gain": 0.8, "phase": 30.0, "sensitivity": 3.0}
     start, reachable = evaluate_gains(task, own), reachable_range(task.system, task.loop, task.scenario, task.limits)
-    checks = {"start": result.document, "tuned": result.document}
-    doc = tune_document(task, rig.name, TunedLoop(start, start, 1, checks, "", reachable), 0)
+    study = ControllerTuning(
+        rig, task, task.weights, 0, start, start, 1, {"start": result, "tuned": result}, reachable, None, False
+    )
+    doc = tune_document(study)
     assert not doc["feasible"] and any(
         "of 3 draws 1 are unstable, linearised along their rollouts" in p for p in doc["problems"]
     )
     shaky = dataclasses.replace(start, margins=Margins(0.9, -1.0, 9.0))
-    doc = tune_document(task, rig.name, TunedLoop(shaky, start, 1, {}, "", reachable), 0)
+    doc = tune_document(dataclasses.replace(study, start=shaky, checks={}))
     output = "the start gains are unstable, linearised along their rollout, with a gain margin of 0.9 and a phase margin of -1 degrees"
     assert doc["problems"] == [output] and doc["feasible"]
 
@@ -694,7 +698,7 @@ def test_the_effect_of_pulses_is_compared_with_their_mean(tmp_path, monkeypatch)
     kept = TuningResult(np.zeros(1), {"kp": 30.0}, {}, {}, True, np.inf, 1, ())
     monkeypatch.setattr("smajax.control.tuning.retuning.tune", lambda *_, **__: kept)
     monkeypatch.setattr(
-        "smajax.app.commands.tune._exports", lambda *_: ({}, {})
+        "smajax.api.tune.export_files", lambda _: ExportedFiles({}, {})
     )  # the exports take longer than the rest of the test
     (tmp_path / "rig.toml").write_text(
         RIG.read_text().replace('control = "current"', 'control = "duty"') + '\n[drive]\nsupply = "5 V"\n'

@@ -15,6 +15,7 @@ from smajax.channels import numbered
 from smajax.control.export.fmu.model import Model, Variable, channel_definition, channel_kind, equations_text
 from smajax.control.export.json_document import estimator_document
 from smajax.control.loop.closed_loop import ClosedLoop
+from smajax.control.loop.dropouts import ReferenceHold
 from smajax.control.loop.gains import gain, gains, with_gains
 from smajax.control.sensors.sensor_model import ideal_sensor
 
@@ -49,31 +50,29 @@ def controller_model(loop: ClosedLoop, units: tuple[str, str], gain_units: Mappi
     def with_values(parameters: Any) -> ClosedLoop:
         return with_gains(loop, dict(zip(values, parameters, strict=True)))
 
-    def channels(inputs: Any, begun: jax.Array) -> dict[str, jax.Array]:
+    def channels(inputs: Any, held: ReferenceHold) -> dict[str, jax.Array]:
         """Return the channels; the controlled one is NaN until there has been a reference."""
-        return {loop.channel: jnp.where(begun > 0.0, inputs[1], jnp.nan)} | dict(zip(extra, inputs[2:], strict=True))
+        return {loop.channel: held.measurement(inputs[1])} | dict(zip(extra, inputs[2:], strict=True))
 
     def start(parameters: Any, inputs: Any) -> Any:
-        finite = jnp.isfinite(inputs[0])
-        reference, begun = jnp.where(finite, inputs[0], 0.0), jnp.where(finite, 1.0, 0.0)
-        loop_state = with_values(parameters).reset(reference, channels(inputs, begun))
-        return (loop_state, jnp.zeros(loop.allocation.wires)), reference, begun
+        held = ReferenceHold.init(inputs[0])
+        loop_state = with_values(parameters).reset(held.reference, channels(inputs, held))
+        return (loop_state, jnp.zeros(loop.wires)), held
 
     def advance(parameters: Any, state: Any, inputs: Any, step: jax.Array) -> Any:
-        (loop_state, _), reference, begun = state
-        finite = jnp.isfinite(inputs[0])
-        reference, begun = jnp.where(finite, inputs[0], reference), jnp.where(finite, 1.0, begun)
+        (loop_state, _), held = state
+        held = held.update(inputs[0])
         loop_state, commands = with_values(parameters).step(
-            loop_state, reference, channels(inputs, begun), jnp.zeros(())
+            loop_state, held.reference, channels(inputs, held), jnp.zeros(())
         )
-        return ((loop_state, commands), reference, begun), jnp.asarray(False)
+        return ((loop_state, commands), held), jnp.asarray(False)
 
     def outputs(parameters: Any, state: Any, inputs: Any) -> Any:
-        return [state[0][1][i] for i in range(loop.allocation.wires)]
+        return [state[0][1][i] for i in range(loop.wires)]
 
     variables = _variables(loop, units, gain_units, extra)
     equations = equations_text(start, advance, outputs, len(values), 2 + len(extra))
-    timing = {"period": loop.controller.inner.period}
+    timing = {"period": loop.period}
     return Model(name, "controller", f"a controller of {loop.channel}", tuple(variables), equations, timing)
 
 
@@ -82,7 +81,7 @@ def _extra_inputs(loop: ClosedLoop) -> list[str]:
     if loop.temperature_limiter is None:
         return []
     kinds = ("temperature",) if loop.estimator is None else ("temperature", "power")
-    return [name for kind in kinds for name in numbered(kind, loop.allocation.wires) if name != loop.channel]
+    return [name for kind in kinds for name in numbered(kind, loop.wires) if name != loop.channel]
 
 
 def _variables(
@@ -97,7 +96,7 @@ def _variables(
     for name in extra:
         channel, start = channel_definition(name), _ROOM_TEMPERATURE * (channel_kind(name) == "temperature")
         variables.append(Variable(name, "input", "discrete", channel.unit, channel.description, start))
-    for name in numbered("command", loop.allocation.wires):
+    for name in numbered("command", loop.wires):
         variables.append(Variable(name, "output", "discrete", command_unit, "command of the wire"))
     for name, declared in gains(loop).items():
         value, ends = float(gain(loop, name)), (declared.lower, declared.upper)

@@ -1,20 +1,18 @@
 """JAX functions as NumPy source text.
 
-A function is traced, and its trace (a jaxpr) is written operation by operation, so that the same equations of a plant
-or a controller run without JAX. Calls are inlined; ``while``, ``scan`` and ``cond`` become loops and branches; unused
-operations are left out, and a repeated expression is computed once. An operation without a NumPy text raises an error
-with its name.
+A function is traced, and its trace is written operation by operation (``source_writer``), so that the same equations
+of a plant or a controller run without JAX. An operation without a NumPy text raises an error with its name.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import Literal
 
+from smajax.control.export.source_writer import SourceWriter
 from smajax.errors import InputError
 
 HEADER = "import numpy as np\nfrom numpy import inf, nan  # noqa: F401\n"
@@ -67,10 +65,6 @@ _REDUCE = {
 }
 # Operations whose literals are written as Python numbers, next to a NumPy value.
 _TAKES_NUMBERS = (*_INFIX, "max", "min", "clamp")
-# Operations that return their inputs.
-_IDENTITY = ("smajax_nondifferentiable", "stop_gradient", "copy", "copy_p", "optimization_barrier")
-# Parameters of a call that may hold the jaxpr that it calls.
-_INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
 # Largest integer power that is written as a product. Chosen by trial; tests/unit/control/test_fmu.py compares results.
 _MAX_PRODUCT_POWER = 4
 # Value of ``rounding_method`` for rounding to even.
@@ -108,26 +102,18 @@ def numpy_source(name: str, function: Callable, arguments: Mapping[str, Any]) ->
     )
 
 
-class _Writer:
-    """Writer of the text of one function.
+class _Writer(SourceWriter[str]):
+    """Writer of the text of one function; its values are the names of variables.
 
     Attributes:
         prefix: Prefix of the names of constants.
-        lines: Lines of the function's body.
         constants: Lines that assign the constants, before the function.
-        names: Name of the variable that holds the value of each expression.
         count: Number of variables so far.
-        depth: Level of indentation.
     """
 
     def __init__(self, prefix: str):
-        self.prefix, self.lines, self.constants = prefix.upper(), [], []
-        self.names: dict[str, str] = {}
-        self.count, self.depth = 0, 1
-
-    def line(self, text: str) -> None:
-        """Write an indented line."""
-        self.lines.append("    " * self.depth + text)
+        super().__init__()
+        self.prefix, self.constants, self.count = prefix.upper(), [], 0
 
     def new_name(self, letter: str) -> str:
         """Return a new name of a variable that begins with a letter."""
@@ -141,15 +127,6 @@ class _Writer:
             self.line(f"{self.names[text]} = {text}")
         return self.names[text]
 
-    @contextmanager
-    def block(self, head: str) -> Iterator[None]:
-        """Write an indented block; names from inside are not used after it, since the block may not have run."""
-        self.line(head)
-        outer_names, self.names = self.names, dict(self.names)
-        self.depth += 1
-        yield
-        self.depth, self.names = self.depth - 1, outer_names
-
     def constant(self, value: Any) -> str:
         """Write a constant before the function, unless it is there already; return its name."""
         array = np.asarray(value)
@@ -159,36 +136,14 @@ class _Writer:
             self.constants.append(f"{self.names[text]} = {text}")
         return self.names[text]
 
-    def inline(self, closed: ClosedJaxpr | Jaxpr, inputs: list[str]) -> list[str]:
-        """Write the equations of a jaxpr.
+    def literal(self, value: Any, equation: Any) -> str:
+        """Return a literal: a Python number next to a NumPy value, else a constant."""
+        if equation is not None and _takes_numbers(equation) and np.isfinite(value):
+            return repr(float(value))
+        return self.constant(value)
 
-        Args:
-            closed: The jaxpr.
-            inputs: Names of its inputs.
-
-        Returns:
-            Names of its results.
-
-        Raises:
-            InputError: for an operation that has no text.
-        """
-        jaxpr, consts = (closed.jaxpr, closed.consts) if isinstance(closed, ClosedJaxpr) else (closed, [])
-        names = dict(zip(jaxpr.invars, inputs, strict=True))
-        names |= {var: self.constant(const) for var, const in zip(jaxpr.constvars, consts, strict=True)}
-
-        def read(atom: Any, as_number: bool = False) -> str:
-            if not isinstance(atom, Literal):
-                return names[atom]
-            return repr(float(atom.val)) if as_number and np.isfinite(atom.val) else self.constant(atom.val)
-
-        for equation in _needed(jaxpr):
-            as_number = _takes_numbers(equation)
-            results = self.equation(equation, [read(atom, as_number) for atom in equation.invars])
-            names |= dict(zip(equation.outvars, results, strict=True))
-        return [read(atom) for atom in jaxpr.outvars]
-
-    def equation(self, equation: Any, inputs: list[str]) -> list[str]:
-        """Write one equation of a jaxpr.
+    def operation(self, equation: Any, inputs: list[str]) -> list[str]:
+        """Write an equation that is neither a call nor a loop nor a branch.
 
         Args:
             equation: The equation.
@@ -201,14 +156,6 @@ class _Writer:
             InputError: for an operation that has no text.
         """
         kind, options = equation.primitive.name, equation.params
-        inner = next((options[key] for key in _INNER if isinstance(options.get(key), ClosedJaxpr | Jaxpr)), None)
-        if kind in ("while", "scan", "cond"):
-            write = {"while": self.while_loop, "scan": self.scan_loop, "cond": self.branches}[kind]
-            return write(options, inputs)
-        if kind in _IDENTITY:
-            return inputs
-        if inner is not None:
-            return self.inline(inner, inputs)
         if kind == "split":
             ends = np.cumsum([0, *options["sizes"]])
             before = ":, " * options["axis"]
@@ -217,7 +164,7 @@ class _Writer:
         if text is None or len(equation.outvars) > 1:
             raise InputError(
                 f"the operation '{kind}' cannot be written with NumPy yet: "
-                "leave out the effect of the plant that needs it"
+                "leave out the effect of the plant, or the part of the controller, that needs it"
             )
         return [text if text in inputs else self.value(text)]
 
@@ -276,17 +223,6 @@ class _Writer:
             with self.block(head):
                 self.assign(results, self.inline(branch, rest))
         return results
-
-
-def _needed(jaxpr: Jaxpr) -> list[Any]:
-    """The equations on which a jaxpr's results depend, in their order."""
-    needed = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}
-    equations = []
-    for equation in reversed(jaxpr.eqns):
-        if any(var in needed for var in equation.outvars):
-            equations.append(equation)
-            needed |= {atom for atom in equation.invars if not isinstance(atom, Literal)}
-    return equations[::-1]
 
 
 def _takes_numbers(equation: Any) -> bool:

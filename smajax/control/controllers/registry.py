@@ -1,0 +1,79 @@
+"""Controllers by name: those of smajax and own ones.
+
+A registered class is known to controller.toml (``kind = "NAME"``), to the tuning, and to the exports.
+"""
+
+import re
+from collections.abc import Mapping
+
+from smajax.control.controllers.adaptive_pid import AdaptivePID
+from smajax.control.controllers.base import AbstractController, check_controller_class
+from smajax.control.controllers.bpid import BPID
+from smajax.control.controllers.feedforward_pid import FeedforwardPID
+from smajax.control.controllers.pid import PID
+from smajax.control.controllers.ppid import PPID
+from smajax.errors import InputError, suggestion
+
+_CONTROLLERS: dict[str, type[AbstractController]] = {
+    "pid": PID,
+    "bpid": BPID,
+    "ppid": PPID,
+    "adaptive-pid": AdaptivePID,
+    "pid-feedforward": FeedforwardPID,
+}
+# A pid becomes this kind by the section [feedforward] of a controller file, whose operator has to be fitted first.
+_NOT_IN_FILES = ("pid-feedforward",)
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+def register_controller(name: str, cls: type[AbstractController]) -> None:
+    """Make an own controller known under a name.
+
+    Args:
+        name: Name in controller.toml and in documents, such as ``dead-band-pi``.
+        cls: The class, derived from ``AbstractController``. A class of the same module and name replaces the one that
+            it was defined as before, as when a notebook's cell runs again.
+
+    Raises:
+        InputError: if the name has other characters than a-z, 0-9 and single hyphens, or is that of another class; or
+            if the class is not a complete controller.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise InputError(f"{name!r} cannot be the name of a controller: use a-z, 0-9 and hyphens, like 'dead-band-pi'")
+    check_controller_class(cls)
+    present = _CONTROLLERS.get(name, cls)
+    if (present.__module__, present.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise InputError(
+            f"the controller '{name}' is already {present.__module__}.{present.__qualname__}: rename yours"
+        )
+    _CONTROLLERS[name] = cls
+
+
+def controller_class(name: str) -> type[AbstractController]:
+    """Return the class of a registered controller.
+
+    Args:
+        name: Its name.
+
+    Raises:
+        InputError: if there is no controller of that name.
+    """
+    if name not in _CONTROLLERS:
+        known = suggestion(name, _CONTROLLERS)
+        raise InputError(f"there is no controller '{name}'{known}: register it, or use {', '.join(_CONTROLLERS)}")
+    return _CONTROLLERS[name]
+
+
+def file_kinds() -> Mapping[str, type[AbstractController]]:
+    """Return the classes that a controller file may name, by name."""
+    return {name: cls for name, cls in _CONTROLLERS.items() if name not in _NOT_IN_FILES}
+
+
+def kind_of(controller: AbstractController) -> str:
+    """Return the registered name of a controller's class, or the name of the class.
+
+    Args:
+        controller: The controller.
+    """
+    names = (name for name, cls in _CONTROLLERS.items() if cls is type(controller))
+    return next(names, type(controller).__name__)

@@ -1,0 +1,298 @@
+"""Tuning of a controller for a rig from start to end: feedforward, search, checks, and searches for failing draws."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from smajax import parameters
+from smajax.control.analysis.closed_loop_checks import (
+    DrawChecks,
+    GainEvaluation,
+    check_draws,
+    evaluate_gains,
+    value_at_rest,
+)
+from smajax.control.analysis.margins import Margins
+from smajax.control.analysis.reachable_range import ReachableRange, clip_reference, falls_when_heated, reachable_range
+from smajax.control.controller_file.read import ControllerFile
+from smajax.control.loop.gains import gain, gains
+from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward, identify_feedforward, with_inverse
+from smajax.control.tuning.plant_draws import draw_from_fit, draw_from_ranges
+from smajax.control.tuning.problem import GAIN_SPREAD, NOISE_DRAWS, TuningProblem, noise_draws
+from smajax.control.tuning.retuning import retune_on_failing_draws, search_gains
+from smajax.control.tuning.tune import TuningResult
+from smajax.errors import InputError
+from smajax.files.result_folder import read_json
+from smajax.files.rig_file import Rig
+from smajax.progress import PhasesAndSteps
+
+# Key of the random stream of the draws, which makes it independent of other streams with the same seed.
+_DRAWS_STREAM = 7
+# Fraction of the span of the reference by which it may exceed the reachable range, which is simulated with sampled
+# commands. Chosen by trial.
+_REACH_TOLERANCE = 0.02
+# Smallest span for this tolerance, so that it is positive for a constant reference.
+_MIN_SPAN = 1e-12
+
+
+@dataclass(frozen=True)
+class UnreachableReference:
+    """A reference that the rig cannot follow, in internal units.
+
+    Attributes:
+        lower: Smallest value of the reference.
+        upper: Largest value of the reference.
+        reachable: Range of the channel that the rig reaches.
+        limited: Whether limits or a temperature limiter restrict that range.
+        stress_at_rest: Stress at rest, Pa, if it is above its limit already.
+        clipped: Whether the gains are tuned for the reference clipped to the range.
+    """
+
+    lower: float
+    upper: float
+    reachable: ReachableRange
+    limited: bool
+    stress_at_rest: float | None
+    clipped: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerTuning:
+    """Result of the tuning of a controller for a rig.
+
+    Attributes:
+        rig: The rig.
+        settings: The content of the controller file, with the feedforward that was identified, and with the reference
+            and the weights with which the gains were found.
+        file_weights: Weights of the objective in the file.
+        seed: Seed of all random numbers.
+        start: Evaluation of the start gains on the plant of the rig.
+        tuned: Evaluation of the tuned gains on it.
+        rollouts: Number of rollouts.
+        checks: Checks on draws, for the ``start`` and the ``tuned`` gains; empty without draws.
+        reachable: Range of the channel that the rig reaches.
+        unreachable: The reference if the rig cannot follow it; ``None`` if it can.
+        other_weights: Whether the weights of the tuned gains differ from those in the file.
+        identified: The fitted feedforward; ``None`` without one.
+        rmse_of_mean: RMS error with the tuned gains under the mean of the pulses, internal unit; ``None`` without a
+            carrier.
+        timings: Wall time of each part, s.
+    """
+
+    rig: Rig
+    settings: ControllerFile
+    file_weights: Mapping[str, float]
+    seed: int
+    start: GainEvaluation
+    tuned: GainEvaluation
+    rollouts: int
+    checks: Mapping[str, DrawChecks]
+    reachable: ReachableRange
+    unreachable: UnreachableReference | None
+    other_weights: bool
+    identified: IdentifiedFeedforward | None = None
+    rmse_of_mean: float | None = None
+    timings: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """All gains after the tuning by name, internal units."""
+        return {name: float(gain(self.tuned.loop, name)) for name in gains(self.tuned.loop)}
+
+    @property
+    def margins(self) -> Margins:
+        """Stability margins with the tuned gains."""
+        return self.tuned.margins
+
+
+class _Timer:
+    """Wall time of each part of the tuning, and the display of its phases."""
+
+    def __init__(self, progress: PhasesAndSteps):
+        self.progress, self.timings = progress, {}
+
+    @contextmanager
+    def part(self, name: str, phase: str = "") -> Iterator[None]:
+        """Show a phase, and add the wall time of the context to a part."""
+        if phase:
+            self.progress.phase(phase)
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.timings[name] = self.timings.get(name, 0.0) + time.perf_counter() - begin
+
+
+def tune_controller(
+    rig: Rig, settings: ControllerFile, *, seed: int | None = None, progress: PhasesAndSteps | None = None
+) -> ControllerTuning:
+    """Tune the gains of a controller for a rig, and check them.
+
+    A feedforward is identified first. A reference that the rig cannot follow is clipped to what it reaches. The gains
+    are searched again with more starts, more weight of the effort or the draws that fail, if they are not good enough.
+
+    Args:
+        rig: The rig.
+        settings: The content of a controller file for this rig.
+        seed: Seed of all random numbers; by default that of the file.
+        progress: Receives the phases and steps; nothing is shown by default.
+
+    Returns:
+        The gains with their metrics, margins and checks, and those of the start.
+
+    Raises:
+        InputError: if the fit of [robust] cannot be read, the channel falls with the command, the feedforward cannot be
+            identified, or there is no objective.
+        NumericsError: if no gains have a finite cost.
+    """
+    progress = Progress(quiet=True) if progress is None else progress
+    timer, seed = _Timer(progress), settings.seed if seed is None else seed
+    with timer.part("read"):
+        draws = draw_parameters(rig, settings, seed)
+    settings, identified = _with_feedforward(settings, timer)
+    file_weights = settings.weights
+    with timer.part("start", "evaluating the start gains"):
+        reachable = reachable_range(settings.system, settings.loop, settings.scenario, settings.limits)
+        _check_channel(rig, settings)
+        unreachable = unreachable_reference(settings, reachable)
+        if unreachable is not None:
+            settings = replace(settings, scenario=clip_reference(settings.scenario, reachable))
+        start = evaluate_gains(settings, _start_gains(settings))
+    with timer.part("tune", "tuning"):
+        problem = _problem(settings, draws, seed)
+        result, tuned, weights = search_gains(settings, problem, reachable, seed, progress)
+        settings = replace(settings, weights=weights)
+    other_weights = weights is not file_weights
+    with timer.part("check", "checking"):
+        gain_sets = {"start": _start_gains(settings), "tuned": result.gains} if draws else {}
+        checks = {stage: check_draws(settings, values, draws) for stage, values in gain_sets.items()}
+    if checks:
+        with timer.part("tune"):
+            result, checks, is_start = _checked_gains(settings, problem, result, checks, draws, seed, progress)
+        other_weights, tuned = other_weights and not is_start, evaluate_gains(settings, result.gains)
+    inputs = (rig, settings, file_weights, seed)
+    behaviour = (start, tuned, result.rollouts, checks, reachable, unreachable, other_weights, identified)
+    return ControllerTuning(*inputs, *behaviour, _rmse_of_mean(settings, tuned), timer.timings)
+
+
+def draw_parameters(rig: Rig, settings: ControllerFile, seed: int) -> dict[str, Float[np.ndarray, " draws"]]:
+    """Draw the uncertain parameters; the number is the larger of ``robust.draws`` and ``robust.check``.
+
+    Args:
+        rig: The rig.
+        settings: The content of a controller file.
+        seed: Seed of the random numbers.
+
+    Returns:
+        Samples by name, internal units, shape ``(count,)`` each; empty without [robust].
+
+    Raises:
+        InputError: if the folder of the fit has no fit, or one without intervals.
+    """
+    robust = settings.robust
+    if robust is None:
+        return {}
+    count = max(robust.draws, robust.check)
+    rng = np.random.default_rng([seed, _DRAWS_STREAM])
+    draws: dict[str, np.ndarray] = {}
+    if robust.fit is not None:
+        names = list(parameters.all_declarations(rig.plant))
+        try:
+            draws = draw_from_fit(read_json(robust.fit, "fit.json"), names, count, rng)
+        except InputError as error:
+            raise InputError(f"{settings.place}: robust.fit: {error}") from None
+    return draws | draw_from_ranges(robust.vary, count, rng)
+
+
+def unreachable_reference(settings: ControllerFile, reachable: ReachableRange) -> UnreachableReference | None:
+    """Return the reference if the rig cannot follow it; ``None`` if it can.
+
+    Args:
+        settings: The content of a controller file.
+        reachable: Range of the channel that the rig reaches.
+    """
+    reference = np.asarray(settings.scenario.reference)
+    initial = float(settings.scenario.initial_reference)
+    tolerance = _REACH_TOLERANCE * max(float(np.ptp(np.append(reference, initial))), _MIN_SPAN)
+    if reachable.lower - tolerance <= reference.min() and reference.max() <= reachable.upper + tolerance:
+        return None
+    stress = value_at_rest(settings, "stress")
+    return UnreachableReference(
+        lower=float(reference.min()),
+        upper=float(reference.max()),
+        reachable=reachable,
+        limited=any(k in settings.limits for k in ("temperature", "stress", "current"))
+        or settings.loop.temperature_limiter is not None,
+        stress_at_rest=stress if stress > settings.limits.get("stress", math.inf) else None,
+        clipped=clip_reference(settings.scenario, reachable) is not settings.scenario,
+    )
+
+
+def _with_feedforward(settings: ControllerFile, timer: _Timer) -> tuple[ControllerFile, IdentifiedFeedforward | None]:
+    """The settings with the controller's feedforward, and its fit."""
+    if settings.feedforward is None:
+        return settings, None
+    with timer.part("feedforward", "fitting the feedforward to a slow loop"):
+        max_temperature = settings.limits.get("temperature", math.inf)
+        identified = identify_feedforward(settings.system, settings.loop, settings.feedforward, max_temperature)
+        controller = with_inverse(settings.loop.controller, identified.inverse)
+        loop = eqx.tree_at(lambda closed_loop: closed_loop.controller, settings.loop, controller)
+    return replace(settings, loop=loop), identified
+
+
+def _check_channel(rig: Rig, settings: ControllerFile) -> None:
+    """Refuse a channel that decreases while the wire is heated."""
+    channel, coordinate = settings.loop.channel, rig.plant.mechanism.coordinate
+    if channel != coordinate and falls_when_heated(settings.system, settings.loop):
+        raise InputError(
+            f"{settings.place}: controller.channel: {channel} falls while the wire is heated, and no gain is negative: "
+            f"control {coordinate}"
+        )
+
+
+def _start_gains(settings: ControllerFile) -> dict[str, float]:
+    """The free gains of the file."""
+    return {name: float(gain(settings.loop, name)) for name in settings.bounds}
+
+
+def _problem(settings: ControllerFile, draws: Mapping[str, np.ndarray], seed: int) -> TuningProblem:
+    """The tuning problem on the first draws."""
+    robust = settings.robust
+    members = {n: v[: robust.draws] for n, v in draws.items()} if robust else {}
+    noise = noise_draws(settings.loop, settings.scenario, robust.draws if robust else NOISE_DRAWS, seed)
+    # Gains that are limited, or tuned for several plants, are evaluated as they are.
+    spread = 0.0 if settings.limits or settings.settle or robust else GAIN_SPREAD
+    return TuningProblem.of(settings.system, settings.loop, settings.scenario, settings.bounds, members, noise, spread)
+
+
+def _checked_gains(
+    settings: ControllerFile,
+    problem: TuningProblem,
+    result: TuningResult,
+    checks: dict[str, DrawChecks],
+    draws: Mapping[str, np.ndarray],
+    seed: int,
+    progress: PhasesAndSteps,
+) -> tuple[TuningResult, dict[str, DrawChecks], bool]:
+    """Gains that fail on fewer draws, their checks, and whether they are the start gains."""
+    checked = checks["tuned"]
+    if checked.failing:
+        result, checked = retune_on_failing_draws(settings, problem, result, checks, draws, seed, progress)
+    # Gains that were tuned for some draws may be worse on the others.
+    if len(checks["start"].failing) < len(checked.failing):
+        return result._replace(gains=_start_gains(settings)), checks | {"tuned": checks["start"]}, True
+    return result, checks | {"tuned": checked}, False
+
+
+def _rmse_of_mean(settings: ControllerFile, tuned: GainEvaluation) -> float | None:
+    """RMS error with the tuned gains under the mean of the pulses; ``None`` without a carrier."""
+    if settings.system.carrier is None:
+        return None
+    values = {name: float(gain(tuned.loop, name)) for name in settings.bounds}
+    return evaluate_gains(replace(settings, system=settings.system.without_carrier()), values).metrics["rmse"]
