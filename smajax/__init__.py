@@ -19,48 +19,90 @@ if TYPE_CHECKING:
     from smajax.api.fit import FitStudy, Parameter, fit
     from smajax.api.load import load
     from smajax.api.predict import PredictionStudy, predict
+    from smajax.api.properties import PropertiesStudy, thermal_cycle_properties
+    from smajax.api.registration import register
     from smajax.api.study import Study
     from smajax.api.sweep import SweepStudy, sweep
-    from smajax.errors import Cancelled, InputError, NumericsError
+    from smajax.api.tune import TuningStudy, tune
+    from smajax.control import controllers
+    from smajax.control.loop.closed_loop import ClosedLoop
+    from smajax.control.loop.rollout import Rollout, Scenario, rollout
+    from smajax.errors import Cancelled, DerivativeError, InputError, NumericsError
     from smajax.files.rig_file import Rig, read_rig
     from smajax.plant import effects, materials, mechanisms
+    from smajax.plant.coil import Coil
+    from smajax.plant.convection import PolynomialConvection, PowerLawConvection
+    from smajax.plant.drive import CurrentDrive, DutyDrive, NoDrive, PowerDrive, VoltageDrive
+    from smajax.plant.heat import PrescribedTemperature
     from smajax.plant.plant import Plant
+    from smajax.plant.sensor import Sensor
+    from smajax.plant.wire import Environment, Initial, Wire
     from smajax.progress import ProgressEvent
     from smajax.recordings.read import read_recording
     from smajax.recordings.recording import Recording
     from smajax.simulation.inputs import Inputs, discretise
+    from smajax.simulation.plant_functions import init, observe, step
     from smajax.simulation.run import Simulation, simulate
+    from smajax.simulation.status import SimulationStatus
 
-# Module of each public name, by name; a room stands for itself.
+# Module of each public name; a name that is a room stands for the module itself.
 _MODULES = {
     "Cancelled": "smajax.errors",
+    "ClosedLoop": "smajax.control.loop.closed_loop",
+    "Coil": "smajax.plant.coil",
     "ComparisonStudy": "smajax.api.compare",
+    "CurrentDrive": "smajax.plant.drive",
+    "DerivativeError": "smajax.errors",
     "DiagnosisStudy": "smajax.api.diagnose",
+    "DutyDrive": "smajax.plant.drive",
+    "Environment": "smajax.plant.wire",
     "FitStudy": "smajax.api.fit",
+    "Initial": "smajax.plant.wire",
     "InputError": "smajax.errors",
     "Inputs": "smajax.simulation.inputs",
+    "NoDrive": "smajax.plant.drive",
     "NumericsError": "smajax.errors",
     "Parameter": "smajax.api.fit",
     "Plant": "smajax.plant.plant",
+    "PolynomialConvection": "smajax.plant.convection",
+    "PowerDrive": "smajax.plant.drive",
+    "PowerLawConvection": "smajax.plant.convection",
     "PredictionStudy": "smajax.api.predict",
+    "PrescribedTemperature": "smajax.plant.heat",
     "ProgressEvent": "smajax.progress",
+    "PropertiesStudy": "smajax.api.properties",
     "Recording": "smajax.recordings.recording",
     "Rig": "smajax.files.rig_file",
+    "Rollout": "smajax.control.loop.rollout",
+    "Scenario": "smajax.control.loop.rollout",
+    "Sensor": "smajax.plant.sensor",
     "Simulation": "smajax.simulation.run",
+    "SimulationStatus": "smajax.simulation.status",
     "Study": "smajax.api.study",
     "SweepStudy": "smajax.api.sweep",
+    "TuningStudy": "smajax.api.tune",
+    "VoltageDrive": "smajax.plant.drive",
+    "Wire": "smajax.plant.wire",
     "compare": "smajax.api.compare",
     "diagnose": "smajax.api.diagnose",
     "discretise": "smajax.simulation.inputs",
     "fit": "smajax.api.fit",
+    "init": "smajax.simulation.plant_functions",
     "load": "smajax.api.load",
+    "observe": "smajax.simulation.plant_functions",
     "predict": "smajax.api.predict",
     "read_recording": "smajax.recordings.read",
     "read_rig": "smajax.files.rig_file",
+    "register": "smajax.api.registration",
+    "rollout": "smajax.control.loop.rollout",
     "simulate": "smajax.simulation.run",
+    "step": "smajax.simulation.plant_functions",
     "sweep": "smajax.api.sweep",
+    "thermal_cycle_properties": "smajax.api.properties",
+    "tune": "smajax.api.tune",
 }
 _ROOMS = {
+    "controllers": "smajax.control.controllers",
     "effects": "smajax.plant.effects",
     "materials": "smajax.plant.materials",
     "mechanisms": "smajax.plant.mechanisms",
@@ -68,35 +110,63 @@ _ROOMS = {
 
 __all__ = [
     "Cancelled",
+    "ClosedLoop",
+    "Coil",
     "ComparisonStudy",
+    "CurrentDrive",
+    "DerivativeError",
     "DiagnosisStudy",
+    "DutyDrive",
+    "Environment",
     "FitStudy",
+    "Initial",
     "InputError",
     "Inputs",
+    "NoDrive",
     "NumericsError",
     "Parameter",
     "Plant",
+    "PolynomialConvection",
+    "PowerDrive",
+    "PowerLawConvection",
     "PredictionStudy",
+    "PrescribedTemperature",
     "ProgressEvent",
+    "PropertiesStudy",
     "Recording",
     "Rig",
+    "Rollout",
+    "Scenario",
+    "Sensor",
     "Simulation",
+    "SimulationStatus",
     "Study",
     "SweepStudy",
+    "TuningStudy",
+    "VoltageDrive",
+    "Wire",
     "__version__",
     "compare",
+    "controllers",
     "diagnose",
     "discretise",
     "effects",
     "fit",
+    "init",
     "load",
     "materials",
     "mechanisms",
+    "observe",
     "predict",
     "read_recording",
     "read_rig",
+    "register",
+    "rollout",
     "simulate",
+    "step",
     "sweep",
+    "thermal_cycle_properties",
+    "tune",
 ]
 
 

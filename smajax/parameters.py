@@ -9,6 +9,7 @@ number that sets several leaves, such as ``heat.capacity`` for a capacity that d
 import dataclasses
 import inspect
 import math
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any, get_args, get_type_hints
 
@@ -19,6 +20,10 @@ import numpy as np
 
 from smajax.errors import InputError, suggestion
 from smajax.units import as_text
+
+# All of smajax needs double precision. JAX is switched to it here, on import, unless the environment says otherwise.
+if "JAX_ENABLE_X64" not in os.environ:
+    jax.config.update("jax_enable_x64", True)
 
 TIES: Mapping[str, tuple[str, ...]] = {
     "heat.capacity": ("heat.capacity_austenite", "heat.capacity_martensite"),
@@ -63,12 +68,12 @@ def require_x64() -> None:
     """Check that JAX computes in double precision.
 
     Raises:
-        InputError: If it does not.
+        InputError: If it was switched off.
     """
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise InputError(
             "JAX computes in single precision and smajax needs double precision: call "
-            'jax.config.update("jax_enable_x64", True) before making arrays, or set JAX_ENABLE_X64=1'
+            'jax.config.update("jax_enable_x64", True) before making arrays, and leave JAX_ENABLE_X64 unset or 1'
         )
 
 

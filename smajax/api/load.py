@@ -21,7 +21,8 @@ from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 
 _STUDIES: dict[str, type[Study]] = {
-    study.command: study for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy, PropertiesStudy, TuningStudy)
+    study.command: study
+    for study in (PredictionStudy, FitStudy, DiagnosisStudy, ComparisonStudy, PropertiesStudy, TuningStudy)
 }
 # Suffixes of files that are kept as text; others are copied when the study is saved again.
 _TEXTS = (".toml", ".json", ".h")

@@ -7,11 +7,12 @@ import equinox as eqx
 
 from smajax.errors import InputError
 from smajax.files.parameter_names import owners
-from smajax.files.rig_kinds import KINDS, Stages, parts_of, rig_phrase
+from smajax.files.rig_kinds import Stages, rig_phrase
 from smajax.files.rig_schema import FitSection, RigSection
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
 from smajax.plant.coil import Coil
+from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.wire import AbstractWire, Wire
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
@@ -67,7 +68,9 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
             continue
         choices = {words: part for other, part, words in owners() if other == section}
         if section not in stages.parts:
-            kinds = [f'kind = "{kind}"' for kind, mechanism in KINDS.items() if section in parts_of(mechanism)]
+            kinds = [
+                f'kind = "{kind}"' for kind, mechanism in MECHANISMS.items() if section in mechanism.rig_sections()
+            ]
             cure = f", or set {' or '.join(kinds)} under [rig]" if kinds else ""
             raise InputError(f"[{section}] does not apply to {rig_phrase(stages.kind)}: remove it{cure}")
         key = next(key for key in content if key not in stages.keys(section))

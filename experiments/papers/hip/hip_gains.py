@@ -148,9 +148,9 @@ def simulate_response(
         filter_time: Filter time of the derivative, s.
     """
     value = np.asarray(simulate_gains(problem, gains_by_name(gains, filter_time)).channels["angle"])[0]
-    return metrics.step_responses(
-        value, np.asarray(problem.reference.values), problem.jumps, problem.loop.period
-    )[0], value
+    return metrics.step_responses(value, np.asarray(problem.reference.values), problem.jumps, problem.loop.period)[
+        0
+    ], value
 
 
 def simulate_named(problem: TuningProblem, gains: Mapping[str, Any]) -> metrics.StepResponse:

@@ -30,7 +30,7 @@ from smajax.control.tuning.tune import TuningResult
 from smajax.errors import InputError
 from smajax.files.result_folder import read_json
 from smajax.files.rig_file import Rig
-from smajax.progress import PhasesAndSteps
+from smajax.progress import PhasesAndSteps, Reporter
 
 # Key of the random stream of the draws, which makes it independent of other streams with the same seed.
 _DRAWS_STREAM = 7
@@ -151,7 +151,7 @@ def tune_controller(
             identified, or there is no objective.
         NumericsError: if no gains have a finite cost.
     """
-    progress = Progress(quiet=True) if progress is None else progress
+    progress = Reporter() if progress is None else progress
     timer, seed = _Timer(progress), settings.seed if seed is None else seed
     with timer.part("read"):
         draws = draw_parameters(rig, settings, seed)
