@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from smajax.api.run_record import Clock, run_record
+from smajax.api.saved_files import saved_files
 from smajax.api.study import FileContent, Study
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.result_folder import check_output_folder
@@ -331,8 +332,6 @@ def load_sweep(folder: Path, run: Mapping[str, Any], document: Mapping[str, Any]
         document: The document sweep.json.
         note: Sentence for the user.
     """
-    from smajax.api.load import saved_files
-
     return SweepStudy(
         document=document,
         run=run,
