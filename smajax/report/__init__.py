@@ -1,7 +1,8 @@
 """Presentation of results: documents (JSON), summaries for the terminal, figures, and report pages that open offline.
 
-``fit_document``, ``comparison_document`` and ``diagnosis`` build result documents; ``summary`` and the ``text``
-functions format them for a terminal. ``prediction`` is the table of measured and predicted rows. Figures are plain
-dictionaries for plotly (``figures``, ``sweep_plots`` and the ``*_figures`` modules); ``pages`` and ``run_pages`` build
-HTML pages, and ``rebuild`` builds the page of a finished run again from its folder. Nothing here simulates or fits.
+``documents`` has the model of each result document and reads the one of a folder; ``fit_document``, ``diagnosis`` and
+the other ``*_document`` modules build them. ``summaries`` has the summary of each command's document for a terminal,
+``result_figures`` its main figure, and ``rebuild`` its page, also of a finished run from its folder. ``prediction`` is
+the table of measured and predicted rows. Figures are plotly's own (``figures``, ``sweep_plots`` and the ``*_figures``
+modules); ``pages`` has the parts of an HTML page. Nothing here simulates or fits.
 """

@@ -1,5 +1,7 @@
 """Figures of a diagnosis: autocorrelation of the residual, and the nonparametric term."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Mapping
 from html import escape
 from typing import Any

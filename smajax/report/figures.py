@@ -6,6 +6,8 @@ is lost, and the caption says so; prediction.csv has all rows. In a figure of ma
 ``parameter_figures`` and ``diagnosis_figures``.
 """
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Figures of the uncertainty of parameters: profile likelihoods and correlations."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Sequence
 from html import escape
 

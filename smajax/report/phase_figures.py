@@ -1,5 +1,7 @@
 """Figures of one channel against another: hysteresis loops over temperature, stress and force over strain."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 import plotly.graph_objects as go
 
 from smajax.channels import channel_of

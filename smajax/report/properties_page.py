@@ -1,5 +1,7 @@
 """Figure and page of ``smajax properties``: strain against temperature with the transformation temperatures."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any

@@ -1,5 +1,7 @@
 """The main figure of each command's result, a function of its document and of its predictions."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

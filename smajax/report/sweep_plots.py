@@ -1,5 +1,7 @@
 """Figures of a sweep: the trade-off between two metrics, all designs across all axes, and sensitivities."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any

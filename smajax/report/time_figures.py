@@ -1,5 +1,7 @@
 """Figures over time: measurement and model, several models, closed-loop responses."""
 
+from __future__ import annotations  # plotly loads its classes when a figure is made
+
 from collections.abc import Mapping, Sequence
 
 import plotly.graph_objects as go
