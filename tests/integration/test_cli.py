@@ -23,10 +23,10 @@ from smajax.files.rig_file import read_rig
 from smajax.progress import Progress
 from smajax.recordings import datasets, read
 from smajax.recordings.recording import Recording
+from smajax.report.documents import FitDocument
 from smajax.simulation.run import simulate
 from smajax.sweeps.sweep_file import read_sweep
 from tests.conftest import ROOT
-from tests.unit.report.test_report import SCHEMA, violations
 
 LIMBS = ("elbow", "wrist", "glove-finger")
 COILS = ("coil-dead-weight", "coil-bias-spring", "coil-antagonistic", "hip")
@@ -165,7 +165,7 @@ def test_a_fit_leaves_a_whole_folder_and_a_summary(bench, fitted):
         "fit.json", "fit.toml", "prediction.csv", "report.html", "rig-fitted.toml", "rig.toml", "run.json"
     }  # fmt: skip
     document = json.loads((out / "fit.json").read_text())
-    assert violations(document, SCHEMA) == []
+    FitDocument.check(document)
     assert list(document["parameters"]) == FREE
     for name, truth in zip(FREE, (104.0, 0.0415), strict=True):
         entry = document["parameters"][name]
@@ -273,7 +273,7 @@ def test_ctrl_c_keeps_the_best_point(bench, fitted, monkeypatch):
     )
     assert result.exit_code == 130, result.output
     document = json.loads((bench / "stopped" / "fit.json").read_text())
-    assert violations(document, SCHEMA) == []
+    FitDocument.check(document)
     assert document["solver"]["code"] == "interrupted"
     assert document["solver"]["steps"] == 1
     assert "the best point so far is kept" in result.stderr
@@ -324,7 +324,7 @@ def test_a_failed_fit_is_code_3_with_the_reason_in_the_result(bench, tmp_path):
     result = smajax("fit", tmp_path / "runaway.toml", bench / "train.csv", "--out", tmp_path / "out", "--json")
     assert result.exit_code == 3
     document = json.loads(result.stdout)
-    assert violations(document, SCHEMA) == []
+    FitDocument.check(document)
     assert document["solver"]["code"] == "failed"
     assert "at the start values" in document["solver"]["text"]
     assert document["rmse"]["displacement"] == {"train": None, "holdout": None, "unit": "mm"}
