@@ -1,6 +1,6 @@
 """``controller.json``: a tuned controller, for programs other than smajax."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -71,12 +71,18 @@ class ControllerDocument(Document):
     blind_s: float = Field(
         description="time for which the channel, or a temperature, may be missing before the command is 0, s"
     )
-    derivative_on: str = Field(description="signal of which the derivative is taken: error or measurement")
     gains: dict[str, GainValue] = Field(description="gains by name")
+    derivative_on: str | None = Field(
+        None, description="signal of which the derivative is taken: error or measurement; absent without a derivative"
+    )
     least: float | None = Field(None, description="smallest value of 1 + kb y of a BPID; absent for others")
     leave: float | None = Field(None, description="exit factor of a PPID; absent for others")
     law: str | None = Field(None, description="adaptation law of an adaptive PID; absent for others")
     growth: float | None = Field(None, description="bound of an adaptive PID's gains, as a multiple of their start")
+    state: list[str] | None = Field(
+        None, description="names of the numbers of the state, as in the C header; absent up to version 0.2.0"
+    )
+    constants: dict[str, Any] | None = Field(None, description="other constants of an own controller, by name")
     feedforward: FeedforwardInverse | None = Field(None, description="operator of a feedforward; absent without one")
     wires: list[float] | None = Field(None, description="largest commands of two wires, SI; absent for one wire")
     guard: Limiter | None = Field(None, description="temperature limiter; absent without one")
