@@ -7,7 +7,7 @@ import numpy as np
 
 from smajax.report import pages
 from smajax.report.figures import Picture
-from smajax.report.prediction import Series, split_label
+from smajax.report.prediction import Series
 from smajax.report.summary import table
 from smajax.report.time_figures import comparison_picture
 
@@ -118,13 +118,24 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     unit = pages.escape(pages.pretty_unit(doc["unit"]))
     sections.append(f"<p>RMSE in {unit}. The fit is defined as in MATLAB: 100 (1 - |y - model| / |y - mean|).</p>")
     for role in ("holdout", "train"):
-        by_model = {split_label(s.name)[1]: s for s in series if s.role == role}
-        ordered = {m["name"]: by_model[m["name"]] for m in doc["models"] if m["name"] in by_model}
-        sections.append(pages.add_picture(comparison_picture(ordered, doc["channel"], role), pictures))
+        picture = comparison_picture(series_by_model(doc, series, role), doc["channel"], role)
+        sections.append(pages.add_picture(picture, pictures))
     sections += _parameter_sections(doc)
     sections += pages.provenance_sections(run, rig, pages.recordings_table(doc["recordings"]))
     lead = f"Predictions of {doc['channel']} by several models."
     return pages.render_page(f"Comparison on {doc['rig']}", lead, sections, pictures)
+
+
+def series_by_model(doc: Mapping[str, Any], series: Sequence[Series], role: str) -> dict[str, Series]:
+    """Return the predictions of one recording by model, best first.
+
+    Args:
+        doc: The content of compare.json.
+        series: The predictions, named "RECORDING (MODEL)".
+        role: Role of the recording.
+    """
+    by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
+    return {m["name"]: by_model[m["name"]] for m in doc["models"] if m["name"] in by_model}
 
 
 def _parameter_sections(doc: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from smajax.report.comparison import series_by_model
 from smajax.report.prediction import Series
 from smajax.report.properties_page import cycles_picture
 from smajax.report.run_pages import simulated_channels
@@ -48,18 +49,6 @@ def figure_of_comparison(document: Document, series: Sequence[Series]) -> go.Fig
         series: The predictions, named "RECORDING (MODEL)".
     """
     return comparison_picture(series_by_model(document, series, "holdout"), document["channel"], "holdout").standalone()
-
-
-def series_by_model(document: Document, series: Sequence[Series], role: str) -> dict[str, Series]:
-    """Return the predictions of one recording by model, best first.
-
-    Args:
-        document: The content of compare.json.
-        series: The predictions, named "RECORDING (MODEL)".
-        role: Role of the recording.
-    """
-    by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
-    return {m["name"]: by_model[m["name"]] for m in document["models"] if m["name"] in by_model}
 
 
 def figure_of_tuning(document: Document, series: Sequence[Series]) -> go.Figure:
