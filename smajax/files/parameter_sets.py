@@ -88,12 +88,13 @@ def shipped_sets() -> list[str]:
     return sorted(path.stem for path in data_path("parameters").glob("*.toml"))
 
 
-def find_set(name: str, folder: Path | None = None) -> Path:
+def find_set(name: str, folder: Path | None = None, place: str = "parameter set ") -> Path:
     """Return the path of a parameter set.
 
     Args:
         name: Name of a shipped set, or the path of a file that ends in ``.toml``.
         folder: Folder to which a path is relative; the current one by default.
+        place: Text before the name in messages.
 
     Raises:
         InputError: If no shipped set has the name.
@@ -104,7 +105,7 @@ def find_set(name: str, folder: Path | None = None) -> Path:
     if name.endswith(".toml") or "/" in name:
         return (folder or Path()) / name
     choices = f"the shipped ones are {', '.join(shipped)}, and a file of your own ends in .toml"
-    raise InputError(f"there is no parameter set '{name}'{suggestion(name, shipped)}: {choices}")
+    raise InputError(f"{place}'{name}' is not known{suggestion(name, shipped)}: {choices}")
 
 
 def load_material(name: str | Path, model: str = "brinson", **values: float) -> AbstractMaterial:

@@ -45,8 +45,9 @@ def read_parameter_set(data: Mapping[str, Any], folder: Path) -> ParameterSet:
         return ParameterSet("", {})
     if not isinstance(name, str) or not name:
         raise InputError(f'rig.parameters = {show(name)} is not a name: write it like parameters = "my-wire.toml"')
+    path = find_set(name, folder, "rig.parameters = ")
     try:
-        entries = read_parameters(find_set(name, folder))
+        entries = read_parameters(path)
     except InputError as error:
         raise InputError(f"rig.parameters: {error}") from None
     per_recording = tuple(n for n in entries if "@" in n)

@@ -450,7 +450,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "set unknown": (
         DEAD,
         {"[rig]": '[rig]\nparameters = "no-such-wire"'},
-        "rig.parameters: there is no parameter set 'no-such-wire'",
+        "rig.parameters = 'no-such-wire' is not known",
     ),
     "set not a name": (
         DEAD,
