@@ -7,7 +7,7 @@ import numpy as np
 
 from smajax.report import pages
 from smajax.report.figures import Picture
-from smajax.report.prediction import Series
+from smajax.report.prediction import Series, split_label
 from smajax.report.summary import table
 from smajax.report.time_figures import comparison_picture
 
@@ -134,7 +134,7 @@ def series_by_model(doc: Mapping[str, Any], series: Sequence[Series], role: str)
         series: The predictions, named "RECORDING (MODEL)".
         role: Role of the recording.
     """
-    by_model = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in series if s.role == role}
+    by_model = {split_label(s.name)[1]: s for s in series if s.role == role}
     return {m["name"]: by_model[m["name"]] for m in doc["models"] if m["name"] in by_model}
 
 

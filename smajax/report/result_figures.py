@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from smajax.report.comparison import series_by_model
-from smajax.report.prediction import Series
+from smajax.report.prediction import Series, split_label
 from smajax.report.properties_page import cycles_picture
 from smajax.report.run_pages import simulated_channels
 from smajax.report.sweep import design_picture
@@ -37,7 +37,7 @@ def figure_of_diagnosis(document: Document, series: Sequence[Series]) -> go.Figu
         series: The predictions before and after, named "RECORDING (before)" and "RECORDING (after)".
     """
     shown = [s for s in series if s.role.startswith("holdout")] or list(series)
-    fits = {s.name.rpartition(" (")[2].removesuffix(")"): s for s in shown}
+    fits = {split_label(s.name)[1]: s for s in shown}
     return comparison_picture(fits, next(iter(document["rmse"])), "holdout").standalone()
 
 

@@ -25,7 +25,7 @@ from smajax.report.figures import (
     set_panel_title,
     thin_note,
 )
-from smajax.report.prediction import Series
+from smajax.report.prediction import Series, split_label
 
 _INPUT_COLOURS = (INPUT, "#7b4a94", "#8a6d1d", "#2f6f6f")
 # Weights of panels: of a channel (smaller if many are observed), of a residual, of the inputs, of the two panels of a
@@ -124,7 +124,7 @@ def comparison_picture(series: Mapping[str, Series], channel: str, role: str) ->
     set_panel_title(layout, 1, "measured - model", panels)
     caption = "Grey is measured. Click a name to show or hide a model; below, the residual of each model."
     caption += thin_note(len(first.time), thinned, MAX_POINTS_OF_MANY)
-    title = f"{first.name.rpartition(' (')[0]} ({role})"
+    title = f"{split_label(first.name)[0]} ({role})"
     return Picture(title, caption, go.Figure(data, layout), _COMPARISON_HEIGHT)
 
 
