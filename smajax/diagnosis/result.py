@@ -258,7 +258,7 @@ def effect_intervals(evaluator: CandidateEvaluator, refit: Refit) -> dict[str, t
     scale = problem.effect_parameters.scale
     return {
         name: (refit.values[name] - s * scale(name), refit.values[name] + s * scale(name))
-        for name, s in zip(free_parameters, half_width[-len(free_parameters) :], strict=True)
+        for name, s in zip(free_parameters, half_width[-len(free_parameters) :].tolist(), strict=True)
         if math.isfinite(s)
     }
 
