@@ -185,7 +185,7 @@ def test_text_from_files_is_escaped():
     document["recordings"] = [{**DOCUMENT["recordings"][0], "name": HOSTILE, "notes": [HOSTILE], "sha256": HOSTILE}]
     document["fixed"] = {HOSTILE: {"value": 1.0, "unit": "m", "source": HOSTILE}}
     run = RUN | {"argv": [HOSTILE], "machine": HOSTILE, "versions": {HOSTILE: HOSTILE}}
-    plain = Page(fit_page(changed(), [series()], RUN, ""))
+    plain = Page(fit_page(changed(), [series()], RUN, "[rig]"))
     page = Page(fit_page(document, [series(name=HOSTILE)], run, f"# {HOSTILE}"))
     assert len(page.scripts) == len(plain.scripts) == 3
     assert {tag for tag, _ in page.elements} == {tag for tag, _ in plain.elements}
