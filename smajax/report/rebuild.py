@@ -44,8 +44,7 @@ def rebuild_report(folder: Path) -> Path:
         InputError: If a file of the folder is missing or damaged.
     """
     run, document = read_run(folder), read_document(folder)
-    name = "sweep.parquet" if run.command == "sweep" else "prediction.csv"
-    data: Any = read_table(folder / name) if run.command == "sweep" else read_predictions(folder / name)
+    data = read_data(folder, run.command)
     try:
         # Thermal cycles need no rig.
         rig = "" if run.command == "properties" else (folder / "rig.toml").read_text("utf-8")
@@ -56,6 +55,28 @@ def rebuild_report(folder: Path) -> Path:
         page = PAGES[run.command](document.to_dict(), data, run.to_dict(), rig)
     except (LookupError, StopIteration, ValueError) as error:
         problem = f"it does not fit the document of the folder ({type(error).__name__} {error})"
-        raise InputError(f"{folder / name}: {problem}: run the command again") from None
+        raise InputError(f"{folder / data_file(run.command)}: {problem}: run the command again") from None
     replace_file(folder / "report.html", page)
     return folder / "report.html"
+
+
+def data_file(command: str) -> str:
+    """Return the name of the file with the data of a command's figures."""
+    return "sweep.parquet" if command == "sweep" else "prediction.csv"
+
+
+def read_data(folder: Path, command: str) -> Any:
+    """Read the data of a command's figures from a result folder.
+
+    Args:
+        folder: The result folder.
+        command: The command that wrote it.
+
+    Returns:
+        The recordings with their predictions; of a sweep the columns of its table by name.
+
+    Raises:
+        InputError: If the file is missing or damaged.
+    """
+    path = folder / data_file(command)
+    return read_table(path) if command == "sweep" else read_predictions(path)
