@@ -167,9 +167,9 @@ for role in ("train", "select", "holdout"):
 
 # %% [markdown]
 # An effect that is named here is one that these recordings support. Where others are listed as equally good, these
-# recordings cannot distinguish them, and the name must not be taken for the mechanism. The last lines of the summary say
-# what the diagnosis makes of the residual that remains: where it is still above the noise, the model still lacks
-# something, and the effect is a better description of these cycles rather than the whole truth.
+# recordings cannot distinguish them, and the name must not be taken for the mechanism. The summary also says what the
+# diagnosis makes of the residual that remains: where it is still above the noise, the model still lacks something, and
+# the effect is a better description of these cycles rather than the whole truth.
 
 # %% [markdown]
 # ## Tune
