@@ -123,8 +123,8 @@ class AbstractInputOutputModel(CheckedModule):
             values: Inputs at the rows.
 
         Raises:
-            InputError: The model is in discrete time, and the rows are not equally spaced. Under ``jax.jit`` that is an
-                error at run time.
+            InputError: The model is in discrete time, and the rows are not equally spaced. Under ``jax.jit``, where the
+                times are not known, the outputs are NaN instead.
         """
         if self.needs_even_rows:
             values = refuse_uneven_rows(time, values, type(self).__name__)

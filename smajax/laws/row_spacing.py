@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,23 +23,28 @@ def is_evenly_spaced(time: Any) -> bool:
 
 
 def refuse_uneven_rows(time: Any, values: jax.Array, name: str) -> jax.Array:
-    """Return the inputs of a model, with an error where its rows are not equally spaced.
+    """Return the inputs of a model whose rows are equally spaced.
 
     Args:
         time: Times of the rows (rows,), s.
-        values: Inputs (rows,). Traced ones carry the error to run time.
+        values: Inputs (rows,).
         name: Name of the model, for the message.
+
+    Returns:
+        The inputs; NaN where traced times turn out to be unequally spaced, so that no wrong output is returned.
 
     Raises:
         InputError: The times are known and not equally spaced.
     """
-    sentence = f"{name} is a model in discrete time and needs equally spaced rows: resample them (Recording.resample)"
     if isinstance(time, Tracer):
-        return eqx.error_if(values, ~(_largest_deviation(time, jnp) <= _ROUNDING), sentence)
-    if not is_evenly_spaced(time):
-        gaps = np.diff(np.asarray(time))
-        raise InputError(f"{sentence}; these are {gaps.min():.4g} to {gaps.max():.4g} s apart")
-    return values
+        return jnp.where(_largest_deviation(time, jnp) <= _ROUNDING, values, jnp.nan)
+    if is_evenly_spaced(time):
+        return values
+    gaps = np.diff(np.asarray(time))
+    raise InputError(
+        f"{name} is a model in discrete time and needs equally spaced rows: resample them (Recording.resample); these "
+        f"are {gaps.min():.4g} to {gaps.max():.4g} s apart"
+    )
 
 
 def _largest_deviation(time: Any, library: Any) -> Any:

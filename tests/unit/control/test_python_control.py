@@ -45,9 +45,11 @@ def test_margins(case):
     plant, controller = transfer_functions(*CASES[case])
     system, loop = sampled_loop(*CASES[case])
     margins = stability_margins(system, loop, Scenario.noiseless(np.ones(4000)))
-    gain, phase, distance = (control.stability_margins(controller * plant)[k] for k in range(3))
-    assert margins.phase == pytest.approx(phase, abs=1.5)
-    assert margins.sensitivity == pytest.approx(1.0 / distance, rel=0.02)
+    response = control.frd(controller * plant, np.geomspace(1e-3, 0.999 * np.pi / DT, 20_000))
+    gain, phase, distance = control.stability_margins(response)[:3]
+    # Ours take the nearest of their frequencies; near a sharp resonance the phase changes most between two of them.
+    assert margins.phase == pytest.approx(phase, abs=2.5 if case == "oscillating" else 0.5)
+    assert margins.sensitivity == pytest.approx(1.0 / distance, rel=0.03)
     assert margins.gain == pytest.approx(gain, rel=0.02)
 
 

@@ -336,6 +336,7 @@ def test_recordings_share_some_parameters_and_own_others():
         [0.0, 3e-4, -2e-4], abs=1e-5
     )
     assert [len(r.model["displacement"]) for r in result.responses] == [500, 420, 460]
+    assert result.simulations == 3 * result.steps * (1 + 5)  # each of the recordings, and the columns of its Jacobian
     assert float(result.plants[1].sensor.offset["displacement"]) == pytest.approx(3e-4, abs=1e-5)
 
 

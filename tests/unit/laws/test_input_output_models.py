@@ -112,8 +112,7 @@ def test_models_in_discrete_time_refuse_uneven_rows():
     for model in (curve, network()):
         with pytest.raises(InputError, match=rf"{type(model).__name__} is a model in discrete time .* 0.1 to 2.5 s"):
             compute_response(model, time, u)
-        with pytest.raises(Exception, match="needs equally spaced rows"):
-            jax.block_until_ready(eqx.filter_jit(compute_response)(model, time, u))
+        assert np.all(np.isnan(np.asarray(eqx.filter_jit(compute_response)(model, time, u))[3:]))
         if isinstance(model, Narx):
             with pytest.raises(InputError, match="Narx is a model in discrete time"):
                 model.predict_ahead(time, u, u, jnp.asarray(5))
