@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from smajax.api.run_record import Clock, run_record
+from smajax.api.run_record import INTERRUPTED, Clock, run_record
 from smajax.api.sources import as_rig, one_source, rig_text
 from smajax.api.study import Study
 from smajax.comparison.compare import compare_models
@@ -63,7 +64,8 @@ def compare(
     Raises:
         InputError: If a file or a name is not valid, or no model can be fitted to such input.
         NumericsError: If no model can be fitted.
-        Cancelled: If the callback stopped the comparison.
+        Cancelled: If the callback stopped the comparison before a model was fitted; later, the study has the models
+            before.
     """
     clock, reporter = Clock(), Reporter(progress)
     names = select_models(model_names() if models is None else models)
@@ -76,17 +78,22 @@ def compare(
         refuse_copies(recordings)
     seed = rig.fit.seed if seed is None else seed
     with clock.time("fit"):
-        results = compare_models(
-            rig, names, recordings, seed=seed, progress=lambda model: reporter.phase(f"fitting {model}")
-        )
+        report = partial(_report, reporter)
+        results = compare_models(rig, names, recordings, seed=seed, progress=report)
+    code = INTERRUPTED if len(results) < len(names) else 0
     reporter.phase("writing the report")
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),
         series=tuple(_series(rig.fit.observe[0], results, recordings)),
-        run=run_record("compare", rig.name, clock, seed, 0) | {"inputs": list(rig.plant.signals)},
+        run=run_record("compare", rig.name, clock, seed, code) | {"inputs": list(rig.plant.signals)},
         files={"rig.toml": text.encode()},
+        reason=f"interrupted: {', '.join(names[len(results) :])} not compared" if code else "",
         results=tuple(results),
     )
+
+
+def _report(reporter: Reporter, model: str) -> None:
+    reporter.phase(f"fitting {model}", can_stop=True)
 
 
 def _series(channel: str, results: Sequence[ModelResult], recordings: Sequence[Recording]) -> list[Series]:

@@ -50,7 +50,7 @@ def compare_models(
         for name in models:
             progress(name)
             results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
-    except STOP_SIGNALS:
+    except (*STOP_SIGNALS, Cancelled):
         if all(result.reason for result in results):
             raise Cancelled("the comparison was cancelled before a model was fitted") from None
     if all(result.reason for result in results):

@@ -39,6 +39,7 @@ def fit_input_output_model(
     Raises:
         InputError: If the recordings have no single driving input, or too few rows.
         NumericsError: If the fit fails.
+        KeyboardInterrupt: If the fit was interrupted.
     """
     inputs = driving_inputs(rig, name, recordings)
     if not any(np.any(recordings[0].channels[c]) for c in inputs):
@@ -56,6 +57,8 @@ def fit_input_output_model(
     series = [_to_series(r, inputs, channel) for r in resampled]
     starts = _STARTS if spec.weight_mask is None else _STARTS_OF_NETWORKS
     result = fit_io_model(spec, series[:1], starts=starts, seed=seed)
+    if result.interrupted:
+        raise KeyboardInterrupt  # ends the comparison with the models before this one
     responses = [result.respond(s) for s in series]
     predictions = (
         y if even is r else np.interp(r.time, even.time, y)

@@ -14,6 +14,7 @@ from smajax.files.documents import finite_or_none, is_undetermined
 from smajax.files.rig_file import Rig
 from smajax.fitting.fit import fit
 from smajax.fitting.io_models.problem import check_rows
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.result import Estimate
 from smajax.parameters import declarations
 from smajax.plant.materials.registry import MATERIALS
@@ -43,12 +44,15 @@ def fit_material_model(rig: Rig, name: str, recordings: Sequence[Recording], cha
     Raises:
         InputError: If the training recording has too few rows.
         NumericsError: If a simulation with the fitted parameters fails.
+        KeyboardInterrupt: If the fit was interrupted.
     """
     rig_with_law = with_material_law(rig, name)
     settings = cast(Any, dataclasses.replace(rig_with_law.fit, seed=seed))
     rows = sum(int(np.sum(np.isfinite(recordings[0].channels[c]))) for c in settings.observe)
     check_rows(recordings[0].name, rows, len(settings.names), name)
     result = fit(rig_with_law.plant, recordings[:1], settings, holdout=recordings[1:], interpolation=rig.interpolation)
+    if result.status is SolverStatus.interrupted:
+        raise KeyboardInterrupt  # ends the comparison with the models before this one
     failed = [r for r in result.responses if r.status is not SimulationStatus.done]
     if failed:
         values = ", ".join(f"{e.name} = {as_text(e.estimate, e.unit)}" for e in result.estimates)
