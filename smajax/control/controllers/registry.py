@@ -5,6 +5,7 @@ A registered class is known to controller.toml (``kind = "NAME"``), to the tunin
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from smajax.control.controllers.adaptive_pid import AdaptivePID
 from smajax.control.controllers.base import AbstractController, check_controller_class
@@ -26,7 +27,7 @@ _NOT_IN_FILES = ("pid-feedforward",)
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
-def register_controller(name: str, cls: type[AbstractController]) -> None:
+def register_controller(name: Any, cls: Any) -> None:
     """Make an own controller known under a name.
 
     Args:
@@ -59,8 +60,8 @@ def controller_class(name: str) -> type[AbstractController]:
         InputError: if there is no controller of that name.
     """
     if name not in _CONTROLLERS:
-        known = suggestion(name, _CONTROLLERS)
-        raise InputError(f"there is no controller '{name}'{known}: register it, or use {', '.join(_CONTROLLERS)}")
+        hint = suggestion(name, _CONTROLLERS)
+        raise InputError(f"there is no controller '{name}'{hint}: register it, or use {', '.join(_CONTROLLERS)}")
     return _CONTROLLERS[name]
 
 

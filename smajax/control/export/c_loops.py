@@ -44,6 +44,9 @@ def write_scan(writer: "CWriter", options: dict, inputs: list[CValue]) -> list[C
         The last carry, and the stacked results.
     """
     fixed, length, carries = options["num_consts"], options["length"], options["num_carry"]
+    if not length:
+        empty = [CValue("", (0, *a.aval.shape), "real", np.arange(0)) for a in options["jaxpr"].jaxpr.outvars[carries:]]
+        return inputs[fixed : fixed + carries] + empty
     carry = [_variable(writer, "carry", first) for first in inputs[fixed : fixed + carries]]
     rows = [writer.whole(value) if value.index is not None else value for value in inputs[fixed + carries :]]
     avals = [atom.aval for atom in options["jaxpr"].jaxpr.outvars[carries:]]

@@ -40,13 +40,13 @@ class CProgram:
     Attributes:
         static: Static numbers of the modules that are written.
         math: Functions of math.h that are used.
-        arrays: Definitions of constant arrays by their text.
+        arrays: Names of constant arrays by kind and text.
     """
 
     def __init__(self, static: StaticNumbers | None = None) -> None:
         self.static = static or StaticNumbers()
         self.math: set[str] = set()
-        self.arrays: dict[str, str] = {}
+        self.arrays: dict[tuple[Kind, str], str] = {}
 
     def array(self, values: np.ndarray, name: str = "") -> CValue:
         """Define a constant array, unless it is there already; return it.
@@ -58,15 +58,14 @@ class CProgram:
         kind = kind_of_dtype(values.dtype)
         flat = [constant_scalar(v).text for v in values.ravel()]
         text = f"[{len(flat)}] = {{{', '.join(flat)}}};"
-        if text not in self.arrays:
-            name = name or f"smajax_constants_{len(self.arrays) + 1}"
-            self.arrays[text] = name
-        return CValue(self.arrays[text], values.shape, kind, np.arange(values.size))
+        if (kind, text) not in self.arrays:
+            self.arrays[kind, text] = name or f"smajax_constants_{len(self.arrays) + 1}"
+        return CValue(self.arrays[kind, text], values.shape, kind, np.arange(values.size))
 
     @property
     def definitions(self) -> list[str]:
         """Lines that define the constant arrays."""
-        return [f"static const smajax_real {name}{text}" for text, name in self.arrays.items()]
+        return [f"static const {C_TYPES[kind]} {name}{text}" for (kind, text), name in self.arrays.items()]
 
 
 def c_body(
@@ -126,8 +125,6 @@ class CWriter(SourceWriter[CValue]):
         array = np.asarray(value)
         if array.size == 1:
             return self.literal(array, None)
-        if array.dtype.kind != "f":
-            raise InputError("constant arrays of integers or flags cannot be written in C yet: use numbers")
         return self.program.array(array)
 
     def literal(self, value: Any, equation: Any) -> CValue:
@@ -193,6 +190,12 @@ class CWriter(SourceWriter[CValue]):
             return [self.literal(number, None)]
         if (operand := simplified(kind, inputs)) is not None:
             return [operand._replace(shape=out.shape)]
+        if kind == "split":
+            places = np.arange(inputs[0].size).reshape(inputs[0].shape)
+            parts = np.split(places, np.cumsum(options["sizes"])[:-1], options["axis"])
+            return [inputs[0].view(part.shape, part) for part in parts]
+        if kind == "iota":
+            return [self.constant(equation.primitive.bind(**options))]
         self.program.math.update(math_functions(kind, options))
         result = self._elementwise(kind, options, inputs, noun, out)
         if result is None and kind in _REARRANGING:
@@ -220,6 +223,7 @@ class CWriter(SourceWriter[CValue]):
             form = elementwise(kind, options, inputs)
         if form is None:
             return None
+        inputs = [value.broadcast(out.shape) for value in inputs]
         if all(value.index is None for value in inputs) or out.size == 1:
             return self.scalar(noun, form.format(*(v.element(0) for v in inputs)), kind_out, out.shape, inputs)
         return self.array(noun, out.shape, kind_out, inputs, form.format)
@@ -241,12 +245,8 @@ class CWriter(SourceWriter[CValue]):
         if kind == "cumsum" and len(out.shape) == 1:
             groups = [np.arange(out.size)[::-1] if options["reverse"] else np.arange(out.size)]
             return self._running_sum(noun, inputs[0], groups[0])
-        if (
-            kind in ("concatenate", "stack")
-            and (kind == "concatenate" or not options["axis"])
-            and not options.get("dimension")
-        ):
-            return self._concatenated(noun, inputs, out)
+        if kind in ("concatenate", "stack"):
+            return self._joined(kind, options, noun, inputs, out)
         if kind == "dynamic_slice":
             return self._slice(inputs, options, out)
         return None
@@ -290,6 +290,13 @@ class CWriter(SourceWriter[CValue]):
             self.copy(CValue(name, part.shape, kind, begin + np.arange(part.size)), part)
             begin += part.size
         return CValue(name, out.shape, kind, np.arange(out.size), sources=_sources(parts))
+
+    def _joined(self, kind: str, options: dict, noun: str, parts: list[CValue], out: Any) -> CValue:
+        """Values joined along an axis: one after the other in an array, of which the result is a view."""
+        ends = np.cumsum([part.size for part in parts])
+        places = [np.arange(end - p.size, end).reshape(p.shape) for end, p in zip(ends, parts, strict=True)]
+        joined = np.stack(places, options["axis"]) if kind == "stack" else np.concatenate(places, options["dimension"])
+        return self._concatenated(noun, parts, out).view(out.shape, joined)
 
     def _slice(self, inputs: list[CValue], options: dict, out: Any) -> CValue | None:
         """A slice along the first axis from a computed place on; ``None`` for another slice."""

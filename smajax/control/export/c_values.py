@@ -62,6 +62,16 @@ class CValue(NamedTuple):
         times = counter if distance == 1 else f"{distance} * {counter}" if distance else ""
         return f"{self.text}[{_sum(self.offset, str(first) if first or not times else '', times)}]"
 
+    def broadcast(self, shape: tuple[int, ...]) -> "CValue":
+        """Return the value with its axes of length 1 repeated; a scalar stays one.
+
+        Args:
+            shape: Shape of the result.
+        """
+        if self.shape in ((), shape):
+            return self
+        return self.view(shape, np.broadcast_to(np.arange(self.size).reshape(self.shape), shape))
+
     def view(self, shape: tuple[int, ...], places: np.ndarray) -> "CValue":
         """Return some of the elements as a value of another shape.
 

@@ -1,0 +1,83 @@
+"""Registry of controllers, and what base classes say of incomplete subclasses."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+from smajax.control.controllers import PID, AbstractController, controller_class, register_controller
+from smajax.control.controllers.adaptive_pid import AdaptivePID
+from smajax.control.estimators import AbstractTemperatureEstimator
+from smajax.control.loop.gains import gains, with_gains
+from smajax.control.sampled_plant import AbstractSampledSystem
+from smajax.control.sensors import AbstractSensor
+from smajax.errors import InputError
+from smajax.parameters import parameter
+from tests.unit.control.test_control import pid
+
+
+class Plain(AbstractController):
+    """Proportional controller."""
+
+    kp: jax.Array = parameter("u/y", "proportional gain", 0.0)
+    lower: jax.Array = parameter("u", "least output", default=0.0)
+    upper: jax.Array = parameter("u", "largest output", default=1.0)
+    period: float = eqx.field(static=True, kw_only=True)
+
+    def reset(self, reference, value):
+        return jnp.zeros(())
+
+    def step(self, state, reference, value):
+        return state, jnp.clip(self.kp * (reference - value), self.lower, self.upper)
+
+
+def test_a_registered_class_is_found_by_its_name():
+    register_controller("plain-p", Plain)
+    register_controller("plain-p", Plain)  # as when a notebook's cell runs again
+    assert controller_class("plain-p") is Plain and controller_class("pid") is PID
+    with pytest.raises(InputError, match="there is no controller 'plain-q' .did you mean 'plain-p'"):
+        controller_class("plain-q")
+
+
+@pytest.mark.parametrize(
+    ("name", "cls", "sentence"),
+    [
+        ("pid", Plain, "the controller 'pid' is already smajax.control.controllers.pid.PID: rename yours"),
+        ("My Controller", Plain, "'My Controller' cannot be the name of a controller: use a-z, 0-9 and hyphens"),
+        ("number", 3, "3 is not a controller: give a class derived from"),
+        ("a-dict", dict, "is not a controller: give a class derived from"),
+        ("abstract", AbstractController, "it lacks lower, period, reset, step, upper"),
+    ],
+)
+def test_what_cannot_be_registered(name, cls, sentence):
+    with pytest.raises(InputError, match=sentence):
+        register_controller(name, cls)
+
+
+@pytest.mark.parametrize("base", [AbstractTemperatureEstimator, AbstractSampledSystem, AbstractSensor])
+def test_an_incomplete_subclass_says_what_is_missing(base):
+    class Incomplete(base):
+        def start(self):
+            return None
+
+    with pytest.raises(TypeError, match="abstract (class Incomplete.*method|attributes)"):
+        Incomplete()
+
+
+def test_two_gains_of_one_name_are_refused():
+    class Cascade(Plain):
+        inner: PID = None  # pyright: ignore[reportAssignmentType]
+
+    cascade = Cascade(jnp.asarray(1.0), inner=pid(), period=0.1)
+    with pytest.raises(InputError, match="two parts of the Cascade declare the gain 'kp': rename one of them"):
+        gains(cascade)
+
+
+@pytest.mark.parametrize("law", ["printed", "gradient"])
+def test_a_gain_that_starts_at_zero_cannot_adapt(law):
+    rates = (0.01, 0.0, 0.03)
+    with pytest.raises(InputError, match="kd starts at 0 and has the adaptation rate rate_d.*give kd a value above 0"):
+        AdaptivePID(pid(kd=0.0), *map(jnp.asarray, rates), law=law)
+    complete = AdaptivePID(pid(), *map(jnp.asarray, rates), law=law)
+    with pytest.raises(InputError, match="kp starts at 0"):
+        with_gains(complete, {"kp": 0.0}).check_gains()
