@@ -27,6 +27,7 @@ Quantities have units; those of the gains follow from the drive and the channel.
 sentence that names file and key.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -251,7 +252,15 @@ def _controller(
         if name in section and name not in cls.options():
             owners = " or ".join(f'"{kind}"' for kind, other in file_kinds().items() if name in other.options())
             raise InputError(f"controller.{name} belongs to kind = {owners}: take it out, or change the kind")
-    return cls.with_default_gains(output, period, **{name: section[name] for name in cls.options() if name in section})
+    defaults = {f.name: f.default for f in dataclasses.fields(cls)}
+    options = {name: section[name] for name in cls.options() if name in section}
+    for name, value in options.items():
+        default = defaults.get(name)
+        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+            options[name] = float(value)
+        elif isinstance(default, bool | int | float | str) and type(value) is not type(default):
+            raise InputError(f"controller.{name} = {show(value)} is not possible: give a value like {show(default)}")
+    return cls.with_default_gains(output, period, **options)
 
 
 def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str]) -> tuple[ClosedLoop, dict[str, str]]:

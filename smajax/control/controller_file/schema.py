@@ -50,7 +50,7 @@ def controller_section(data: Any) -> ControllerSection:
         InputError: for a wrong or unknown key or value.
     """
     kind = data.get("kind", "pid") if isinstance(data, dict) else None
-    own = controller_class(kind).options() if kind in file_kinds() else ()
+    own = controller_class(kind).options() if isinstance(kind, str) and kind in file_kinds() else ()
     if isinstance(data, dict):
         data = {name: value for name, value in data.items() if name in OPTIONS or name not in own}
     return validate(ControllerSection, data, "controller")

@@ -1,5 +1,6 @@
 """C functions with a state, written from JAX functions; ``c_header`` puts them together."""
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -267,17 +268,6 @@ def definition(meaning: str, result: str, name: str, parameters: Sequence[str], 
 
 
 def _is_used(parameter: str, body: Sequence[str]) -> bool:
-    """Whether a parameter occurs in the lines of a body."""
+    """Whether a parameter occurs in the lines of a body, other than as a member of the state."""
     name = parameter.split()[-1].lstrip("*").partition("[")[0]
-    return any(
-        name
-        in line.replace("->", " ")
-        .replace("[", " ")
-        .replace("(", " ")
-        .replace("&", " ")
-        .replace(";", " ")
-        .replace(",", " ")
-        .replace(")", " ")
-        .split()
-        for line in body
-    )
+    return any(re.search(rf"(?<!->)\b{name}\b", line) for line in body)

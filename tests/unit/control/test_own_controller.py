@@ -194,6 +194,7 @@ def test_an_operation_that_c_cannot_do_is_named():
     [
         (("leak = 0.999", "leek = 0.999"), "controller: leek is not known"),
         (("leak = 0.999", 'derivative_on = "value"'), "controller.derivative_on belongs to kind = "),
+        (("leak = 0.999", 'leak = "much"'), "controller.leak = 'much' is not possible: give a value like 1.0"),
         (('kind = "dead-band-pi"', 'kind = "dead-band"'), "'dead-band' is not known .did you mean 'dead-band-pi'"),
         (('kp = "30 A/m"\nki = "10 A/m/s"\n', ""), "holds no gain above 0|starts at 0|names no gain"),
     ],

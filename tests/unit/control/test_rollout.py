@@ -1,0 +1,207 @@
+"""The public rollout and loop: defaults, one period for all parts, status, and derivatives in both modes."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax.control.controllers.base import AbstractController
+from smajax.control.estimators.extended_kalman_filter import ExtendedKalmanFilter
+from smajax.control.estimators.thermal_observer import ThermalObserver, UnstableObserverError
+from smajax.control.loop import Allocation, ClosedLoop, Rollout, Scenario, TemperatureLimiter, rollout
+from smajax.control.loop.gains import with_gains
+from smajax.control.sampled_plant import SampledPlant
+from smajax.control.sensors import Instruments, ideal_sensor
+from smajax.control.sensors.sensor_model import SensorModel
+from smajax.control.tuning.problem import TuningProblem
+from smajax.errors import InputError, NumericsError
+from smajax.files.rig_file import read_rig
+from smajax.simulation.status import SimulationStatus
+from tests.conftest import ROOT
+from tests.unit.control.test_control import pid
+
+PERIOD = 0.1
+GAINS = {"kp": 60.0, "ki": 20.0}
+REFERENCE = np.full(25, 1.5e-3)
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return read_rig(ROOT / "data" / "recordings" / "dead-weight" / "rig.toml").plant
+
+
+@pytest.fixture(scope="module")
+def sampled(plant):
+    return SampledPlant.of(plant, PERIOD)
+
+
+def loop_of(dt=PERIOD, **options) -> ClosedLoop:
+    return ClosedLoop(pid(60.0, 20.0, 0.0, low=0.0, high=0.5, dt=dt), channel="displacement", **options)
+
+
+def test_a_plant_and_a_reference_are_enough(plant, sampled):
+    """The defaults are an exact sensor, no limiter, no allocation, and rest at the channel's own value."""
+    result = rollout(plant, loop_of(), REFERENCE)
+    rest = float(sampled.observe(sampled.start(), jnp.zeros(1))["displacement"])
+    explicit = rollout(
+        sampled, loop_of(allocation=Allocation(jnp.asarray(0.5), jnp.asarray(0.0))), Scenario.noiseless(REFERENCE, rest)
+    )
+    assert isinstance(result, Rollout) and result.command.shape == (25, 1)
+    np.testing.assert_array_equal(result.channels["displacement"], explicit.channels["displacement"])
+    assert int(result.status) == SimulationStatus.done and float(result.channels["displacement"][-1]) > 1e-4
+    assert float(jnp.max(rollout(plant, loop_of(limits=(0.0, 0.2)), REFERENCE).command)) == 0.2
+
+
+def test_two_wires_get_an_allocation_by_themselves():
+    plant = read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml").plant
+    controller = pid(3.0, 4.0, 0.0, low=-0.4, high=0.7, dt=PERIOD)
+    result = rollout(plant, ClosedLoop(controller, channel="angle"), np.radians([5.0, 5.0, -5.0, -5.0]))
+    assert result.command.shape == (4, 2) and float(result.command[0, 0]) > 0.0 and float(result.command[3, 1]) > 0.0
+    assert ClosedLoop(controller, channel="angle").for_wires(2).max_commands.tolist() == [0.7, 0.4]
+    one = ClosedLoop(controller, Allocation(jnp.asarray(0.7), jnp.asarray(0.0)), channel="angle")
+    with pytest.raises(InputError, match="the plant has 2 wires, and the loop is for 1"):
+        rollout(plant, one, np.zeros(3))
+
+
+def test_all_parts_have_one_period(plant, sampled):
+    other = pid(0.05, 0.0, 0.0, tf=0.0, low=0.0, high=0.5, dt=0.05)
+    cure = "and the controller one of 0.1 s: build both with the same period"
+    with pytest.raises(InputError, match=f"the temperature limiter has a period of 0.05 s, {cure}"):
+        loop_of(temperature_limiter=TemperatureLimiter(other, jnp.asarray(90.0)))
+    with pytest.raises(InputError, match=f"the instruments has a period of 0.05 s, {cure}"):
+        loop_of(instruments=Instruments({"temperature": ideal_sensor()}, 0.05))
+    observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.9, 1.0, 20.0, 0.2)), period=0.05)
+    with pytest.raises(InputError, match=f"the estimator has a period of 0.05 s, {cure}"):
+        loop_of(estimator=observer)
+    for run in (
+        lambda: rollout(SampledPlant.of(plant, 0.05), loop_of(), REFERENCE),
+        lambda: TuningProblem.of(
+            SampledPlant.of(plant, 0.05), loop_of(), Scenario.noiseless(REFERENCE), {"kp": (1.0, 100.0)}
+        ),
+    ):
+        with pytest.raises(InputError, match=f"the plant has a period of 0.05 s, {cure}"):
+            run()
+    with pytest.raises(InputError, match=f"the rollout has a period of 0.2 s, {cure}"):
+        rollout(plant, loop_of(), REFERENCE, period=0.2)
+    noisy = Instruments({"voltage": SensorModel(jnp.asarray(1e-3), jnp.asarray(0.0))}, 0.05)
+    with pytest.raises(
+        InputError, match="the plant of the filter has a period of 0.1 s, and the instruments one of 0.05 s"
+    ):
+        ExtendedKalmanFilter.of(sampled, noisy, {})
+
+
+def test_mistakes_are_named(plant):
+    with pytest.raises(InputError, match="the plant has no channel 'displacment' .did you mean 'displacement'"):
+        rollout(plant, ClosedLoop(pid(dt=PERIOD), channel="displacment"), REFERENCE)
+    with pytest.raises(InputError, match="the first command has to be below the second"):
+        loop_of(limits=(0.5, 0.1))
+    with pytest.raises(InputError, match="give one value for each sample"):
+        rollout(plant, loop_of(), 1e-3)
+    with pytest.raises(InputError, match="the number of steps in a period cannot depend on a traced plant: give step"):
+        jax.eval_shape(
+            lambda mass: rollout(eqx.tree_at(lambda p: p.mechanism.load.mass, plant, mass), loop_of(), REFERENCE), 0.2
+        )
+
+
+def test_a_failed_rollout_raises_or_carries_its_status(sampled):
+    """At 60 A the wire melts."""
+    loop = ClosedLoop(pid(1e6, 0.0, 0.0, low=0.0, high=60.0, dt=PERIOD), channel="displacement")
+    result = rollout(sampled, loop, REFERENCE, throw=False)
+    assert int(result.status) != SimulationStatus.done
+    with pytest.raises(NumericsError, match=SimulationStatus(int(result.status)).hint[:20]):
+        rollout(sampled, loop, REFERENCE)
+    batch = jax.vmap(
+        lambda high: rollout(
+            sampled, loop.__class__(loop.controller.with_limits(jnp.zeros(()), high), channel="displacement"), REFERENCE
+        )
+    )(jnp.asarray([0.3, 60.0]))
+    assert batch.status.shape == (2,) and int(batch.status[0]) == SimulationStatus.done
+    assert int(batch.status[1]) == int(result.status)
+
+
+def last_position(sampled):
+    def position(numbers):
+        system = sampled.with_parameters({"load.mass": numbers[1]})
+        return rollout(system, with_gains(loop_of(), {"kp": numbers[0]}), REFERENCE).channels["displacement"][-1]
+
+    return position
+
+
+def test_derivatives_in_both_modes_are_those_of_differences(sampled):
+    """With respect to a gain and a parameter of the plant, under jit; and the same from a plant that is not sampled."""
+    position, at = last_position(sampled), jnp.asarray([60.0, 0.2])
+    value = jax.jit(position)
+    steps = np.diag([1e-3, 1e-6])
+    central = np.array([(value(at + h) - value(at - h)) / (2.0 * np.sum(h)) for h in steps])
+    for derivative in (jax.jit(jax.grad(position)), jax.jit(jax.jacfwd(position))):
+        np.testing.assert_allclose(derivative(at), central, rtol=1e-4)
+    assert np.all(np.abs(central) > 1e-9)
+
+    def from_plant(mass):
+        plant = eqx.tree_at(lambda p: p.mechanism.load.mass, sampled.plant, mass)
+        return rollout(plant, loop_of(), REFERENCE, step=PERIOD / sampled.substeps).channels["displacement"][-1]
+
+    np.testing.assert_allclose(jax.jit(jax.grad(from_plant))(0.2), central[1], rtol=1e-4)
+
+
+def test_gains_are_batched_by_vmap(sampled):
+    gains = jnp.asarray([30.0, 60.0, 90.0])
+    batch = jax.vmap(lambda kp: rollout(sampled, with_gains(loop_of(), {"kp": kp}), REFERENCE))(gains)
+    for kp, values in zip(gains, batch.channels["displacement"], strict=True):
+        single = rollout(sampled, with_gains(loop_of(), {"kp": kp}), REFERENCE)
+        np.testing.assert_allclose(values, single.channels["displacement"], rtol=1e-9)
+    assert batch.status.tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("second", [jax.grad, jax.jacfwd])
+@pytest.mark.parametrize("first", [jax.grad, jax.jacfwd])
+def test_a_second_derivative_raises(sampled, first, second):
+    position = last_position(sampled)
+    with pytest.raises(InputError, match="can be differentiated once"):
+        second(lambda x: jnp.sum(first(position)(x)))(jnp.asarray([60.0, 0.2]))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "cause"),
+    [
+        ((12.0, -30.0, 1.0, 20.0, 0.2), "a2"),
+        ((12.0, -0.9, 1.0, 20.0, 30.0), "gain"),
+        ((12.0, -0.9, 2.0, 20.0, 30.0), "gain"),
+    ],
+)
+def test_an_unstable_observer_is_refused(numbers, cause):
+    with pytest.raises(
+        UnstableObserverError, match=f"the thermal observer's {cause} acts faster than its period of 0.1 s"
+    ) as raised:
+        ThermalObserver(*map(jnp.asarray, numbers), period=PERIOD)
+    assert raised.value.longest_period < PERIOD
+
+
+def test_a_nonlinear_observer_has_to_be_stable_up_to_the_limit():
+    limiter = TemperatureLimiter(pid(0.05, 0.0, 0.0, tf=0.0, low=0.0, high=0.5, dt=PERIOD), jnp.asarray(90.0))
+    observer = ThermalObserver(*map(jnp.asarray, (12.0, -0.1, 2.0, 20.0, 0.2)), period=PERIOD)
+    with pytest.raises(UnstableObserverError, match="a2 acts faster"):
+        loop_of(temperature_limiter=limiter, estimator=observer)
+    assert (
+        loop_of(temperature_limiter=limiter, estimator=dataclasses.replace(observer, a2=jnp.asarray(-0.01))).wires == 1
+    )
+
+
+def test_limits_of_a_controller_without_a_pid():
+    class Constant(AbstractController):
+        lower: jax.Array
+        upper: jax.Array
+        period: float = eqx.field(static=True)
+
+        def reset(self, reference, value):
+            return ()
+
+        def step(self, state, reference, value):
+            return state, self.upper
+
+    constant = Constant(jnp.zeros(()), jnp.asarray(0.3), PERIOD)
+    limited = constant.with_limits(jnp.asarray(0.1), jnp.asarray(0.2))
+    assert [float(v) for v in limited.limits] == [0.1, 0.2] and constant.constants() == {}
