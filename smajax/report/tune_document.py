@@ -12,6 +12,7 @@ from smajax.control.analysis.closed_loop_checks import (
     idle_error,
     violated_limits,
 )
+from smajax.control.analysis.instability import Instability
 from smajax.control.controller_file.read import ControllerFile
 from smajax.control.loop.gains import gain, gains, unit_of
 from smajax.control.tuning.feedforward_identification import IdentifiedFeedforward
@@ -21,6 +22,13 @@ from smajax.report import prediction
 from smajax.report.documents.tune import TuneDocument
 from smajax.report.tuning import format_metric, margin_words, stabilising_advice
 
+# Instabilities in words, by code.
+_INSTABILITIES = {
+    "not_finite": "the rollout has values that are not finite",
+    "diverging": "the loop diverges from its reference",
+    "changing_command": "the command keeps changing by {share:.0f} % of its range from sample to sample",
+    "oscillating": "the loop keeps oscillating about its reference by {share:.0f} % of the reference's span",
+}
 # Failures of draws in words, by the key of their number in the document.
 _DRAW_FAILURES = {
     "unstable": "are unstable",
@@ -105,7 +113,7 @@ def _gain_table(settings: ControllerFile, start: GainEvaluation, tuned: GainEval
 def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
     """Return the reasons why the result or the start is not usable."""
     settings, start, tuned = study.settings, study.start, study.tuned
-    problems = [f"the start gains are unstable: {start.unstable}"] if start.unstable else []
+    problems = [f"the start gains are unstable: {_instability_words(start.unstable)}"] if start.unstable else []
     if not start.unstable and start.margins.unstable:
         margins = margin_words(start.margins.gain, start.margins.phase)
         problems.append(f"the start gains are unstable, linearised along their rollout, with {margins}")
@@ -114,7 +122,7 @@ def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
         _limit_words(settings, name, tuned.metrics) for name in violated_limits(settings.limits, tuned.metrics)
     ]
     if tuned.unstable:
-        problems.append(f"the best gains are unstable: {tuned.unstable}")
+        problems.append(f"the best gains are unstable: {_instability_words(tuned.unstable)}")
     elif tuned.margins.unstable:
         margins = margin_words(tuned.margins.gain, tuned.margins.phase)
         advice = stabilising_advice(settings.settle)
@@ -133,6 +141,11 @@ def _problems(study: ControllerTuning, checks: Mapping[str, Any]) -> list[str]:
             "or raise robust.draws"
         )
     return problems
+
+
+def _instability_words(instability: Instability) -> str:
+    """Return a clause on why a rollout counts as unstable."""
+    return _INSTABILITIES[instability.code].format(share=100 * instability.share)
 
 
 def _limit_words(settings: ControllerFile, name: str, metrics: Mapping[str, float]) -> str:

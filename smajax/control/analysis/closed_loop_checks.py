@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from smajax.channels import numbered
-from smajax.control.analysis.instability import instability_reason
+from smajax.control.analysis.instability import Instability, instability_reason
 from smajax.control.analysis.margins import Margins, margins_of_draws, stability_margins, worst_margins
 from smajax.control.analysis.members import simulate_members
 from smajax.control.analysis.reachable_range import ReachableRange
@@ -69,7 +69,7 @@ class GainEvaluation:
         command: Commands, shape ``(n, wires)``.
         metrics: Metrics of the rollout in SI units and degC, by their names in tune.json.
         margins: Stability margins along the rollout without noise.
-        unstable: Why the gains count as unstable by their rollout without noise; empty if they do not.
+        unstable: Why the gains count as unstable by their rollout without noise; ``None`` if they do not.
     """
 
     loop: ClosedLoop
@@ -77,7 +77,7 @@ class GainEvaluation:
     command: np.ndarray
     metrics: dict[str, float]
     margins: Margins
-    unstable: str
+    unstable: Instability | None
 
 
 class DrawChecks(NamedTuple):
@@ -113,8 +113,8 @@ def evaluate_gains(task: ControlTask, gains: Mapping[str, float]) -> GainEvaluat
     return GainEvaluation(loop, channels, command, _rollout_metrics(task, channels, command), margins, reason)
 
 
-def _instability_of(task: ControlTask, quiet: Rollout, member: int) -> str:
-    """Why a member of a rollout without noise counts as unstable; empty if it does not."""
+def _instability_of(task: ControlTask, quiet: Rollout, member: int) -> Instability | None:
+    """Why a member of a rollout without noise counts as unstable; ``None`` if it does not."""
     lower, upper = task.loop.controller.limits
     command, value = np.asarray(quiet.command[member]), np.asarray(quiet.channels[task.loop.channel][member])
     return instability_reason(command, np.asarray(task.scenario.reference), value, float(upper) - float(lower))

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -24,13 +25,27 @@ _SUSTAINED = 0.7
 _DIVERGED = 3.0
 
 
+class Instability(NamedTuple):
+    """Why a rollout counts as unstable.
+
+    Attributes:
+        code: Whether it has values that are not finite, it diverges from its reference, its command keeps changing
+            from sample to sample, or it keeps oscillating about its reference.
+        share: Size of the changes as a share of the command's range, or of the oscillation as a share of the
+            reference's span; 0 for the other codes.
+    """
+
+    code: Literal["not_finite", "diverging", "changing_command", "oscillating"]
+    share: float = 0.0
+
+
 def instability_reason(
     command: Float[np.ndarray, "samples wires"],
     reference: Float[np.ndarray, " samples"],
     value: Float[np.ndarray, " samples"],
     command_range: float,
-) -> str:
-    """Return why a rollout without noise counts as unstable; empty if it does not.
+) -> Instability | None:
+    """Return why a rollout without noise counts as unstable; ``None`` if it does not.
 
     The command has to settle in the second half of each hold of the reference; if the reference has no holds, changes
     of the command that reverse its direction have to be small. In both cases the channel must not oscillate about the
@@ -42,16 +57,13 @@ def instability_reason(
         value: Controlled channel, shape ``(n,)``, unit of the reference.
         command_range: Largest minus smallest allowed command; if it is infinite, the largest absolute command of the
             rollout is used instead.
-
-    Returns:
-        A clause for a message, with the size of the oscillation.
     """
     if not (np.all(np.isfinite(value)) and np.all(np.isfinite(command))):
-        return "the rollout has values that are not finite"
+        return Instability("not_finite")
     span = float(np.ptp(np.append(reference, value[0]))) or 1.0
     last_quarter = slice(3 * len(value) // 4, None)
     if np.max(np.abs(value[last_quarter] - reference[last_quarter])) > _DIVERGED * span:
-        return "the loop diverges from its reference"
+        return Instability("diverging")
     size = command_range if math.isfinite(command_range) else float(np.max(np.abs(command)))
     change = np.diff(command, axis=0, prepend=command[:1])
     settled_rows = _second_halves(reference)
@@ -61,12 +73,10 @@ def instability_reason(
         change, settled_rows = np.where(reversals, change, 0.0), np.ones(len(value), bool)
     moves = float(np.sqrt(np.mean(change[settled_rows] ** 2))) / max(size, 1e-300)
     if moves > _MAX_MOVES:
-        return f"the command keeps changing by {100 * moves:.0f} % of its range from sample to sample"
+        return Instability("changing_command", moves)
     parts = _settled_parts(reference, holds)
     swing = max((_sustained_swing(reference[part], value[part], _MIN_SWING * span) for part in parts), default=0.0)
-    if not swing > 0.0:
-        return ""
-    return f"the loop keeps oscillating about its reference by {100 * swing / span:.0f} % of the reference's span"
+    return Instability("oscillating", swing / span) if swing > 0.0 else None
 
 
 def _settled_parts(reference: np.ndarray, holds: bool) -> Iterator[slice]:

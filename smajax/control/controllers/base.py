@@ -129,7 +129,7 @@ def check_controller_class(cls: Any) -> None:
         InputError: if it is no class derived from ``AbstractController``, or lacks methods or fields.
     """
     if not (inspect.isclass(cls) and issubclass(cls, AbstractController)):
-        raise InputError(f"{cls!r} is not a controller: give a class derived from smajax.control.AbstractController")
+        raise InputError(f"{cls!r} is not a controller: give a class derived from AbstractController")
     missing = sorted([*cls.__abstractmethods__, *cls.__abstractvars__])
     if missing:
         raise InputError(f"{cls.__name__} is not a complete controller: it lacks {', '.join(missing)}")
