@@ -16,6 +16,17 @@ from smajax.control.export.c_values import C_TYPES, CValue, constant_scalar, kin
 from smajax.control.export.named_leaves import leaf_names
 
 
+def number_text(number: float) -> str:
+    """Return a number as a C expression.
+
+    Args:
+        number: The number, which may be infinite.
+    """
+    if np.isfinite(number):
+        return f"(smajax_real){number!r}"
+    return "smajax_nan()" if np.isnan(number) else "smajax_infinity()" if number > 0.0 else "-smajax_infinity()"
+
+
 class Constants:
     """Numbers of a module by name: scalars as ``#define``, arrays as constant arrays.
 
@@ -53,7 +64,7 @@ class Constants:
             elif literal(name, float(array)):
                 self.values.append(constant_scalar(array))
             else:
-                self.defines.append(f"#define SMAJAX_{name.upper()} ((smajax_real){float(array)!r})")
+                self.defines.append(f"#define SMAJAX_{name.upper()} ({number_text(float(array))})")
                 self.values.append(CValue(f"SMAJAX_{name.upper()}", (), "real"))
 
     @property

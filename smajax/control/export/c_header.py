@@ -107,7 +107,8 @@ def _header(
     ]
     blind = f"#define SMAJAX_BLIND ((smajax_real){DROPOUT_TIMEOUT!r})"
     limits.append(f"{blind} /* s without a measurement after which the command is 0 */")
-    helpers = {name: text for name, text in c_templates.HELPERS.items() if f"{name}(" in body}
+    texts = "\n".join([body, *defines])
+    helpers = {name: text for name, text in c_templates.HELPERS.items() if f"{name}(" in texts}
     math = [c_templates.MATH.format(name=name.upper(), function=name) for name in sorted(program.math)]
     used = [text for name, text in zip(sorted(program.math), math, strict=True) if f"SMAJAX_{name.upper()}(" in body]
     return c_templates.HEADER.format(

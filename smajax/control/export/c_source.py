@@ -12,10 +12,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from smajax.control.export.c_loops import write_branches, write_scan, write_while
+from smajax.control.export.c_loops import LoopWriter
 from smajax.control.export.c_operations import NOUNS, elementwise, folded, math_functions, simplified
 from smajax.control.export.c_values import C_TYPES, CValue, Kind, constant_scalar, kind_of_dtype
-from smajax.control.export.source_writer import SourceWriter
 from smajax.control.export.static_numbers import StaticNumbers
 from smajax.errors import InputError
 
@@ -99,7 +98,7 @@ def c_body(
     return writer.lines, results
 
 
-class CWriter(SourceWriter[CValue]):
+class CWriter(LoopWriter):
     """Writer of the body of one C function.
 
     Attributes:
@@ -338,18 +337,6 @@ class CWriter(SourceWriter[CValue]):
         else:
             for place in range(target.size):
                 self.line(f"{target.element(place)} = {source.element(place)};")
-
-    def while_loop(self, options: dict, inputs: list[CValue]) -> list[CValue]:
-        """Write a ``while`` loop with the parameters of its equation; return its last carry."""
-        return write_while(self, options, inputs)
-
-    def scan_loop(self, options: dict, inputs: list[CValue]) -> list[CValue]:
-        """Write a ``scan`` as a ``for`` loop; return its last carry and its stacked results."""
-        return write_scan(self, options, inputs)
-
-    def branches(self, options: dict, inputs: list[CValue]) -> list[CValue]:
-        """Write a ``cond`` or ``switch`` as branches; return its results."""
-        return write_branches(self, options, inputs)
 
 
 def _sources(values: Sequence[CValue]) -> frozenset[str]:

@@ -41,8 +41,8 @@ class CValue(NamedTuple):
         """First position and distance of the positions; ``None`` if they are not evenly spaced."""
         if self.index is None or self.index.size < 2:
             return (0 if self.index is None or not self.index.size else int(self.index[0])), 0
-        gaps = np.diff(self.index)
-        return (int(self.index[0]), int(gaps[0])) if np.all(gaps == gaps[0]) else None
+        distances = np.diff(self.index)
+        return (int(self.index[0]), int(distances[0])) if np.all(distances == distances[0]) else None
 
     @property
     def is_whole_array(self) -> bool:
