@@ -55,7 +55,7 @@ def single_step(residual: Residual, guess: Float[Array, " unknowns"], wires: int
     Returns:
         The unknowns after the step, and whether they are not finite.
     """
-    change = _newton_step(residual, guess)[2]
+    change = newton_step(residual, guess)[2]
     return guess + change, ~jnp.all(jnp.isfinite(change))
 
 
@@ -93,7 +93,7 @@ def solve(residual: Residual, guess: Float[Array, " unknowns"], wires: int) -> S
         """Try the damped Newton step, and shorten it if it is not accepted."""
         z, error, change, jacobian, fraction, count = carry
         trial = z + fraction * change
-        value, trial_jacobian, trial_change = _newton_step(residual, trial)
+        value, trial_jacobian, trial_change = newton_step(residual, trial)
         trial_error = _norm(value, scale)
         shorter = _norm(solve_dense(jacobian, value), scale) <= (1.0 - _SHORTENING * fraction) * _norm(change, scale)
         # Within the tolerances, rounding may raise the residual.
@@ -165,7 +165,7 @@ def _iterate_with_friction(residual: Residual, search: _FrictionSearch, scale: j
     """One iteration of ``solve_with_friction``: bracket, step, acceptance."""
     last = jnp.arange(scale.shape[0]) == scale.shape[0] - 1
     trial = search.z + search.fraction * search.change
-    value, jacobian, change = _newton_step(residual, trial)
+    value, jacobian, change = newton_step(residual, trial)
     # The sign of the last equation shows the side of the solution only if the other equations hold; otherwise those are
     # solved first.
     others = _norm(value[:-1], scale[:-1])
@@ -206,11 +206,33 @@ def _natural_turn(count: jax.Array) -> jax.Array:
     return jax.lax.rem(count, 2 * _TURN) < _TURN
 
 
-def _newton_step(residual: Residual, z: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Residual and Jacobian at ``z``, and Newton's step from there."""
+def newton_step(
+    residual: Residual, z: Float[Array, " unknowns"]
+) -> tuple[Float[Array, " unknowns"], Float[Array, "unknowns unknowns"], Float[Array, " unknowns"]]:
+    """Compute residual and Jacobian at ``z``, and Newton's step from there.
+
+    Args:
+        residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.
+        z: The unknowns.
+    """
     value, jacobian_product = jax.linearize(residual, z)
     jacobian: Any = jax.vmap(jacobian_product, out_axes=-1)(jnp.eye(z.shape[0]))
     return value, jacobian, -solve_dense(jacobian, value)
+
+
+def polish(residual: Residual, z: Float[Array, " unknowns"], steps: int) -> Float[Array, " unknowns"]:
+    """Take some Newton steps, which are differentiable: from a root each step doubles the orders that are exact.
+
+    Args:
+        residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.
+        z: Unknowns near a root.
+        steps: Number of steps.
+    """
+
+    def advance(z: jax.Array, _: Any) -> tuple[jax.Array, None]:
+        return z + newton_step(residual, z)[2], None
+
+    return jax.lax.scan(advance, z, None, length=steps)[0]
 
 
 def _tolerances(guess: jax.Array, wires: int) -> jax.Array:

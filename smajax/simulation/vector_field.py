@@ -23,7 +23,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics import newton
-from smajax.numerics.dense import solve_dense
 from smajax.plant.effects.base import WireState
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.materials.base import Fractions
@@ -40,6 +39,8 @@ _INCREMENT = 1e-6
 # Newton steps for the unknowns of the mechanism at given fractions. Their equation is piecewise linear, nearly, and the
 # first guess is the integrated unknown; two steps reach rounding, the third makes higher derivatives exact.
 _BALANCE_STEPS = 3
+# Newton steps after the search for the rates: the first one has exact first derivatives, the second one higher ones.
+_RATE_STEPS = 2
 # Relative tolerance of the step size control, and the absolute ones of temperature (K), fraction, and unknown (Pa);
 # tests/unit/simulation/test_vector_field.py holds the resulting difference to the implicit step.
 _RELATIVE_TOLERANCE = 1e-7
@@ -141,8 +142,7 @@ def state_of(variables: Differential, signal: Float[Array, " signals"], plant: P
 
     unknown = variables.unknown * context.modulus
     if mechanism.unknowns:
-        for _ in range(_BALANCE_STEPS):
-            unknown = unknown - solve_dense(jax.jacfwd(balance)(unknown), balance(unknown))
+        unknown = newton.polish(balance, unknown, _BALANCE_STEPS)
     state = state_with(unknown)
     if not plant.all_effects:
         return state
@@ -164,29 +164,48 @@ def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
     plant, inputs, motion = args
     signal, slope = _signal_at(inputs, t)
     state = plant._begin_step(state_of(y, signal, plant, motion), jnp.asarray(_INCREMENT))
-    first, wires = plant._wire_state(state), plant.mechanism.wires
-    net_heat = plant._net_heat(first, state.memory, signal)
-    start = jnp.concatenate([state.temperature, state.unknown])
-
-    def derivative(rate: jax.Array) -> tuple:
-        return jax.jvp(
-            lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h),
-            (jnp.asarray(_INCREMENT),),
-            (jnp.ones(()),),
-        )[1]
-
-    def residual(rate: jax.Array) -> jax.Array:
-        balance, stored, _ = derivative(rate)
-        if isinstance(plant.heat, PrescribedTemperature):
-            heat = rate[:wires] - plant._prescribed_channels(slope)["temperature"]
-        else:
-            heat = rate[:wires] - (net_heat - stored) / plant._heat_capacity(first.fractions.martensite)
-        return jnp.concatenate([heat, balance])
-
-    rate = _solve_rates(residual, jnp.zeros_like(start), wires)
-    _, _, end = derivative(rate)
-    modulus = plant._mechanism_context().modulus
+    net_heat = plant._net_heat(plant._wire_state(state), state.memory, signal)
+    problem = (plant, state, net_heat, signal, slope)
+    guess = jnp.concatenate([jnp.zeros_like(state.temperature), jnp.zeros_like(state.unknown)])
+    # The search is not differentiated; the Newton steps after it are.
+    fixed = jax.lax.stop_gradient(problem)
+    rate, failed = newton.solve(lambda z: _rate_residual(z, *fixed)[0], guess, plant.mechanism.wires)
+    rate = newton.polish(lambda z: _rate_residual(z, *problem)[0], jnp.where(failed, jnp.nan, rate), _RATE_STEPS)
+    end = _rate_residual(rate, *problem)[1]
+    wires, modulus = plant.mechanism.wires, plant._mechanism_context().modulus
     return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.memory)
+
+
+def _rate_residual(
+    rate: Float[Array, " unknowns"],
+    plant: Plant,
+    state: State,
+    net_heat: Float[Array, " wires"],
+    signal: Float[Array, " signals"],
+    slope: Float[Array, " signals"],
+) -> tuple[Float[Array, " unknowns"], State]:
+    """Residual of the heat balance in K/s and of the mechanism's in Pa/s, and the rates of the state.
+
+    Args:
+        rate: Trial rates: dT/dt in K/s, then dz/dt in Pa/s.
+        plant: The plant.
+        state: The state.
+        net_heat: Net heat of the wires, W/m^3.
+        signal: Signals.
+        slope: Their derivatives, per second.
+    """
+    first, wires = plant._wire_state(state), plant.mechanism.wires
+    start = jnp.concatenate([state.temperature, state.unknown])
+    (balance, stored, end) = jax.jvp(
+        lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h),
+        (jnp.asarray(_INCREMENT),),
+        (jnp.ones(()),),
+    )[1]
+    if isinstance(plant.heat, PrescribedTemperature):
+        heat = rate[:wires] - plant._prescribed_channels(slope)["temperature"]
+    else:
+        heat = rate[:wires] - (net_heat - stored) / plant._heat_capacity(first.fractions.martensite)
+    return jnp.concatenate([heat, balance]), end
 
 
 def _increment(
@@ -204,18 +223,6 @@ def _increment(
     balance = mechanism.balance(unknown, strain, state.motion, prescribed, context, step)
     stored = jnp.zeros_like(last.temperature) + plant._stored_heat(first, last)
     return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, state.motion, memory)
-
-
-def _solve_rates(residual: Any, guess: Float[Array, " unknowns"], wires: int) -> Float[Array, " unknowns"]:
-    """The root of a piecewise linear equation, differentiable: two Newton steps follow the search."""
-    fixed = jax.closure_convert(residual, guess)
-    function, constants = fixed[0], fixed[1:]
-    constants = jax.lax.stop_gradient(constants[0] if len(constants) == 1 else constants)
-    rate, failed = newton.solve(lambda z: function(z, *constants), guess, wires)
-    rate = jax.lax.stop_gradient(jnp.where(failed, jnp.nan, rate))
-    for _ in range(2):
-        rate = rate - solve_dense(jax.jacfwd(residual)(rate), residual(rate))
-    return rate
 
 
 def _signal_at(inputs: Inputs, t: Any) -> tuple[Float[Array, " signals"], Float[Array, " signals"]]:

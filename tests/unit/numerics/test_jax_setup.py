@@ -1,4 +1,4 @@
-"""Settings of JAX by importing smajax, each in a separate process."""
+"""Settings of JAX: none by importing smajax, those of the command line by ``prepare_jax``; each in its own process."""
 
 import os
 import subprocess
@@ -6,7 +6,12 @@ import sys
 
 import pytest
 
-CODE = "import smajax.plant, os, jax.numpy as jnp; print(os.environ['XLA_FLAGS']); print(jnp.ones(3).sum().dtype)"
+from tests.conftest import ROOT
+
+CODE = (
+    "from smajax.numerics.process import prepare_jax; prepare_jax(); import os, jax.numpy as jnp; "
+    "print(os.environ['XLA_FLAGS']); print(jnp.ones(3).sum().dtype)"
+)
 OURS = "xla_cpu_small_while_loop_byte_threshold=1000000000"
 
 
@@ -55,3 +60,64 @@ def test_the_best_designs_are_refined_on_the_processor():
         check=True,
     )
     assert done.stdout.strip() == "{CpuDevice(id=0)}"
+
+
+def python(code, **variables):
+    """The output of Python code in a process without settings of its own."""
+    ours = ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64")
+    environment = {k: v for k, v in os.environ.items() if k not in ours} | {"JAX_PLATFORMS": "cpu"} | variables
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_import_of_every_module_changes_no_setting():
+    code = """
+import os, pkgutil, importlib, jax
+variables, settings = dict(os.environ), dict(jax.config.values)
+import smajax
+for module in pkgutil.walk_packages(smajax.__path__, "smajax."):
+    if not module.name.endswith(("__main__", "fmu.slave")):
+        importlib.import_module(module.name)
+print(dict(os.environ) == variables, {k for k in settings if jax.config.values[k] != settings[k]})
+"""
+    assert python(code) == "True set()"
+
+
+SIMULATED = """
+import equinox, jax
+jax.config.update("jax_enable_x64", True)
+jax.numpy.ones(3).sum()
+{prepare}
+from smajax.files.rig_file import read_rig
+from smajax.recordings.datasets import data_path
+from smajax.simulation.run import simulate
+folder = data_path("recordings", "dead-weight")
+rig = read_rig(folder / "rig.toml")
+result = simulate(rig.plant, rig.read(folder / "train.csv").slice(0.0, 1.0), step=0.02)
+print(int(result.status), result.channels["temperature"].dtype)
+"""
+
+
+@pytest.mark.parametrize("prepare", ["", "from smajax.numerics.process import prepare_jax; prepare_jax()"])
+def test_it_works_after_equinox_and_jax_were_imported_and_used(prepare, tmp_path):
+    folder = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path)} if prepare else {}
+    assert python(SIMULATED.format(prepare=prepare), **folder) == "0 float64"
+
+
+def test_single_precision_is_refused_in_one_sentence():
+    code = """
+from smajax.errors import InputError
+from smajax.files.rig_file import read_rig
+from smajax.recordings.datasets import data_path
+try:
+    read_rig(data_path("recordings", "dead-weight") / "rig.toml")
+except InputError as error:
+    print(error)
+"""
+    sentence = python(code)
+    assert "JAX computes in single precision and smajax needs double precision: call " in sentence
+    assert "jax_enable_x64" in sentence and "JAX_ENABLE_X64=1" in sentence and "\n" not in sentence
+    assert python(code, JAX_ENABLE_X64="1") == ""

@@ -1,0 +1,84 @@
+"""The plant as a differential equation, integrated by diffrax: a second opinion on the implicit step."""
+
+import diffrax as dfx
+import jax
+import numpy as np
+import pytest
+
+from smajax import parameters
+from smajax.errors import InputError
+from smajax.files.rig_file import parse_rig, read_rig
+from smajax.recordings.datasets import data_path
+from smajax.simulation.inputs import discretise
+from smajax.simulation.run import simulate
+from tests.support import plants
+
+# K. The implicit step at the finest grid differs from the differential equation by less: ten times the tolerance of
+# the step size control, accumulated over the transformations' starts and ends, where rates jump.
+DIFFERENCE = 1e-3
+
+
+@pytest.mark.parametrize("kind", ["dead_weight", "bias_spring"])
+def test_the_implicit_step_converges_to_the_differential_equation(kind):
+    plant, recording = plants.KINDS[kind](), plants.inputs(kind, 60, 0.15)
+    exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5())
+    grids = [discretise(plant, recording, step=step) for step in (0.15, 0.075, 0.0375)]
+    results = [simulate(plant, grid) for grid in grids]
+    errors = [float(np.max(np.abs(r.channels["temperature"] - exact.channels["temperature"]))) for r in results]
+    assert errors[1] < 0.5 * errors[0] and errors[2] < 0.7 * errors[1] and errors[2] < DIFFERENCE, errors
+    moved = np.asarray(exact.channels["displacement"])
+    assert np.max(np.abs(np.asarray(results[-1].channels["displacement"]) - moved)) < 1e-3 * np.ptp(moved)
+    assert np.ptp(np.asarray(exact.state.fractions.martensite)) > 0.5
+
+
+def test_the_differential_equation_has_its_gradient():
+    plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 12, 0.15)
+    inputs = discretise(plant, recording)
+
+    def last_temperature(h0):
+        heated = parameters.replace(plant, {"heat.h0": h0})
+        return simulate(heated, inputs, solver=dfx.Tsit5()).channels["temperature"][-1]
+
+    numeric = float(last_temperature(101.0) - last_temperature(99.0)) / 2.0
+    assert abs(numeric) > 1e-3
+    assert float(jax.grad(last_temperature)(100.0)) == pytest.approx(numeric, rel=1e-3)
+
+
+def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
+    text = (data_path("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
+    effects = '\n[effects.latent-heat]\nstrength = "60 MJ/m^3"\n[effects.coating]\nstrength = "0.5"\n'
+    rig = parse_rig(text + effects)
+    recording = rig.read(data_path("recordings", "dead-weight") / "train.csv").slice(0.0, 4.0)
+    exact = simulate(rig.plant, discretise(rig.plant, recording), solver=dfx.Tsit5())
+    implicit = simulate(rig.plant, recording, step=0.01)
+    for channel, scale in (("temperature", 100.0), ("displacement", 0.01)):
+        difference = np.asarray(implicit.channels[channel] - exact.channels[channel])
+        assert np.max(np.abs(difference)) < 1e-4 * scale, channel
+    assert np.ptp(np.asarray(exact.channels["temperature"])) > 20.0
+
+
+@pytest.mark.parametrize(
+    ("plant", "reason"),
+    [
+        (plants.light_rotary, "the mechanism has play between two slack wires"),
+        (lambda: plants.rotary(2e-4, 2e-4), "the mechanism has an inertia"),
+        (plants.limb, "dry friction in a sheath"),
+        (lambda: with_effect("coulomb-friction", "5 MPa"), "the effect 'coulomb-friction' has dry friction"),
+        (lambda: with_effect("backlash", "0.1 mm"), "the effect 'backlash' has play"),
+        (lambda: with_effect("viscous-friction", "1 MPa s"), "the effect 'viscous-friction' has a drag"),
+        (lambda: read_rig(data_path("recordings", "dead-weight") / "rig.toml").plant, None),
+    ],
+)
+def test_a_plant_without_a_vector_field_is_refused(plant, reason):
+    from smajax.simulation.vector_field import check_vector_field
+
+    made = plant()
+    if reason is None:
+        return check_vector_field(made)
+    with pytest.raises(InputError, match=f"{reason}.*no vector field for a diffrax solver: leave out solver="):
+        check_vector_field(made)
+
+
+def with_effect(key: str, strength: str):
+    text = (data_path("recordings", "dead-weight") / "rig.toml").read_text("utf-8")
+    return parse_rig(text + f'\n[effects.{key}]\nstrength = "{strength}"\n').plant
