@@ -1,4 +1,4 @@
-"""Settings of JAX: none by importing smajax, those of the command line by ``prepare_jax``; each in its own process."""
+"""Settings of JAX: double precision by importing smajax, the others by ``prepare_jax``; each in its own process."""
 
 import os
 import subprocess
@@ -73,7 +73,7 @@ def python(code, **variables):
     return done.stdout.strip()
 
 
-def test_the_import_of_every_module_changes_no_setting():
+def test_the_import_of_every_module_changes_no_setting_but_the_precision():
     code = """
 import os, pkgutil, importlib, jax
 variables, settings = dict(os.environ), dict(jax.config.values)
@@ -83,12 +83,11 @@ for module in pkgutil.walk_packages(smajax.__path__, "smajax."):
         importlib.import_module(module.name)
 print(dict(os.environ) == variables, {k for k in settings if jax.config.values[k] != settings[k]})
 """
-    assert python(code) == "True set()"
+    assert python(code) == "True {'jax_enable_x64'}"
 
 
 SIMULATED = """
 import equinox, jax
-jax.config.update("jax_enable_x64", True)
 jax.numpy.ones(3).sum()
 {prepare}
 from smajax.files.rig_file import read_rig
@@ -109,15 +108,18 @@ def test_it_works_after_equinox_and_jax_were_imported_and_used(prepare, tmp_path
 
 def test_single_precision_is_refused_in_one_sentence():
     code = """
+import jax
 from smajax.errors import InputError
 from smajax.files.rig_file import read_rig
 from smajax.recordings.datasets import data_path
+{switch}
 try:
     read_rig(data_path("recordings", "dead-weight") / "rig.toml")
 except InputError as error:
     print(error)
 """
-    sentence = python(code)
-    assert "JAX computes in single precision and smajax needs double precision: call " in sentence
-    assert "jax_enable_x64" in sentence and "JAX_ENABLE_X64=1" in sentence and "\n" not in sentence
-    assert python(code, JAX_ENABLE_X64="1") == ""
+    off = python(code.format(switch='jax.config.update("jax_enable_x64", False)'))
+    for sentence in (off, python(code.format(switch=""), JAX_ENABLE_X64="0")):
+        assert "JAX computes in single precision and smajax needs double precision: call " in sentence
+        assert "jax_enable_x64" in sentence and "JAX_ENABLE_X64" in sentence and "\n" not in sentence
+    assert python(code.format(switch="")) == python(code.format(switch=""), JAX_ENABLE_X64="1") == ""
