@@ -1,7 +1,6 @@
 """Base class of the results of studies: a document, predictions, and the files that ``save`` writes."""
 
 import dataclasses
-import html
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -10,6 +9,7 @@ from smajax.errors import InputError
 from smajax.files.documents import to_json
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.report.documents import write_result
+from smajax.report.notebook import notebook_html
 from smajax.report.prediction import Series, read_predictions, write_predictions
 from smajax.report.rebuild import PAGES
 from smajax.report.summaries import summarise
@@ -135,9 +135,10 @@ class Study:
         return f"<{type(self).__name__}: {self.headline()}>"
 
     def headline(self) -> str:
-        """Return the first sentence of the summary."""
-        return self.summary().partition("\n\n")[0].replace("\n", " ")
+        """Return the beginning of the summary in words."""
+        words = self.document.get("summary") or self.summary()
+        return str(words).partition("\n\n")[0].replace("\n", " ")
 
     def _repr_html_(self) -> str:
         """Representation in notebooks."""
-        return f'<pre style="white-space: pre-wrap">{html.escape(self.summary())}</pre>'
+        return notebook_html(self.command, self.document)

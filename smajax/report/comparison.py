@@ -12,7 +12,7 @@ from smajax.report.summary import table
 from smajax.report.time_figures import comparison_picture
 
 _PARAMETER_HEAD = ("parameter", "value", "95 % from", "to", "unit")
-_MODEL_HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
+MODEL_HEAD = ("model", "RMSE holdout", "train", "fit holdout [%]", "train [%]", "parameters", "BIC", "seconds")
 # Largest number of array elements that a table lists: more do not fit on a line.
 _MAX_LISTED = 20
 
@@ -49,7 +49,7 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
     """
     lines = [
         f"{doc['channel']} in {doc['unit']}:",
-        *table([_MODEL_HEAD, *model_rows(doc)], right=range(1, len(_MODEL_HEAD))),
+        *table([MODEL_HEAD, *model_rows(doc)], right=range(1, len(MODEL_HEAD))),
         "",
         doc["summary"],
     ]
@@ -62,7 +62,7 @@ def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows = []
     for m in doc["models"]:
         if m["why"]:
-            rows.append((m["name"], "left out", *[""] * (len(_MODEL_HEAD) - 2)))
+            rows.append((m["name"], "left out", *[""] * (len(MODEL_HEAD) - 2)))
             continue
         errors = [f"{m[key]:.4g}" for key in ("rmse_holdout", "rmse_train")]
         percent = [f"{m[key]:.1f}" for key in ("fit_percent_holdout", "fit_percent_train")]
@@ -112,7 +112,7 @@ def comparison_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mappi
     """
     pictures: list[Picture] = []
     sections = [pages.verdict_section([doc["summary"]]), "<h2>Models, best first</h2>"]
-    sections.append(pages.table(_MODEL_HEAD, model_rows(doc), numbers=tuple(range(1, len(_MODEL_HEAD)))))
+    sections.append(pages.table(MODEL_HEAD, model_rows(doc), numbers=tuple(range(1, len(MODEL_HEAD)))))
     left_out = [f"{m['name']} was left out: {m['why']}" for m in doc["models"] if m["why"]]
     sections.append(pages.bullets(left_out + notes(doc)))
     unit = pages.escape(pages.pretty_unit(doc["unit"]))

@@ -39,9 +39,9 @@ def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, An
     pictures: list[Picture] = []
     unexplained = doc["verdict"] in ("partial", "unresolved")
     sections = [pages.verdict_section(sentences(doc), bad=unexplained)]
-    sections += _error_section(doc)
+    sections += error_section(doc)
     sections += _residual_section(doc, pictures)
-    sections += _effects_section(doc)
+    sections += effects_section(doc)
     sections += _detectability_section(doc)
     sections.append("<h2>Measured against model</h2>")
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
@@ -52,7 +52,8 @@ def diagnosis_page(doc: Document, series: Sequence[Series], run: Mapping[str, An
     return pages.render_page(f"Diagnosis: {doc['verdict']}", lead, sections, pictures)
 
 
-def _error_section(doc: Document) -> list[str]:
+def error_section(doc: Document) -> list[str]:
+    """Return the errors before and after, with the interval of their fall on the holdout."""
     rows = []
     for channel, rmse in doc["rmse"].items():
         noise = significant(doc["noise_floor"][channel]["value"], 4)
@@ -100,8 +101,8 @@ def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.0f} %"
 
 
-def _effects_section(doc: Document) -> list[str]:
-    """All effects, the rejected and the excluded ones."""
+def effects_section(doc: Document) -> list[str]:
+    """Return the tables of all effects, of their parameters, and of the rejected and the excluded ones."""
     sections = ["<h2>Effects</h2>"]
     sections.append(pages.table(_EFFECT_HEAD, [_effect_row(entry) for entry in doc["ranking"]], numbers=(3, 5, 6)))
     if parameters := doc.get("effect_parameters"):  # absent in documents of earlier versions

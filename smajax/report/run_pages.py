@@ -36,7 +36,7 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     """
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
-    sections = [_verdict_section(doc), _rmse_table(doc), "<h2>Parameters</h2>", _parameter_table(doc)]
+    sections = [_verdict_section(doc), rmse_table(doc), "<h2>Parameters</h2>", parameter_table(doc)]
     sections.append(bullets(summary.remarks(doc)))
     sections.append("<h2>Measured against model</h2>")
     for recording in series:
@@ -96,12 +96,14 @@ def _verdict_section(doc: Mapping[str, Any]) -> str:
     return verdict_section(sentences, bad=bad)
 
 
-def _rmse_table(doc: Mapping[str, Any]) -> str:
+def rmse_table(doc: Mapping[str, Any]) -> str:
+    """Return the table of the errors of a fit."""
     head = ("channel", "RMSE train", "holdout", "noise floor", "train / floor")
     return table(head, summary.rmse_rows(doc), numbers=(1, 2, 3, 4))
 
 
-def _parameter_table(doc: Mapping[str, Any]) -> str:
+def parameter_table(doc: Mapping[str, Any]) -> str:
+    """Return the table of the parameters of a fit."""
     rows = [
         (name, estimate, low, high, pretty_unit(unit), note)
         for name, estimate, low, high, unit, note in summary.parameter_rows(doc)

@@ -160,8 +160,8 @@ def best_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return _rows(doc, entries)
 
 
-def _best_columns(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Table of the best designs with a column for each, since all parameters and metrics do not fit on a line."""
+def best_columns(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the table of the best designs, with a column for each: all their values do not fit on a line."""
     rows = best_rows(doc)
     return list(zip(_head(doc), *rows, strict=True)) if rows else []
 
@@ -174,7 +174,7 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
         folder: The result folder, which the last line names; empty for none.
     """
     lines = []
-    if columns := _best_columns(doc):
+    if columns := best_columns(doc):
         lines += [*table(columns, right=tuple(range(1, len(columns[0])))), ""]
     place = [f"Table, report and refined rigs in {folder}"] if folder else []
     return "\n".join([*lines, doc["summary"], *place])
@@ -194,7 +194,7 @@ def sweep_page(doc: Mapping[str, Any], columns: Mapping[str, np.ndarray], run: M
     """
     pictures: list[Picture] = []
     sections = [pages.verdict_section([doc["summary"]], bad=bool(doc["problems"]))]
-    if best := _best_columns(doc):
+    if best := best_columns(doc):
         numbers = tuple(range(1, len(best[0])))
         sections += ["<h2>The best designs</h2>", pages.table(best[0], best[1:], numbers=numbers)]
     sections += _design_pictures(doc, columns, pictures)

@@ -206,7 +206,8 @@ def metric_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _head(doc: Mapping[str, Any]) -> tuple[str, ...]:
+def stage_head(doc: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the head of the table of metrics."""
     return ("", "start", "tuned", "5 to 95 % of draws") if doc["robust"] else ("", "start", "tuned")
 
 
@@ -226,7 +227,7 @@ def text(doc: Mapping[str, Any], folder: str = "") -> str:
         folder: The result folder, which the last line names; empty for none.
     """
     lines = [*table([("gain", "start", "tuned", "unit"), *gain_rows(doc)], right=(1, 2)), ""]
-    lines += [*table([_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
+    lines += [*table([stage_head(doc), *metric_rows(doc)], right=(1, 2, 3)), "", doc["summary"]]
     files = [name for name in _EXPORTS if name not in doc.get("left_out", {})]
     lines += left_out_lines(doc)
     place = [f"Report, {', '.join(files[:-1])} and {files[-1]} in {folder}"] if folder else []
@@ -248,7 +249,7 @@ def tuning_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[s
     pictures: list[Picture] = []
     sections = [pages.verdict_section([doc["summary"]], bad=bool(doc["problems"])), "<h2>Gains</h2>"]
     sections.append(pages.table(("gain", "start", "tuned", "unit"), gain_rows(doc), numbers=(1, 2)))
-    sections += ["<h2>Metrics and margins</h2>", pages.table(_head(doc), metric_rows(doc), numbers=(1, 2, 3))]
+    sections += ["<h2>Metrics and margins</h2>", pages.table(stage_head(doc), metric_rows(doc), numbers=(1, 2, 3))]
     sections.append(
         "<p>Margins are those of the loop linearised along the rollout; for a nonlinear plant, medians over it.</p>"
     )
