@@ -133,10 +133,11 @@ def _search(
     starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
     screening_time = time.perf_counter() - began if screening_simulations else 0.0
     arguments = (residual, problem, starts, *problem.bounds)
-    if solver is None or isinstance(solver, BoundedLevenbergMarquardt):
-        tolerance = {} if solver is None else {"rtol": float(solver.rtol)}
+    solver = BoundedLevenbergMarquardt() if solver is None else solver
+    if isinstance(solver, BoundedLevenbergMarquardt):
         sequential = recordings >= SEQUENTIAL_FROM
-        searches = MultiStartSolver(*arguments, size=problem.size, sequential=sequential, **tolerance)
+        rtol = float(solver.rtol)
+        searches = MultiStartSolver(*arguments, size=problem.size, rtol=rtol, sequential=sequential)
     else:
         searches = OptimistixSearch(solver, *arguments, size=problem.size)
     return _Search(starts, searches.advance(max_steps, progress).result(), screening_simulations, screening_time)

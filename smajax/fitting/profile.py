@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -150,5 +150,5 @@ def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> fl
     if not len(above) or above[0] == 0:
         return None
     curve = PchipInterpolator(distance[:known], root)
-    step = float(brentq(curve, distance[above[0] - 1], distance[above[0]]))
+    step = float(cast(Any, brentq(curve, distance[above[0] - 1], distance[above[0]])))
     return float(values[0] + math.copysign(step, values[known - 1] - values[0]))

@@ -766,7 +766,8 @@ def test_a_fit_that_is_stopped_keeps_the_best_point(structure, signal):
     series = [Series("a", TIME, INPUT, 0.5 + exact)]
     result = fit_io_model(transfer_function_spec(series, structure), series, starts=2, progress=stop)
     assert result.interrupted and math.isfinite(result.rmse) and len(costs) <= 6
-    assert result.rmse <= 1.001 * math.sqrt(costs[3] / len(TIME)) * float(np.std(exact))
+    best = math.sqrt(min(costs[:4]) / len(TIME))
+    assert result.rmse <= (1.001 * best + 0.02) * float(np.std(exact))  # the embedded model has one more small lag
 
 
 def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
