@@ -130,5 +130,7 @@ def _zero_effect(kind: type[AbstractEffect], recordings: Sequence[Recording]) ->
     values = {"strength": jnp.asarray(0.0)}
     if "reference" in declarations(kind):
         currents = [np.max(np.abs(v)) for r in recordings for c, v in r.channels.items() if c.startswith("current")]
-        values["reference"] = jnp.asarray(float(max(currents, default=0.0)) or 1.0)
+        declared = declarations(kind)["reference"]
+        largest = float(max(currents, default=0.0)) or 1.0
+        values["reference"] = jnp.asarray(min(max(largest, declared.lower), declared.upper))
     return kind(**values)  # pyright: ignore[reportCallIssue]

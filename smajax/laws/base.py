@@ -146,3 +146,34 @@ class AbstractInputOutputModel(CheckedModule):
         first = self.init(values[0])
         _, outputs = jax.lax.scan(advance, first, (values[:-1], values[1:], jnp.diff(time)))
         return jnp.append(self.output(first, values[0]), outputs)
+
+
+class AbstractSeriesModel(AbstractInputOutputModel):
+    """Base class of the models that compute all rows at once (``compute_response``), and cannot take single steps."""
+
+    def init(self, first: Float[Array, ""]) -> Any:
+        """Refuse to start.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(self._without_steps())
+
+    def step(self, state: Any, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]) -> Any:
+        """Refuse to take a step.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(self._without_steps())
+
+    def output(self, state: Any, value: Float[Array, ""]) -> Float[Array, ""]:
+        """Refuse to compute a single output.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(self._without_steps())
+
+    def _without_steps(self) -> str:
+        return f"{type(self).__name__} has no steps: compute all rows with smajax.laws.response.compute_response"

@@ -26,12 +26,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.errors import InputError
-from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.base import AbstractSeriesModel
 from smajax.laws.bouc_wen_curve import CURVE_GRID, hermite_pieces, level_at, move_along_curve
 from smajax.numerics.nonsmooth import maximum
 
 
-class BoucWen(AbstractInputOutputModel):
+class BoucWen(AbstractSeriesModel):
     """Normalised Bouc-Wen model: y = rest + k_x x + k_w w.
 
     For ``sigma`` below 1/2, which fits exclude, w curves away from its limit on unloading, as no material does.

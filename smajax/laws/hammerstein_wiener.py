@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.base import AbstractSeriesModel
 
 
-class HammersteinWiener(AbstractInputOutputModel):
+class HammersteinWiener(AbstractSeriesModel):
     """Hammerstein-Wiener model with piecewise linear curves and two poles.
 
     Attributes:

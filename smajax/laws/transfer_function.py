@@ -23,14 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smajax.laws.base import AbstractInputOutputModel
+from smajax.laws.base import AbstractSeriesModel
 from smajax.laws.row_spacing import is_evenly_spaced
 
 Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
 STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")
 
 
-class TransferFunction(AbstractInputOutputModel):
+class TransferFunction(AbstractSeriesModel):
     """Transfer function of one of the ``STRUCTURES``; parameters that a structure does not use are ignored.
 
     Attributes:
