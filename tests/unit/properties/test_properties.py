@@ -925,7 +925,7 @@ def test_several_recordings_are_analysed_together():
     assert {r.error.code for r in analysis.refused} == {"no-transformation"}
     assert analysis.refused[0].error.fields == {"branch": "cooling"} and analysis.refused[0].number == 1
     (sentence,) = merge_refusals(analysis.refused)
-    assert sentence.startswith("flat, 2 cycles (1 to 2), the first of them (rows 1 to 321): on cooling the strain")
+    assert sentence.startswith("flat, 2 cycles (1 to 2), the first of them (rows 1 to 320): on cooling the strain")
     assert analysis.means == mean_properties(analysis.groups[0].cycles)
     assert analysis.start_values("brinson") == make_start_values(analysis.levels, "brinson")
     for recordings, reason in (
