@@ -13,13 +13,12 @@ _GARBAGE_THRESHOLD = 200_000
 def prepare_jax(accelerator: bool = False) -> None:
     """Set up JAX for a process of the command line: double precision, compiler options, platform and cache.
 
-    Importing smajax does none of this. From Python only double precision is needed; the rest makes it faster.
-
-    Compiled programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder
-    can be written, nothing is cached, and everything else works. A GPU is many times as slow for a few simulations at a time, and faster for
-    thousands of designs in parallel. Equinox's run-time checks are switched off: they call Python from the
-    compiled program, which then cannot be cached. smajax's simulations have status codes instead. Where equinox was
-    imported before, its checks stay, and where JAX has compiled something before, its options do.
+    Importing smajax does none of this. From Python only double precision is needed; the rest makes it faster. Compiled
+    programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder can be
+    written, nothing is cached, and everything else works. A GPU is many times as slow for a few simulations at a time,
+    and faster for thousands of designs in parallel. Equinox's run-time checks are switched off: they call Python from
+    the compiled program, which then cannot be cached. smajax's simulations have status codes instead. Where equinox was
+    imported before, its checks stay; where JAX has compiled something before, its compiler options stay.
 
     Args:
         accelerator: Whether JAX may use an accelerator; otherwise it uses the CPU, unless ``JAX_PLATFORMS`` is set.

@@ -1,7 +1,7 @@
 """The plant: its initial state, its time step, and the readings of its sensors.
 
-A step is implicit. Its unknowns and equations are those of ``smajax.plant.step_equations``, ``smajax.plant.step_solver``
-solves them by Newton's method, and ``smajax.plant.implicit_step`` has the derivatives of the solution.
+A step is implicit. ``smajax.plant.step_equations`` has its unknowns and equations, ``smajax.plant.step_solver`` the
+search for their solution, and ``smajax.plant.implicit_step`` the derivatives of the solution.
 """
 
 from typing import Any

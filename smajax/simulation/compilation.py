@@ -1,7 +1,7 @@
 """Compile-time machinery of the simulation: blocks of steps, states as flat rows, and steps that are traced once.
 
-- Blocks: diffrax takes ``BLOCK`` steps at a time, because its overhead for a step costs more than the step itself. The
-  last block is filled up with steps of duration 0. A simulation that may end early (``end_index``) ends with a block.
+- Blocks: a simulation that may end early (``end_index``) takes ``BLOCK`` steps at a time and ends with a block. The
+  last block is filled up with steps of duration 0.
 - Flat states: a trajectory stores each state as one row of numbers. A state has many small arrays; storing each of them
   separately would cost as much as some of the equations of a step.
 - Steps traced once: ``traced_step`` and ``traced_step_residual`` are separate jitted functions, so that all programs
@@ -22,7 +22,7 @@ from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.simulation.inputs import Inputs
 
-# Steps in a block. Chosen by trial for speed: smaller blocks incur diffrax's overhead more often, larger ones simulate
+# Steps in a block. Chosen by trial for speed: smaller blocks incur a loop's overhead more often, larger ones simulate
 # further beyond ``end_index``.
 BLOCK = 64
 

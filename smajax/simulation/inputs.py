@@ -185,8 +185,8 @@ def _check_channels(plant: Plant, recording: Recording) -> None:
         if name not in recording.channels:
             columns = ", ".join(recording.channels) or "none"
             raise InputError(
-                f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, which drives the "
-                f"plant: add a column '{name}' (it has {columns})"
+                f"{recording.name}: there is no channel '{name}'{suggestion(name, recording.channels)}, "
+                f"which drives the plant: add a column '{name}' (it has {columns})"
             )
 
 

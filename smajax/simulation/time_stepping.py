@@ -1,14 +1,12 @@
-"""Time stepping of a plant: ``Plant.step`` as a diffrax solver.
+"""Time stepping of a plant: all implicit steps of a grid in one scan.
 
 ``integrate`` takes all steps of a grid and computes an output at every grid point. It is not differentiable:
 ``smajax.simulation.sensitivities`` adds the derivatives.
 """
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
-import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -23,56 +21,6 @@ from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 OutputFunction = Callable[[Plant, State, jax.Array], Any]
 
 
-class _EmptyTerm(dfx.AbstractTerm):
-    """A term without content: the plant is in ``args``, and the solver computes the increments itself."""
-
-    def vf(self, t: Any, y: Any, args: Any) -> Any:
-        return y
-
-    def contr(self, t0: Any, t1: Any, **kwargs: Any) -> Any:
-        return t1 - t0
-
-    def prod(self, vf: Any, control: Any) -> Any:
-        return vf
-
-
-class _PlantSolver(dfx.AbstractSolver):
-    """``Plant.step`` as a diffrax solver that takes one block of steps at a time.
-
-    ``y`` holds the outputs of the last block. The solver state counts the blocks, and carries the plant's state, the
-    number of steps that could not be solved, and the highest temperature so far (NaN as soon as any temperature is
-    NaN).
-    """
-
-    output_fn: OutputFunction = eqx.field(static=True)
-    term_structure = _EmptyTerm
-    interpolation_cls = dfx.LocalLinearInterpolation
-
-    def order(self, terms: Any) -> int:
-        return 2
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any) -> Any:
-        _, _, start = args
-        return jnp.asarray(0), (start, jnp.asarray(0), jnp.max(start.temperature))
-
-    def step(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any) -> tuple:
-        plant, rows, _ = args
-        block, carry = solver_state
-
-        def single(carry: tuple, row: tuple) -> tuple:
-            state, unsolved, hottest = carry
-            before, after, signal, duration = row
-            state, failed = traced_step(plant, state, before, after, duration)
-            carry = state, unsolved + failed, jnp.maximum(hottest, jnp.max(state.temperature))
-            return carry, self.output_fn(plant, state, signal)
-
-        carry, y1 = jax.lax.scan(single, carry, jax.tree.map(lambda leaf: leaf[block], rows))
-        return y1, None, dict(y0=y0, y1=y1), (block + 1, carry), dfx.RESULTS.successful
-
-    def func(self, terms: Any, t0: Any, y0: Any, args: Any) -> Any:
-        return y0
-
-
 def integrate(
     plant: Plant, inputs: Inputs, output_fn: OutputFunction, end_index: Any = None
 ) -> tuple[Any, Int[Array, ""]]:
@@ -81,43 +29,51 @@ def integrate(
     Args:
         plant: The plant.
         inputs: Its inputs on the grid.
-        output_fn: Output of the plant, a state and the signals; any pytree.
+        output_fn: Output of the plant, a state and the signals; any pytree of floating-point arrays.
         end_index: Grid point at which the simulation may end; outputs after its block are infinite.
 
     Returns:
         The outputs at all grid points, leaves of shape ``(grid, ...)``, and the status code.
     """
-    start = plant.init(inputs.sample_signals[0])
-    count = inputs.time.shape[0] - 1
-    blocks = -(-count // BLOCK)
-    last = inputs.after[-1]
-    rows = (
-        in_blocks(inputs.before, last),
-        in_blocks(inputs.after, last),
-        in_blocks(grid_signals(inputs)[1:], last),
-        in_blocks(jnp.diff(inputs.time), jnp.zeros(())),
-    )
-    first, structure = jax.tree.flatten(output_fn(plant, start, inputs.sample_signals[0]))
-    solution = dfx.diffeqsolve(
-        _EmptyTerm(),
-        _PlantSolver(lambda *arguments: jax.tree.leaves(output_fn(*arguments))),  # diffrax takes no empty nodes
-        0.0,
-        float(blocks) if end_index is None else block_count(end_index).astype(float),
-        1.0,  # the solver's clock counts blocks
-        [jnp.broadcast_to(leaf, (BLOCK, *leaf.shape)) for leaf in first],
-        args=(plant, rows, start),
-        stepsize_controller=dfx.ConstantStepSize(),
-        saveat=dfx.SaveAt(steps=True, solver_state=True),
-        max_steps=blocks,
-        adjoint=dfx.ForwardMode(),
-        throw=False,
-    )
-    later, (_, carry) = cast(tuple, (solution.ys, solution.solver_state))
-    outputs = [
-        jnp.concatenate([a[None], b.reshape(blocks * BLOCK, *a.shape)[:count]])
-        for a, b in zip(first, later, strict=True)
-    ]
-    return jax.tree.unflatten(structure, outputs), simulation_status(*carry)
+    state, signal = plant.init(inputs.sample_signals[0]), inputs.sample_signals[0]
+    start = state, jnp.asarray(0), jnp.max(state.temperature)
+    rows = inputs.before, inputs.after, grid_signals(inputs)[1:], jnp.diff(inputs.time)
+
+    def advance(carry: tuple, row: tuple) -> tuple[tuple, Any]:
+        # The carry counts the steps that could not be solved, and has the highest temperature so far, which is NaN as
+        # soon as any temperature is NaN.
+        state, unsolved, hottest = carry
+        before, after, signal, duration = row
+        state, failed = traced_step(plant, state, before, after, duration)
+        carry = state, unsolved + failed, jnp.maximum(hottest, jnp.max(state.temperature))
+        return carry, output_fn(plant, state, signal)
+
+    first = output_fn(plant, state, signal)
+    if end_index is None:
+        carry, later = jax.lax.scan(advance, start, rows)
+    else:
+        carry, later = _scan_blocks(advance, start, rows, first, end_index)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later), simulation_status(*carry)
+
+
+def _scan_blocks(
+    advance: Callable, start: tuple, rows: tuple, output: Any, end_index: Int[Array, ""]
+) -> tuple[tuple, Any]:
+    """Scan in blocks of steps up to the one that holds ``end_index``; the outputs after it are infinite."""
+    last, count = rows[1][-1], rows[1].shape[0]
+    fillings = last, last, last, jnp.zeros(())
+    blocked = [in_blocks(row, filling) for row, filling in zip(rows, fillings, strict=True)]
+
+    def scan_block(k: jax.Array, carry: tuple) -> tuple:
+        carry, outputs = carry
+        carry, block = jax.lax.scan(advance, carry, tuple(row[k] for row in blocked))
+        update = jax.lax.dynamic_update_slice_in_dim
+        return carry, jax.tree.map(lambda all_, part: update(all_, part, k * BLOCK, axis=0), outputs, block)
+
+    rows_in_all = blocked[0].shape[0] * BLOCK
+    empty = jax.tree.map(lambda leaf: jnp.full((rows_in_all, *leaf.shape), jnp.inf, leaf.dtype), output)
+    carry, outputs = jax.lax.fori_loop(0, block_count(end_index), scan_block, (start, empty))
+    return carry, jax.tree.map(lambda leaf: leaf[:count], outputs)
 
 
 def simulation_status(

@@ -257,6 +257,8 @@ def integrate_vector_field(
 
     Raises:
         InputError: If the plant has no vector field.
+
+    Source: tsitouras2011 for the rule of ``diffrax.Tsit5``.
     """
     check_vector_field(plant)
     controller = controller or dfx.PIDController(rtol=_RELATIVE_TOLERANCE, atol=_ABSOLUTE_TOLERANCE)

@@ -78,8 +78,8 @@ class AbstractEffect(CheckedModule):
             residual.
         absorbed_from: Share of its influence that free parameters have to compensate for it to count as absorbed. It is
             lower if the remaining share depends on nominal values that are not measured.
-        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
-            empty if there are rates.
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow
+            "has"; empty if there are rates.
     """
 
     key: ClassVar[str]

@@ -58,8 +58,8 @@ class AbstractMaterial(CheckedModule):
     a stress raises the transformation temperatures of austenite by sigma / C_A, those of martensite by sigma / C_M.
 
     Attributes:
-        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
-            empty if there are rates.
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow
+            "has"; empty if there are rates.
     """
 
     obstacle_to_rates: ClassVar[str] = ""

@@ -52,8 +52,8 @@ class AbstractMechanism(CheckedModule):
         prescribed: Names of the recorded channels that the mechanism follows.
         coordinate: Name of the channel of its motion.
         extra_channels: Names of further channels that it adds to those of the plant.
-        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has";
-            empty if there are rates.
+        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow
+            "has"; empty if there are rates.
         wire_class: Geometry of the wire in a rig file.
     """
 
