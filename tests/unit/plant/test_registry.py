@@ -1,7 +1,10 @@
 """Registration of own materials, mechanisms and effects: what it refuses, and the entry points of installed packages."""
 
+import importlib
+import inspect
 import os
 import pathlib
+import pkgutil
 import subprocess
 import sys
 import textwrap
@@ -296,3 +299,12 @@ def test_an_installed_package_adds_classes_by_entry_points(tmp_path: pathlib.Pat
     assert len(lines) == 4
     for line, sentence in zip(lines, (law, effect, law, effect), strict=True):
         assert sentence in line and line.endswith("repair or uninstall sma-extra")
+
+
+@pytest.mark.parametrize("room", ["plant", "laws", "actuators", "fitting", "sweeps"])
+def test_every_concrete_class_defines_the_methods_of_its_base_classes(room):
+    folder = importlib.import_module(f"smajax.{room}")
+    for module in pkgutil.walk_packages(folder.__path__, f"smajax.{room}."):
+        for name, cls in vars(importlib.import_module(module.name)).items():
+            if inspect.isclass(cls) and issubclass(cls, eqx.Module) and cls.__module__ == module.name:
+                assert inspect.isabstract(cls) <= name.startswith("Abstract"), f"{module.name}.{name}"
