@@ -4,6 +4,7 @@ import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 from tomlkit.items import Table
@@ -80,10 +81,10 @@ def write_actuator_example(kind: str, out: Path) -> tuple[Path, Path]:
 
 def _set_value(table: Table, key: str, value: str) -> None:
     """Set a value whose comment keeps its column."""
-    old = table.item(key)
+    old: Any = table.item(key)
     gap = len(old.trivia.comment_ws) + len(old.as_string())
     table[key] = value
-    new = table.item(key)
+    new: Any = table.item(key)
     new.trivia.comment_ws = " " * max(gap - len(new.as_string()), 1) if new.trivia.comment else ""
 
 

@@ -25,7 +25,7 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
     layout = base_layout()
     layout["xaxis"] = axis_style("lag [samples]")
     layout["yaxis"] = axis_style("correlation")
-    data = []
+    data, shapes = [], []
     for (name, entry), colour in zip(statistics.items(), (MEASURED, MODEL), strict=False):
         data.append(
             go.Scatter(
@@ -36,7 +36,8 @@ def autocorrelation_picture(channel: str, statistics: Mapping[str, Any]) -> Pict
                 line={"color": colour},
             )
         )
-        layout.shapes += tuple(noise_band(entry["band_99"] / 2.0, "y"))
+        shapes += noise_band(entry["band_99"] / 2.0, "y")
+    layout.update(shapes=shapes)
     caption = "Autocorrelation of the residual; dotted lines: 99 % band of white noise."
     title = f"Autocorrelation of the residual of {channel}"
     return Picture(title, caption, go.Figure(data, layout), _HEIGHT, wide=False)

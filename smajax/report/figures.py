@@ -151,10 +151,9 @@ def set_panel_title(layout: go.Layout, panel: int, title: str, panels: Sequence[
         panels: Name and weight of each panel.
     """
     low = panels[panel][1] < _LOW_PANEL
-    entry = layout[f"yaxis{panel + 1 if panel else ''}"].title
-    entry.text = title.replace(" [", "<br>[") if low else title
-    if low:
-        entry.font = {"size": 11}
+    entry: dict[str, Any] = {"text": title.replace(" [", "<br>[") if low else title}
+    entry |= {"font": {"size": 11}} if low else {}
+    layout.update({f"yaxis{panel + 1 if panel else ''}": {"title": entry}})
 
 
 def line_trace(

@@ -66,6 +66,7 @@ def time_picture(
     panels += [(", ".join(group), _INPUT_WEIGHT) for group in groups.values()]
     layout = panel_layout(panels, series)
     data: list[go.Scatter] = []
+    shapes: list[go.layout.Shape] = []
     thinned, panel = False, 0
     for channel in observed:
         thinned |= _add_channel(data, series, channel, panel)
@@ -76,7 +77,7 @@ def time_picture(
             trace, _ = line_trace(series.time, residual, f"residual of {channel}", RESIDUAL, axis, in_legend=False)
             data.append(trace)
             set_panel_title(layout, panel, "residual", panels)
-            layout.shapes += tuple(noise_band(floor.get(channel), axis))
+            shapes += noise_band(floor.get(channel), axis)
             panel += 1
     for unit, group in groups.items():
         for colour, channel in zip(_INPUT_COLOURS, group, strict=False):
@@ -85,6 +86,7 @@ def time_picture(
         title = axis_title(group[0], series.units) if len(group) == 1 else f"inputs [{unit}]"
         set_panel_title(layout, panel, title, panels)
         panel += 1
+    layout.update(shapes=shapes)
     caption = _time_caption(any(has_residual(series, c) for c in observed), bool(floor))
     caption += thin_note(len(series.time), thinned)
     return Picture(f"{series.name} ({series.role})", caption, go.Figure(data, layout), panel_height(panels))

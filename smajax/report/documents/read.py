@@ -81,7 +81,8 @@ def describe_error(error: Any, content: Mapping[str, Any]) -> str:
         error: The error, as ``ValidationError.errors`` lists it.
         content: The content of the document.
     """
-    location, value, keys = error["loc"], content, []
+    value: Any = content
+    location, keys = error["loc"], []
     for part in location:
         # The location of a union ends with the name of a type, which is no key of the content.
         is_key = isinstance(value, Mapping) and part in value

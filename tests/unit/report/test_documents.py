@@ -221,7 +221,7 @@ def example_series(command: str) -> Any:
 
 @pytest.mark.parametrize("command", EXAMPLES)
 def test_every_command_has_a_figure(command):
-    figure = FIGURES[command](EXAMPLES[command], example_series(command))
+    figure: Any = FIGURES[command](EXAMPLES[command], example_series(command))
     names = [trace.name for trace in figure.data]
     expected = {
         "fit": ["measured", "model", "residual of displacement", "current"],
