@@ -208,7 +208,7 @@ def example_series(command: str) -> Any:
         "properties": ("cycles.csv",),
         "simulate": ("input.csv",),
     }[command]
-    time = np.linspace(0.0, 1.0, 50)
+    time = np.arange(50) * 0.02
     measured = {"displacement": 1e-3 * time} | ({"current": time} if command != "tune" else {})
     if command == "properties":
         measured = {"temperature": 80.0 * time, "strain": 0.04 * time}
