@@ -56,7 +56,7 @@ class SlottedPrograms:
         slots = model.slot_matrix.shape[1]
         with self._compiling:  # searches run two at a time
             if slots not in self._compiled:
-                for thread in start_compilation(model, np.zeros(len(problem.unknowns) + slots)):
+                for thread in start_compilation(model, self.vector(effect_set, problem.nominal, free, term)):
                     thread.join()
                 self._compiled.add(slots)
         return model
