@@ -20,6 +20,15 @@
 # they do not ship with smajax: `get` fetches them once from the commit that `smajax datasets list` shows, and compares
 # their checksums. `SMAJAX_DATA=FOLDER` reads `FOLDER/tamu-flexinol-isobaric` instead, without a network.
 
+# %% [markdown]
+# `prepare_jax` is not needed. It sets JAX up as the command line does: compiled programs are kept between runs, and
+# loops over time steps run faster. It has to be called before JAX compiles anything.
+
+# %%
+from smajax.numerics.process import prepare_jax
+
+prepare_jax()
+
 # %%
 import tomllib
 from pathlib import Path
@@ -224,13 +233,13 @@ print("at a bound:", ", ".join(name for name, entry in smooth.parameters.items()
 #
 # The cycles say how the material transforms, and nothing about heat: they have no current and no clock. The controller
 # is therefore tuned on a rig that takes the material from the fit, and everything else from the template of a 0.15 mm
-# wire that lifts 200 g: its convection and heat capacity are values of data sheets and the literature. Before gains
-# from this page are used on a real wire, record a step of current on it and fit `heat.h0` and `heat.capacity`.
+# wire that lifts 200 g: its convection and heat capacity are values of data sheets and the literature. Brinson's law
+# is taken, whose rollouts are faster. Before gains from this page are used on a real wire, record a step of current on
+# it and fit `heat.h0` and `heat.capacity`.
 
 # %%
 actuator = tomllib.loads(data_path("templates", "dead-weight.toml").read_text("utf-8"))
-actuator["material"] = tomllib.loads(smooth.rig.to_toml())["material"]
-actuator["fit"] = {"model": "lagoudas", "observe": ["displacement"]}
+actuator["material"] |= tomllib.loads(result.rig.to_toml())["material"]
 lift = sma.read_rig(actuator)
 
 # %%
@@ -239,7 +248,7 @@ schema = 1
 
 [controller]
 kind = "pid"
-period = "50 ms"
+period = "100 ms"
 output = ["0 A", "0.5 A"]
 
 [gains]                           # where the search starts
@@ -248,9 +257,9 @@ ki = "10 A/m/s"
 
 [reference]
 kind = "staircase"
-duration = "45 s"
+duration = "24 s"
 levels = ["3 mm", "5 mm", "2 mm"]
-hold = "15 s"
+hold = "8 s"
 
 [tune]
 objective = "tracking"

@@ -9,6 +9,7 @@ from smajax.fitting.unknowns import Settings
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
+from smajax.recordings.shared_rows import has_same_content
 
 
 def fit_warnings(result: FitResult, plant: Plant, recordings: Sequence[Recording], settings: Settings) -> list[str]:
@@ -38,11 +39,11 @@ def copied_holdout_warnings(train: Sequence[Recording], holdout: Sequence[Record
         train: The training recordings.
         holdout: The holdout recordings.
     """
-    names = {recording.sha256: recording.name for recording in train if recording.sha256}
+    copies = [(h, next((t for t in train if has_same_content(h, t)), None)) for h in holdout]
     return [
-        f"{recording.name} has the same content as {names[recording.sha256]}: it is not an independent test."
-        for recording in holdout
-        if recording.sha256 in names
+        f"{recording.name} has the same content as {original.name}: it is not an independent test."
+        for recording, original in copies
+        if original is not None
     ]
 
 
