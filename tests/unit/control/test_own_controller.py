@@ -108,8 +108,9 @@ def test_it_is_tuned_from_its_file(study):
     controller = study.tuned.loop.controller
     assert isinstance(controller, DeadBandPI) and controller.leak == 0.999
     assert set(study.gains) == {"kp", "ki", "dead_band"} and study.gains["dead_band"] == 2e-5
-    assert study.tuned.metrics["rmse"] < 1.01 * study.start.metrics["rmse"] and study.gains["kp"] != 150.0
-    assert study.margins.gain > 1.0 and study.rollouts > 1
+    # An idle rig has an error of 2 mm.
+    assert study.tuned.metrics["rmse"] < 1.5e-3 and 1.5 < study.gains["kp"] < 15000.0 and study.gains["kp"] != 150.0
+    assert not study.tuned.unstable and not study.margins.unstable and study.rollouts > 1
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
