@@ -4,7 +4,7 @@
 
 smajax takes its implicit steps in a plain ``jax.lax.scan`` (``smajax.simulation.time_stepping``). The alternative makes
 the step a diffrax solver that takes a block of steps at a time, since diffrax's overhead for a step costs more than the
-step. Both give the same states, to the last bit. Times of compiled simulations are the shortest of many that alternate,
+step. Both give the same states, up to rounding. Times of compiled simulations are the shortest of many that alternate,
 in seconds of processor time, which other programs on the machine disturb least; those of compilation include tracing.
 """
 
@@ -28,8 +28,12 @@ from smajax.simulation.compilation import BLOCK, flatten_state, in_blocks, trace
 from smajax.simulation.inputs import Inputs, discretise
 from smajax.simulation.time_stepping import grid_signals, integrate
 
-# Share of run time from which the adapter would count as slower.
+# Share of run time from which the scan would count as slower.
 LIMIT = 0.05
+# Largest relative difference of two states that counts as rounding: the two programs are compiled differently.
+ROUNDING = 1e-9
+# Keeps a quotient finite for an entry of the state that stays 0.
+TINY = 1e-300
 
 
 class EmptyTerm(dfx.AbstractTerm):
@@ -128,16 +132,18 @@ def compare(name: str, repeats: int) -> Row:
     compilation = {k: seconds(lambda f=f: f(rig.plant, inputs)) for k, f in calls.items()}
     times = [{k: seconds(lambda f=f: f(rig.plant, inputs)) for k, f in calls.items()} for _ in range(repeats)]
     run = {k: min(each[k] for each in times) for k in calls}
-    equal = bool(jnp.array_equal(calls["scan"](rig.plant, inputs), calls["diffrax"](rig.plant, inputs)))
+    states = {k: f(rig.plant, inputs) for k, f in calls.items()}
+    scale = jnp.maximum(jnp.max(jnp.abs(states["scan"]), axis=0), TINY)
+    difference = float(jnp.max(jnp.abs(states["scan"] - states["diffrax"]) / scale))
     cost = run["diffrax"] / run["scan"] - 1.0
     text = (
         f"{1e3 * run['scan']:.2f} ms against {1e3 * run['diffrax']:.2f} ms with diffrax ({100 * cost:+.0f} %); "
         f"compiled in {compilation['scan']:.1f} s against {compilation['diffrax']:.1f} s; "
-        f"{'equal' if equal else 'different'} states"
+        f"states differ by {difference:.0e}"
     )
-    target = f"equal states, not slower by {100 * LIMIT:.0f} %"
-    numbers = {"run": run, "compilation": compilation, "steps": len(inputs.time) - 1}
-    return Row(f"{name}, {len(inputs.time) - 1} steps", target, text, equal and cost > -LIMIT, numbers)
+    target = f"equal states to {ROUNDING:.0e}, scan not slower by {100 * LIMIT:.0f} %"
+    numbers = {"run": run, "compilation": compilation, "steps": len(inputs.time) - 1, "difference": difference}
+    return Row(f"{name}, {len(inputs.time) - 1} steps", target, text, difference < ROUNDING and cost > -LIMIT, numbers)
 
 
 def main() -> None:
