@@ -17,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from smajax.errors import InputError, suggestion
 from smajax.units import as_text
@@ -183,7 +184,7 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
     """
     if isinstance(value, str):
         raise InputError(f"{name} = '{value}' is text: give a number in {declaration.unit}")
-    if isinstance(value, jax.core.Tracer) or not isinstance(value, jax.Array | np.ndarray | np.number | int | float):
+    if isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | np.number | int | float):
         return
     numbers = np.asarray(value, float)
     lower, upper = (

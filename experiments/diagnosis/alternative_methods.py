@@ -151,7 +151,7 @@ def run_sparse_regression(rig: Rig, recordings: list, key: str) -> tuple[str, fl
     errors, tables = [], []
     for k, recording in enumerate(recordings):
         residual = problem.predict(EffectSet(), fitted.base, k)
-        errors.append(-problem.series(residual, k)["displacement"] * problem.noise["displacement"] * 1e3)
+        errors.append(problem.series(residual, k)["displacement"] * problem.noise["displacement"] * 1e3)
         states = problem.states(fitted, jax.tree.map(lambda leaf: leaf[0], problem.problems[k].data.inputs))
         count, time_ = len(recording), recording.time
         excess = np.asarray(states.temperature)[:count, 0] - float(rig.plant.environment.ambient)

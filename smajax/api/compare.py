@@ -73,7 +73,7 @@ def compare(
     with clock.time("read"):
         rig = as_rig(rig)
         text = rig_text(rig)
-        sources = [[one_source(train, "train")], [one_source(holdout, "holdout")]]
+        sources = one_source(train, "train"), one_source(holdout, "holdout")
         recordings = [r for r, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
         refuse_copies(recordings)
     seed = rig.fit.seed if seed is None else seed

@@ -5,7 +5,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def _read_inputs(
 ) -> _FitInputs:
     warnings, text = list(rig.notes), rig_text(rig)
     rig = with_start(rig, start)
-    settings = dataclasses.replace(rig.fit, **options)
+    settings: Any = dataclasses.replace(rig.fit, **options)
     recordings = read_train_and_holdout(rig, as_list(train), as_list(holdout), drop_bad_rows)
     labels = profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
@@ -210,10 +210,10 @@ def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -
         except NumericsError as error:
             reason = str(error)
     with clock.time("profile"):
-        for label in inputs.labels if result is not None and not reporter.stopped else ():
+        for label in () if result is None or reporter.stopped else inputs.labels:
             try:
                 reporter.phase(f"profile likelihood of {label}", can_stop=True)
-                profiles[label] = profile_likelihood(result, label)
+                profiles[label] = profile_likelihood(cast(FitResult, result), label)
             except InputError as error:  # the fit is valid without the profile
                 inputs.warnings.append(f"{error}.")
             except (Cancelled, KeyboardInterrupt):

@@ -69,9 +69,10 @@ class PropertiesStudy(Study):
         Raises:
             InputError: If the name is unknown, or there are cycles at several stresses, or of several recordings.
         """
-        if len(self.means) > 1:
-            raise InputError(f"there are {len(self.means)} groups of cycles: take the property from one of .means")
-        properties = self.means[0][1]
+        groups = list(self.means)
+        if len(groups) > 1:
+            raise InputError(f"there are {len(groups)} groups of cycles: take the property from one of .means")
+        properties = groups[0][1]
         if name not in properties:
             raise InputError(f"'{name}' is not a property of thermal cycles: they are {', '.join(properties)}")
         return properties[name]

@@ -9,7 +9,7 @@ import abc
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -41,7 +41,12 @@ class AbstractSampledSystem(eqx.Module):
         period: Period of the samples, s.
     """
 
-    period: eqx.AbstractVar[float]
+    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+
+        @property
+        def period(self) -> float: ...
+    else:
+        period: eqx.AbstractVar[float]
 
     @property
     def is_implicit(self) -> bool:

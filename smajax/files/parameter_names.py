@@ -24,7 +24,8 @@ def owners(*, installed: bool = True) -> Iterator[tuple[str, type[eqx.Module], s
     Returns:
         Tuples of the section's name, its class, and the choice in the rig file that selects this class, in words.
     """
-    materials, mechanisms = (table if installed else table.loaded for table in (MATERIALS, MECHANISMS))
+    materials = MATERIALS if installed else MATERIALS.loaded
+    mechanisms = MECHANISMS if installed else MECHANISMS.loaded
     yield from (("wire", Wire, "a straight wire"), ("wire", Coil, "a coiled wire"))
     yield from (("environment", Environment, ""), ("initial", Initial, ""))
     yield from (("drive", drive, f'control = "{control}"') for control, drive in DRIVES.items())

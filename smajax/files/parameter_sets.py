@@ -128,7 +128,9 @@ def load_material(name: str | Path, model: str = "brinson", **values: float) -> 
     for tie, members in TIES.items():
         if tie in entries:
             entries = dict.fromkeys(members, entries[tie]) | entries
-    known_values = {key: entries[n].value for key in declared if (n := f"material.{key}") in entries} | values
+    known_values: dict[str, Any] = {
+        key: entries[n].value for key in declared if (n := f"material.{key}") in entries
+    } | values
     missing = [key for key, declaration in declared.items() if declaration.default is None and key not in known_values]
     if missing:
         problem = f"parameter set {name} has no {', '.join(missing)}"

@@ -8,8 +8,6 @@ from the solved end with a constant Jacobian: each step makes one more order of 
 of the step (that of a Kalman filter) is itself differentiable.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -99,8 +97,10 @@ def _differentiable_step_jvp(primals: tuple, tangents: tuple) -> tuple:
 def _tangent_at(end: Float[Array, " unknowns"], primals: tuple, tangents: tuple, state_at_end: State) -> State:
     """The tangent of the state at the end, from those of plant, state, signals at start and end, and duration."""
 
-    def step_residual(z: jax.Array, plant: StepEquations, *arguments: Any) -> tuple[jax.Array, jax.Array]:
-        residual, state = plant.step_residual(*arguments, z)
+    def step_residual(
+        z: jax.Array, plant: StepEquations, start: State, before: jax.Array, after: jax.Array, duration: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        residual, state = plant.step_residual(start, before, after, duration, z)
         return residual, ravel_pytree(state)[0]
 
     return ravel_pytree(state_at_end)[1](implicit_jvp(step_residual, end, primals, tangents))

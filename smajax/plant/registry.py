@@ -17,10 +17,12 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, TypeVar
 
-from smajax.errors import InputError, suggestion
-from smajax.parameters import CheckedModule, missing_methods, module_types
+import equinox as eqx
 
-Module = TypeVar("Module", bound=CheckedModule)
+from smajax.errors import InputError, suggestion
+from smajax.parameters import missing_methods, module_types
+
+Module = TypeVar("Module", bound=eqx.Module)
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
@@ -152,8 +154,12 @@ class Registry(Mapping[str, type[Module]]):
         other = self.loaded.get(name)
         if other is not None and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             return f"the name is taken by {other.__module__}.{other.__qualname__}: choose another name"
-        problem = class_problem(cls) or self._check(name, cls)
+        problem = self._class_problem(cls) or self._check(name, cls)
         return f"{cls.__name__} cannot be used: {problem}" if problem else ""
+
+    def _class_problem(self, cls: Any) -> str:
+        """Return what a class lacks, with the cure; an empty text if it is complete."""
+        return class_problem(cls)
 
 
 def class_problem(cls: type) -> str:

@@ -12,6 +12,7 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from smajax import parameters
@@ -228,7 +229,7 @@ def simulate(
         result = simulate_inputs(present, inputs)
     else:
         result = simulate_vector_field(present, inputs, solver, adjoint)
-    if throw and not isinstance(result.status, jax.core.Tracer):
+    if throw and not isinstance(result.status, Tracer):
         status = SimulationStatus(int(result.status))
         if status is not SimulationStatus.done:
             raise NumericsError(f"{name}: {status.name}: {status.hint}; parameters: {describe_parameters(plant)}")
@@ -237,7 +238,7 @@ def simulate(
 
 def _is_zero(strength: Float[Array, "..."]) -> bool:
     """Whether an effect is absent, as far as that is known while a program is traced."""
-    return not isinstance(strength, jax.core.Tracer) and float(strength) == 0.0
+    return not isinstance(strength, Tracer) and float(strength) == 0.0
 
 
 @functools.partial(eqx.filter_jit, compiler_options=_BATCH_OPTIONS)  # pyright: ignore[reportCallIssue]

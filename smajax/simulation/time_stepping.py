@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,9 @@ def integrate(
         carry, later = jax.lax.scan(advance, start, rows)
     else:
         carry, later = _scan_blocks(advance, start, rows, first, end_index)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later), simulation_status(*carry)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later), simulation_status(
+        *cast(tuple[Any, Any, Any], carry)
+    )
 
 
 def _scan_blocks(

@@ -233,7 +233,10 @@ def _loop(
     """The closed loop with its start gains, and the unit of each; ``sampling`` is period, wires and output limits."""
     period, wires, (lower, upper) = sampling
     sensors = read_sensors(data, rig, (units.command, units.difference), period, max(upper, -lower))
-    allocation = Allocation(*float_arrays(upper, 0.0), wires, jnp.asarray(-lower)) if wires > 1 else None
+    allocation = None
+    if wires > 1:
+        largest, co_contraction, second = float_arrays(upper, 0.0, -lower)
+        allocation = Allocation(upper=largest, co_contraction=co_contraction, wires=wires, second_upper=second)
     loop = ClosedLoop(
         _controller(data["controller"], head, period, (lower, upper)),
         allocation,

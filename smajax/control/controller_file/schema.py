@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, Field
+from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
 
 from smajax.control.controllers.registry import controller_class, file_kinds
 from smajax.files.toml import STRICT, validate
@@ -27,11 +27,15 @@ SECTIONS = (
 )
 
 
+def _known_kind(kind: Any) -> str:
+    return TypeAdapter(Annotated[str, one_of(file_kinds())]).validate_python(kind)
+
+
 class ControllerSection(BaseModel):
     """Section [controller]: kind, period, channel and limits of the command."""
 
     model_config = STRICT
-    kind: Annotated[str, BeforeValidator(lambda kind: one_of(file_kinds()).func(kind))] = "pid"
+    kind: Annotated[str, BeforeValidator(_known_kind)] = "pid"
     period: str = Field(examples=['"20 ms"'])
     output: list[Any] = Field(min_length=2, max_length=2, examples=['["0 A", "0.5 A"]'])
     channel: str | None = Field(None, examples=['"displacement"'])

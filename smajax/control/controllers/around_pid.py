@@ -1,6 +1,6 @@
 """Base class of the controllers that are built around a PID, whose limits and period are theirs."""
 
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,7 +19,12 @@ class AbstractControllerAroundPID(AbstractController):
         pid: The PID.
     """
 
-    pid: eqx.AbstractVar[PID]
+    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+
+        @property
+        def pid(self) -> PID: ...
+    else:
+        pid: eqx.AbstractVar[PID]
 
     @classmethod
     def with_default_gains(

@@ -10,7 +10,7 @@ limits of its command.
 import abc
 import dataclasses
 import inspect
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -38,9 +38,18 @@ class AbstractController(eqx.Module):
         period: Period of the samples, s.
     """
 
-    lower: eqx.AbstractVar[jax.Array]
-    upper: eqx.AbstractVar[jax.Array]
-    period: eqx.AbstractVar[float]
+    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+
+        @property
+        def lower(self) -> jax.Array: ...
+        @property
+        def upper(self) -> jax.Array: ...
+        @property
+        def period(self) -> float: ...
+    else:
+        lower: eqx.AbstractVar[jax.Array]
+        upper: eqx.AbstractVar[jax.Array]
+        period: eqx.AbstractVar[float]
 
     @classmethod
     def with_default_gains(
@@ -54,7 +63,8 @@ class AbstractController(eqx.Module):
             options: Values of the fields that are neither gains nor limits, by name.
         """
         lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
-        return cls(**zero_gains(cls), lower=lower, upper=upper, period=period, **options)
+        fields: dict[str, Any] = {**zero_gains(cls), "lower": lower, "upper": upper, "period": period, **options}
+        return cls(**fields)
 
     @classmethod
     def options(cls) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 A registered class is known to controller.toml (``kind = "NAME"``), to the tuning, and to the exports.
 """
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,8 +13,9 @@ from smajax.control.controllers.feedforward_pid import FeedforwardPID
 from smajax.control.controllers.pid import PID
 from smajax.control.controllers.ppid import PPID
 from smajax.errors import InputError, suggestion
+from smajax.plant.registry import Registry
 
-_CONTROLLERS: dict[str, type[AbstractController]] = {
+_SHIPPED: dict[str, type[AbstractController]] = {
     "pid": PID,
     "bpid": BPID,
     "ppid": PPID,
@@ -24,7 +24,20 @@ _CONTROLLERS: dict[str, type[AbstractController]] = {
 }
 # A pid becomes this kind by the section [feedforward] of a controller file, whose operator has to be fitted first.
 _NOT_IN_FILES = ("pid-feedforward",)
-_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+
+class ControllerRegistry(Registry[AbstractController]):
+    """Registry of the controllers, whose classes have limits and a period."""
+
+    def _class_problem(self, cls: Any) -> str:
+        try:
+            check_controller_class(cls)
+        except InputError as error:
+            return str(error)
+        return ""
+
+
+CONTROLLERS = ControllerRegistry("controller", AbstractController, lambda: _SHIPPED)
 
 
 def register_controller(name: Any, cls: Any) -> None:
@@ -39,15 +52,7 @@ def register_controller(name: Any, cls: Any) -> None:
         InputError: if the name has other characters than a-z, 0-9 and single hyphens, or is that of another class; or
             if the class is not a complete controller.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise InputError(f"{name!r} cannot be the name of a controller: use a-z, 0-9 and hyphens, like 'dead-band-pi'")
-    check_controller_class(cls)
-    present = _CONTROLLERS.get(name, cls)
-    if (present.__module__, present.__qualname__) != (cls.__module__, cls.__qualname__):
-        raise InputError(
-            f"the controller '{name}' is already {present.__module__}.{present.__qualname__}: rename yours"
-        )
-    _CONTROLLERS[name] = cls
+    CONTROLLERS.register(name, cls)
 
 
 def controller_class(name: str) -> type[AbstractController]:
@@ -59,15 +64,15 @@ def controller_class(name: str) -> type[AbstractController]:
     Raises:
         InputError: if there is no controller of that name.
     """
-    if name not in _CONTROLLERS:
-        hint = suggestion(name, _CONTROLLERS)
-        raise InputError(f"there is no controller '{name}'{hint}: register it, or use {', '.join(_CONTROLLERS)}")
-    return _CONTROLLERS[name]
+    if name not in CONTROLLERS:
+        hint = suggestion(name, CONTROLLERS)
+        raise InputError(f"there is no controller '{name}'{hint}: register it, or use {', '.join(CONTROLLERS)}")
+    return CONTROLLERS[name]
 
 
 def file_kinds() -> Mapping[str, type[AbstractController]]:
     """Return the classes that a controller file may name, by name."""
-    return {name: cls for name, cls in _CONTROLLERS.items() if name not in _NOT_IN_FILES}
+    return {name: cls for name, cls in CONTROLLERS.items() if name not in _NOT_IN_FILES}
 
 
 def kind_of(controller: AbstractController) -> str:
@@ -76,5 +81,5 @@ def kind_of(controller: AbstractController) -> str:
     Args:
         controller: The controller.
     """
-    names = (name for name, cls in _CONTROLLERS.items() if cls is type(controller))
+    names = (name for name, cls in CONTROLLERS.loaded.items() if cls is type(controller))
     return next(names, type(controller).__name__)

@@ -1,7 +1,7 @@
 """Interfaces of the estimators of states that a rig does not measure."""
 
 import abc
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,7 +20,12 @@ class AbstractTemperatureEstimator(eqx.Module):
         period: Period of the samples, s.
     """
 
-    period: eqx.AbstractVar[float]
+    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+
+        @property
+        def period(self) -> float: ...
+    else:
+        period: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def init(self, measured: dict[str, Float[Array, ""]]) -> Any:

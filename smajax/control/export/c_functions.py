@@ -118,7 +118,7 @@ class StateType:
         before, after = [], []
         members = {value.text for value in self.values}
         for name, member, result, needed in zip(self.names, self.values, results, self.needed, strict=True):
-            if not needed or (result.text == member.text and np.array_equal(result.index, member.index)):
+            if not needed or (result.text == member.text and result.has_same_places(member)):
                 continue
             if not member.shape:
                 text = result.element(0)

@@ -124,7 +124,7 @@ def simplified(kind: str, operands: list[CValue]) -> CValue | None:
 
 def _is_same(first: CValue, second: CValue) -> bool:
     """Whether two values are the same elements of the same variable."""
-    return (first.text, first.offset) == (second.text, second.offset) and np.array_equal(first.index, second.index)
+    return (first.text, first.offset) == (second.text, second.offset) and first.has_same_places(second)
 
 
 def folded(equation: Any, operands: list[CValue]) -> Any:

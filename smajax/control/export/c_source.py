@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.extend.core import Literal
 
 from smajax.control.export.c_loops import LoopWriter
 from smajax.control.export.c_operations import NOUNS, elementwise, folded, math_functions, simplified
@@ -92,7 +93,7 @@ def c_body(
     traced = jax.make_jaxpr(function)(*(example for example, _ in arguments))
     writer = CWriter(program, reserved)
     for var, name in zip(traced.jaxpr.outvars, result_names, strict=True):
-        if not isinstance(var, jax.extend.core.Literal):
+        if not isinstance(var, Literal):
             writer.result_names.setdefault(var, name)
     results = writer.inline(traced, [value for _, values in arguments for value in values])
     return writer.lines, results
@@ -184,7 +185,7 @@ class CWriter(LoopWriter):
             InputError: for an operation that has no text.
         """
         kind, options, out = equation.primitive.name, equation.params, equation.outvars[0].aval
-        noun = self.result_names.get(equation.outvars[0], NOUNS.get(kind, kind))
+        noun: str = self.result_names.get(equation.outvars[0]) or NOUNS.get(kind) or kind
         if (number := folded(equation, inputs)) is not None:
             return [self.literal(number, None)]
         if (operand := simplified(kind, inputs)) is not None:

@@ -49,6 +49,12 @@ class CValue(NamedTuple):
         """Whether it is a flat array from its first to its last element in their order."""
         return self.index is not None and self.steps == (0, 1 if self.size > 1 else 0)
 
+    def has_same_places(self, other: "CValue") -> bool:
+        """Return whether another value has the same positions."""
+        if self.index is None or other.index is None:
+            return self.index is None and other.index is None
+        return np.array_equal(self.index, other.index)
+
     def element(self, place: int) -> str:
         """Return the expression of one element by its position in the value."""
         return self.text if self.index is None else f"{self.text}[{_sum(self.offset, str(int(self.index[place])))}]"

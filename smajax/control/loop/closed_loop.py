@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.control.controllers.base import AbstractController
@@ -121,7 +122,7 @@ class ClosedLoop(eqx.Module):
         """
         if limits is not None:
             lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
-            if not isinstance(lower, jax.core.Tracer) and not isinstance(upper, jax.core.Tracer) and lower >= upper:
+            if not isinstance(lower, Tracer) and not isinstance(upper, Tracer) and lower >= upper:
                 raise InputError(f"limits = ({lower:g}, {upper:g}): the first command has to be below the second")
             controller = controller.with_limits(lower, upper)
         self.controller = controller

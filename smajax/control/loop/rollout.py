@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
@@ -152,7 +153,7 @@ def rollout(
     sampled = _sampled(system, loop.period, step)
     loop = loop.for_wires(sampled.wires)
     result = _compiled_simulation(sampled, loop, _scenario(sampled, loop, reference, initial_reference))
-    if throw and not isinstance(result.status, jax.core.Tracer):
+    if throw and not isinstance(result.status, Tracer):
         raise_for_status(result)
     return result
 
@@ -178,7 +179,7 @@ def _sampled(system: Plant | AbstractSampledSystem, period: float, step: float |
     """The sampled plant."""
     if isinstance(system, AbstractSampledSystem):
         return system
-    if step is None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(system)):
+    if step is None and any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(system)):
         raise InputError(
             "the number of steps in a period cannot depend on a traced plant: give step, or SampledPlant.of outside of "
             "the traced function"

@@ -1,7 +1,7 @@
 """Interface of the sensors of the controlled channel."""
 
 import abc
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -18,8 +18,15 @@ class AbstractSensor(eqx.Module):
         delay: Delay of the measurement, samples.
     """
 
-    noise: eqx.AbstractVar[jax.Array]
-    delay: eqx.AbstractVar[int]
+    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+
+        @property
+        def noise(self) -> jax.Array: ...
+        @property
+        def delay(self) -> int: ...
+    else:
+        noise: eqx.AbstractVar[jax.Array]
+        delay: eqx.AbstractVar[int]
 
     @property
     def sampling_period(self) -> float | None:

@@ -1,5 +1,7 @@
 """Gains with the shortest settling time, or one below a limit: the discontinuous settling time has its own search."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -133,7 +135,7 @@ class _ErrorAndViolations(eqx.Module):
         self, point: Float[Array, " gains"]
     ) -> tuple[Float[Array, "members samples"], Float[Array, "members limits samples"]]:
         problem, reference = self.problem, self.problem.reference
-        rollouts = problem.simulate(problem.gains(point))._replace(final_states=None)
+        rollouts = dataclasses.replace(problem.simulate(problem.gains(point)), final_states=None)
         after_jump = reference.jump_size != 0.0
         sizes = jnp.where(after_jump, reference.jump_size, 1.0)
         share = jax.vmap(lambda values: jnp.where(after_jump, (values - reference.values) / sizes, 0.0))(

@@ -5,7 +5,7 @@ A DataFrame is recognised by its attributes, so that pandas is never imported he
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import Any, final
+from typing import Any, cast, final
 
 import numpy as np
 
@@ -180,7 +180,7 @@ def _to_array(values: Any, place: str) -> np.ndarray:
             return np.ma.filled(values.astype(float), np.nan)
         array = np.asarray(values)
         if array.dtype.kind == "O" and getattr(getattr(values, "dtype", None), "kind", "O") in "iuf":
-            array = values.to_numpy(dtype=float, na_value=np.nan)  # a nullable column of pandas
+            array = cast(Any, values).to_numpy(dtype=float, na_value=np.nan)  # a nullable column of pandas
     except Exception as error:  # each package has its own types of errors, as has a list of unequal lists
         raise InputError(
             f"{place}: the values are not an array ({first_line(error)}): give one number per row"

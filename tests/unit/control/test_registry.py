@@ -42,10 +42,14 @@ def test_a_registered_class_is_found_by_its_name():
 @pytest.mark.parametrize(
     ("name", "cls", "sentence"),
     [
-        ("pid", Plain, "the controller 'pid' is already smajax.control.controllers.pid.PID: rename yours"),
-        ("My Controller", Plain, "'My Controller' cannot be the name of a controller: use a-z, 0-9 and hyphens"),
-        ("number", 3, "3 is not a controller: give a class derived from"),
-        ("a-dict", dict, "is not a controller: give a class derived from"),
+        (
+            "pid",
+            Plain,
+            "controller 'pid': the name is taken by smajax.control.controllers.pid.PID: choose another name",
+        ),
+        ("My Controller", Plain, "controller 'My Controller': the name is not in small letters with hyphens"),
+        ("number", 3, "3 is not a class: give the class itself"),
+        ("a-dict", dict, "dict is not of this kind: derive it from"),
         ("abstract", AbstractController, "it lacks lower, period, reset, step, upper"),
     ],
 )

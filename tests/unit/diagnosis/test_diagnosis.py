@@ -509,7 +509,7 @@ def planted(problem: DiagnosisProblem, fitted: Refit, effect_set: EffectSet, par
         change = problem.predict(effect_set, fitted.base, k)
         weight = np.asarray(problems[k].data.weight)
         noise = np.random.default_rng(6 + k).normal(size=weight.shape)
-        measured = np.asarray(problems[k].data.measured) + (change.reshape(weight.shape) + noise) / np.where(
+        measured = np.asarray(problems[k].data.measured) - (change.reshape(weight.shape) + noise) / np.where(
             weight > 0.0, weight, np.inf
         )
         problems[k] = dataclasses.replace(
@@ -584,7 +584,7 @@ def test_coating_and_end_conduction_are_equivalent(evaluator, monkeypatch):
             (residual.reshape(weight.shape) + rng.standard_normal(weight.shape)) / np.where(weight > 0, weight, 1.0),
             0.0,
         )
-        problems.append(eqx.tree_at(lambda p: p.data.measured, split, split.data.measured + change))
+        problems.append(eqx.tree_at(lambda p: p.data.measured, split, split.data.measured - change))
     monkeypatch.setattr(problem, "problems", problems)
     trial = evaluator.evaluate(problem.fit(planted, problem.nominal, max_steps=10, rtol=1e-8))
     assert trial.at_noise

@@ -86,7 +86,7 @@ def problem_with(rig, recordings, effect_set: EffectSet) -> tuple[DiagnosisProbl
     simulated = []
     for k, recording in enumerate(recordings):
         change = problem.series(problem.predict(effect_set, problem.nominal, k), k)["displacement"]
-        exact = recording.channels["displacement"] + change * problem.noise["displacement"]
+        exact = recording.channels["displacement"] - change * problem.noise["displacement"]
         noisy = exact + 2e-5 * np.random.default_rng(k).standard_normal(len(exact))
         channels = {**recording.channels, "displacement": noisy}
         simulated.append(dataclasses.replace(recording, channels=channels, sha256=str(k)))

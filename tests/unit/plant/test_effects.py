@@ -192,7 +192,7 @@ def test_what_is_planted_is_recovered():
         made.problems[0] = problem
         residual = made.predict(truth, base, 0)
         moved = np.where(weight > 0, residual.reshape(weight.shape) / np.where(weight > 0, weight, 1.0), 0.0)
-        made.problems[0] = eqx.tree_at(lambda p: p.data.measured, problem, problem.data.measured + moved)
+        made.problems[0] = eqx.tree_at(lambda p: p.data.measured, problem, problem.data.measured - moved)
         result = made.fit(
             EffectSet((key,), tuple({strength: 0.2 * size, **shapes}.items())), base, max_steps=20, rtol=1e-8
         )
@@ -271,7 +271,7 @@ def beside_the_reference(hidden, effects):
     residual = made.series(made.predict(EffectSet(tuple(effects), tuple(values.items())), made.nominal, 0))[
         "displacement"
     ]
-    moved = recording.channels["displacement"] + residual * made.noise["displacement"]
+    moved = recording.channels["displacement"] - residual * made.noise["displacement"]
     return (np.sqrt(np.mean((other - truth[1]) ** 2)) / made.noise["displacement"] for other in (moved, truth[0]))
 
 
@@ -299,7 +299,7 @@ def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
     truth = [angle(rig, Hidden(**own), recording.time, currents, 40) for own in ({}, hidden)]
     values = {f"effects.{key}.{name}": value for key, own in effects.items() for name, value in own.items()}
     residual = made.series(made.predict(EffectSet(tuple(effects), tuple(values.items())), made.nominal, 0))["angle"]
-    moved = recording.channels["angle"] + residual * made.noise["angle"]
+    moved = recording.channels["angle"] - residual * made.noise["angle"]
     apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
     assert apart < 0.2 * made.noise["angle"] < 0.05 * effect
 
