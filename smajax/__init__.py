@@ -28,7 +28,9 @@ if TYPE_CHECKING:
     from smajax.control.loop.closed_loop import ClosedLoop
     from smajax.control.loop.rollout import Rollout, Scenario, rollout
     from smajax.errors import Cancelled, DerivativeError, InputError, NumericsError
+    from smajax.files.parameter_sets import load_material
     from smajax.files.rig_file import Rig, read_rig
+    from smajax.parameters import parameter
     from smajax.plant import effects, materials, mechanisms
     from smajax.plant.coil import Coil
     from smajax.plant.convection import PolynomialConvection, PowerLawConvection
@@ -89,7 +91,9 @@ _MODULES = {
     "fit": "smajax.api.fit",
     "init": "smajax.simulation.plant_functions",
     "load": "smajax.api.load",
+    "load_material": "smajax.files.parameter_sets",
     "observe": "smajax.simulation.plant_functions",
+    "parameter": "smajax.parameters",
     "predict": "smajax.api.predict",
     "read_recording": "smajax.recordings.read",
     "read_rig": "smajax.files.rig_file",
@@ -154,9 +158,11 @@ __all__ = [
     "fit",
     "init",
     "load",
+    "load_material",
     "materials",
     "mechanisms",
     "observe",
+    "parameter",
     "predict",
     "read_recording",
     "read_rig",

@@ -10,9 +10,9 @@ import tomlkit
 
 from smajax import parameters
 from smajax.api.registration import register
-from smajax.app.commands.diagnose import diagnosed_rig
 from smajax.diagnosis.outcome import diagnose
 from smajax.diagnosis.problem import DiagnosisProblem
+from smajax.diagnosis.setup import diagnosed_rig
 from smajax.files.parameter_sets import load_material
 from smajax.files.rig_file import Rig, parse_rig
 from smajax.fitting.fit import fit

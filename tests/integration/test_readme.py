@@ -13,14 +13,15 @@ import pytest
 from tests.conftest import ROOT
 
 README = (ROOT / "README.md").read_text("utf-8")
+PYTHON_PAGE = (ROOT / "docs" / "how-to" / "use-python.md").read_text("utf-8")
 BLOCK = re.compile(r"(<!-- not executed: .+? -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
 INSTALL = re.compile(r'python3 -m venv \.venv && \.venv/bin/pip install "?\.(?:\[(\w+)\])?"? && \.venv/bin/(.+)')
 LONGEST = 150  # lines
 
 
-def blocks(language: str) -> list[str]:
+def blocks(language: str, page: str = README) -> list[str]:
     """Return the code blocks of a language that are executed."""
-    return [text for skipped, name, text in BLOCK.findall(README) if name == language and not skipped]
+    return [text for skipped, name, text in BLOCK.findall(page) if name == language and not skipped]
 
 
 def commands() -> list[str]:
@@ -76,3 +77,9 @@ def test_the_python_code_runs(bench):
     for text in blocks("python"):
         result = run([sys.executable, "-c", text], bench)
         assert result.returncode == 0, result.stderr
+
+
+def test_the_python_code_of_the_page_on_python_runs(bench):
+    code = blocks("python", PYTHON_PAGE)
+    result = run([sys.executable, "-c", "\n".join(code)], bench)
+    assert len(code) > 4 and result.returncode == 0, result.stderr

@@ -18,7 +18,6 @@ import scipy.signal
 from typer.testing import CliRunner
 
 from smajax.app.cli import app
-from smajax.app.commands.diagnose import prediction_series
 from smajax.diagnosis import next_experiment, residual_checks
 from smajax.diagnosis.acceptance import Rejection, RejectionCode, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
@@ -59,6 +58,7 @@ from smajax.fitting.noise import rounding_noise
 from smajax.fitting.responses import simulate_responses
 from smajax.plant.effects import catalogue
 from smajax.recordings.datasets import data_path
+from smajax.report.diagnosis_series import prediction_series
 from smajax.report.diagnosis_summary import sentences
 from smajax.report.diagnosis_wording import experiment_text, rejection_text
 from smajax.report.documents.schemas import schemas

@@ -601,7 +601,8 @@ def test_the_command_and_its_table(folder):
     # The table alone makes the same table again.
     repeated = sweep(out / "sweep.parquet", folder=folder / "again")
     assert (
-        repeated.code == 0 and (folder / "again" / "sweep.parquet").read_bytes() == (out / "sweep.parquet").read_bytes()
+        repeated.exit_code == 0
+        and (folder / "again" / "sweep.parquet").read_bytes() == (out / "sweep.parquet").read_bytes()
     )
 
 
