@@ -795,7 +795,7 @@ def test_refinement_restores_feasibility(folder):
     )
     (folder / "sweep.toml").write_text(text, "utf-8")
     drawn = run(folder, "drawn")
-    assert drawn.code == 3 and "has stroke 8.348 mm (allowed: at least 9.5 mm)" in drawn.reason
+    assert drawn.exit_code == 3 and "has stroke 8.348 mm (allowed: at least 9.5 mm)" in drawn.reason
     (folder / "sweep.toml").write_text(text + "[refine]\nstarts = 2\n", "utf-8")
     outcome = run(folder)
     assert outcome.exit_code == 0 and outcome.document["feasible"] == 0 and not outcome.document["problems"]
@@ -807,7 +807,7 @@ def test_refinement_restores_feasibility(folder):
     # If no design is found, the reason says how near the search came, and where.
     (folder / "sweep.toml").write_text(text.replace("9.5 mm", "20 mm") + "[refine]\nstarts = 1\n", "utf-8")
     none = run(folder, "none")
-    assert none.code == 3 and not none.document["refined"][0]["better"]
+    assert none.exit_code == 3 and not none.document["refined"][0]["better"]
     assert (
         "its refinement does not satisfy them either and ended at stroke" in none.reason
         and "at wire.diameter" in none.reason
@@ -940,7 +940,7 @@ def test_example_sweeps_and_an_actuator(tmp_path):
         .replace("time_to_cool", "resistance")
     )
     (tmp_path / "sweep.toml").write_text(text, "utf-8")
-    assert run(tmp_path).code == 0
+    assert run(tmp_path).exit_code == 0
     columns = read_table(tmp_path / "out" / "sweep.parquet")
     single = actuator_file.read_actuator(ROOT / "data" / "actuators" / "flexural" / "rig.toml")
     metrics = eqx.filter_jit(type(single).metrics)(
