@@ -81,7 +81,13 @@ def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, 
 
     run("init", "dead-weight", "--out", "bench")
     assert "example.csv: " in run("check", "bench/example.toml", "bench/example.csv")
-    code = "import smajax; print(smajax.__file__)"
+    code = (
+        "import smajax as sma; print(sma.__file__)\n"
+        "study = sma.predict('bench/example.toml', 'bench/example.csv'); print(study.success); study.save('predicted')\n"
+        "print(len(sma.load('predicted').plot().data) > 0)"
+    )
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    assert Path(result.stdout.strip()).is_relative_to(tmp_path / "installed")
+    place, *answers = result.stdout.split()
+    assert Path(place).is_relative_to(tmp_path / "installed") and answers == ["True", "True"]
+    assert (tmp_path / "installed" / "smajax" / "py.typed").is_file()
