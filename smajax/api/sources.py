@@ -35,7 +35,7 @@ def rig_text(rig: Rig) -> str:
         return rig.to_toml()
     folder = rig.path.parent if rig.path is not None else None
     same = parse_rig(rig.text, rig.name, folder, drop_misplaced=True)
-    unchanged = eqx.tree_equal(same.plant, rig.plant) is True and same.fit == rig.fit and same.channels == rig.channels
+    unchanged = bool(eqx.tree_equal(same.plant, rig.plant)) and same.fit == rig.fit and same.channels == rig.channels
     return rig.text if unchanged else rig.to_toml()
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -90,10 +91,11 @@ class Study:
             InputError: If the folder holds files that smajax did not write, or cannot be written.
         """
         folder = Path(folder)
-        write_result(folder, {**self.run, "argv": list(argv)}, self._fill)
+        run = {**self.run, "argv": list(argv)}
+        write_result(folder, run, partial(self._fill, run))
         return folder
 
-    def _fill(self, folder: Path) -> None:
+    def _fill(self, run: Mapping[str, Any], folder: Path) -> None:
         """Write all files except run.json."""
         for name, content in self.files.items():
             if isinstance(content, bytes):
@@ -108,7 +110,7 @@ class Study:
             # The table is read back, so that `smajax report` makes the same page.
             data = read_predictions(folder / PREDICTIONS)
         rig = self.file_text("rig.toml") if "rig.toml" in self.files else ""  # thermal cycles have none
-        (folder / REPORT).write_text(PAGES[self.command](self.document, data, self.run, rig), "utf-8")
+        (folder / REPORT).write_text(PAGES[self.command](self.document, data, run, rig), "utf-8")
 
     def file_text(self, name: str) -> str:
         """Return the text of a file of the study.

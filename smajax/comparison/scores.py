@@ -11,7 +11,7 @@ from smajax.comparison.model_result import ModelResult
 from smajax.recordings.recording import Recording
 
 # Least RMSE in the logarithm of the BIC, so that the BIC of an exact model is finite.
-_MIN_ERROR = 1e-300
+_MIN_ERROR = 1e-150
 
 
 class Scores(NamedTuple):
