@@ -10,7 +10,7 @@ from jaxtyping import Float
 from smajax.comparison.model_result import ModelResult
 from smajax.recordings.recording import Recording
 
-# Least RMSE in the logarithm of the BIC, so that the BIC of an exact model is finite.
+# Least RMSE in the logarithm of the BIC, so that the BIC of an exact model is finite; its square is a normal number.
 _MIN_ERROR = 1e-150
 
 
