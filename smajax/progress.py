@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from smajax.errors import Cancelled
 
@@ -35,6 +35,7 @@ class ProgressEvent(NamedTuple):
 ProgressCallback = Callable[[ProgressEvent], object]
 
 
+@runtime_checkable
 class PhasesAndSteps(Protocol):
     """What long work reports to: a ``Reporter`` or a ``Progress``."""
 

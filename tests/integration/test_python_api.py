@@ -156,7 +156,7 @@ def test_work_that_is_cancelled_before_a_result_says_so(files):
 def test_mistakes_have_the_sentences_of_the_commands(files):
     with pytest.raises(sma.InputError, match=r"nowhere.toml: there is no such file"):
         sma.fit("nowhere.toml", files / "train.csv")
-    with pytest.raises(sma.InputError, match=r"--profile heat.h9: this parameter is not free \(did you mean"):
+    with pytest.raises(sma.InputError, match=r"profile heat.h9: this parameter is not free \(did you mean"):
         sma.fit(files / "rig.toml", files / "train.csv", profile=["heat.h9"])
     with pytest.raises(sma.InputError, match="select: one recording is needed, 2 were given"):
         sma.diagnose(files / "rig.toml", files / "train.csv", select=["a.csv", "b.csv"], holdout="c.csv")

@@ -76,15 +76,15 @@ def yield_row(law: BilinearStressStrain, curvature: float) -> Row:
     """Return the diameter from which a wire yields at a curvature (1/m), next to that of Brinson's wire."""
     ours = 1e6 * float(law.yield_diameter(curvature))
     brinson = Brinson(
-        18.4,
-        9.0,
-        34.5,
-        49.0,
-        13.8e6,
-        8e6,
-        67e9,
-        26.3e9,
-        0.067,
+        martensite_start=18.4,
+        martensite_finish=9.0,
+        austenite_start=34.5,
+        austenite_finish=49.0,
+        clausius_clapeyron_austenite=13.8e6,
+        clausius_clapeyron_martensite=8e6,
+        modulus_austenite=67e9,
+        modulus_martensite=26.3e9,
+        max_transformation_strain=0.067,
         detwinning_start_stress=100e6,
         detwinning_finish_stress=170e6,
     )
