@@ -14,7 +14,7 @@ the implicit step (``Plant.step``) and nothing of its integration in time, so it
 is slower: rates cost several evaluations of the equations, and they jump where a transformation starts or ends.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import diffrax as dfx
 import jax
@@ -263,9 +263,15 @@ def integrate_vector_field(
     check_vector_field(plant)
     controller = controller or dfx.PIDController(rtol=_RELATIVE_TOLERANCE, atol=_ABSOLUTE_TOLERANCE)
     samples = inputs.time[inputs.sample_indices]
-    first, motion = initial_variables(plant, inputs.sample_signals[0])
+    variables, motion = initial_variables(plant, inputs.sample_signals[0])
+    first, structure = jax.tree.flatten(variables)  # diffrax takes no empty nodes
+    term = plant_term()
+
+    def flat_rates(t: Any, y: list, arguments: FieldArguments) -> list:
+        return jax.tree.leaves(term.vf(t, jax.tree.unflatten(structure, y), arguments))
+
     solution = dfx.diffeqsolve(
-        plant_term(),
+        dfx.ODETerm(flat_rates),
         solver,
         samples[0],
         samples[-1],
@@ -278,7 +284,8 @@ def integrate_vector_field(
         adjoint=dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         throw=False,
     )
-    states = jax.vmap(lambda y, signal: state_of(y, signal, plant, motion))(solution.ys, inputs.sample_signals)
+    later = jax.tree.unflatten(structure, cast(list, solution.ys))
+    states = jax.vmap(lambda y, signal: state_of(y, signal, plant, motion))(later, inputs.sample_signals)
     return states, _status(states, dfx.is_okay(solution.result))
 
 

@@ -98,7 +98,7 @@ class TestChecks:
             Wire(1e-4, -3.0)
         with pytest.raises(InputError, match=r"^Wire\.diameter = '0\.1 mm' is text: give a number in m$"):
             Wire("0.1 mm", 0.2)
-        assert Wire(np.float32(1e-4), np.int64(1)).length.dtype == jnp.float64
+        assert Wire(np.float64(1e-4), np.int64(1)).length.dtype == jnp.float64
         assert Initial(temperature=25.0).temperature.dtype == jnp.float64 and Initial().temperature is None
 
     def test_a_value_beyond_its_bound_by_rounding_passes(self):

@@ -1,9 +1,7 @@
 """Sets of effects beyond the usual: more parameters than the compiled program has slots, and effects of a user."""
 
 import dataclasses
-import json
 import math
-from importlib.resources import files
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +28,7 @@ from smajax.report.diagnosis import diagnosis_document
 from smajax.report.diagnosis_page import diagnosis_page
 from smajax.report.diagnosis_series import prediction_series
 from smajax.report.diagnosis_summary import sentences
+from smajax.report.documents.schemas import schemas
 
 PAIR = EffectSet(
     ("r-phase", "coating"),
@@ -144,8 +143,7 @@ def test_effect_of_a_user_is_named(rig, recordings):
     document = diagnosis_document(
         diagnosis, simulated, evidence=(), left_out={}, misplaced={}, simulations=1, wall_time=1.0, seed=0
     )
-    schema = json.loads((files("smajax.report") / "diagnosis.schema.json").read_text("utf-8"))
-    jsonschema.validate(document, schema)
+    jsonschema.validate(document, schemas()["diagnosis.schema.json"])
     assert "amplitude of the draught" in document["summary"] and document["holdout"] == {
         "decided": False,
         "removed": [],
