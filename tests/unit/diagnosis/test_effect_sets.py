@@ -172,4 +172,4 @@ def page_of(document, recordings, diagnosis) -> str:
     """The page of a document."""
     run = {"argv": [], "started": "", "machine": "", "versions": {}, "timings": {}}
     series = prediction_series(recordings, diagnosis)
-    return diagnosis_page(document, series, ["current"], run, "")
+    return diagnosis_page(document, series, run | {"inputs": ["current"]}, "")
