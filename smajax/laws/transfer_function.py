@@ -63,7 +63,8 @@ class TransferFunction(AbstractSeriesModel):
         if is_evenly_spaced(time):
             return self.even_response(time, values)
         before, initial = self._before(values[0])
-        transitions, input_gains = jax.vmap(self.zero_order_hold)(jnp.diff(time))
+        # One matrix after the other: a large batch of them can lock up the linear algebra of compiled programs.
+        transitions, input_gains = jax.lax.map(self.zero_order_hold, jnp.diff(time))
 
         def advance(state: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
             transition, input_gain, value = row
@@ -75,7 +76,7 @@ class TransferFunction(AbstractSeriesModel):
         delayed = time - self.delay
         last = jnp.searchsorted(time, delayed) - 1  # the last row before the delayed instant
         row = jnp.maximum(last, 0)
-        transitions, input_gains = jax.vmap(self.zero_order_hold)(delayed - time[row])
+        transitions, input_gains = jax.lax.map(self.zero_order_hold, delayed - time[row])
         undelayed = jnp.sum(states[row] * transitions[:, 0], axis=1) + values[row] * input_gains[:, 0]
         return self.rest + self.gain * jnp.where(last >= 0, undelayed, before)
 
