@@ -75,6 +75,8 @@ class NumericsError(ArithmeticError):
 class Cancelled(Exception):
     """The work was cancelled by its progress callback before there was a result."""
 
+    exit_code = 130
+
 
 # What a callback raises to stop a search with the best point so far; Ctrl-C raises the first.
 STOP_SIGNALS = (KeyboardInterrupt, StopIteration)

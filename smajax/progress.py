@@ -103,6 +103,8 @@ class Reporter:
         try:
             self._callback(event)
         except (StopIteration, KeyboardInterrupt) as error:
+            if self.stopped and isinstance(error, StopIteration):
+                return  # the work is ending with the best result so far
             self.stopped = True
             if event.can_stop:
                 raise KeyboardInterrupt from None

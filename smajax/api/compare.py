@@ -3,16 +3,15 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from smajax.api.run_record import INTERRUPTED, Clock, run_record
-from smajax.api.sources import as_rig, one_source, rig_text
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import RigSource, as_rig, one_source, rig_text
 from smajax.api.study import Study
 from smajax.comparison.compare import compare_models
 from smajax.comparison.model_result import ModelResult
 from smajax.comparison.models import model_names, select_models
-from smajax.files.rig_file import Rig
+from smajax.errors import Cancelled
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording
@@ -41,7 +40,7 @@ class ComparisonStudy(Study):
 
 
 def compare(
-    rig: Rig | str | Path,
+    rig: RigSource,
     train: Any,
     *,
     holdout: Any,
@@ -53,7 +52,7 @@ def compare(
     """Fit material laws and input-output models to one recording, and rank them by their prediction of another.
 
     Args:
-        rig: The rig, or its file; its first observed channel is compared.
+        rig: The rig, its file, or a dictionary with the sections of one; its first observed channel is compared.
         train: The recording to fit: a path, a table in memory, or a ``Recording``.
         holdout: The recording to predict, given likewise.
         models: Names of the models; all of them by default.
@@ -80,7 +79,7 @@ def compare(
     with clock.time("fit"):
         report = partial(_report, reporter)
         results = compare_models(rig, names, recordings, seed=seed, progress=report)
-    code = INTERRUPTED if len(results) < len(names) else 0
+    code = Cancelled.exit_code if len(results) < len(names) else 0
     reporter.phase("writing the report")
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),

@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from smajax import parameters
-from smajax.api.run_record import INTERRUPTED, Clock, run_record
-from smajax.api.sources import as_rig, one_source, rig_text, with_start
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import RigSource, as_rig, one_source, rig_text, with_start
 from smajax.api.study import FileContent, Study
 from smajax.diagnosis.outcome import diagnose as diagnose_problem
 from smajax.diagnosis.result import Diagnosis
 from smajax.diagnosis.setup import DiagnosisSetup, diagnosed_rig, set_up_diagnosis
-from smajax.errors import NumericsError
+from smajax.errors import Cancelled, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
-from smajax.recordings.recording import Recording
 from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
 from smajax.report.diagnosis_series import prediction_series
 
@@ -68,7 +67,7 @@ class DiagnosisStudy(Study):
 
 
 def diagnose(
-    rig: Rig | str | Path,
+    rig: RigSource,
     train: Any,
     *,
     select: Any,
@@ -81,7 +80,8 @@ def diagnose(
     """Find the effects that a rig has and its model lacks: trace the residual to an effect, add it, compare.
 
     Args:
-        rig: The rig, or its file; its section ``[fit]`` says what is free and observed.
+        rig: The rig, its file, or a dictionary with the sections of one; its section ``[fit]`` says what is free and
+            observed.
         train: The recording to fit: a path, a table in memory, or a ``Recording``.
         select: A recording of another input; an effect is added if it lowers the error here.
         holdout: A recording of a third input, which is predicted at the end.
@@ -118,7 +118,7 @@ def diagnose(
         wall_time=time.perf_counter() - began,
         seed=seed,
     )
-    code = INTERRUPTED if result.interrupted else 0
+    code = Cancelled.exit_code if result.interrupted else 0
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
@@ -146,9 +146,5 @@ def _files(rig: Rig, text: str, setup: DiagnosisSetup, result: Diagnosis) -> dic
     diagnosed = diagnosed_rig(rig, setup.problem.fitted_plant(result.after), setup.auxiliary)
     files: dict[str, FileContent] = {"rig.toml": text.encode(), "rig-diagnosed.toml": diagnosed.to_toml().encode()}
     if result.next_experiment and result.next_experiment.recording:
-        files[NEXT_INPUT] = partial(_write_recording, result.next_experiment.recording)
+        files[NEXT_INPUT] = result.next_experiment.recording.write
     return files
-
-
-def _write_recording(recording: Recording, path: Path) -> None:
-    recording.write(path)

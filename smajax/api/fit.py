@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from smajax import __version__, parameters
-from smajax.api.run_record import INTERRUPTED, Clock, run_record
-from smajax.api.sources import as_list, as_rig, rig_text, with_start
-from smajax.api.study import FileContent, Study
+from smajax.api.run_record import Clock, run_record
+from smajax.api.sources import RigSource, as_rig, rig_text, with_start
+from smajax.api.study import FileContent, Study, interval_of
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
@@ -81,10 +81,10 @@ class FitStudy(Study):
 
 
 def fit(
-    rig: Rig | str | Path,
+    rig: RigSource,
     train: Any,
     *,
-    holdout: Any = None,
+    holdout: Any = (),
     start: str | Path | None = None,
     seed: int | None = None,
     starts: int | None = None,
@@ -96,7 +96,8 @@ def fit(
     """Fit the free parameters of a rig to recordings, with intervals, and predict others.
 
     Args:
-        rig: The rig, or its file; its section ``[fit]`` says what is free and observed.
+        rig: The rig, its file, or a dictionary with the sections of one; its section ``[fit]`` says what is free and
+            observed.
         train: Recordings to fit: one or a list, each a path, a table in memory, or a ``Recording``.
         holdout: Recordings to predict, given likewise.
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
@@ -129,13 +130,13 @@ def fit(
         if r.status is not SimulationStatus.done
     ]
     failure = NumericsError.exit_code if failed or search.result is None else 0
-    code = INTERRUPTED if search.interrupted else failure
+    code = Cancelled.exit_code if search.interrupted else failure
     reason = search.reason or "; ".join(failed) or "interrupted with the best point so far"
-    solver = {key: document["solver"][key] for key in ("code", "text")}
+    ending = {key: document["solver"][key] for key in ("code", "text")}
     return FitStudy(
         document=document,
         series=tuple(_to_series(inputs.rig, response) for response in responses),
-        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | solver,
+        run=run_record("fit", inputs.rig.name, clock, inputs.settings.seed, code) | ending,
         files=_files(inputs, search.result),
         reason=reason if code else "",
         result=search.result,
@@ -178,7 +179,7 @@ def _read_inputs(
     warnings, text = list(rig.notes), rig_text(rig)
     rig = with_start(rig, start)
     settings: Any = dataclasses.replace(rig.fit, **options)
-    recordings = read_train_and_holdout(rig, as_list(train), as_list(holdout), drop_bad_rows)
+    recordings = read_train_and_holdout(rig, train, holdout, drop_bad_rows)
     labels = profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 
@@ -209,6 +210,10 @@ def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -
             )
         except NumericsError as error:
             reason = str(error)
+        except KeyboardInterrupt:
+            if not reporter.stopped:
+                raise
+            raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate") from None
     with clock.time("profile"):
         for label in () if result is None or reporter.stopped else inputs.labels:
             try:
@@ -287,6 +292,4 @@ def _parameter_set(result: FitResult, train: Sequence[Recording]) -> str:
 
 def _parameter(entry: Mapping[str, Any]) -> Parameter:
     """The parameter of an entry of fit.json."""
-    low, high = entry["lower95"], entry["upper95"]
-    interval = None if low is None or high is None else (low, high)
-    return Parameter(entry["estimate"], interval, entry["unit"], entry["at_bound"], tuple(entry["bounds"]))
+    return Parameter(entry["estimate"], interval_of(entry), entry["unit"], entry["at_bound"], tuple(entry["bounds"]))

@@ -1,6 +1,8 @@
 """Load a saved study from its result folder."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from smajax.api.compare import ComparisonStudy
 from smajax.api.diagnose import DiagnosisStudy
@@ -42,5 +44,12 @@ def load(folder: str | Path) -> Study:
         series=tuple(read_predictions(folder / PREDICTIONS)),
         run=run,
         files=saved_files(folder, run, study.document_name),
-        reason=str(run.get("text") or "") if run["exit_code"] else "",
+        reason=_reason(run, document),
     )
+
+
+def _reason(run: Mapping[str, Any], document: Mapping[str, Any]) -> str:
+    """Why a study did not succeed, from its record; empty if it did."""
+    if not run["exit_code"]:
+        return ""
+    return "; ".join(document.get("problems", ())) or str(run.get("text") or "interrupted")

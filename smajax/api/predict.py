@@ -2,14 +2,12 @@
 
 import dataclasses
 from collections.abc import Mapping
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from smajax.api.run_record import Clock, run_record
-from smajax.api.sources import as_rig, one_source, rig_text
+from smajax.api.sources import RigSource, as_rig, one_source, rig_text
 from smajax.api.study import FileContent, Study
 from smajax.errors import NumericsError
 from smajax.files.documents import finite_or_none
@@ -40,7 +38,7 @@ class PredictionStudy(Study):
 
 
 def predict(
-    rig: Rig | str | Path, recording: Any, *, drop_bad_rows: bool = False, progress: ProgressCallback | None = None
+    rig: RigSource, recording: Any, *, drop_bad_rows: bool = False, progress: ProgressCallback | None = None
 ) -> PredictionStudy:
     """Predict the response of a rig to the inputs of a recording, as ``smajax simulate`` does.
 
@@ -48,7 +46,7 @@ def predict(
     of the recording for channels that it has. If the simulation fails, it has the rows before the failure.
 
     Args:
-        rig: The rig, or its file.
+        rig: The rig, its file, or a dictionary with the sections of one.
         recording: The recording: a path, a table in memory, or a ``Recording``.
         drop_bad_rows: Whether to omit rows that cannot be read.
         progress: Function that gets a ``ProgressEvent`` for each phase.
@@ -79,7 +77,7 @@ def predict(
     series = prediction.recording_series(read, "simulation", channels)
     files: dict[str, FileContent] = {"rig.toml": text.encode()}
     if rows > 1:
-        files["simulation.csv"] = partial(_write_recording, _simulated_recording(rig, read, channels, rows))
+        files["simulation.csv"] = _simulated_recording(rig, read, channels, rows).write
     run = run_record("simulate", rig.name, clock, None, NumericsError.exit_code if failure else 0) | {
         "code": status.name,
         "text": failure or status.hint,
@@ -105,10 +103,6 @@ def _simulated_recording(rig: Rig, recording: Recording, channels: Mapping[str, 
     units = {c: recording.units.get(c) or prediction.usual_unit(c) for c in ("time", *columns)}
     time = recording.time[:rows] if recording.has_clock else None
     return Recording.from_arrays("simulation.csv", time, {c: v[:rows] for c, v in columns.items()}, units)
-
-
-def _write_recording(recording: Recording, path: Path) -> None:
-    recording.write(path)
 
 
 def _range_entry(values: np.ndarray, unit: str) -> dict[str, Any]:

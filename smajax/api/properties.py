@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from smajax.api.run_record import Clock, run_record
-from smajax.api.sources import as_list
-from smajax.api.study import FileContent, Study
+from smajax.api.study import FileContent, Study, interval_of
 from smajax.errors import InputError
 from smajax.files.parameter_sets import parameters_text
 from smajax.progress import ProgressCallback, Reporter
@@ -16,6 +15,7 @@ from smajax.properties.recording_analysis import CycleAnalysis, analyse_recordin
 from smajax.properties.start_values import assumed_values
 from smajax.recordings.read import read_recording
 from smajax.recordings.recording import Recording
+from smajax.recordings.sources import as_source_list, is_path
 from smajax.report.prediction import recording_series
 from smajax.report.properties import properties_document
 
@@ -109,7 +109,7 @@ def thermal_cycle_properties(
     clock, reporter = Clock(), Reporter(progress)
     with clock.time("read"):
         options: dict[str, Any] = {"headers": columns, "delimiter": delimiter, "decimal": decimal}
-        read = _read(as_list(recordings), options)
+        read = _read(as_source_list(recordings), options)
     with clock.time("analyse"):
         analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.step)
     files: dict[str, FileContent] = {}
@@ -131,7 +131,7 @@ def thermal_cycle_properties(
 
 def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]:
     """Read the recordings; refuse a file that is given twice."""
-    paths = [source.resolve() if isinstance(source, Path) else None for source in sources]
+    paths = [Path(source).resolve() if is_path(source) else None for source in sources]
     for k, path in enumerate(paths):
         if path is not None and path in paths[:k]:
             raise InputError(
@@ -152,5 +152,4 @@ def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]
 
 def _property(entry: Mapping[str, Any]) -> Property:
     """The property of an entry of properties.json."""
-    low, high = entry["lower95"], entry["upper95"]
-    return Property(entry["value"], None if low is None or high is None else (low, high), entry["unit"])
+    return Property(entry["value"], interval_of(entry), entry["unit"])

@@ -13,9 +13,6 @@ import jax
 from smajax import __version__
 from smajax.files.versions import package_versions
 
-# Exit code of a study that was stopped with the best result so far: that of a process ended by Ctrl-C.
-INTERRUPTED = 130
-
 
 @dataclass
 class Clock:

@@ -31,12 +31,10 @@ def saved_files(folder: Path, run: Mapping[str, Any], document_name: str) -> dic
         if name in built:
             continue
         try:
-            files[name] = path.read_bytes() if path.suffix in _TEXTS else partial(_copy, path.resolve(strict=True))
+            files[name] = (
+                path.read_bytes() if path.suffix in _TEXTS else partial(shutil.copyfile, path.resolve(strict=True))
+            )
         except OSError as error:
             reason = error.strerror or error
             raise InputError(f"{path}: the file cannot be read ({reason}): run the command again") from None
     return files
-
-
-def _copy(source: Path, target: Path) -> None:
-    shutil.copyfile(source, target)

@@ -1,22 +1,26 @@
 """Arguments of the public functions: rigs and recordings as objects, as paths, or in memory."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig, parse_rig, read_rig
 from smajax.files.warm_start import warm_start_plant
+from smajax.recordings.sources import as_source_list
+
+# What a rig is given by: the rig, its file, or a dictionary with the sections of one.
+RigSource: TypeAlias = Rig | str | Path | Mapping[str, Any]
 
 
-def as_rig(rig: Rig | str | Path, **options: bool) -> Rig:
-    """Return a rig, read from its file where a path is given.
+def as_rig(rig: RigSource, **options: bool) -> Rig:
+    """Return a rig, read from its file or from a dictionary where one is given.
 
     Args:
-        rig: The rig, or its file.
+        rig: The rig, its file, or a dictionary with the sections of one.
         **options: Options of ``read_rig``.
 
     Raises:
@@ -26,7 +30,7 @@ def as_rig(rig: Rig | str | Path, **options: bool) -> Rig:
 
 
 def rig_text(rig: Rig) -> str:
-    """Return the text of a rig file: that of its own file where the rig is unchanged since it was read.
+    """Return the text of a rig file: the text that the rig was read from, unless the rig was changed since.
 
     Args:
         rig: The rig.
@@ -49,18 +53,6 @@ def with_start(rig: Rig, start: str | Path | None) -> Rig:
     return rig if start is None else dataclasses.replace(rig, plant=warm_start_plant(rig, Path(start)))
 
 
-def as_list(sources: Any) -> list[Any]:
-    """Return recordings as a list: a list or tuple has several, anything else is one.
-
-    Args:
-        sources: A recording or a sequence of them; ``None`` for none.
-    """
-    if sources is None:
-        return []
-    listed = sources if isinstance(sources, list | tuple) else [sources]
-    return [Path(source) if isinstance(source, str) else source for source in listed]
-
-
 def one_source(sources: Any, argument: str) -> Any:
     """Return the only recording of an argument.
 
@@ -71,7 +63,7 @@ def one_source(sources: Any, argument: str) -> Any:
     Raises:
         InputError: If there are several or none.
     """
-    listed: Sequence[Any] = as_list(sources)
+    listed = as_source_list(sources)
     if len(listed) != 1:
         raise InputError(f"{argument}: one recording is needed, {len(listed)} were given")
     return listed[0]

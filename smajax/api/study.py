@@ -25,6 +25,12 @@ PREDICTIONS = "prediction.csv"
 REPORT = "report.html"
 
 
+def interval_of(entry: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the 95 % interval of an entry of a document; ``None`` where an end is not determined."""
+    low, high = entry["lower95"], entry["upper95"]
+    return None if low is None or high is None else (low, high)
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Study:
     """Result of a study.

@@ -188,6 +188,7 @@ def _sweep(
             if not complete:
                 count = sum((folder / chunk.file).is_file() for chunk in designs.chunks)
                 kept = f"run it again with --resume to continue; the results so far are saved in {folder}"
+                kept = kept if save else "nothing is kept, since no folder was given"
                 raise Cancelled(f"stopped after {count} of {_counted(designs.chunks)}; {kept}")
             study = dataclasses.replace(_finish(designs, folder, reporter, clock), note=note)
             if save:
@@ -219,7 +220,10 @@ def _simulate(designs: _Designs, folder: Path, submit: Submit, reporter: Reporte
             reporter.step(f"{count} of {_counted(designs.chunks)}", count, chunks)
 
     with clock.time("simulate"):
-        reporter.phase(f"compiling, then {total:,} designs in {_counted(designs.chunks)}", can_stop=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            reporter.phase(f"compiling, then {total:,} designs in {_counted(designs.chunks)}", can_stop=True)
+        if reporter.stopped:
+            return False
         return run_chunks(designs.chunks, designs.problem.names, folder, submit, report, reporter.check)
 
 
@@ -277,7 +281,7 @@ def _files(
     for name, table in ((TABLE, columns), (SOBOL_TABLE, sobol_columns)):
         if name == TABLE or len(table["design"]):
             of_columns = {n: u for n, u in units.items() if n in table}
-            files[name] = partial(_write_table, table, designs.header, of_columns)
+            files[name] = partial(write_table, columns=table, header=designs.header, units=of_columns)
     for k, entry in enumerate(refined):
         if entry.better:
             values = {
@@ -287,12 +291,6 @@ def _files(
             }
             files[f"rig-refined-{k + 1}.toml"] = sweep.subject.to_toml(values).encode()
     return files
-
-
-def _write_table(
-    columns: Mapping[str, np.ndarray], header: Mapping[str, Any], units: Mapping[str, str], path: Path
-) -> None:
-    write_table(path, columns, header, units)
 
 
 def _counted(chunks: Sequence[Chunk]) -> str:

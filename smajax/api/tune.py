@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 
 from smajax.api.run_record import Clock, run_record
-from smajax.api.sources import as_rig, rig_text
+from smajax.api.sources import RigSource, as_rig, rig_text
 from smajax.api.study import FileContent, Study
 from smajax.control.analysis.closed_loop_checks import GainEvaluation, wire_channels
 from smajax.control.controller_file.read import ControllerFile, read_controller
 from smajax.control.export.files import export_files
 from smajax.control.tuning.tuning_study import ControllerTuning, tune_controller
 from smajax.errors import NumericsError
-from smajax.files.rig_file import Rig
 from smajax.files.toml import read_text
 from smajax.progress import ProgressCallback, Reporter
 from smajax.report.documents import TuneDocument
@@ -54,7 +53,7 @@ class TuningStudy(Study):
 
 
 def tune(
-    rig: Rig | str | Path,
+    rig: RigSource,
     controller: str | Path,
     *,
     seed: int | None = None,
@@ -63,7 +62,7 @@ def tune(
     """Tune a controller's gains by gradients of its closed loop with the rig, check them, and export the controller.
 
     Args:
-        rig: The rig, or its file.
+        rig: The rig, its file, or a dictionary with the sections of one.
         controller: The controller file: controller, reference and limits.
         seed: Seed of the random numbers; that of the controller file by default.
         progress: Function that gets a ``ProgressEvent`` for each phase and step.

@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 
 from smajax import __version__
 from smajax.app.command_line import designs, files, models, properties
+from smajax.errors import Cancelled
 
 # Packages whose exceptions are usage errors and exits, which typer handles.
 _TYPER_MODULES = ("typer", "click")
@@ -72,9 +73,7 @@ def main() -> None:
     try:
         app()
     except KeyboardInterrupt:
-        from smajax.app.console import INTERRUPTED
-
-        sys.exit(INTERRUPTED)
+        sys.exit(Cancelled.exit_code)
 
 
 if __name__ == "__main__":

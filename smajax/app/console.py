@@ -18,7 +18,6 @@ from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.progress import Progress, ProgressEvent
 
 FAULT = 1
-INTERRUPTED = 130
 
 
 class CommandProgress:
@@ -73,7 +72,7 @@ class CommandProgress:
         if self._requested:
             self._display.close()
             _print_error("interrupted; nothing was written")
-            os._exit(INTERRUPTED)
+            os._exit(Cancelled.exit_code)
         self._requested = True
         self._display.phase(
             "stopping after this step, the best point so far is kept; press Ctrl-C again to stop at once"
@@ -87,10 +86,10 @@ def exit_code(error: BaseException) -> int:
         return error.exit_code
     if isinstance(error, Cancelled):
         _print_error(str(error))
-        return INTERRUPTED
+        return Cancelled.exit_code
     if isinstance(error, KeyboardInterrupt):
         _print_error("interrupted; nothing was written")
-        return INTERRUPTED
+        return Cancelled.exit_code
     if isinstance(error, MemoryError):
         _print_error("there is not enough memory for this: cut the recordings into parts, or lower --starts")
         return FAULT

@@ -1,9 +1,11 @@
 """The public names of smajax: loaded lazily, the same results as the commands, callbacks, saved and loaded studies."""
 
 import ast
+import dataclasses
 import json
 import subprocess
 import sys
+import tomllib
 
 import numpy as np
 import pytest
@@ -125,6 +127,18 @@ def test_a_folder_that_is_no_result_is_refused(tmp_path):
         sma.load(tmp_path)
 
 
+def test_a_loaded_study_says_why_it_did_not_succeed(fitted, tmp_path):
+    record = {**fitted.run, "exit_code": 130, "text": "interrupted"}
+    dataclasses.replace(fitted, run=record, reason="interrupted").save(tmp_path / "stopped")
+    loaded = sma.load(tmp_path / "stopped")
+    assert loaded.reason == "interrupted" and not loaded.success
+
+
+def test_a_dictionary_stands_for_a_rig_file(files):
+    sections = tomllib.loads((files / "rig.toml").read_text("utf-8"))
+    assert sma.predict(sections, files / "holdout.csv").success
+
+
 def test_the_rig_of_a_study_goes_on(fitted, files):
     predicted = sma.predict(fitted.rig, files / "holdout.csv")
     assert predicted.success and predicted.channels["displacement"].shape == (501,)
@@ -145,12 +159,37 @@ def test_a_callback_gets_phases_and_steps_and_can_stop(files):
     assert events[0].text == "reading" and events[2].can_stop
 
 
-def test_work_that_is_cancelled_before_a_result_says_so(files):
-    def stop(event):
-        raise StopIteration
+def test_a_callback_that_raises_at_every_event_keeps_the_best_point(files):
+    """As one that looks at a flag, which stays set."""
+    flag = []
 
-    with pytest.raises(sma.Cancelled, match="cancelled while reading, before there was a result"):
+    def stop_while_set(event):
+        if event.step == 2:
+            flag.append(True)
+        if flag:
+            raise StopIteration
+
+    study = sma.fit(files / "rig.toml", files / "train.csv", starts=1, progress=stop_while_set)
+    assert study.exit_code == 130 and study.document["solver"]["steps"] == 2 and study.result is not None
+
+
+@pytest.mark.parametrize(("can_stop", "text"), [(False, "cancelled while reading"), (True, "before its first step")])
+def test_work_that_is_cancelled_before_a_result_says_so(files, can_stop, text):
+    def stop(event):
+        if event.can_stop is can_stop:
+            raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match=text):
         sma.fit(files / "rig.toml", files / "train.csv", progress=stop)
+
+
+def test_a_sweep_that_is_cancelled_keeps_its_chunks(tmp_path):
+    def stop(event):
+        if event.can_stop:
+            raise StopIteration
+
+    with pytest.raises(sma.Cancelled, match=r"stopped after 0 of .* run it again with --resume to continue"):
+        sma.sweep(ROOT / "data" / "sweeps" / "flexural.toml", folder=tmp_path / "out", progress=stop)
 
 
 def test_mistakes_have_the_sentences_of_the_commands(files):
