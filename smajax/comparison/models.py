@@ -36,8 +36,8 @@ def select_models(names: Sequence[str]) -> list[str]:
         else:
             choices = (*model_names(), TRANSFER_FUNCTION)
             raise InputError(
-                f"--models: '{name}' is not known{suggestion(name, choices)}: the models are {', '.join(choices)}"
+                f"models: '{name}' is not known{suggestion(name, choices)}: the models are {', '.join(choices)}"
             )
     if not selected:
-        raise InputError(f"--models names no model: give some of {', '.join(model_names())}, with commas between")
+        raise InputError(f"models names no model: give some of {', '.join(model_names())}, with commas between")
     return list(dict.fromkeys(selected))

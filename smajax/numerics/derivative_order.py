@@ -18,8 +18,8 @@ from smajax.errors import DerivativeError
 Tree = TypeVar("Tree")
 
 
-# The identity as a primitive of its own. A rule by ``jax.custom_jvp`` would not do: reverse mode through a scan keeps
-# what the rule computes and forgets the rule, so that a second derivative would pass.
+# The identity as a separate primitive. ``jax.custom_jvp`` is not enough: reverse mode through a scan inlines what its
+# rule computes, so that a second derivative would not raise.
 _marked = jax.extend.core.Primitive("smajax_nondifferentiable")
 _marked.multiple_results = True
 _marked.def_impl(lambda *leaves, message: list(leaves))

@@ -56,7 +56,7 @@ class StepSolver(StepEquations):
         after: Float[Array, " signals"],
         step: Float[Array, ""],
     ) -> tuple[State, Bool[Array, ""]]:
-        """``solve_step``, with derivatives that mean nothing."""
+        """Solve a step (``solve_step``); its derivatives are not those of the solution."""
         state = self._begin_step(state, step)
         rate = self._net_heat(self._wire_state(state), state.memory, before)
         guess = jnp.concatenate([self._predicted_temperature(state, rate, after, step), state.unknown])

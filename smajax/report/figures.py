@@ -48,7 +48,7 @@ _PANEL_PIXELS = 58
 _GAP_PIXELS = 24
 # Height of the title, the legend and the time axis, in pixels.
 _FRAME_PIXELS = 144
-# Margin above a figure, which has its legend, and height of its own title, in pixels.
+# Margin above a figure for the legend, and height of the title, in pixels.
 _TOP_PIXELS = 58
 _TITLE_PIXELS = 26
 # Weight of a panel below which its axis title has two small lines.

@@ -66,7 +66,7 @@ class UnstableObserverError(InputError):
 
 
 def _is_traced(value: ArrayLike) -> bool:
-    """Whether a value has no number to check: that of a program while it is traced, or a placeholder of JAX."""
+    """Whether a value cannot be checked: it is traced, or a placeholder of JAX."""
     return isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | float | int)
 
 

@@ -21,7 +21,7 @@ from smajax.errors import InputError
 
 # Counter of the loops over the elements of an array, which are never within each other.
 _COUNTER = "i"
-# Operations that rearrange or repeat their only operand, whatever its numbers are.
+# Operations that only rearrange or repeat the elements of their operand.
 _REARRANGING = ("reshape", "squeeze", "expand_dims", "broadcast_in_dim", "transpose", "slice", "rev", "tile")
 # Reductions: start value and format of the next partial result.
 _REDUCTIONS = {

@@ -78,7 +78,7 @@ class TendonLimb(AbstractMechanism):
     sheath: Sheath | None = None
     wires, unknowns, prescribed, coordinate, extra_channels = 1, 1, (), "angle", ("torque",)
     obstacle_to_rates = (
-        "an inertia that its implicit step integrates by a rule of its own, and dry friction in a sheath"
+        "inertia, which the implicit step integrates by its own scheme, and dry friction in a sheath"
     )
 
     @property

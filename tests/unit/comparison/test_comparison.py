@@ -232,8 +232,8 @@ def test_no_model_is_best_if_none_is_better_than_the_mean(short, tmp_path):
     ("models", "sentence"),
     [
         ("brinsen", "'brinsen' is not known (did you mean 'brinson'?)"),
-        (" , ", "--models names no model"),
-        ("", "--models names no model"),
+        (" , ", "models names no model"),
+        ("", "models names no model"),
     ],
 )
 def test_unknown_models_are_rejected(short, tmp_path, models, sentence):

@@ -1,4 +1,4 @@
-"""Writing of TOML files: whatever is written reads back the same, floats to the last bit, in a readable layout."""
+"""Writing of TOML files: values read back unchanged, floats to the last bit, in a readable layout."""
 
 import math
 import struct

@@ -62,6 +62,16 @@ def test_the_normalised_form_is_the_seven_parameter_one():
         assert float(entry) == pytest.approx(float(other), rel=1e-12)
 
 
+@pytest.mark.parametrize("exponent", [1.05, 1.7, 10.0])
+def test_the_path_lengths_have_converged(exponent, monkeypatch):
+    """Four points in a piece of the curve give the output of forty."""
+    law = dataclasses.replace(BoucWen.from_seven_parameters(**SEVEN), n=jnp.asarray(exponent))
+    output = compute_response(law, jnp.asarray(TIME), jnp.asarray(INPUT))
+    monkeypatch.setattr("smajax.laws.response._QUADRATURE_POINTS", 40)
+    finer = compute_response(law, jnp.asarray(TIME), jnp.asarray(INPUT))
+    np.testing.assert_allclose(output, finer, rtol=0.0, atol=1e-12 * float(jnp.max(jnp.abs(finer))))
+
+
 def test_a_normalised_form_without_a_seven_parameter_one_is_refused():
     law = BoucWen(*(jnp.asarray(v) for v in (-1.0, 2.0, 0.5, 0.6, 1.5)))
     assert float(law.to_seven_parameters(a=2.0)["k"]) == pytest.approx(-0.5)

@@ -186,6 +186,7 @@ def test_wrong_use_is_one_sentence(kind, name, cls, sentence):
 
 def test_options_need_no_declaration():
     register("material", "my-law", WithOption)
+    assert MATERIALS["my-law"] is WithOption
 
 
 def test_two_effects_of_one_key_are_an_error():
