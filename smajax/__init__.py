@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from smajax.api.fit import FitStudy, Parameter, fit
     from smajax.api.load import load
     from smajax.api.predict import PredictionStudy, predict
-    from smajax.api.properties import PropertiesStudy, thermal_cycle_properties
+    from smajax.api.properties import PropertiesStudy, Property, thermal_cycle_properties
     from smajax.api.registration import register
     from smajax.api.study import Study
     from smajax.api.sweep import SweepStudy, sweep
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from smajax.simulation.run import Simulation, simulate
     from smajax.simulation.status import SimulationStatus
 
-# Module of each public name; a name that is a room stands for the module itself.
+# Module of each public name.
 _MODULES = {
     "Cancelled": "smajax.errors",
     "ClosedLoop": "smajax.control.loop.closed_loop",
@@ -73,6 +73,7 @@ _MODULES = {
     "PrescribedTemperature": "smajax.plant.heat",
     "ProgressEvent": "smajax.progress",
     "PropertiesStudy": "smajax.api.properties",
+    "Property": "smajax.api.properties",
     "Recording": "smajax.recordings.recording",
     "Rig": "smajax.files.rig_file",
     "Rollout": "smajax.control.loop.rollout",
@@ -105,7 +106,8 @@ _MODULES = {
     "thermal_cycle_properties": "smajax.api.properties",
     "tune": "smajax.api.tune",
 }
-_ROOMS = {
+# Public names that are modules themselves.
+_SUBPACKAGES = {
     "controllers": "smajax.control.controllers",
     "effects": "smajax.plant.effects",
     "materials": "smajax.plant.materials",
@@ -137,6 +139,7 @@ __all__ = [
     "PrescribedTemperature",
     "ProgressEvent",
     "PropertiesStudy",
+    "Property",
     "Recording",
     "Rig",
     "Rollout",
@@ -178,8 +181,8 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is first used."""
-    if name in _ROOMS:
-        value = importlib.import_module(_ROOMS[name])
+    if name in _SUBPACKAGES:
+        value = importlib.import_module(_SUBPACKAGES[name])
     elif name in _MODULES:
         value = getattr(importlib.import_module(_MODULES[name]), name)
     else:

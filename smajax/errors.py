@@ -56,10 +56,10 @@ class NumericsError(ArithmeticError):
     Attributes:
         state: Last valid parameter values by name, in internal units; empty if there are none.
         rig: Text of a rig file with these values; empty if there is none.
+        run: Record of the run that failed; empty if there is none.
     """
 
     exit_code = 3
-    rig = ""
 
     def __init__(self, message: str, state: Mapping[str, float] | None = None):
         """Make the error.
@@ -70,6 +70,8 @@ class NumericsError(ArithmeticError):
         """
         super().__init__(message)
         self.state = dict(state or {})
+        self.rig: str = ""
+        self.run: dict[str, Any] = {}
 
 
 class Cancelled(Exception):

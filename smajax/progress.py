@@ -1,5 +1,6 @@
 """Progress of long work: events for a callback, and their display on stderr."""
 
+import contextlib
 import sys
 import time
 from collections.abc import Callable
@@ -43,8 +44,8 @@ class PhasesAndSteps(Protocol):
         """Report the beginning of a phase."""
         ...
 
-    def step(self, text: str) -> None:
-        """Report a step within the phase."""
+    def step(self, text: str, step: int = 0) -> None:
+        """Report a step within the phase: what has been reached, and the number of steps that are done."""
         ...
 
 
@@ -88,13 +89,14 @@ class Reporter:
         """
         self._report(ProgressEvent(text, step, total, self._last.can_stop))
 
-    def check(self) -> bool:
-        """Repeat the last event, and return whether the callback has asked to stop."""
-        try:
-            self._report(self._last)
-        except KeyboardInterrupt:
-            self.stopped = True
-        return self.stopped
+    def finish(self, text: str) -> None:
+        """Report the last phase; a request to stop is ignored, since there is a result already.
+
+        Args:
+            text: What is being done.
+        """
+        with contextlib.suppress(Cancelled):
+            self._report(ProgressEvent(text))
 
     def _report(self, event: ProgressEvent) -> None:
         self._last = event
@@ -153,7 +155,7 @@ class Progress:
         """Report the beginning of a phase of the work; ``text`` is shown as it is."""
         self._report(text, always=True)
 
-    def step(self, text: str) -> None:
+    def step(self, text: str, step: int = 0) -> None:
         """Report progress within a phase; without a terminal, at most one line every two seconds."""
         self._report(text, always=False)
 

@@ -11,7 +11,7 @@
 # %% [markdown]
 # # Close the loop: from measured cycles to a controller
 #
-# This page goes the whole way in Python: read measured recordings, fit a model, look at the residual, find what the
+# This page does all steps in Python: read measured recordings, fit a model, look at the residual, find what the
 # model lacks, compare before and after on a recording that nothing was fitted to, tune a controller on a better model,
 # and export it.
 #
@@ -178,7 +178,7 @@ for role in ("train", "select", "holdout"):
 # An effect that is named here is one that these recordings support. Where others are listed as equally good, these
 # recordings cannot distinguish them, and the name must not be taken for the mechanism. The summary also says what the
 # diagnosis makes of the residual that remains: where it is still above the noise, the model still lacks something, and
-# the effect is a better description of these cycles rather than the whole truth.
+# the effect is an improved description of these cycles, not a proven mechanism.
 
 # %% [markdown]
 # ## From the cycles to an actuator

@@ -80,7 +80,7 @@ def compare(
         report = partial(_report, reporter)
         results = compare_models(rig, names, recordings, seed=seed, progress=report)
     code = Cancelled.exit_code if len(results) < len(names) else 0
-    reporter.phase("writing the report")
+    reporter.finish("writing the report")
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),
         series=tuple(_series(rig.fit.observe[0], results, recordings)),

@@ -106,8 +106,12 @@ def diagnose(
     seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
-        result = _diagnose(rig, setup, seed, reporter)
-    reporter.phase("writing the report")
+        try:
+            result = _diagnose(rig, setup, seed, reporter)
+        except NumericsError as error:
+            error.run = run_record("diagnose", rig.name, clock, seed, error.exit_code)
+            raise
+    reporter.finish("writing the report")
     document = diagnosis_document(
         result,
         recordings,

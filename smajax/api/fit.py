@@ -4,8 +4,9 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.fitting.evaluation import copied_holdout_warnings, fit_warnings, start_responses
 from smajax.fitting.fit import fit as fit_plant
+from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.profile import profile_labels, profile_likelihood
 from smajax.fitting.result import FitResult, Response
 from smajax.progress import ProgressCallback, Reporter
@@ -122,7 +124,7 @@ def fit(
         options = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
         inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
     search = _search(inputs, solver, reporter, clock)
-    reporter.phase("writing the report")
+    reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search)
     failed = [
         f"{r.recording.name}: {r.status.name}: {r.status.hint}"
@@ -214,17 +216,30 @@ def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -
             if not reporter.stopped:
                 raise
             raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate") from None
+    interrupted = reporter.stopped or (result is not None and result.status is SolverStatus.interrupted)
     with clock.time("profile"):
-        for label in () if result is None or reporter.stopped else inputs.labels:
-            try:
-                reporter.phase(f"profile likelihood of {label}", can_stop=True)
-                profiles[label] = profile_likelihood(cast(FitResult, result), label)
-            except InputError as error:  # the fit is valid without the profile
-                inputs.warnings.append(f"{error}.")
-            except (Cancelled, KeyboardInterrupt):
-                reporter.stopped = True
-                break
-    return _Search(result, reason, profiles, reporter.stopped)
+        if result is not None and not interrupted:
+            interrupted = _add_profiles(result, inputs, profiles, reporter)
+    return _Search(result, reason, profiles, interrupted)
+
+
+def _add_profiles(result: FitResult, inputs: _FitInputs, profiles: dict[str, Any], reporter: Reporter) -> bool:
+    """Add the profile likelihoods; return whether an interruption ended them."""
+    for label in inputs.labels:
+        text = f"profile likelihood of {label}"
+        try:
+            reporter.phase(text, can_stop=True)
+            report = partial(_report_step, reporter, text)
+            profiles[label] = profile_likelihood(result, label, progress=report)
+        except InputError as error:  # the fit is valid without the profile
+            inputs.warnings.append(f"{error}.")
+        except (Cancelled, KeyboardInterrupt):
+            return True
+    return False
+
+
+def _report_step(reporter: Reporter, text: str, step: int, cost: float) -> None:
+    reporter.step(f"{text}: step {step}", step)
 
 
 def _evaluate(inputs: _FitInputs, search: _Search) -> tuple[dict[str, Any], list[Response]]:

@@ -13,8 +13,6 @@ from smajax.api.saved_files import saved_files
 from smajax.api.study import PREDICTIONS, Study
 from smajax.api.sweep import load_sweep
 from smajax.api.tune import TuningStudy
-
-# TUNE
 from smajax.report.documents import read_document, read_run
 from smajax.report.prediction import read_predictions
 

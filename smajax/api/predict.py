@@ -69,7 +69,7 @@ def predict(
         result = simulate(rig.plant, read, interpolation=rig.interpolation, throw=False)
         channels = {c: np.asarray(v) for c, v in result.channels.items()}
         status = SimulationStatus(int(result.status))
-    reporter.phase("writing the report")
+    reporter.finish("writing the report")
     rows = _rows_before_failure(channels)
     failure = ""
     if status is not SimulationStatus.done:

@@ -107,11 +107,12 @@ def thermal_cycle_properties(
         Cancelled: If the callback stopped the analysis.
     """
     clock, reporter = Clock(), Reporter(progress)
+    reporter.phase("reading")
     with clock.time("read"):
         options: dict[str, Any] = {"headers": columns, "delimiter": delimiter, "decimal": decimal}
         read = _read(as_source_list(recordings), options)
     with clock.time("analyse"):
-        analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.step)
+        analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.phase)
     files: dict[str, FileContent] = {}
     guessed = None
     if model is not None:

@@ -39,8 +39,8 @@ def rig_text(rig: Rig) -> str:
         return rig.to_toml()
     folder = rig.path.parent if rig.path is not None else None
     same = parse_rig(rig.text, rig.name, folder, drop_misplaced=True)
-    unchanged = bool(eqx.tree_equal(same.plant, rig.plant)) and same.fit == rig.fit and same.channels == rig.channels
-    return rig.text if unchanged else rig.to_toml()
+    settings, given = ((r.fit, r.channels, r.interpolation) for r in (same, rig))
+    return rig.text if settings == given and bool(eqx.tree_equal(same.plant, rig.plant)) else rig.to_toml()
 
 
 def with_start(rig: Rig, start: str | Path | None) -> Rig:

@@ -42,7 +42,7 @@ from smajax.sweeps.problem import INPUT, AbstractSweepProblem
 from smajax.sweeps.refinement import RefinedDesign
 from smajax.sweeps.space import pick_and_freeze
 from smajax.sweeps.sweep_file import SweepFile, read_sweep
-from smajax.sweeps.table import read_table, write_table
+from smajax.sweeps.table import read_table, read_units, write_table
 
 if TYPE_CHECKING:
     import pandas
@@ -130,6 +130,8 @@ def sweep(
         InputError: If a file is not valid, the folder cannot be written, or the scheduler cannot be reached.
         Cancelled: If the callback stopped the sweep.
     """
+    if resume and folder is None:
+        raise InputError("resume: the chunks are next to a result folder: give the one of the earlier run as folder")
     reporter = Reporter(progress)
     with contextlib.ExitStack() as stack:
         if folder is None:
@@ -185,12 +187,19 @@ def _sweep(
         with checkpoint_folder(out, header, resume=resume) as folder:
             complete = _simulate(designs, folder, submit, reporter, clock)
             workers.close()
+            kept = "nothing is kept, since no folder was given"
+            if save:
+                kept = (
+                    "run it again with --resume (resume=True in Python) to continue; the results so far are saved in "
+                )
+                kept += str(folder)
             if not complete:
                 count = sum((folder / chunk.file).is_file() for chunk in designs.chunks)
-                kept = f"run it again with --resume to continue; the results so far are saved in {folder}"
-                kept = kept if save else "nothing is kept, since no folder was given"
                 raise Cancelled(f"stopped after {count} of {_counted(designs.chunks)}; {kept}")
-            study = dataclasses.replace(_finish(designs, folder, reporter, clock), note=note)
+            try:
+                study = dataclasses.replace(_finish(designs, folder, reporter, clock), note=note)
+            except Cancelled as error:
+                raise Cancelled(f"{error}; {kept}") from None
             if save:
                 study.save(out, argv=argv)
             shutil.rmtree(folder, ignore_errors=True)
@@ -224,7 +233,7 @@ def _simulate(designs: _Designs, folder: Path, submit: Submit, reporter: Reporte
             reporter.phase(f"compiling, then {total:,} designs in {_counted(designs.chunks)}", can_stop=True)
         if reporter.stopped:
             return False
-        return run_chunks(designs.chunks, designs.problem.names, folder, submit, report, reporter.check)
+        return run_chunks(designs.chunks, designs.problem.names, folder, submit, report, lambda: reporter.stopped)
 
 
 def _finish(designs: _Designs, folder: Path, reporter: Reporter, clock: Clock) -> SweepStudy:
@@ -238,7 +247,7 @@ def _finish(designs: _Designs, folder: Path, reporter: Reporter, clock: Clock) -
         document = sweep_document(sweep, problem, columns, sobol_columns, best, refined)
     reason = "; ".join(document["problems"])
     run = run_record("sweep", sweep.subject.name, clock, sweep.seed, NumericsError.exit_code if reason else 0)
-    reporter.phase("writing the report")
+    reporter.finish("writing the report")
     units = {axis.name: axis.unit for axis in sweep.axes} | problem.units
     units |= {
         derivative_column(n, axis.name): f"{unit}/({axis.unit})"
@@ -337,4 +346,5 @@ def load_sweep(folder: Path, run: Mapping[str, Any], document: Mapping[str, Any]
         reason="; ".join(document["problems"]),
         note=note,
         designs=read_table(folder / TABLE),
+        units=read_units(folder / TABLE),
     )

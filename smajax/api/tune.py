@@ -94,7 +94,7 @@ def tune(
     document["summary"] = tuning_summary(document)
     reason = "; ".join(document["problems"])
     run = run_record("tune", rig.name, clock, result.seed, NumericsError.exit_code if reason else 0)
-    reporter.phase("writing the report")
+    reporter.finish("writing the report")
     evaluations = (("start gains", result.start), ("tuned gains", result.tuned))
     return TuningStudy(
         document=TuneDocument.check(document),

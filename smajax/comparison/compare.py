@@ -9,7 +9,8 @@ import numpy as np
 from smajax.comparison.input_output_models import fit_input_output_model
 from smajax.comparison.material_models import fit_material_model
 from smajax.comparison.model_result import ModelResult
-from smajax.errors import STOP_SIGNALS, Cancelled, InputError, NumericsError
+from smajax.diagnosis.cancellation import CallbackStop, stoppable
+from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.recording import Recording
@@ -46,11 +47,12 @@ def compare_models(
         Cancelled: If the comparison is stopped before a model was fitted.
     """
     results: list[ModelResult] = []
+    report = stoppable(progress)
     try:
         for name in models:
-            progress(name)
+            report(name)
             results.append(_fit_model(rig, name, recordings, rig.fit.observe[0], seed))
-    except (*STOP_SIGNALS, Cancelled):
+    except (CallbackStop, KeyboardInterrupt, Cancelled):
         if all(result.reason for result in results):
             raise Cancelled("the comparison was cancelled before a model was fitted") from None
     if all(result.reason for result in results):

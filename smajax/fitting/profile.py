@@ -1,7 +1,7 @@
 """Profile likelihood of one parameter."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -26,7 +26,14 @@ _ENDED = (SolverStatus.converged, SolverStatus.stalled)
 _RTOL = 1e-9
 
 
-def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: float = 3.0) -> dict[str, Any]:
+def profile_likelihood(
+    result: FitResult,
+    name: str,
+    *,
+    points: int = 9,
+    width: float = 3.0,
+    progress: Callable[[int, float], None] = lambda step, cost: None,
+) -> dict[str, Any]:
     """Compute the best cost with one parameter held at several values.
 
     Args:
@@ -34,6 +41,8 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
         name: Label of a free parameter.
         points: Number of values.
         width: The values reach this number of standard errors to either side.
+        progress: Called after each step of the searches with its number and the best cost so far; it may interrupt
+            them by ``StopIteration`` or ``KeyboardInterrupt``.
 
     Returns:
         ``values`` (points,) in the internal unit; ``rise`` (points,) of the cost, in units in which 3.84 bounds a 95 %
@@ -60,7 +69,7 @@ def profile_likelihood(result: FitResult, name: str, *, points: int = 9, width: 
     scales = np.array([u.scale for u in result.problem.unknowns])
     starts += np.outer(values - estimate.estimate, np.nan_to_num(slope)) / scales
     solver = MultiStartSolver(residual, result.problem, starts, lower, upper, size=result.problem.size, rtol=_RTOL)
-    search = solver.advance().result()
+    search = solver.advance(progress=progress).result()
     if SolverStatus.interrupted in search.statuses:
         raise Cancelled(f"the profile of {name} was cancelled before its searches had ended")
     middle = points // 2

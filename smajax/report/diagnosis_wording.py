@@ -17,12 +17,12 @@ def rejection_text(rejection: Rejection) -> str:
             f"a cause has to cut it by {100 * MIN_SELECT_CUT:.0f} %"
         ),
         RejectionCode.noise: (
-            f"moves the selection recording's prediction by less than the noise, in addition to {others}: "
-            "perhaps a surrogate"
+            f"changes the prediction of the selection recording by less than the noise, in addition to {others}: "
+            "it may only compensate for another error of the model"
         ),
         RejectionCode.part_of_excess: (
             f"explains {percent:.0f} % of the small excess that {others} does not explain: "
-            "a cause would explain nearly all of it, a surrogate of slightly wrong kinetics does not"
+            "a cause would explain nearly all of it, an effect that compensates for slightly wrong kinetics does not"
         ),
         RejectionCode.unneeded: "is no longer needed next to the other effects",
         RejectionCode.swapped: f"together with the other effects it explains less than {others}",

@@ -76,6 +76,17 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     return {current_name(n.partition(" [")[0]): table.column(n).to_numpy() for n in table.column_names}
 
 
+def read_units(path: Path) -> dict[str, str]:
+    """Read the units of a table by current name of the column.
+
+    Raises:
+        InputError: If pyarrow is not installed.
+    """
+    names = pyarrow_parquet(path).read_schema(path).names
+    parts = (name.partition(" [") for name in names if " [" in name)
+    return {current_name(name): unit.removesuffix("]") for name, _, unit in parts}
+
+
 def read_header(path: Path) -> dict[str, Any]:
     """Read the header of a sweep's table.
 

@@ -12,10 +12,13 @@ import pytest
 from typer.testing import CliRunner
 
 import smajax as sma
+from smajax.api.sources import rig_text
 from smajax.app.cli import app
+from smajax.fitting import multi_start
 from tests.conftest import ROOT
 
 DATA = ROOT / "data" / "recordings" / "dead-weight"
+ISOBARIC = ROOT / "data" / "recordings" / "isobaric" / "train.csv"
 # Entries of a document that differ between two runs of the same calculation.
 TIMES = ("wall_s", "compile_s")
 
@@ -183,13 +186,82 @@ def test_work_that_is_cancelled_before_a_result_says_so(files, can_stop, text):
         sma.fit(files / "rig.toml", files / "train.csv", progress=stop)
 
 
+def test_ctrl_c_in_a_fit_without_a_callback_is_an_interruption(files, monkeypatch):
+    program, steps = multi_start._step_starts, []
+
+    def interrupted(*arguments):
+        steps.append(1)
+        if len(steps) == 3:
+            raise KeyboardInterrupt
+        return program(*arguments)
+
+    monkeypatch.setattr(multi_start, "_step_starts", interrupted)
+    study = sma.fit(files / "rig.toml", files / "train.csv", starts=1, profile=["heat.h0"])
+    assert study.exit_code == 130 and not study.success and "interrupted" in study.reason
+    assert study.document["profiles"] == {} and study.document["solver"]["steps"] == 2
+
+
+def test_a_stop_after_the_result_comes_too_late(files):
+    def stop(event):
+        if event.text == "writing the report":
+            raise StopIteration
+
+    assert sma.predict(files / "rig.toml", files / "train.csv", progress=stop).success
+
+
+def test_a_changed_rig_is_saved_as_it_is(files):
+    rig = sma.read_rig(files / "rig.toml")
+    assert rig_text(rig) == (files / "rig.toml").read_text("utf-8")
+    held = dataclasses.replace(rig, interpolation="hold")
+    assert rig.interpolation == "linear" and 'interpolation = "hold"' in rig_text(held)
+
+
 def test_a_sweep_that_is_cancelled_keeps_its_chunks(tmp_path):
     def stop(event):
         if event.can_stop:
             raise StopIteration
 
-    with pytest.raises(sma.Cancelled, match=r"stopped after 0 of .* run it again with --resume to continue"):
+    sentence = r"stopped after 0 of .* run it again with --resume \(resume=True in Python\) to continue"
+    with pytest.raises(sma.Cancelled, match=sentence):
         sma.sweep(ROOT / "data" / "sweeps" / "flexural.toml", folder=tmp_path / "out", progress=stop)
+    with pytest.raises(sma.InputError, match="resume: the chunks are next to a result folder"):
+        sma.sweep(ROOT / "data" / "sweeps" / "flexural.toml", resume=True)
+
+
+def small_sweep(folder):
+    """Return a sweep of a few designs of an actuator."""
+    text = (ROOT / "data" / "sweeps" / "flexural.toml").read_text("utf-8")
+    text = text.replace("../actuators", str(ROOT / "data" / "actuators")).replace("designs = 256", "designs = 12")
+    (folder / "sweep.toml").write_text(text.replace('["moment", "efficiency"]', "[]"), "utf-8")
+    return sma.sweep(folder / "sweep.toml")
+
+
+STUDIES = {
+    "predict": lambda files, folder: sma.predict(files / "rig.toml", files / "holdout.csv"),
+    "compare": lambda files, folder: sma.compare(
+        files / "rig.toml", files / "train.csv", holdout=files / "holdout.csv", models=["transfer-function"]
+    ),
+    "properties": lambda files, folder: sma.thermal_cycle_properties(ISOBARIC, model="brinson"),
+    "sweep": lambda files, folder: small_sweep(folder),
+}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_is_saved_and_loaded(name, files, tmp_path):
+    study = STUDIES[name](files, tmp_path)
+    study.save(tmp_path / "first")
+    loaded = sma.load(tmp_path / "first")
+    assert type(loaded) is type(study) and str(loaded) == str(study) and "<" in loaded._repr_html_()
+    assert (loaded.reason, loaded.exit_code) == (study.reason, study.exit_code)
+    loaded.save(tmp_path / "second")
+    for path in (tmp_path / "first").iterdir():
+        if path.name != "run.json":
+            assert (tmp_path / "second" / path.name).read_bytes() == path.read_bytes(), path.name
+    assert loaded.plot().to_json() == sma.load(tmp_path / "second").plot().to_json()
+    if name == "sweep":
+        assert list(loaded.to_pandas().columns) == list(study.to_pandas().columns)
+    if name == "properties":
+        assert loaded.means == study.means and "[material." in loaded.file_text("start-values.toml")
 
 
 def test_mistakes_have_the_sentences_of_the_commands(files):

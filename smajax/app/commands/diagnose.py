@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from smajax.api.diagnose import DiagnosisStudy, diagnose
-from smajax.api.run_record import Clock, run_record
 from smajax.app.command_line.run import argv
 from smajax.errors import NumericsError
 from smajax.files.result_folder import check_output_folder
@@ -30,8 +29,7 @@ def diagnose_into(out: Path, *recordings: Any, **options: Any) -> DiagnosisStudy
     except NumericsError as error:
         if not error.rig:
             raise
-        run = run_record("diagnose", Path(recordings[0]).name, Clock(), options.get("seed"), error.exit_code)
-        write_result(out, run | {"argv": argv()}, partial(_write_last, error.rig))
+        write_result(out, error.run | {"argv": argv()}, partial(_write_last, error.rig))
         last = check_output_folder(out) / "rig-last.toml"
         raise NumericsError(f"{error}; the last parameter values are saved in {last}", error.state) from None
     study.save(out, argv=argv())

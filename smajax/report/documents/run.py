@@ -17,7 +17,7 @@ class _RunHead(Document):
     command: Literal["fit", "diagnose", "compare", "tune", "sweep", "simulate", "properties"] = Field(
         description="the command"
     )
-    argv: list[str] = Field(description="the command line; that of Python if the library was called")
+    argv: list[str] = Field(description="the command line; empty if the library was called from Python")
     rig: str = Field(description="file name of the rig or actuator; empty for properties")
     started: str = Field(description="start of the run, ISO 8601 in UTC")
     exit_code: int = Field(description="exit code: 0 done, 3 failed numerics, 130 interrupted")
