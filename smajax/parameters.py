@@ -187,10 +187,8 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
     if isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | np.number | int | float):
         return
     numbers = np.asarray(value, float)
-    lower, upper = (
-        end * (1.0 + sign * math.copysign(_BOUND_ROUNDING, end))
-        for end, sign in ((declaration.lower, -1.0), (declaration.upper, 1.0))
-    )
+    lower = declaration.lower - _BOUND_ROUNDING * abs(declaration.lower)
+    upper = declaration.upper + _BOUND_ROUNDING * abs(declaration.upper)
     outside = ~((lower <= numbers) & (numbers <= upper))
     if np.any(outside):
         worst = float(numbers[outside].flat[0])

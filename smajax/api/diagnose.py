@@ -80,8 +80,7 @@ def diagnose(
     """Find the effects that a rig has and its model lacks: trace the residual to an effect, add it, compare.
 
     Args:
-        rig: The rig, its file, or a dictionary with the sections of one; its section ``[fit]`` says what is free and
-            observed.
+        rig: The rig, its file, or a dictionary with its sections; ``[fit]`` says what is free and observed.
         train: The recording to fit: a path, a table in memory, or a ``Recording``.
         select: A recording of another input; an effect is added if it lowers the error here.
         holdout: A recording of a third input, which is predicted at the end.
@@ -106,11 +105,7 @@ def diagnose(
     seed = rig.fit.seed if seed is None else seed
     with clock.time("diagnose"):
         setup = set_up_diagnosis(rig, recordings)
-        try:
-            result = _diagnose(rig, setup, seed, reporter)
-        except NumericsError as error:
-            error.run = run_record("diagnose", rig.name, clock, seed, error.exit_code)
-            raise
+        result = _diagnose(rig, setup, seed, reporter, clock)
     reporter.finish("writing the report")
     document = diagnosis_document(
         result,
@@ -133,12 +128,13 @@ def diagnose(
     )
 
 
-def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter) -> Diagnosis:
-    """Diagnose; an error of the numerics has the text of a rig file with the last parameter values."""
+def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter, clock: Clock) -> Diagnosis:
+    """Diagnose; an error of the numerics has the record of the run and a rig file with the last parameter values."""
     report = partial(reporter.phase, can_stop=True)
     try:
         return diagnose_problem(setup.problem, seed=seed, known_noise=rig.fit.noise, report_progress=report)
     except NumericsError as error:
+        error.run = run_record("diagnose", rig.name, clock, seed, error.exit_code)
         if error.state:
             last = parameters.replace(setup.problem.base_problem.plant, error.state)
             error.rig = dataclasses.replace(rig, plant=last).to_toml()

@@ -98,8 +98,7 @@ def fit(
     """Fit the free parameters of a rig to recordings, with intervals, and predict others.
 
     Args:
-        rig: The rig, its file, or a dictionary with the sections of one; its section ``[fit]`` says what is free and
-            observed.
+        rig: The rig, its file, or a dictionary with its sections; ``[fit]`` says what is free and observed.
         train: Recordings to fit: one or a list, each a path, a table in memory, or a ``Recording``.
         holdout: Recordings to predict, given likewise.
         start: Parameter set to start from, such as the fit.toml of an earlier fit.

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from smajax.laws.row_spacing import refuse_uneven_rows
@@ -83,6 +82,8 @@ class AbstractInputOutputModel(CheckedModule):
         values: Float[Array, " rows"],
         measured: Float[Array, " rows"],
         every: Int[Array, ""],
+        *,
+        evenly_spaced: bool = False,
     ) -> Float[Array, " rows"]:
         """Predict the outputs, restarting from the measured outputs every few rows.
 
@@ -92,6 +93,7 @@ class AbstractInputOutputModel(CheckedModule):
             measured: Measured outputs at the rows.
             every: Number of rows between restarts. 1 gives the one-step-ahead prediction of each row (open loop); the
                 number of rows gives the simulation from the measured first row (closed loop).
+            evenly_spaced: Whether the rows are known to be equally spaced, as in a fit, which checks them.
 
         Returns:
             Predicted outputs at the rows; the first one is the measured output.
@@ -99,7 +101,7 @@ class AbstractInputOutputModel(CheckedModule):
         Raises:
             InputError: The model is in discrete time, and the rows are not equally spaced.
         """
-        if self.needs_even_rows and not isinstance(time, Tracer):  # fits check their rows before
+        if self.needs_even_rows and not evenly_spaced:
             values = refuse_uneven_rows(time, values, type(self).__name__)
         numbers = jnp.arange(1, len(values))
         past = measured[jnp.maximum(numbers[:, None] - 1 - jnp.arange(self.history_length)[None, :], 0)]

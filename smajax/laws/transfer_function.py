@@ -76,7 +76,8 @@ class TransferFunction(AbstractSeriesModel):
         delayed = time - self.delay
         last = jnp.searchsorted(time, delayed) - 1  # the last row before the delayed instant
         row = jnp.maximum(last, 0)
-        transitions, input_gains = jax.lax.map(self.zero_order_hold, delayed - time[row])
+        elapsed = jnp.maximum(delayed - time[row], 0.0)  # of rows before the delay, which ``where`` leaves out
+        transitions, input_gains = jax.lax.map(self.zero_order_hold, elapsed)
         undelayed = jnp.sum(states[row] * transitions[:, 0], axis=1) + values[row] * input_gains[:, 0]
         return self.rest + self.gain * jnp.where(last >= 0, undelayed, before)
 

@@ -1,6 +1,6 @@
 """Compiler options of JAX for a process, and the choice of the CPU for single simulations.
 
-Nothing here happens by importing smajax: the command line, the tests and the experiments call
+Importing smajax sets none of these: the command line, the tests and the experiments call
 ``smajax.numerics.process.prepare_jax``, which sets the options. From Python, results are the same without them.
 """
 

@@ -221,7 +221,7 @@ def newton_step(
 
 
 def polish(residual: Residual, z: Float[Array, " unknowns"], steps: int) -> Float[Array, " unknowns"]:
-    """Take some Newton steps, which are differentiable: from a root each step doubles the orders that are exact.
+    """Take Newton steps, which are differentiable: from a root, k of them make derivatives up to order 2^k - 1 exact.
 
     Args:
         residual: Function from the unknowns to the residual, both of shape ``(unknowns,)``.

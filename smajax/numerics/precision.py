@@ -22,10 +22,7 @@ def require_double(**arguments: Any) -> None:
     require_x64()
     for name, tree in arguments.items():
         for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-            is_float = eqx.is_inexact_array(leaf) or (
-                isinstance(leaf, np.ndarray | np.generic) and np.issubdtype(leaf.dtype, np.inexact)
-            )
-            if is_float and leaf.dtype != np.float64:
+            if eqx.is_inexact_array(leaf) and leaf.dtype != np.float64:
                 place = f"{name}{jax.tree_util.keystr(path)}"
                 raise InputError(
                     f"{place} is of {leaf.dtype} and smajax needs double precision: make it with dtype=jnp.float64"

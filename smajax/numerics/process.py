@@ -13,7 +13,8 @@ _GARBAGE_THRESHOLD = 200_000
 def prepare_jax(accelerator: bool = False) -> None:
     """Set up JAX for a process of the command line: double precision, compiler options, platform and cache.
 
-    Importing smajax does none of this. From Python only double precision is needed; the rest makes it faster. Compiled
+    Importing smajax only switches JAX to double precision, unless ``JAX_ENABLE_X64`` is set; here it is switched on in
+    any case. The rest makes programs faster and changes no result. Compiled
     programs are cached between runs in the user's cache folder or in ``JAX_COMPILATION_CACHE_DIR``. If no folder can be
     written, nothing is cached, and everything else works. A GPU is many times as slow for a few simulations at a time,
     and faster for thousands of designs in parallel. Equinox's run-time checks are switched off: they call Python from

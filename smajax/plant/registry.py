@@ -60,7 +60,15 @@ class Registry(Mapping[str, type[Module]]):
 
     @cached_property
     def _entry_points(self) -> dict[str, importlib.metadata.EntryPoint]:
-        return {point.name: point for point in importlib.metadata.entry_points(group=self.group)}
+        points: dict[str, importlib.metadata.EntryPoint] = {}
+        for point in importlib.metadata.entry_points(group=self.group):
+            other = points.setdefault(point.name, point)
+            if other.value != point.value:
+                raise InputError(
+                    f"two packages offer the {self.kind} '{point.name}', as {other.value} and as {point.value}: "
+                    "uninstall one of them"
+                )
+        return points
 
     @property
     def loaded(self) -> Mapping[str, type[Module]]:

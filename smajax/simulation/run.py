@@ -183,7 +183,7 @@ def simulate(
     plant: Plant,
     inputs: Inputs | Recording,
     *,
-    interpolation: str = "hold",
+    interpolation: str | None = None,
     step: float | None = None,
     solver: dfx.AbstractSolver | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
@@ -197,7 +197,7 @@ def simulate(
         plant: The plant; its effects of strength 0 are left out, unless the strength is traced.
         inputs: The inputs on a grid (``discretise``), or a recording that gives them. With a recording the grid is made
             here, which a plant under ``jax.jit`` or ``jax.vmap`` allows only with ``step``.
-        interpolation: Electrical inputs of a recording between its samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs of a recording between its samples: ``hold`` (the default) or ``linear``.
         step: Longest step in s for a recording; ``default_step`` if not given.
         solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
             adaptive step size, in place of the implicit step: a second opinion. Not every plant has one.
@@ -212,12 +212,16 @@ def simulate(
     Raises:
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
         InputError: If something is of single precision, the recording lacks a channel, the grid would depend on a
-            traced plant, or the plant has no vector field for ``solver``.
+            traced plant, an option does not apply, or the plant has no vector field for ``solver``.
         DerivativeError: When a second derivative is taken.
     """
     name = "simulate"
     if isinstance(inputs, Recording):
-        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation, step=step)
+        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
+    elif step is not None or interpolation is not None:
+        raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
+    if adjoint is not None and solver is None:
+        raise InputError("simulate: adjoint belongs to a diffrax solver: give solver, too, or leave out adjoint")
     require_double(plant=plant, inputs=inputs)
     if inputs.before.shape[-1:] != (len(plant.signals),):
         raise InputError(

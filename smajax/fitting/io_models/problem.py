@@ -137,7 +137,7 @@ class IOModelProblem(AbstractFitProblem):
         model: Any = self.model(vector)
         # Rows are checked where the problem is built.
         if self.resets_outputs:
-            return jax.vmap(lambda t, u, y: model.predict_ahead(t, u, y, self.reset_interval))(
+            return jax.vmap(lambda t, u, y: model.predict_ahead(t, u, y, self.reset_interval, evenly_spaced=True))(
                 self.data.time, self.data.input, self.data.measured
             )
         return jax.vmap(lambda t, u: compute_response(model, t, u, evenly_spaced=True))(self.data.time, self.data.input)

@@ -43,7 +43,7 @@ def catalogue() -> Mapping[str, type[AbstractEffect]]:
 
 def __getattr__(name: str) -> Any:
     """Return the class of an effect by its name; the modules of the effects are imported when one is asked for."""
-    if not name.startswith("_"):
+    if name[:1].isupper():  # a class; a submodule must not import all the others
         for effect in EFFECTS.loaded.values():
             if effect.__name__ == name:
                 return effect

@@ -23,7 +23,7 @@ class Slip(MaterialEffect):
     strength: jax.Array = parameter("1", "plastic strain at 1 GPa", 0.0, 0.1, 0.0)
     exponent: jax.Array = parameter("1", "hardening exponent n", 2.0, 20.0, 8.0)
     key = "slip"
-    obstacle_to_rates = "a highest stress so far"
+    obstacle_to_rates = "a memory of the highest stress"
     typical = 0.005
     source = "NiTi yields by slip at 0.8 to 1.2 GPa; exponents of 5 to 12 are usual for metals (Ramberg, Osgood 1943)"
     confused_with = ("ratcheting",)

@@ -62,7 +62,7 @@ class AbstractMechanism(CheckedModule):
     prescribed: eqx.AbstractClassVar[tuple[str, ...]]
     coordinate: eqx.AbstractClassVar[str]
     extra_channels: ClassVar[tuple[str, ...]] = ()
-    obstacle_to_rates: ClassVar[str] = ""
+    obstacle_to_rates: ClassVar[str] = "a state of motion whose rates it does not give"
     wire_class: ClassVar[type[AbstractWire]] = Wire
 
     @classmethod

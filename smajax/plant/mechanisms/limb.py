@@ -77,7 +77,9 @@ class TendonLimb(AbstractMechanism):
     transmission: Transmission
     sheath: Sheath | None = None
     wires, unknowns, prescribed, coordinate, extra_channels = 1, 1, (), "angle", ("torque",)
-    obstacle_to_rates = "inertia, which the implicit step integrates by its own scheme, and dry friction in a sheath"
+    obstacle_to_rates = (
+        "an inertia, whose equation of motion is not part of the vector field, and dry friction in a sheath"
+    )
 
     @property
     def effects(self) -> tuple[AbstractEffect, ...]:

@@ -146,7 +146,7 @@ class AbstractInertialRotary(AbstractRotary):
     """
 
     wires, unknowns, prescribed, coordinate, extra_channels = 2, 3, (), "angle", ("torque", "rate")
-    obstacle_to_rates = "inertia, which the implicit step integrates by its own scheme"
+    obstacle_to_rates = "an inertia, whose equation of motion is not part of the vector field"
 
     @property
     def inertia(self) -> Float[Array, "..."]:

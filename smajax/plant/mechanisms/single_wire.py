@@ -18,6 +18,7 @@ class AbstractDisplacement(AbstractMechanism):
     """
 
     wires, prescribed, coordinate = 1, (), "displacement"
+    obstacle_to_rates = ""
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
         """Return the strain at zero displacement."""
@@ -101,6 +102,7 @@ class AbstractMaterialPoint(AbstractMechanism):
     """Base class of one wire whose strain is its only motion, counted from ``wire.prestrain``; without a state."""
 
     wires, coordinate = 1, "strain"
+    obstacle_to_rates = ""
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
         """Return no state."""

@@ -790,3 +790,20 @@ def test_a_network_s_fit_that_is_stopped_keeps_its_ridges(calls):
     series = [Series("a", TIME[:120], u, np.asarray(network().response(jnp.asarray(TIME[:120]), jnp.asarray(u))))]
     result = fit_io_model(narx_spec(series), series, starts=1, max_steps=20, progress=stop)
     assert result.interrupted and math.isfinite(result.rmse) and result.ridge == 0.3
+
+
+def test_rows_before_the_delay_have_a_finite_gradient():
+    """Their transition would overflow: the delay is 800 time constants."""
+    time = jnp.asarray([0.0, 1.0, 2.5, 900.0, 1000.0])
+
+    def last(first):
+        law = dataclasses.replace(function("one-pole", delay=800.0), first=first)
+        return law.response(time, jnp.ones(5))[-1]
+
+    assert np.isfinite(float(jax.grad(last)(jnp.asarray(1.0))))
+
+
+def test_a_prediction_of_uneven_rows_is_nan_under_jit():
+    time = jnp.asarray([0.0, 1.0, 2.0, 4.0])
+    predicted = jax.jit(lambda t: network().predict_ahead(t, jnp.ones(4), jnp.ones(4), jnp.asarray(2)))(time)
+    assert np.isnan(np.asarray(predicted)[1:]).all()

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,7 +55,7 @@ def own_loop(plant):
 
         state, status = jax.lax.scan(advance, init(heated, signal), None, length=STEPS)
         channels = observe(heated, state, signal)
-        return 1e3 * channels["displacement"] + 0.0 * jnp.max(status)
+        return jnp.where(jnp.max(status) == SimulationStatus.done, 1e3 * channels["displacement"], jnp.nan)
 
     return displacement
 
@@ -176,3 +177,12 @@ def test_what_does_not_fit_is_named(plant, inputs):
         Wire(jnp.float32(1e-4), 0.1)
     with pytest.raises(InputError, match="the inputs have 1 signals and the plant is driven by current_1, current_2"):
         simulate(plants.light_rotary(), inputs)
+
+
+def test_options_that_do_not_apply_are_refused(plant, inputs):
+    with pytest.raises(InputError, match="simulate: the inputs are on a grid already: give step and interpolation to"):
+        simulate(plant, inputs, step=0.01)
+    with pytest.raises(InputError, match="simulate: the inputs are on a grid already"):
+        simulate(plant, inputs, interpolation="hold")
+    with pytest.raises(InputError, match="simulate: adjoint belongs to a diffrax solver"):
+        simulate(plant, inputs, adjoint=diffrax.ForwardMode())
