@@ -86,7 +86,7 @@ def fit(
     rig: RigSource,
     train: Any,
     *,
-    holdout: Any = (),
+    holdout: Any = None,
     start: str | Path | None = None,
     seed: int | None = None,
     starts: int | None = None,
@@ -100,7 +100,7 @@ def fit(
     Args:
         rig: The rig, its file, or a dictionary with its sections; ``[fit]`` says what is free and observed.
         train: Recordings to fit: one or a list, each a path, a table in memory, or a ``Recording``.
-        holdout: Recordings to predict, given likewise.
+        holdout: Recordings to predict, given likewise; none by default.
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
         seed: Seed of the starting points; that of the rig by default.
         starts: Number of starting points; that of the rig by default.
@@ -180,7 +180,7 @@ def _read_inputs(
     warnings, text = list(rig.notes), rig_text(rig)
     rig = with_start(rig, start)
     settings: Any = dataclasses.replace(rig.fit, **options)
-    recordings = read_train_and_holdout(rig, train, holdout, drop_bad_rows)
+    recordings = read_train_and_holdout(rig, train, () if holdout is None else holdout, drop_bad_rows)
     labels = profile_labels(profile, settings, [r.name for r, role in recordings if role == "train"])
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 

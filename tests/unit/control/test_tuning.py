@@ -587,7 +587,7 @@ def test_a_feedforward_is_fitted_and_its_misfit_reported(tmp_path, monkeypatch):
     assert sentence in " ".join(done.output.split()) and sentence in (folder / "report.html").read_text()
     output = json.loads((folder / "controller.json").read_text())
     assert output["kind"] == "pid-feedforward" and len(output["feedforward"]["thresholds"]) == 3
-    assert "smajax_ahead" in (folder / "controller.h").read_text() and doc["left_out"] == {}
+    assert "smajax_thresholds[3]" in (folder / "controller.h").read_text() and doc["left_out"] == {}
 
 
 def test_the_operator_of_a_measured_loop_is_identified():

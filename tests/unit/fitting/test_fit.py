@@ -269,7 +269,7 @@ def test_an_interrupted_profile_is_no_profile(result, monkeypatch):
     def interrupt(step, cost):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(MultiStartSolver, "advance", lambda solver: advance(solver, progress=interrupt))
+    monkeypatch.setattr(MultiStartSolver, "advance", lambda solver, **_: advance(solver, progress=interrupt))
     with pytest.raises(Cancelled):
         profile_likelihood(result, "heat.h0")
 
