@@ -34,7 +34,8 @@ class InputError(ValueError):
             **fields: What the sentence is about.
         """
         super().__init__(message)
-        self.code, self.fields = code, fields
+        self.code: str = code
+        self.fields: dict[str, Any] = fields
 
     def with_cure(self, cure: str) -> "InputError":
         """Return the error with another cure, for a front end whose options have other names.
@@ -69,7 +70,7 @@ class NumericsError(ArithmeticError):
             state: Last valid parameter values by name, in internal units.
         """
         super().__init__(message)
-        self.state = dict(state or {})
+        self.state: dict[str, float] = dict(state or {})
         self.rig: str = ""
         self.run: dict[str, Any] = {}
 

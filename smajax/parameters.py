@@ -119,7 +119,7 @@ class CheckedModule(eqx.Module):
             check_value(f"{type(self).__name__}.{key}", getattr(self, key), declared)
 
 
-def _dataclass_fields(cls: type) -> dict[str, dataclasses.Field]:
+def _dataclass_fields(cls: type[Any]) -> dict[str, dataclasses.Field]:
     return vars(cls).get("__dataclass_fields__", {})
 
 
@@ -133,7 +133,7 @@ def _describe(name: str, declaration: Declaration) -> str:
     return f"{name} [{declaration.unit}]: {declaration.meaning}; {ends[0]} to {ends[1]}, {start}."
 
 
-def missing_methods(cls: type) -> str:
+def missing_methods(cls: type[Any]) -> str:
     """Return in words which abstract methods a class does not define; empty if it defines all of them.
 
     Args:
@@ -147,7 +147,7 @@ def missing_methods(cls: type) -> str:
     return f"define the {'method' if len(names) == 1 else 'methods'} {', '.join(purposes)}" if names else ""
 
 
-def module_types(cls: type, field: dataclasses.Field) -> list[type[eqx.Module]]:
+def module_types(cls: type[Any], field: dataclasses.Field[Any]) -> list[type[eqx.Module]]:
     """Return the classes of modules in the type of a field: ``[Sheath]`` for ``sheath: Sheath | None``.
 
     Args:

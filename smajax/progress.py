@@ -107,7 +107,7 @@ class Reporter:
         except (StopIteration, KeyboardInterrupt) as error:
             if self.stopped and isinstance(error, StopIteration):
                 return  # the work is ending with the best result so far
-            self.stopped = True
+            self.stopped: bool = True
             if event.can_stop:
                 raise KeyboardInterrupt from None
             if isinstance(error, KeyboardInterrupt):

@@ -15,6 +15,7 @@ take the arcsine of a number above 1 there.
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +31,6 @@ def _half_width(share: jax.Array | float) -> jax.Array:
     return jnp.where(is_inside, jnp.sqrt(jnp.where(is_inside, 1.0 - share**2, 1.0)), 0.0)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def cap_moment(order: int, share: Float[Array, "..."] | float) -> Float[Array, "..."]:
     """Compute the moment A_n(u) of the caps of a unit circle, elementwise.
 
@@ -41,6 +41,11 @@ def cap_moment(order: int, share: Float[Array, "..."] | float) -> Float[Array, "
     Returns:
         A_n(u), of the same shape, dimensionless.
     """
+    return _cap_moment(order, share)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _cap_moment(order: int, share: jax.Array | float) -> jax.Array:
     half_width = _half_width(share)
     if order == 1:
         return 4.0 / 3.0 * half_width**3
@@ -50,10 +55,10 @@ def cap_moment(order: int, share: Float[Array, "..."] | float) -> Float[Array, "
     return 0.5 * (angle + share * half_width * (1.0 - 2.0 * share**2))
 
 
-@cap_moment.defjvp
-def _cap_moment_jvp(order: int, primals: tuple, tangents: tuple) -> tuple:
+@_cap_moment.defjvp
+def _cap_moment_jvp(order: int, primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     (share,), (tangent,) = primals, tangents
-    return cap_moment(order, share), -4.0 * share**order * _half_width(share) * tangent
+    return _cap_moment(order, share), -4.0 * share**order * _half_width(share) * tangent
 
 
 class BilinearStressStrain(CheckedModule):

@@ -8,7 +8,7 @@ Source: alexander1977.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax as dfx
 import jax
@@ -85,14 +85,14 @@ class StageRecord(NamedTuple):
     lost: jax.Array
 
 
-class ConductionStage(dfx.AbstractSolver):
+class ConductionStage(dfx.AbstractSolver[Any]):
     """Stage of ``STEPS`` equal steps of Alexander's rule, as one step of a diffrax solver.
 
     ``args`` holds the network, and for each wire the weights of the cells around its centre, shape ``(w, c, r)``.
     """
 
-    term_structure = dfx.AbstractTerm
-    interpolation_cls = dfx.LocalLinearInterpolation
+    term_structure: ClassVar[type[dfx.AbstractTerm[Any, Any]]] = dfx.AbstractTerm
+    interpolation_cls: ClassVar[type[dfx.LocalLinearInterpolation]] = dfx.LocalLinearInterpolation
 
     def order(self, terms: Any) -> int:
         """Return the order of the rule."""
@@ -102,7 +102,9 @@ class ConductionStage(dfx.AbstractSolver):
         """Return the solver's state: none."""
         return None
 
-    def step(self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any) -> tuple:
+    def step(
+        self, terms: Any, t0: Any, t1: Any, y0: Any, args: Any, solver_state: Any, made_jump: Any
+    ) -> tuple[Any, ...]:
         """Return the record of the stage from ``t0`` to ``t1``."""
         network, centres = args
         step = (t1 - t0) / STEPS
@@ -115,7 +117,7 @@ class ConductionStage(dfx.AbstractSolver):
             end = matrix.solve(factors, right.T).T if network.is_tall else matrix.solve(factors, right)
             return end, (end - excess) / (_GAMMA * step)
 
-        def advance(carry: tuple, _: None) -> tuple[tuple, tuple]:
+        def advance(carry: tuple[Any, ...], _: None) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
             """Advance the excess temperatures and the lost heat by one step of the SDIRK rule."""
             excess, lost = carry
             early, rate = solve(excess)

@@ -1,6 +1,6 @@
 """Result of a cooling: temperature of the hottest wire over time, and the heat that is stored and lost."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ class CoolingCurve(NamedTuple):
         k = jnp.maximum(jnp.argmax(is_below), 1) - 1
         step = self.time[k + 1] - self.time[k]
 
-        def halve(_: jax.Array, ends: tuple) -> tuple:
+        def halve(_: jax.Array, ends: tuple[Any, ...]) -> tuple[Any, ...]:
             low, high = ends
             middle = 0.5 * (low + high)
             is_warm = _hottest_within_step(self, k, middle) > target

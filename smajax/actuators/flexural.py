@@ -23,7 +23,7 @@ Source: dauksher2021.
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -254,5 +254,5 @@ def _zero_with_nan_slope(count: jax.Array) -> jax.Array:
 
 
 @_zero_with_nan_slope.defjvp
-def _(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _zero_with_nan_slope_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     return jnp.zeros_like(primals[0]), jnp.where(tangents[0] == 0.0, 0.0, jnp.nan)

@@ -1,13 +1,13 @@
 """Registration of own materials, mechanisms, effects and controllers under names of their own."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from smajax.errors import InputError, suggestion
 
 KINDS = ("material", "mechanism", "effect", "controller")
 
 
-def register(kind: Literal["material", "mechanism", "effect", "controller"], name: str, cls: type) -> None:
+def register(kind: Literal["material", "mechanism", "effect", "controller"], name: str, cls: type[Any]) -> None:
     """Register a class, so that rig files and controller files, fits, diagnoses and sweeps know it by a name.
 
     A material is selected by ``model = "NAME"`` under ``[fit]`` of a rig file, a mechanism by ``kind = "NAME"`` under

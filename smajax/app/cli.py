@@ -29,7 +29,7 @@ class Commands(TyperGroup):
             raise typer.Exit(exit_code(error)) from None
 
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
     add_completion=False,

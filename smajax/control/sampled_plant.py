@@ -221,7 +221,7 @@ class SampledPlant(AbstractSampledSystem):
         """Take one period; the solutions are temperatures and unknowns of each substep."""
         duration = jnp.asarray(self.period / self.substeps)
 
-        def substep(carry: tuple, _: Any) -> tuple[tuple, Float[Array, " unknowns"]]:
+        def substep(carry: tuple[Any, ...], _: Any) -> tuple[tuple[Any, ...], Float[Array, " unknowns"]]:
             state, time, unsolved = carry
             signal = self._signal(command, time)
             state, failed = self.plant.solve_step(state, signal, signal, duration)
@@ -246,7 +246,7 @@ class SampledPlant(AbstractSampledSystem):
 
     def _scan_substeps(
         self,
-        step: Callable,
+        step: Callable[..., Any],
         state: Any,
         command: Float[Array, " wires"],
         step_solutions: Float[Array, "substeps unknowns"],
@@ -254,7 +254,7 @@ class SampledPlant(AbstractSampledSystem):
         """The state after all substeps, each by ``step`` at its solution."""
         duration = jnp.asarray(self.period / self.substeps)
 
-        def substep(carry: tuple, solution: Float[Array, " unknowns"]) -> tuple[tuple, None]:
+        def substep(carry: tuple[Any, ...], solution: Float[Array, " unknowns"]) -> tuple[tuple[Any, ...], None]:
             state, time = carry
             return (step(self.plant, state, self._signal(command, time), duration, solution), time + duration), None
 

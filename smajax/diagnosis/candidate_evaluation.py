@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class Scores:
     """
 
     best: dict[str, Score]
-    shapes: dict[str, tuple]
+    shapes: dict[str, tuple[Any, ...]]
     sensitivities: dict[EffectShape, np.ndarray]
     jacobian: np.ndarray
     basis: np.ndarray
@@ -78,7 +79,8 @@ class CandidateEvaluator:
     """
 
     def __init__(self, problem: DiagnosisProblem, seed: int):
-        self.problem, self.seed = problem, seed
+        self.problem: DiagnosisProblem = problem
+        self.seed: int = seed
         self._stride_errors: dict[int, float] = {}
 
     def base_refit(self, point: np.ndarray, status: SolverStatus) -> Refit:
@@ -134,7 +136,7 @@ class CandidateEvaluator:
         derivatives = effect_sensitivities(problem, refit.effect_set, refit.base)
         sensitivities = {item: problem.counted_samples(derivative) for item, derivative in derivatives.items()}
         best: dict[str, Score] = {}
-        shapes: dict[str, tuple] = {}
+        shapes: dict[str, tuple[Any, ...]] = {}
         for (key, shape), sensitivity in sensitivities.items():
             score = problem.score_effect(key, basis, residual, sensitivity)
             if key not in best or score.gain > best[key].gain:

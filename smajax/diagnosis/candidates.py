@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -159,7 +159,7 @@ class Candidate(NamedTuple):
     parent: Refit
     key: str
     strength: float
-    shape: tuple
+    shape: tuple[Any, ...]
     gain: float = 0.0
 
 

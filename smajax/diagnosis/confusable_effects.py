@@ -1,6 +1,7 @@
 """Confusable effects: refits in which an effect is replaced by one that it is often confused with."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,7 @@ def replacement_shapes(evaluator: CandidateEvaluator, other: str, key: str, refi
     Returns:
         Shapes, SI, by parameter name: the fitted values where the names are the same, else each of the usual ones.
     """
-    shapes: dict[tuple, dict[str, float]] = {}
+    shapes: dict[tuple[Any, ...], dict[str, float]] = {}
     for shape in evaluator.problem.shape_grid(other):
         values = {}
         for name, usual in shape:

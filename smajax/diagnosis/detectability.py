@@ -8,7 +8,7 @@
 import dataclasses
 import enum
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -72,7 +72,7 @@ class NominalScore(NamedTuple):
 
     gain: float
     strength: float
-    shape: tuple
+    shape: tuple[Any, ...]
 
 
 def assess_detectability(problem: DiagnosisProblem) -> tuple[dict[str, Detectability], dict[str, NominalScore]]:

@@ -35,10 +35,12 @@ class EffectParameters:
     """
 
     def __init__(self, effects: Mapping[str, AbstractEffect], plant: Plant, duration: float):
-        self.effects = dict(effects)
+        self.effects: dict[str, AbstractEffect] = dict(effects)
         self.duration = duration
-        self.names = tuple(f"effects.{key}.{name}" for key, kind in effects.items() for name in declarations(kind))
-        self.values = np.array([float(parameters.get(plant, name)) for name in self.names])
+        self.names: tuple[str, ...] = tuple(
+            f"effects.{key}.{name}" for key, kind in effects.items() for name in declarations(kind)
+        )
+        self.values: np.ndarray = np.array([float(parameters.get(plant, name)) for name in self.names])
 
     def value(self, name: str) -> float:
         """Return the rig's own value of a parameter, SI."""

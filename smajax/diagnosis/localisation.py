@@ -7,6 +7,7 @@ mechanism and sensor both act on the channel. The sensitivities of their effects
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -41,7 +42,7 @@ def stage_shares(
     refit: Refit,
     basis: Float[np.ndarray, "m rank"],
     residual: Float[np.ndarray, " m"],
-    sensitivities: Mapping,
+    sensitivities: Mapping[Any, Any],
 ) -> dict[str, float]:
     """Compute the share of a residual that each stage can explain.
 

@@ -41,7 +41,7 @@ class NonparametricEffect(AbstractEffect):
     low: Float[Array, " variables"]
     high: Float[Array, " variables"]
     strength: jax.Array = parameter("1", "there or not", 0.0, 1.0, 1.0)
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "nonparametric"
     adds: ClassVar[str]
 

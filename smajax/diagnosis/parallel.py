@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 
-def map_in_pairs(function: Callable[[Any], Any], tasks: Sequence) -> list:
+def map_in_pairs(function: Callable[[Any], Any], tasks: Sequence[Any]) -> list[Any]:
     """Apply a function to tasks, two at a time, since a simulation uses one core.
 
     Args:

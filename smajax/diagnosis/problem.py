@@ -27,6 +27,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.unknowns import Settings
+from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import Inputs
@@ -86,18 +87,22 @@ class DiagnosisProblem(GriddedSplits):
         check_complete(splits, settings.observe)
         train = splits[TRAIN].recordings
         without_clock = set() if all(r.has_clock for r in train) else {"clock"}
-        self.capabilities = plant.capabilities(tuple(settings.observe)) - without_clock
-        self.duration = max(float(r.time[-1] - r.time[0]) for r in train)
-        self.effect_kinds = effect_kinds(plant)
-        self.modelled_effects, self.effects = possible_effects(plant, settings.free, train, self.capabilities)
+        self.capabilities: frozenset[str] = plant.capabilities(tuple(settings.observe)) - without_clock
+        self.duration: float = max(float(r.time[-1] - r.time[0]) for r in train)
+        self.effect_kinds: dict[str, type[AbstractEffect]] = effect_kinds(plant)
+        modelled, effects = possible_effects(plant, settings.free, train, self.capabilities)
+        self.modelled_effects: tuple[str, ...] = modelled
+        self.effects: dict[str, AbstractEffect] = effects
         augmented = dataclasses.replace(plant, effects=(*self.effects.values(), *zero_terms()))
-        self.effect_parameters = EffectParameters(self.effects, augmented, self.duration)
+        self.effect_parameters: EffectParameters = EffectParameters(self.effects, augmented, self.duration)
         super().__init__(augmented, splits, settings, {"interpolation": interpolation, "step": step})
-        self.nominal, *bounds = self._vector_bounds[TRAIN]
-        self.bounds = tuple(bounds)
+        nominal, *bounds = self._vector_bounds[TRAIN]
+        self.nominal: np.ndarray = nominal
+        self.bounds: tuple[np.ndarray, ...] = tuple(bounds)
         base = build_problem(plant, train, settings, interpolation=interpolation, step=step)
-        self.base_problem = with_weights(base, splits[TRAIN].rows(), self.noise)
-        self.simulations, self._counting = 0, threading.Lock()
+        self.base_problem: Problem = with_weights(base, splits[TRAIN].rows(), self.noise)
+        self.simulations: int = 0
+        self._counting = threading.Lock()
         self._programs = SlottedPrograms(self.effect_parameters)
         self._compiling = self._programs.start_compilation(self.problems[TRAIN], self.nominal)
 

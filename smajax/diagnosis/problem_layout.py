@@ -51,7 +51,7 @@ def divide_problem(whole: Problem, splits: Sequence[DataSplit]) -> tuple[list[Pr
     size, first = max(len(split.recordings) for split in splits), 0
     problems: list[Problem] = []
     bounds: list[VectorBounds] = []
-    unknowns: tuple = ()
+    unknowns: tuple[Any, ...] = ()
     for split in splits:
         count = len(split.recordings)
         recordings = first + np.minimum(np.arange(size), count - 1)
@@ -102,8 +102,8 @@ class GriddedSplits:
     """
 
     def __init__(self, plant: Plant, splits: Sequence[DataSplit], settings: Settings, grid_options: dict[str, Any]):
-        self.splits = list(splits)
-        self.channels = tuple(settings.observe)
+        self.splits: list[DataSplit] = list(splits)
+        self.channels: tuple[str, ...] = tuple(settings.observe)
         self._grid_options = grid_options
         self._pieces = 1  # default steps that one step of the problems replaces
         self._rows = [split.rows() for split in self.splits]
@@ -115,7 +115,8 @@ class GriddedSplits:
         whole = dataclasses.replace(whole, data=dataclasses.replace(whole.data, end_index=end))
         largest_weight = np.max(np.asarray(whole.data.weight), axis=(0, 2))
         self.noise: dict[str, float] = dict(zip(self.channels, 1.0 / largest_weight, strict=True))
-        self.shared_count, self.own_count = len(whole.shared), len(whole.per_recording)
+        self.shared_count: int = len(whole.shared)
+        self.own_count: int = len(whole.per_recording)
         self.problems, self._vector_bounds = divide_problem(whole, self.splits)
         self.set_noise(self.noise)
 
@@ -198,7 +199,9 @@ class GriddedSplits:
         pieces = steps_per_sample(self.problems[TRAIN], self.splits[TRAIN].recordings)
         if pieces > 1 and (first := self._with_longer_steps(TRAIN, 1, pieces)) and is_accurate(first):
             further = [self._with_longer_steps(k, 1, pieces) or p for k, p in enumerate(self.problems[1:], 1)]
-            self._pieces, self.problems, self._strided = pieces, [first, *further], {}
+            self._pieces = pieces
+            self.problems: list[Problem] = [first, *further]
+            self._strided = {}
 
     def problem_for_inputs(self, recording: Recording) -> Problem | None:
         """Return a problem of the training split's shapes under a recording's inputs.

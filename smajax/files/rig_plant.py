@@ -29,7 +29,7 @@ def build_plant(stages: Stages, values: Mapping[str, float], free: Collection[st
         free: Names of the parameters that are fitted.
     """
 
-    def build(section: str, part: type, **fields: Any) -> Any:
+    def build(section: str, part: type[Any], **fields: Any) -> Any:
         keys = [key for key in declarations(part) if f"{section}.{key}" in values]
         return part(**{key: as_float(values[f"{section}.{key}"]) for key in keys}, **fields)
 

@@ -17,7 +17,7 @@ import jax
 LARGE_PROGRAM_OPTIONS = {"xla_backend_optimization_level": 1}
 
 
-def vmap_unless_single(function: Callable, size: int, *arguments: Any) -> Any:
+def vmap_unless_single(function: Callable[..., Any], size: int, *arguments: Any) -> Any:
     """Map a function over the leading axis of all leaves of its arguments, without a batch where it has length 1.
 
     Args:

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ from smajax.recordings.recording import Recording
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.status import SimulationStatus
 
-Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser
+Solver: TypeAlias = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.AbstractMinimiser[Any, Any, Any]
 
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
@@ -98,7 +98,7 @@ def check_solver(solver: Any) -> None:
     Raises:
         InputError: It is something else.
     """
-    if solver is not None and not isinstance(solver, Solver):
+    if solver is not None and not isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
         raise InputError(
             f"solver: give an optimistix least-squares solver, such as optimistix.Dogleg(1e-8, 1e-8), not {solver!r}"
         )

@@ -102,7 +102,7 @@ class LMState(NamedTuple):
     aux: Any
 
 
-class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver[Any, Any, Any, Any]):
     """Levenberg-Marquardt within bounds, as an optimistix least-squares solver.
 
         solver = BoundedLevenbergMarquardt(rtol=1e-9, lower=0.0, upper=jnp.array([1.0, 2.0]))
@@ -126,9 +126,11 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     upper: Any = jnp.inf
     atol: float = 0.0
     lazy_jacobian: bool = eqx.field(static=True, default=False)
-    norm: Callable = eqx.field(static=True, default=optx.max_norm)
+    norm: Callable[..., Any] = eqx.field(static=True, default=optx.max_norm)
 
-    def init(self, fn: Callable, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any) -> LMState:
+    def init(
+        self, fn: Callable[..., Any], y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+    ) -> LMState:
         """Return a state in which nothing is evaluated yet; the first step evaluates and accepts the start point."""
         # Types are spelt out: a weakly typed start would compile the step twice.
         size, real, whole = sum(leaf.size for leaf in jax.tree.leaves(f_struct)), jnp.float64, jnp.int64
@@ -149,7 +151,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         )
 
     def step(
-        self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any
+        self, fn: Callable[..., Any], y: Any, args: Any, options: Any, state: LMState, tags: Any
     ) -> tuple[Any, LMState, Any]:
         """Evaluate the trial point, accept or reject it, and propose the next one.
 
@@ -211,7 +213,7 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         return flat(self.lower), flat(self.upper)
 
-    def _evaluate(self, fn: Callable, state: LMState) -> tuple[jax.Array, jax.Array, jax.Array, Any]:
+    def _evaluate(self, fn: Callable[..., Any], state: LMState) -> tuple[jax.Array, jax.Array, jax.Array, Any]:
         """Residual, Jacobian, cost and auxiliary output at the trial point."""
 
         def with_value(v: jax.Array) -> tuple[jax.Array, tuple[jax.Array, Any]]:
@@ -231,7 +233,9 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             cost = jnp.sum(residual**2)
         return residual, jacobian, cost, aux
 
-    def terminate(self, fn: Callable, y: Any, args: Any, options: Any, state: LMState, tags: Any) -> tuple:
+    def terminate(
+        self, fn: Callable[..., Any], y: Any, args: Any, options: Any, state: LMState, tags: Any
+    ) -> tuple[Any, ...]:
         """Return whether the search has ended, and optimistix's result code."""
         done = (state.status == SolverStatus.converged) | (state.status == SolverStatus.stalled)
         failed = state.status == SolverStatus.failed
@@ -239,8 +243,8 @@ class BoundedLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return done | failed, result
 
     def postprocess(
-        self, fn: Callable, y: Any, aux: Any, args: Any, options: Any, state: LMState, tags: Any, result: Any
-    ) -> tuple:
+        self, fn: Callable[..., Any], y: Any, aux: Any, args: Any, options: Any, state: LMState, tags: Any, result: Any
+    ) -> tuple[Any, ...]:
         """Return the solution as it is."""
         return y, aux, {}
 

@@ -123,7 +123,8 @@ class MultiStartSolver:
         self._points, self._bounds = jax.device_put((np.clip(starts, low, high), (low, high)))
         self._states = _initial_states(self._solver, self._points, size)
         self._wall_time, self._history = 0.0, []
-        self.steps = self.simulations = 0
+        self.steps: int = 0
+        self.simulations: int = 0
         self._interrupted, self._sequential = False, sequential
 
     def advance(
@@ -184,7 +185,7 @@ class MultiStartSolver:
     def _program(self) -> Any:
         return _step_starts if self._primal_fn is None else _step_starts_large
 
-    def _arguments(self) -> tuple:
+    def _arguments(self) -> tuple[Any, ...]:
         args = self._args
         if self._primal_fn is not None:
             args = (args, self._primal_fn(self._states.trial[0], args))
@@ -199,24 +200,24 @@ def _initial_states(solver: BoundedLevenbergMarquardt, points: jax.Array, size: 
 
 def _step_all(
     solver: BoundedLevenbergMarquardt,
-    fn: Callable,
+    fn: Callable[..., Any],
     points: jax.Array,
     states: LMState,
-    bounds: tuple,
+    bounds: tuple[Any, ...],
     args: Any,
     sequential: bool,
-) -> tuple:
+) -> tuple[Any, ...]:
     """One step of every search that has not ended: the points and states after it."""
 
-    def step(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
+    def step(y: jax.Array, state: LMState, bounds: tuple[Any, ...]) -> tuple[Any, ...]:
         bounded = dataclasses.replace(solver, lower=bounds[0], upper=bounds[1])
         return bounded.step(lambda v, a: (fn(v, a), None), y, args, {}, state, frozenset())[:2]
 
-    def batched(y: jax.Array, state: LMState, bounds: tuple) -> tuple:
+    def batched(y: jax.Array, state: LMState, bounds: tuple[Any, ...]) -> tuple[Any, ...]:
         running = state.status == SolverStatus.running
         return jax.tree.map(lambda a, b: jnp.where(running, a, b), step(y, state, bounds), (y, state))
 
-    def conditional(search: tuple) -> tuple:
+    def conditional(search: tuple[Any, ...]) -> tuple[Any, ...]:
         running = search[1].status == SolverStatus.running
         return jax.lax.cond(running, step, lambda y, state, bounds: (y, state), *search)
 

@@ -35,7 +35,7 @@ class OptimistixSearch:
 
     def __init__(
         self,
-        solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser,
+        solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.AbstractMinimiser[Any, Any, Any],
         fn: Residual,
         args: Any,
         starts: np.ndarray,
@@ -69,7 +69,8 @@ class OptimistixSearch:
         self._costs = np.full(len(starts), np.inf)
         self._statuses = [SolverStatus.running] * len(starts)
         self._wall_time, self._history = 0.0, []
-        self.steps = self.simulations = 0
+        self.steps: int = 0
+        self.simulations: int = 0
         self._interrupted = False
 
     def advance(
@@ -146,7 +147,7 @@ class _Function(eqx.Module):
 
 
 @eqx.filter_jit
-def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple, state: Any) -> tuple:
+def _step(solver: Any, fn: _Function, point: jax.Array, search: tuple[Any, ...], state: Any) -> tuple[Any, ...]:
     """One step: point and state after it, whether the solver ends and with an error, and vector and cost there."""
     point, state, _ = solver.step(fn, point, search, {}, state, frozenset())
     done, result = solver.terminate(fn, point, search, {}, state, frozenset())

@@ -106,7 +106,7 @@ class AbstractInputOutputModel(CheckedModule):
         numbers = jnp.arange(1, len(values))
         past = measured[jnp.maximum(numbers[:, None] - 1 - jnp.arange(self.history_length)[None, :], 0)]
 
-        def advance(state: Any, row: tuple) -> tuple[Any, jax.Array]:
+        def advance(state: Any, row: tuple[Any, ...]) -> tuple[Any, jax.Array]:
             number, history, before, after, duration = row
             restarts = (number - 1) % every == 0
             state = jax.tree.map(lambda a, b: jnp.where(restarts, a, b), self.with_history(state, history), state)
@@ -140,7 +140,7 @@ class AbstractInputOutputModel(CheckedModule):
             values: Inputs at the rows.
         """
 
-        def advance(state: Any, row: tuple) -> tuple[Any, jax.Array]:
+        def advance(state: Any, row: tuple[Any, ...]) -> tuple[Any, jax.Array]:
             before, after, duration = row
             state = self.step(state, before, after, duration)
             return state, self.output(state, after)

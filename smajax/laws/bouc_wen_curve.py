@@ -81,7 +81,7 @@ def _new_w(w: jax.Array, sign: jax.Array, length: jax.Array, piece: jax.Array, c
 
 
 def _scan(
-    first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, changes: jax.Array
+    first: jax.Array, curve: tuple[Any, ...], rho: jax.Array, end: jax.Array, changes: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """w after each of k changes of the input, shape ``(k,)``, and the indices of the pieces used, shape ``(k, 2)``."""
 
@@ -99,7 +99,7 @@ def _scan(
 @jax.custom_jvp
 def move_along_curve(
     first: Float[Array, ""],
-    curve: tuple,
+    curve: tuple[Any, ...],
     rho: Float[Array, ""],
     end: Float[Array, ""],
     changes: Float[Array, " changes"],
@@ -121,7 +121,7 @@ def move_along_curve(
 
 
 @move_along_curve.defjvp
-def _move_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _move_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     """Tangent along the pieces that were used, which are selected for all steps at once.
 
     Selected within the loop, the tangent of each step would cost a sum over all pieces, or a scattered sum in reverse
@@ -129,8 +129,10 @@ def _move_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
     """
     rows = _scan(*primals)[1]
 
-    def repeat(first: jax.Array, curve: tuple, rho: jax.Array, end: jax.Array, changes: jax.Array) -> jax.Array:
-        def advance(w: jax.Array, step: tuple) -> tuple[jax.Array, jax.Array]:
+    def repeat(
+        first: jax.Array, curve: tuple[Any, ...], rho: jax.Array, end: jax.Array, changes: jax.Array
+    ) -> jax.Array:
+        def advance(w: jax.Array, step: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
             change, start, stop = step
             sign = jnp.where(change < 0.0, -1.0, 1.0)
             w = _new_w(w, sign, _path_length(w, sign, start, rho, end, change), stop, change)

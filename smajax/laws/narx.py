@@ -12,7 +12,7 @@ the training recordings (``smajax.fitting.io_models.networks``).
 Source: copaci2020, equation 10.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -54,7 +54,7 @@ class Narx(AbstractInputOutputModel):
         return self.with_history(((), past * self._scaled_input(first)), past * self.rest)
 
     def step(
-        self, state: tuple, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
+        self, state: tuple[Any, ...], before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
     ) -> tuple[jax.Array, jax.Array]:
         """Return past outputs and inputs at the next row."""
         outputs, inputs = state
@@ -62,7 +62,7 @@ class Narx(AbstractInputOutputModel):
         new = clip(self._next_output(outputs, inputs), -_OUTPUT_BOUND, _OUTPUT_BOUND)
         return jnp.append(new, outputs[:-1]), inputs
 
-    def output(self, state: tuple, value: Float[Array, ""]) -> Float[Array, ""]:
+    def output(self, state: tuple[Any, ...], value: Float[Array, ""]) -> Float[Array, ""]:
         """Return the newest output."""
         return self.scale[2] + self.scale[3] * state[0][0]
 
@@ -71,7 +71,7 @@ class Narx(AbstractInputOutputModel):
         """Number n of past outputs that the state holds."""
         return len(self.straight)
 
-    def with_history(self, state: tuple, outputs: Float[Array, " history"]) -> tuple[jax.Array, jax.Array]:
+    def with_history(self, state: tuple[Any, ...], outputs: Float[Array, " history"]) -> tuple[jax.Array, jax.Array]:
         """Return the state with its past outputs replaced by ``outputs``, newest first."""
         return (outputs - self.scale[2]) / self.scale[3], state[1]
 

@@ -13,6 +13,8 @@ required output from the present plays; bisection finds it between the ends of t
 Source: krejci2001.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -97,12 +99,12 @@ class NumericalInverse(AbstractInputOutputModel):
         return self._solve(jnp.zeros_like(self.operator.thresholds), first)
 
     def step(
-        self, state: tuple, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
+        self, state: tuple[Any, ...], before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
     ) -> tuple[jax.Array, jax.Array]:
         """Return the operator's plays and input at the next required output."""
         return self._solve(state[0], after)
 
-    def output(self, state: tuple, value: Float[Array, ""]) -> Float[Array, ""]:
+    def output(self, state: tuple[Any, ...], value: Float[Array, ""]) -> Float[Array, ""]:
         """Return the input that gives the output ``value``."""
         return state[1]
 

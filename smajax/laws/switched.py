@@ -11,7 +11,7 @@ which it was recorded.
 Source: copaci2020.
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -43,15 +43,15 @@ class Switched(AbstractInputOutputModel):
     rest: jax.Array
     off: jax.Array
 
-    def init(self, first: Float[Array, ""]) -> tuple:
+    def init(self, first: Float[Array, ""]) -> tuple[Any, ...]:
         """Return the state at the first row."""
         network = self.heating.init(first)
         excess = self.heating.output(network, first) - self.rest
         return network, self.share * excess, (1.0 - self.share) * excess, first > self.off
 
     def step(
-        self, state: tuple, before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
-    ) -> tuple:
+        self, state: tuple[Any, ...], before: Float[Array, ""], after: Float[Array, ""], duration: Float[Array, ""]
+    ) -> tuple[Any, ...]:
         """Return the state at the next row."""
         network, fast, slow, was_heated = state
         is_heated = before > self.off
@@ -75,7 +75,7 @@ class Switched(AbstractInputOutputModel):
         """Number of past outputs that the network's state holds."""
         return self.heating.history_length
 
-    def with_history(self, state: tuple, outputs: Float[Array, " history"]) -> tuple:
+    def with_history(self, state: tuple[Any, ...], outputs: Float[Array, " history"]) -> tuple[Any, ...]:
         """Return the state with its past outputs replaced; the recovery continues from the newest, too."""
         network, _, _, is_heated = state
         excess = outputs[0] - self.rest
@@ -86,7 +86,7 @@ class Switched(AbstractInputOutputModel):
             is_heated,
         )
 
-    def output(self, state: tuple, value: Float[Array, ""]) -> Float[Array, ""]:
+    def output(self, state: tuple[Any, ...], value: Float[Array, ""]) -> Float[Array, ""]:
         """Return the output of the network or of the recovery."""
         network, fast, slow, is_heated = state
         return jnp.where(is_heated, self.heating.output(network, value), self.rest + fast + slow)

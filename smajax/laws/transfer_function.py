@@ -15,7 +15,7 @@ towards longer delays.
 Source: ali2026.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -66,7 +66,7 @@ class TransferFunction(AbstractSeriesModel):
         # One matrix after the other: a large batch of them can lock up the linear algebra of compiled programs.
         transitions, input_gains = jax.lax.map(self.zero_order_hold, jnp.diff(time))
 
-        def advance(state: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        def advance(state: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
             transition, input_gain, value = row
             after = transition @ state + input_gain * value
             return after, after

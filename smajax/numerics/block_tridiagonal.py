@@ -11,7 +11,7 @@ implicit function theorem: its tangent and its cotangent are solutions of the sa
 For speed, ``_product`` has its own batching rule, and ``invert_positive_definite`` replaces LAPACK (see there).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ def _product(symmetric: jax.Array, vector: jax.Array) -> jax.Array:
 
 
 @_product.def_vmap
-def _product_batch(size: int, batched: list, symmetric: jax.Array, vector: jax.Array) -> tuple[jax.Array, bool]:
+def _product_batch(size: int, batched: list[Any], symmetric: jax.Array, vector: jax.Array) -> tuple[jax.Array, bool]:
     """Products of a batch; those of one matrix with few vectors are computed one by one."""
     if batched[0]:
         vector = vector if batched[1] else jnp.broadcast_to(vector, (size, *vector.shape))
@@ -93,7 +93,7 @@ class FivePointMatrix(NamedTuple):
         constant = jax.lax.stop_gradient(self)
         above = jnp.concatenate([jnp.zeros((1, cells)), constant.across_rows])
 
-        def eliminate(inverse: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        def eliminate(inverse: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
             diagonal, along_row, coupling = row
             block = jnp.diag(diagonal) - jnp.diag(along_row, 1) - jnp.diag(along_row, -1)
             inverse = invert_positive_definite(block - coupling[:, None] * inverse * coupling[None, :])
@@ -116,12 +116,12 @@ class FivePointMatrix(NamedTuple):
         zero = jnp.zeros((1, right.shape[1]))
 
         def substitute(right: jax.Array) -> jax.Array:
-            def down(eliminated: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+            def down(eliminated: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
                 inverse, right, coupling = row
                 eliminated = _product(inverse, right + coupling * eliminated)
                 return eliminated, eliminated
 
-            def up(x: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+            def up(x: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
                 inverse, eliminated, coupling = row
                 x = eliminated + _product(inverse, coupling * x)
                 return x, x

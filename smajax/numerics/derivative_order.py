@@ -28,7 +28,7 @@ mlir.register_lowering(_marked, lambda ctx, *leaves, message: leaves)
 batching.primitive_batchers[_marked] = lambda leaves, axes, message: (_marked.bind(*leaves, message=message), axes)
 
 
-def _refuse(primals: tuple, tangents: tuple, *, message: str) -> tuple:
+def _refuse(primals: tuple[Any, ...], tangents: tuple[Any, ...], *, message: str) -> tuple[Any, ...]:
     raise DerivativeError(message)
 
 
@@ -64,7 +64,7 @@ def first_order_only(name: str) -> str:
     )
 
 
-def once_differentiable(name: str) -> Callable[[Callable], Callable]:
+def once_differentiable(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator for functions whose first derivative is right, but not the derivative of that.
 
     Args:
@@ -74,11 +74,11 @@ def once_differentiable(name: str) -> Callable[[Callable], Callable]:
         The decorator. The function takes pytrees as positional arguments.
     """
 
-    def decorate(function: Callable) -> Callable:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         wrapped = eqx.filter_custom_jvp(function)
 
         @wrapped.def_jvp
-        def rule(primals: tuple, tangents: tuple) -> Any:
+        def rule(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
             return eqx.filter_jvp(function, nondifferentiable(primals, first_order_only(name)), tangents)
 
         return wrapped

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from smajax.numerics.dense import solve_dense
 
 
-def jvp(function: Callable, primals: tuple, tangents: tuple) -> Any:
+def jvp(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
     """Compute the tangent of ``function(*primals)``.
 
     Args:
@@ -27,7 +27,10 @@ def jvp(function: Callable, primals: tuple, tangents: tuple) -> Any:
 
 
 def implicit_jvp(
-    step_residual: Callable, end: Float[Array, " unknowns"], primals: tuple, tangents: tuple
+    step_residual: Callable[..., Any],
+    end: Float[Array, " unknowns"],
+    primals: tuple[Any, ...],
+    tangents: tuple[Any, ...],
 ) -> Float[Array, " entries"]:
     """Compute the tangent of the state at the end of a step, where the step's residual r is zero.
 

@@ -7,6 +7,7 @@ Importing smajax sets none of these: the command line, the tests and the experim
 import contextlib
 import os
 import platform
+from typing import Any
 
 import jax
 
@@ -30,7 +31,7 @@ def set_compiler_options() -> None:
     os.environ["XLA_FLAGS"] = " ".join([flags, *added]).strip()
 
 
-def on_cpu() -> contextlib.AbstractContextManager:
+def on_cpu() -> contextlib.AbstractContextManager[Any]:
     """Return a context in which compiled programs run on the CPU, even if JAX has an accelerator.
 
     A single simulation is a chain of small steps, which an accelerator runs more slowly. If ``JAX_PLATFORMS`` excludes

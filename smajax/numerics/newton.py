@@ -85,11 +85,11 @@ def solve(residual: Residual, guess: Float[Array, " unknowns"], wires: int) -> S
     """
     scale = _tolerances(guess, wires)
 
-    def unsolved(carry: tuple) -> jax.Array:
+    def unsolved(carry: tuple[Any, ...]) -> jax.Array:
         _, _, change, _, _, count = carry
         return (count == 0) | ((_norm(change, scale) > 1.0) & (count < _MAX_ITERATIONS))
 
-    def iterate(carry: tuple) -> tuple:
+    def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         """Try the damped Newton step, and shorten it if it is not accepted."""
         z, error, change, jacobian, fraction, count = carry
         trial = z + fraction * change

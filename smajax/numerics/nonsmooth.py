@@ -6,6 +6,8 @@ neither side equals the result and the derivative is silently 0. Here the compar
 derivative. At a tie the derivative is the mean of both sides; NaN stays NaN.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -39,13 +41,13 @@ def _selected(a_counts: ArrayLike, b_counts: ArrayLike, a_dot: ArrayLike, b_dot:
 
 
 @maximum.defjvp
-def _maximum_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _maximum_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     (a, b), (a_dot, b_dot) = primals, tangents
     return jnp.maximum(a, b), _selected(a > b, b > a, a_dot, b_dot)
 
 
 @minimum.defjvp
-def _minimum_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _minimum_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     (a, b), (a_dot, b_dot) = primals, tangents
     return jnp.minimum(a, b), _selected(a < b, b < a, a_dot, b_dot)
 

@@ -19,6 +19,7 @@ Source of the balance: fast_rotary_actuator, equation 7.
 """
 
 import abc
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -87,7 +88,7 @@ class AbstractHeat(CheckedModule):
         return 4.0 / wire.diameter * self.convection(temperature)
 
     def midpoint_temperature(
-        self, temperature: tuple, capacity: tuple, net_heat: tuple, step: Float[Array, ""]
+        self, temperature: tuple[Any, ...], capacity: tuple[Any, ...], net_heat: tuple[Any, ...], step: Float[Array, ""]
     ) -> Float[Array, "..."]:
         """Compute the temperature in the middle of a step, by the cubic through both ends.
 
@@ -105,9 +106,9 @@ class AbstractHeat(CheckedModule):
 
     def residual(
         self,
-        temperature: tuple,
-        capacity: tuple,
-        net_heat: tuple,
+        temperature: tuple[Any, ...],
+        capacity: tuple[Any, ...],
+        net_heat: tuple[Any, ...],
         stored: Float[Array, "..."] | float,
         step: Float[Array, ""],
     ) -> Float[Array, "..."]:
@@ -129,9 +130,9 @@ class AbstractHeat(CheckedModule):
 
     def trapezoidal_residual(
         self,
-        temperature: tuple,
-        capacity: tuple,
-        net_heat: tuple,
+        temperature: tuple[Any, ...],
+        capacity: tuple[Any, ...],
+        net_heat: tuple[Any, ...],
         stored: Float[Array, "..."] | float,
         step: Float[Array, ""],
     ) -> Float[Array, "..."]:

@@ -8,6 +8,8 @@ from the solved end with a constant Jacobian: each step makes one more order of 
 of the step (that of a Kalman filter) is itself differentiable.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -49,7 +51,7 @@ def implicit_step(
 
 
 @implicit_step.def_jvp
-def _implicit_step_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _implicit_step_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     primals = nondifferentiable(primals, first_order_only("a plant's step"))
     plant, *arguments = primals
     state_at_end, failed = plant.solve_step(*arguments)
@@ -85,7 +87,7 @@ def differentiable_step(
 
 
 @differentiable_step.def_jvp
-def _differentiable_step_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _differentiable_step_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     primals = nondifferentiable(primals, first_order_only("a plant's step"))
     (plant, state, signal, duration, end), (plant_dot, state_dot, signal_dot, duration_dot, _) = primals, tangents
     state_at_end = differentiable_step(plant, state, signal, duration, end)
@@ -94,7 +96,9 @@ def _differentiable_step_jvp(primals: tuple, tangents: tuple) -> tuple:
     return state_at_end, _tangent_at(end, steps, step_tangents, state_at_end)
 
 
-def _tangent_at(end: Float[Array, " unknowns"], primals: tuple, tangents: tuple, state_at_end: State) -> State:
+def _tangent_at(
+    end: Float[Array, " unknowns"], primals: tuple[Any, ...], tangents: tuple[Any, ...], state_at_end: State
+) -> State:
     """The tangent of the state at the end, from those of plant, state, signals at start and end, and duration."""
 
     def step_residual(

@@ -69,7 +69,7 @@ class Plant(StepSolver):
         # Under a known load the state is in equilibrium already; a prescribed strain takes a step of zero duration.
         return _equilibrium(self, state, signal) if "strain" in prescribed else state
 
-    def _initial_fractions(self, temperature: Float[Array, " wires"], prescribed: dict) -> Fractions:
+    def _initial_fractions(self, temperature: Float[Array, " wires"], prescribed: dict[str, Any]) -> Fractions:
         """The fractions as installed, or as ``initial`` gives them."""
         installed = self.mechanism.fractions(
             self.effective_material, temperature, prescribed, self._mechanism_context()

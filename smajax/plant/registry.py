@@ -49,7 +49,9 @@ class Registry(Mapping[str, type[Module]]):
         shipped: Callable[[], Mapping[str, type[Module]]],
         check: Callable[[str, type[Module]], str] = lambda name, cls: "",
     ):
-        self.kind, self.base, self.group = kind, base, f"smajax.{kind}s"
+        self.kind: str = kind
+        self.base = base
+        self.group: str = f"smajax.{kind}s"
         self._read_shipped, self._check = shipped, check
         self._added: dict[str, type[Module]] = {}
         self._broken: dict[str, str] = {}
@@ -170,7 +172,7 @@ class Registry(Mapping[str, type[Module]]):
         return class_problem(cls)
 
 
-def class_problem(cls: type) -> str:
+def class_problem(cls: type[Any]) -> str:
     """Return what a class lacks, with the cure: methods, class attributes, or the declaration of a field.
 
     Args:

@@ -105,7 +105,7 @@ def lag_series(
     distinct = gap > SAME_INSTANT
     decay, target = jnp.where(distinct, decay, 1.0), jnp.where(distinct, series[1:] - delayed, series[:-1])
 
-    def filter_sample(output: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+    def filter_sample(output: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
         before, target, decay = row
         output = target + decay * (output - before)
         return output, output

@@ -78,7 +78,7 @@ class PlantStages(eqx.Module):
         """The material law with the elastic moduli of the wire's geometry (``AbstractWire.modulus_factor``)."""
         return self.material.with_scaled_moduli(self.wire.modulus_factor)
 
-    def _effects_of(self, kind: type | tuple[type, ...]) -> tuple:
+    def _effects_of(self, kind: type[Any] | tuple[type[Any], ...]) -> tuple[Any, ...]:
         return tuple(e for e in self.all_effects if isinstance(e, kind))
 
     @property
@@ -122,7 +122,12 @@ class PlantStages(eqx.Module):
         return state._replace(memory=memory | begun)
 
     def _updated_memory(
-        self, kinds: type | tuple, memory: dict, first: WireState, last: WireState, step: Float[Array, ""]
+        self,
+        kinds: type[Any] | tuple[Any, ...],
+        memory: dict[str, Any],
+        first: WireState,
+        last: WireState,
+        step: Float[Array, ""],
     ) -> dict[str, Any]:
         """Memory of the effects of some kinds after a step from ``first`` to ``last``, by their keys."""
         context = self._stage_context()
@@ -150,7 +155,7 @@ class PlantStages(eqx.Module):
         base, context = self.material.resistivity(wire_state.fractions), self._stage_context()
         return base + sum(base * e.resistivity(wire_state, context) for e in self._effects_of(MaterialEffect))
 
-    def _strain(self, wire_state: WireState, memory: dict) -> Float[Array, " wires"]:
+    def _strain(self, wire_state: WireState, memory: dict[str, Any]) -> Float[Array, " wires"]:
         context = self._stage_context()
         base = context.material.strain(
             wire_state.fractions, wire_state.temperature, wire_state.stress, self.environment.ambient
@@ -179,7 +184,7 @@ class PlantStages(eqx.Module):
         return base + sum(base * e.capacity(martensite) for e in self._effects_of(HeatEffect))
 
     def _net_heat(
-        self, wire_state: WireState, memory: dict, signal: Float[Array, " signals"]
+        self, wire_state: WireState, memory: dict[str, Any], signal: Float[Array, " signals"]
     ) -> Float[Array, " wires"]:
         """Net heat into each wire per volume in W/m^3: Joule heat less convection, plus the heat of the effects."""
         resistivity, context = self._resistivity(wire_state), self._stage_context()

@@ -85,10 +85,10 @@ class StepEquations(PlantStages):
         state: State,
         first: WireState,
         unknown: Float[Array, " balances"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         step: Float[Array, ""],
         end: Float[Array, " unknowns"],
-    ) -> tuple[WireState, dict]:
+    ) -> tuple[WireState, dict[str, Any]]:
         """The wires at the end, with the contraction of the start, and the memory of heat and material effects."""
         temperature = end[: self.mechanism.wires]
         if "temperature" in prescribed:
@@ -107,7 +107,9 @@ class StepEquations(PlantStages):
             memory |= self._updated_memory((HeatEffect, MaterialEffect), memory, first, last, step)
         return last, memory
 
-    def _drag(self, first: WireState, last: WireState, memory: dict, step: Float[Array, ""]) -> Float[Array, ""]:
+    def _drag(
+        self, first: WireState, last: WireState, memory: dict[str, Any], step: Float[Array, ""]
+    ) -> Float[Array, ""]:
         """Stress in Pa with which all effects with a drag oppose the contraction at the end of a step."""
         context = self._stage_context()
         effects = [e for e in self._effects_of(MechanismEffect) if e.has_drag]
@@ -118,9 +120,9 @@ class StepEquations(PlantStages):
         self,
         first: WireState,
         last: WireState,
-        memory: dict,
-        memory_at_end: dict,
-        inputs: tuple,
+        memory: dict[str, Any],
+        memory_at_end: dict[str, Any],
+        inputs: tuple[Any, ...],
         step: Float[Array, ""],
         coarse: bool,
     ) -> Float[Array, " wires"]:

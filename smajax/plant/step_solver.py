@@ -5,6 +5,7 @@ implicit function theorem gives the derivatives (``smajax.plant.implicit_step``,
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -107,7 +108,7 @@ class StepSolver(StepEquations):
         return jax.lax.cond(jnp.any(strengths != 0.0), solve_with_friction, solve_without_drag)
 
 
-def newton_corrected(state: State, residual: Float[Array, " unknowns"], jacobian_product: Callable) -> State:
+def newton_corrected(state: State, residual: Float[Array, " unknowns"], jacobian_product: Callable[..., Any]) -> State:
     """Compute the state after one more Newton step.
 
     The Jacobian is not differentiated, so the derivative of the result is that of the implicit function.

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 from smajax.errors import InputError
 
@@ -36,7 +37,7 @@ class RefusedCycle:
         first, last = self.rows or (0, 0)
         return f"rows {first + 1} to {last + 1}"
 
-    def _key(self) -> tuple:
+    def _key(self) -> tuple[Any, ...]:
         """What cycles have in common that share a sentence."""
         if self.number is None:
             return self.recording, str(self.error)
@@ -49,7 +50,7 @@ def merge_refusals(refused: Sequence[RefusedCycle]) -> list[str]:
     Args:
         refused: The reasons.
     """
-    groups: dict[tuple, list[RefusedCycle]] = {}
+    groups: dict[tuple[Any, ...], list[RefusedCycle]] = {}
     for refusal in refused:
         groups.setdefault(refusal._key(), []).append(refusal)
     return [

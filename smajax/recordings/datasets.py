@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from smajax.errors import InputError, suggestion
@@ -170,7 +171,7 @@ def _shipped_datasets() -> dict[str, Dataset]:
 
 
 def _public_datasets() -> dict[str, Dataset]:
-    tables: Mapping = tomllib.loads(data_path("public-recordings.toml").read_text("utf-8"))
+    tables: Mapping[str, Any] = tomllib.loads(data_path("public-recordings.toml").read_text("utf-8"))
     return {
         name: Dataset(name, **{**table, "files": tuple(PublicFile(**file) for file in table["files"])})
         for name, table in tables.items()

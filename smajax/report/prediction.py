@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,14 @@ def modelled_channels(observable: Iterable[str], signals: Iterable[str], recorde
 
 
 def make_series(
-    name: str, role: str, time: Floats, measured: Mapping, model: Mapping, units: Mapping[str, str], *, has_clock: bool
+    name: str,
+    role: str,
+    time: Floats,
+    measured: Mapping[str, Any],
+    model: Mapping[str, Any],
+    units: Mapping[str, str],
+    *,
+    has_clock: bool,
 ) -> Series:
     """Make a series from arrays in SI units and degC.
 
@@ -106,7 +114,7 @@ def make_series(
     return Series(name, role, time, shown, *converted)
 
 
-def recording_series(recording: Recording, role: str, model: Mapping) -> Series:
+def recording_series(recording: Recording, role: str, model: Mapping[str, Any]) -> Series:
     """Make the series of a recording with all its channels.
 
     Args:

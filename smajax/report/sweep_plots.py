@@ -28,7 +28,7 @@ def trade_off_picture(
     feasible: np.ndarray,
     axes: Sequence[tuple[str, str, str]],
     front: np.ndarray,
-    refined: Sequence[Mapping],
+    refined: Sequence[Mapping[str, Any]],
 ) -> Picture:
     """Show all designs over two metrics.
 

@@ -11,6 +11,7 @@ None of this changes a result. The equations of a step are those of ``Plant.step
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,8 +27,8 @@ from smajax.simulation.inputs import Inputs
 # further beyond ``end_index``.
 BLOCK = 64
 
-traced_step = eqx.filter_jit(lambda plant, *step: plant.solve_step(*step))
-traced_step_residual = eqx.filter_jit(lambda plant, *step: plant.step_residual(*step))
+traced_step: Callable[..., Any] = eqx.filter_jit(lambda plant, *step: plant.solve_step(*step))
+traced_step_residual: Callable[..., Any] = eqx.filter_jit(lambda plant, *step: plant.step_residual(*step))
 
 
 def in_blocks(rows: jax.Array, filling: jax.Array) -> jax.Array:

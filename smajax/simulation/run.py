@@ -7,6 +7,7 @@ A simulation with half the step size shows their discretisation error.
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -161,7 +162,7 @@ def simulate_inputs(plant: Plant, inputs: Inputs) -> Simulation:
 
 @eqx.filter_jit
 def simulate_vector_field(
-    plant: Plant, inputs: Inputs, solver: dfx.AbstractSolver, adjoint: dfx.AbstractAdjoint | None = None
+    plant: Plant, inputs: Inputs, solver: dfx.AbstractSolver[Any], adjoint: dfx.AbstractAdjoint | None = None
 ) -> Simulation:
     """Simulate a plant by a diffrax solver of its vector field.
 
@@ -185,7 +186,7 @@ def simulate(
     *,
     interpolation: str | None = None,
     step: float | None = None,
-    solver: dfx.AbstractSolver | None = None,
+    solver: dfx.AbstractSolver[Any] | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
     throw: bool = True,
 ) -> Simulation:
@@ -263,7 +264,7 @@ def simulate_batch(
         The channels by name, shape ``(plants, samples)`` each, and the status codes, shape ``(plants,)``.
     """
 
-    def single(values: dict) -> tuple[dict, jax.Array]:
+    def single(values: dict[str, Any]) -> tuple[dict[str, Any], jax.Array]:
         return simulate_channels(parameters.replace(plant, values), inputs, channels)
 
     return jax.vmap(single)(values)

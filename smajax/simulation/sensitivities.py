@@ -63,7 +63,7 @@ def simulate_outputs(
 
 
 @simulate_outputs.def_jvp
-def _simulate_outputs_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _simulate_outputs_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     """Simulate the trajectory first, then compute the tangents along it."""
     plant, inputs, end_index, output_fn = nondifferentiable(primals, first_order_only("simulate"))
     trajectory = Trajectory(*integrate(plant, inputs, flatten_state, end_index))
@@ -96,14 +96,18 @@ def outputs_along(
 
 
 @outputs_along.def_jvp
-def _outputs_along_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _outputs_along_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     """Compute the tangents along the trajectory."""
     plant, inputs, end_index, output_fn, trajectory = nondifferentiable(primals, first_order_only("simulate"))
     return _forward_sensitivities(trajectory, output_fn, end_index, (plant, inputs), tangents[:2])
 
 
 def _forward_sensitivities(
-    trajectory: Trajectory, output_fn: OutputFunction, end_index: Any, primals: tuple, tangents: tuple
+    trajectory: Trajectory,
+    output_fn: OutputFunction,
+    end_index: Any,
+    primals: tuple[Any, ...],
+    tangents: tuple[Any, ...],
 ) -> tuple[jax.Array, jax.Array]:
     """Outputs at the grid points of a trajectory, and their tangents, computed from step to step."""
     (plant, inputs), (plant_tangent, input_tangents), flat = primals, tangents, trajectory.flat_states
@@ -112,13 +116,15 @@ def _forward_sensitivities(
     def output(plant: Plant, row: jax.Array, signal: jax.Array) -> jax.Array:
         return output_fn(plant, unflatten(row), signal)
 
-    def push(tangent: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+    def push(tangent: jax.Array, row: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
         """One step: tangents of its end and of the output there, from the tangent of its start."""
         start, end, step, step_tangent, signal, signal_tangent = row
         state = unflatten(end)
         root = jnp.concatenate([state.temperature, state.unknown])
 
-        def residual(root: jax.Array, start: jax.Array, plant: Plant, step: tuple) -> tuple[jax.Array, jax.Array]:
+        def residual(
+            root: jax.Array, start: jax.Array, plant: Plant, step: tuple[Any, ...]
+        ) -> tuple[jax.Array, jax.Array]:
             balances, state = traced_step_residual(plant, unflatten(start), *step, root)
             return balances, ravel_pytree(state)[0]
 
@@ -144,7 +150,7 @@ def _forward_sensitivities(
     return outputs, jnp.concatenate([at_start[None], later])
 
 
-def _step_rows(inputs: Inputs, tangents: Any) -> tuple[tuple, tuple, jax.Array | None]:
+def _step_rows(inputs: Inputs, tangents: Any) -> tuple[tuple[Any, ...], tuple[Any, ...], jax.Array | None]:
     """Arguments of all steps, their tangents, and tangents of the signals at the grid points; ``None`` where zero."""
     step = (inputs.before, inputs.after, jnp.diff(inputs.time))
     step_tangents = (tangents.before, tangents.after, None if tangents.time is None else jnp.diff(tangents.time))
@@ -154,7 +160,7 @@ def _step_rows(inputs: Inputs, tangents: Any) -> tuple[tuple, tuple, jax.Array |
     return step, step_tangents, signal_tangents
 
 
-def _scan(push: Any, first: jax.Array, rows: tuple, end_index: Any, size: int) -> jax.Array:
+def _scan(push: Any, first: jax.Array, rows: tuple[Any, ...], end_index: Any, size: int) -> jax.Array:
     """Scan ``push`` over all steps, or in blocks up to ``end_index``; shape ``(grid - 1, size)``, zero after it."""
     if end_index is None:
         return jax.lax.scan(push, first, rows)[1]
@@ -162,7 +168,7 @@ def _scan(push: Any, first: jax.Array, rows: tuple, end_index: Any, size: int) -
     # The last block is filled up with copies of the last step, whose tangents are left out.
     blocked = jax.tree.map(lambda leaf: in_blocks(leaf, leaf[-1]), rows)
 
-    def push_block(k: jax.Array, carry: tuple) -> tuple:
+    def push_block(k: jax.Array, carry: tuple[Any, ...]) -> tuple[Any, ...]:
         tangent, outputs = carry
         tangent, block = jax.lax.scan(push, tangent, jax.tree.map(lambda leaf: leaf[k], blocked))
         return tangent, jax.lax.dynamic_update_slice(outputs, block, (k * BLOCK, 0))

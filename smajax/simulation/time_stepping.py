@@ -39,7 +39,7 @@ def integrate(
     start = state, jnp.asarray(0), jnp.max(state.temperature)
     rows = inputs.before, inputs.after, grid_signals(inputs)[1:], jnp.diff(inputs.time)
 
-    def advance(carry: tuple, row: tuple) -> tuple[tuple, Any]:
+    def advance(carry: tuple[Any, ...], row: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
         # The carry counts the steps that could not be solved, and has the highest temperature so far, which is NaN as
         # soon as any temperature is NaN.
         state, unsolved, hottest = carry
@@ -59,14 +59,14 @@ def integrate(
 
 
 def _scan_blocks(
-    advance: Callable, start: tuple, rows: tuple, output: Any, end_index: Int[Array, ""]
-) -> tuple[tuple, Any]:
+    advance: Callable[..., Any], start: tuple[Any, ...], rows: tuple[Any, ...], output: Any, end_index: Int[Array, ""]
+) -> tuple[tuple[Any, ...], Any]:
     """Scan in blocks of steps up to the one that holds ``end_index``; the outputs after it are infinite."""
     last, count = rows[1][-1], rows[1].shape[0]
     fillings = last, last, last, jnp.zeros(())
     blocked = [in_blocks(row, filling) for row, filling in zip(rows, fillings, strict=True)]
 
-    def scan_block(k: jax.Array, carry: tuple) -> tuple:
+    def scan_block(k: jax.Array, carry: tuple[Any, ...]) -> tuple[Any, ...]:
         carry, outputs = carry
         carry, block = jax.lax.scan(advance, carry, tuple(row[k] for row in blocked))
         update = jax.lax.dynamic_update_slice_in_dim

@@ -102,7 +102,7 @@ def check_vector_field(plant: Plant) -> None:
             )
 
 
-def plant_term() -> dfx.ODETerm:
+def plant_term() -> dfx.ODETerm[Any]:
     """Return the plant's vector field as a diffrax term; its ``args`` are ``FieldArguments``."""
     return dfx.ODETerm(rates)
 
@@ -211,7 +211,7 @@ def _rate_residual(
 
 
 def _increment(
-    plant: Plant, state: State, first: WireState, ends: tuple, step: Float[Array, ""]
+    plant: Plant, state: State, first: WireState, ends: tuple[Any, ...], step: Float[Array, ""]
 ) -> tuple[Float[Array, " balances"], Float[Array, " wires"], State]:
     """Balance, stored heat and state after an increment to signals and unknowns; the terms of ``_residual``."""
     signal, end = ends
@@ -241,7 +241,7 @@ def _signal_at(inputs: Inputs, t: Any) -> tuple[Float[Array, " signals"], Float[
 def integrate_vector_field(
     plant: Plant,
     inputs: Inputs,
-    solver: dfx.AbstractSolver,
+    solver: dfx.AbstractSolver[Any],
     adjoint: dfx.AbstractAdjoint | None = None,
 ) -> tuple[State, Int[Array, ""]]:
     """Integrate the plant's vector field with an adaptive step size; compilation is up to the caller.
@@ -266,7 +266,7 @@ def integrate_vector_field(
     first, structure = jax.tree.flatten(variables)  # diffrax takes no empty nodes
     term = plant_term()
 
-    def flat_rates(t: Any, y: list, arguments: FieldArguments) -> list:
+    def flat_rates(t: Any, y: list[Any], arguments: FieldArguments) -> list[Any]:
         return jax.tree.leaves(term.vf(t, jax.tree.unflatten(structure, y), arguments))
 
     solution = dfx.diffeqsolve(

@@ -64,7 +64,7 @@ def differentiate_batch(
         ``(designs, axes)`` each, and the numbers of the ``SimulationStatus``, shape ``(designs,)``.
     """
 
-    def evaluate_twice(design: Float[Array, " axes"]) -> tuple[dict, tuple[dict, Int[Array, ""]]]:
+    def evaluate_twice(design: Float[Array, " axes"]) -> tuple[dict[str, Any], tuple[dict[str, Any], Int[Array, ""]]]:
         metrics, code = problem.evaluate(design, steps, differentiable=True)
         return metrics, (metrics, code)
 

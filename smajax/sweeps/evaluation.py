@@ -30,9 +30,11 @@ class DesignEvaluator:
             start: Design that gives the values of axes of listed values, in internal units, shape ``(axes,)``.
             steps: Number of steps with which each design is simulated.
         """
-        self.problem, self.axes, self.steps = problem, axes, steps
-        self.start = np.array(start, dtype=np.float64)
-        self.free = [k for k, axis in enumerate(axes) if not axis.values]
+        self.problem = problem
+        self.axes = axes
+        self.steps = steps
+        self.start: np.ndarray = np.array(start, dtype=np.float64)
+        self.free: list[int] = [k for k, axis in enumerate(axes) if not axis.values]
         self.evaluated: dict[bytes, tuple[dict[str, float], dict[str, Float[np.ndarray, " free"]]]] = {}
 
     @property

@@ -1,5 +1,6 @@
 """The wheel and the source distribution: what they hold, and that the commands run from the wheel alone."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -91,3 +92,17 @@ def test_a_command_runs_from_the_wheel_alone_and_finds_the_shipped_files(wheel, 
     place, *answers = result.stdout.split()
     assert Path(place).is_relative_to(tmp_path / "installed") and answers == ["True", "True"]
     assert (tmp_path / "installed" / "smajax" / "py.typed").is_file()
+
+
+def test_the_types_of_all_public_names_are_complete(wheel, tmp_path):
+    """What other packages leave without a type is not counted."""
+    zipfile.ZipFile(wheel).extractall(tmp_path / "installed")
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    command = [sys.executable, "-m", "pyright", "--verifytypes", "smajax", "--ignoreexternal", "--outputjson"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path / "installed"), "PATH": path}
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    report = json.loads(result.stdout)["typeCompleteness"]
+    names = {symbol["name"] for symbol in report["symbols"]}
+    assert {"smajax.fit", "smajax.simulate", "smajax.rollout", "smajax.register"} <= names
+    assert [symbol["name"] for symbol in report["symbols"] if not symbol["isTypeKnown"]] == []
+    assert report["completenessScore"] == 1.0

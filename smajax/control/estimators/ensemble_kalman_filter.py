@@ -279,7 +279,7 @@ def _step_members(
 
 
 @_step_members.def_jvp
-def _step_members_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _step_members_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     (system, names, states, values, command), (system_tangent, _, *other_tangents) = primals, tangents
     state_tangents, value_tangents, command_tangent = jax.tree.map(
         lambda v, t: jnp.zeros_like(v) if t is None else t,

@@ -236,7 +236,7 @@ class ExtendedKalmanFilter(AbstractFilter):
         """Return means and standard deviations of all channels and of the martensite fractions at a sample."""
         core, split = self._core(filter_state)
 
-        def channels_and_fractions(core: Float[Array, " core"]) -> tuple[Float[Array, " numbers"], tuple]:
+        def channels_and_fractions(core: Float[Array, " core"]) -> tuple[Float[Array, " numbers"], tuple[Any, ...]]:
             state, _, values = split(core)
             martensite = state[0].fractions.martensite if isinstance(self.system, SampledPlant) else jnp.zeros(0)
             both = self._with_parameters(values).observe(state, filter_state.command), martensite

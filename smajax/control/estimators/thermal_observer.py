@@ -62,7 +62,8 @@ class UnstableObserverError(InputError):
             f"the thermal observer's {cause} acts faster than its period of {period:g} s: give a smaller one, or a "
             f"period of at most {longest_period:.4g} s"
         )
-        self.longest_period, self.gain_is_faster = longest_period, gain_is_faster
+        self.longest_period: float = longest_period
+        self.gain_is_faster: bool = gain_is_faster
 
 
 def _is_traced(value: ArrayLike) -> bool:

@@ -54,7 +54,9 @@ class Constants:
             renamed: Other names of some numbers.
             literal: Whether a scalar is written as a number, by name and value.
         """
-        self.numbers, self.others = eqx.partition(program.static.mark(module), eqx.is_inexact_array)
+        numbers, others = eqx.partition(program.static.mark(module), eqx.is_inexact_array)
+        self.numbers: Any = numbers
+        self.others: Any = others
         self.values: list[CValue] = []
         self.defines: list[str] = []
         for name, leaf in zip(leaf_names(self.numbers), jax.tree.leaves(self.numbers), strict=True):
@@ -135,7 +137,7 @@ class StateType:
 
 
 def state_type(
-    name: str, pointer: str, init: Callable, arguments: Sequence[Any], names: Callable[[Any], list[str]]
+    name: str, pointer: str, init: Callable[..., Any], arguments: Sequence[Any], names: Callable[[Any], list[str]]
 ) -> StateType:
     """Return the structure of a state.
 
@@ -152,7 +154,7 @@ def state_type(
 
 
 def with_needed_leaves(
-    program: CProgram, state: StateType, step: Callable, arguments: Sequence[tuple[Any, Sequence[CValue]]]
+    program: CProgram, state: StateType, step: Callable[..., Any], arguments: Sequence[tuple[Any, Sequence[CValue]]]
 ) -> StateType:
     """Return the structure without the leaves on which no output of the step function depends, now or later.
 
@@ -176,7 +178,7 @@ def with_needed_leaves(
 def _results(
     program: CProgram,
     state: StateType | None,
-    function: Callable,
+    function: Callable[..., Any],
     arguments: Sequence[tuple[Any, Sequence[CValue]]],
     result_names: Sequence[str],
 ) -> tuple[list[str], list[CValue]]:
@@ -194,7 +196,7 @@ def _results(
 def state_function(
     program: CProgram,
     state: StateType,
-    function: Callable,
+    function: Callable[..., Any],
     arguments: Sequence[tuple[Any, Sequence[CValue]]],
     *,
     takes_state: bool = True,
@@ -226,7 +228,7 @@ def state_function(
 
 def pure_function(
     program: CProgram,
-    function: Callable,
+    function: Callable[..., Any],
     arguments: Sequence[tuple[Any, Sequence[CValue]]],
     result_names: Sequence[str],
 ) -> tuple[list[str], list[CValue]]:

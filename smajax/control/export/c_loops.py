@@ -25,7 +25,7 @@ class LoopWriter(SourceWriter[CValue]):
     def copy(self, target: CValue, source: CValue) -> None:
         """Write the assignment of a value to a variable, or to the elements of an array."""
 
-    def while_loop(self, options: dict, inputs: list[CValue]) -> list[CValue]:
+    def while_loop(self, options: dict[str, Any], inputs: list[CValue]) -> list[CValue]:
         """Write a ``while`` loop with the parameters of its equation; return its last carry."""
         in_condition, in_body = options["cond_nconsts"], options["body_nconsts"]
         condition, body = inputs[:in_condition], inputs[in_condition : in_condition + in_body]
@@ -36,7 +36,7 @@ class LoopWriter(SourceWriter[CValue]):
             self._assign(carry, self.inline(options["body_jaxpr"], body + carry))
         return _depending(carry, inputs)
 
-    def scan_loop(self, options: dict, inputs: list[CValue]) -> list[CValue]:
+    def scan_loop(self, options: dict[str, Any], inputs: list[CValue]) -> list[CValue]:
         """Write a ``scan`` as a ``for`` loop; return its last carry and its stacked results."""
         fixed, length, carries = options["num_consts"], options["length"], options["num_carry"]
         if not length:
@@ -60,7 +60,7 @@ class LoopWriter(SourceWriter[CValue]):
             self._assign(carry, results[:carries])
         return _depending(carry + stacks, inputs)
 
-    def branches(self, options: dict, inputs: list[CValue]) -> list[CValue]:
+    def branches(self, options: dict[str, Any], inputs: list[CValue]) -> list[CValue]:
         """Write a ``cond`` or ``switch`` as branches; return its results."""
         which, rest = inputs[0], inputs[1:]
         closed = options["branches"]

@@ -36,7 +36,7 @@ _TO_EVEN = 1
 _MAX_PRODUCT_POWER = 4
 
 
-def math_functions(kind: str, options: dict) -> tuple[str, ...]:
+def math_functions(kind: str, options: dict[str, Any]) -> tuple[str, ...]:
     """Return the functions of math.h that an operation needs.
 
     Args:
@@ -48,7 +48,7 @@ def math_functions(kind: str, options: dict) -> tuple[str, ...]:
     return {"rsqrt": ("sqrt",), "logistic": ("exp",)}.get(kind, (_MATH[kind],) if kind in _MATH else ())
 
 
-def elementwise(kind: str, options: dict, operands: list[CValue]) -> str | None:
+def elementwise(kind: str, options: dict[str, Any], operands: list[CValue]) -> str | None:
     """Return the format of an operation's expression, with a field for each operand; ``None`` if it has none.
 
     Args:

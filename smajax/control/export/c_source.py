@@ -44,7 +44,7 @@ class CProgram:
     """
 
     def __init__(self, static: StaticNumbers | None = None) -> None:
-        self.static = static or StaticNumbers()
+        self.static: StaticNumbers = static or StaticNumbers()
         self.math: set[str] = set()
         self.arrays: dict[tuple[Kind, str], str] = {}
 
@@ -70,7 +70,7 @@ class CProgram:
 
 def c_body(
     program: CProgram,
-    function: Callable,
+    function: Callable[..., Any],
     arguments: Sequence[tuple[Any, Sequence[CValue]]],
     result_names: Sequence[str],
     reserved: Sequence[str] = (),
@@ -109,7 +109,9 @@ class CWriter(LoopWriter):
 
     def __init__(self, program: CProgram, reserved: Sequence[str]):
         super().__init__()
-        self.program, self.taken, self.counts = program, {_COUNTER, *reserved}, {}
+        self.program: CProgram = program
+        self.taken: set[str] = {_COUNTER, *reserved}
+        self.counts: dict[str, int] = {}
 
     def new_name(self, noun: str) -> str:
         """Return a new name of a variable: the noun, with a number if it is taken."""
@@ -208,7 +210,9 @@ class CWriter(LoopWriter):
             )
         return [result]
 
-    def _elementwise(self, kind: str, options: dict, inputs: list[CValue], noun: str, out: Any) -> CValue | None:
+    def _elementwise(
+        self, kind: str, options: dict[str, Any], inputs: list[CValue], noun: str, out: Any
+    ) -> CValue | None:
         """An elementwise operation; ``None`` for another one."""
         kind_out = kind_of_dtype(out.dtype)
         if kind == "convert_element_type":
@@ -228,7 +232,7 @@ class CWriter(LoopWriter):
             return self.scalar(noun, form.format(*(v.element(0) for v in inputs)), kind_out, out.shape, inputs)
         return self.array(noun, out.shape, kind_out, inputs, form.format)
 
-    def _combined(self, kind: str, options: dict, inputs: list[CValue], noun: str, out: Any) -> CValue | None:
+    def _combined(self, kind: str, options: dict[str, Any], inputs: list[CValue], noun: str, out: Any) -> CValue | None:
         """A reduction, a product, a concatenation or a slice at a computed place; ``None`` for another one."""
         if kind in _REDUCTIONS:
             groups = np.moveaxis(
@@ -291,14 +295,14 @@ class CWriter(LoopWriter):
             begin += part.size
         return CValue(name, out.shape, kind, np.arange(out.size), sources=_sources(parts))
 
-    def _joined(self, kind: str, options: dict, noun: str, parts: list[CValue], out: Any) -> CValue:
+    def _joined(self, kind: str, options: dict[str, Any], noun: str, parts: list[CValue], out: Any) -> CValue:
         """Values joined along an axis: one after the other in an array, of which the result is a view."""
         ends = np.cumsum([part.size for part in parts])
         places = [np.arange(end - p.size, end).reshape(p.shape) for end, p in zip(ends, parts, strict=True)]
         joined = np.stack(places, options["axis"]) if kind == "stack" else np.concatenate(places, options["dimension"])
         return self._concatenated(noun, parts, out).view(out.shape, joined)
 
-    def _slice(self, inputs: list[CValue], options: dict, out: Any) -> CValue | None:
+    def _slice(self, inputs: list[CValue], options: dict[str, Any], out: Any) -> CValue | None:
         """A slice along the first axis from a computed place on; ``None`` for another slice."""
         source, starts = self.whole(inputs[0]), inputs[1:]
         if source.shape[1:] != out.shape[1:] or not source.size:

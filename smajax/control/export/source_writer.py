@@ -52,7 +52,8 @@ class SourceWriter(abc.ABC, Generic[Value]):
         outer_names, self.names = self.names, dict(self.names)
         self.depth += 1
         yield
-        self.depth, self.names = self.depth - 1, outer_names
+        self.depth: int = self.depth - 1
+        self.names = outer_names
         if end:
             self.line(end)
 
@@ -124,15 +125,15 @@ class SourceWriter(abc.ABC, Generic[Value]):
         """Write an equation that is neither a call nor a loop nor a branch; return its results."""
 
     @abc.abstractmethod
-    def while_loop(self, options: dict, inputs: list[Value]) -> list[Value]:
+    def while_loop(self, options: dict[str, Any], inputs: list[Value]) -> list[Value]:
         """Write a ``while`` loop with the parameters of its equation; return its last carry."""
 
     @abc.abstractmethod
-    def scan_loop(self, options: dict, inputs: list[Value]) -> list[Value]:
+    def scan_loop(self, options: dict[str, Any], inputs: list[Value]) -> list[Value]:
         """Write a ``scan``; return its last carry and its stacked results."""
 
     @abc.abstractmethod
-    def branches(self, options: dict, inputs: list[Value]) -> list[Value]:
+    def branches(self, options: dict[str, Any], inputs: list[Value]) -> list[Value]:
         """Write a ``cond`` or ``switch`` as branches; return its results."""
 
 

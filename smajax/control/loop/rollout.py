@@ -56,7 +56,7 @@ class Scenario(eqx.Module):
     block: int = eqx.field(static=True, default=64)
 
     @property
-    def rows(self) -> tuple:
+    def rows(self) -> tuple[Any, ...]:
         """Reference, draws and changes, the arrays with an axis of samples."""
         return self.reference, self.draws, self.changes
 
@@ -236,7 +236,7 @@ def rollout_with_solutions(system: AbstractSampledSystem, loop: ClosedLoop, scen
         a leading axis of samples (else ``()``).
     """
 
-    def sample(carry: Any, row: tuple) -> tuple[Any, Any]:
+    def sample(carry: Any, row: tuple[Any, ...]) -> tuple[Any, Any]:
         def step(system: AbstractSampledSystem, state: Any, command: Float[Array, " wires"]) -> tuple[Any, Any]:
             state, step_solutions, unsolved = system.step(state, command)
             return state, (step_solutions, unsolved)
@@ -257,7 +257,9 @@ def _initial_carry(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Sc
     return start, loop.reset(scenario.initial_reference, system.observe(start, no_command)), no_command
 
 
-def _sample(system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tuple, step: Callable) -> tuple[Any, Any]:
+def _sample(
+    system: AbstractSampledSystem, loop: ClosedLoop, carry: Any, row: tuple[Any, ...], step: Callable[..., Any]
+) -> tuple[Any, Any]:
     """One sample and its period: the carry at the end; channels, command and the second result of ``step``."""
     state, loop_state, command = carry
     reference, draw, changes = row
@@ -281,18 +283,18 @@ def _implicit_rollout(system: AbstractSampledSystem, loop: ClosedLoop, scenario:
 
 
 @_implicit_rollout.def_jvp
-def _implicit_rollout_jvp(primals: tuple, tangents: tuple) -> tuple:
+def _implicit_rollout_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
     """Propagate the tangent from sample to sample; linear in the tangent, so that JAX transposes it."""
     primals = nondifferentiable(primals, first_order_only("the rollout of an implicit plant"))
     (system, loop, scenario), (system_tangent, loop_tangent, scenario_tangent) = primals, tangents
     result, (carries, solutions) = rollout_with_solutions(system, loop, scenario)
     unflatten = ravel_pytree(_initial_carry(system, loop, scenario))[1]
 
-    def propagate(tangent: Any, sample: tuple) -> tuple[Any, Any]:
+    def propagate(tangent: Any, sample: tuple[Any, ...]) -> tuple[Any, Any]:
         carry, step_solutions, row, row_tangent = sample
 
         def period(
-            system: AbstractSampledSystem, loop: ClosedLoop, carry: jax.Array, row: tuple
+            system: AbstractSampledSystem, loop: ClosedLoop, carry: jax.Array, row: tuple[Any, ...]
         ) -> tuple[jax.Array, Any]:
             later, (channels, command, _) = _sample(
                 system,

@@ -6,7 +6,7 @@ Repeated searches use more starts, a larger weight of the effort, or the draws o
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -110,7 +110,7 @@ def _search(task: TuningTask, problem: TuningProblem, starts: int, seed: int, pr
     )
 
 
-def _rank(task: TuningTask, result: TuningResult) -> tuple:
+def _rank(task: TuningTask, result: TuningResult) -> tuple[Any, ...]:
     """Sort key of results: violated limits first, then the objective; smaller is better."""
     if not result.feasible:
         return violation_rank(result)

@@ -8,7 +8,7 @@ are combined to one cost; the work of its reverse-mode gradient does not depend 
 import contextlib
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -158,21 +158,24 @@ class GainSearch:
             progress: Called with the number of rollouts so far and a cost.
             settle: Whether the settling time is minimised instead of the terms.
         """
-        self.problem, self.objective, self.progress = problem, objective, progress
-        self.rollouts, self.history = 0, []
+        self.problem: TuningProblem = problem
+        self.objective: Objective = objective
+        self.progress: Callable[[int, float], None] = progress
+        self.rollouts: int = 0
+        self.history: list[Any] = []
         self.evaluated: list[Candidate] = []
         terms, violations = self.evaluate(problem.start[None])
         usable = np.isfinite(terms[0]) & (terms[0] > 0.0)
-        self.scale = np.where(usable, terms[0], 1.0)
+        self.scale: np.ndarray = np.where(usable, terms[0], 1.0)
         lower, upper = problem.loop.controller.limits
         command_range = float(upper) - float(lower)
         count = problem.reference.values.shape[0]
         if command_range < _UNBOUNDED_RANGE:
             self.scale[TERMS.index("effort")] = count * (_UNIT_MOVE * command_range) ** 2
-        self.has_no_limits = not (settle or np.any(np.isfinite(np.asarray(objective.limits))))
-        self.zero_multipliers = jnp.zeros((problem.count, len(LIMITS), count))
+        self.has_no_limits: bool = not (settle or np.any(np.isfinite(np.asarray(objective.limits))))
+        self.zero_multipliers: jax.Array = jnp.zeros((problem.count, len(LIMITS), count))
         no_limits = jnp.full_like(objective.limits, jnp.inf)
-        self.objective_without_limits = eqx.tree_at(lambda o: o.limits, objective, no_limits)
+        self.objective_without_limits: Any = eqx.tree_at(lambda o: o.limits, objective, no_limits)
         self.record(self._candidate(problem.start, terms[0], violations[0]))
 
     def evaluate(

@@ -14,7 +14,7 @@ latest + penalty * violation is rejected, and the trust region shrinks.
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -234,10 +234,12 @@ def _solve(program: _Program, point: np.ndarray, span: np.ndarray, radius: float
 
 
 @eqx.filter_jit
-def _values_and_slopes(response: Callable[[jax.Array], tuple[jax.Array, jax.Array]], point: jax.Array) -> tuple:
+def _values_and_slopes(
+    response: Callable[[jax.Array], tuple[jax.Array, jax.Array]], point: jax.Array
+) -> tuple[Any, ...]:
     """Values and derivatives of ``response`` in the order of ``LinearisedResponse``."""
 
-    def evaluate_twice(point: jax.Array) -> tuple:
+    def evaluate_twice(point: jax.Array) -> tuple[Any, ...]:
         values = response(point)
         return values, values
 

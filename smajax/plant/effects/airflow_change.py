@@ -1,12 +1,14 @@
 """Change of the airflow during the recording: a draught that begins or ends."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip
 from smajax.parameters import parameter
-from smajax.plant.effects.base import HeatEffect, StageContext, WireState
+from smajax.plant.effects.base import HeatEffect, Shapes, StageContext, WireState
 
 
 class AirflowChange(HeatEffect):
@@ -15,10 +17,10 @@ class AirflowChange(HeatEffect):
     strength: jax.Array = parameter("1", "relative change of h", -0.7, 5.0, 0.0)
     instant: jax.Array = parameter("s", "time of the change, from the first row", 0.0, 1e5, 30.0)
     key = "airflow-change"
-    typical = 0.3
+    typical: ClassVar[float] = 0.3
     source = "estimate: a fan or an open door changes h by 0.2 to 5 times"
-    confused_with = ("ambient-drift",)
-    shapes = (("instant", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
+    shapes: ClassVar[Shapes] = (("instant", (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)),)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:
         """Return 1 if the changed airflow is present, else 0."""

@@ -1,5 +1,7 @@
 """Drift of the ambient temperature during the recording."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,10 +14,10 @@ class AmbientDrift(HeatEffect):
 
     strength: jax.Array = parameter("K/s", "rate at which the ambient temperature changes", -0.3, 0.3, 0.0)
     key = "ambient-drift"
-    typical = 0.03
+    typical: ClassVar[float] = 0.03
     source = "estimate: 1 to 5 K during a recording"
-    confused_with = ("end-conduction", "airflow-change")
+    confused_with: ClassVar[tuple[str, ...]] = ("end-conduction", "airflow-change")
 
-    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat added to the wires, W/m^3."""
         return context.heat.conductance(state.temperature, context.wire) * self.strength * state.time

@@ -1,12 +1,14 @@
 """Backlash: play between wire and sensor."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip, maximum
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MechanismEffect
+from smajax.plant.effects.base import MechanismEffect, Shapes
 
 # Smallest play that is simulated, as a share of the motion's range: below it the effect is proportional to the
 # strength, so that the derivative at 0 exists. Chosen by trial; tests/unit/plant/test_effects.py holds it.
@@ -28,10 +30,10 @@ class Backlash(MechanismEffect):
     )
     key = "backlash"
     obstacle_to_rates = "play"
-    typical = 1e-4
+    typical: ClassVar[float] = 1e-4
     source = "estimate: 0.05 to 0.3 mm"
-    confused_with = ("coulomb-friction",)
-    shapes = (("begin", (-0.9, 0.0, 0.9)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("coulomb-friction",)
+    shapes: ClassVar[Shapes] = (("begin", (-0.9, 0.0, 0.9)),)
 
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

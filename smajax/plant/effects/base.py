@@ -9,7 +9,7 @@ The derivative with respect to the strength has to exist at 0, and to be finite 
 saturation is therefore written with the sign of the motion, not with a threshold.
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -21,6 +21,9 @@ from smajax.plant.effects.memory import first_order_lag
 from smajax.plant.heat import AbstractHeat
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.wire import AbstractWire, Environment
+
+# Names of declared fields, each with the values that a search tries.
+Shapes: TypeAlias = tuple[tuple[str, tuple[float, ...]], ...]
 
 
 class WireState(NamedTuple):
@@ -89,7 +92,7 @@ class AbstractEffect(CheckedModule):
     confused_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     other_channels: ClassVar[tuple[str, ...]] = ()
-    shapes: ClassVar[tuple[tuple[str, tuple[float, ...]], ...]] = ()
+    shapes: ClassVar[Shapes] = ()
     no_mean_effect: ClassVar[str] = ""
     # Everything but rounding and the linearisation's own error; chosen by trial, tests/unit/diagnosis holds it.
     absorbed_from: ClassVar[float] = 1.0 - 1e-7

@@ -1,5 +1,7 @@
 """Bias spring with a cubic stiffness."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,10 +14,10 @@ class BiasNonlinearity(MechanismEffect):
 
     strength: jax.Array = parameter("N/m^3", "cubic stiffness of the spring", -1e9, 1e10, 0.0)
     key = "bias-nonlinearity"
-    typical = 1e6
+    typical: ClassVar[float] = 1e6
     source = "estimate: 0 to 10 % at full stroke"
-    confused_with = ("load-change",)
-    needs = ("drag", "spring")
+    confused_with: ClassVar[tuple[str, ...]] = ("load-change",)
+    needs: ClassVar[tuple[str, ...]] = ("drag", "spring")
     has_drag = True
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:

@@ -1,5 +1,7 @@
 """Clausius-Clapeyron slopes that differ between forward and reverse transformation."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 
@@ -13,9 +15,9 @@ class ClausiusAsymmetry(MaterialEffect):
 
     strength: jax.Array = parameter("1", "relative excess of the forward slope C_M", -0.6, 1.0, 0.0)
     key = "clausius-asymmetry"
-    typical = 0.2
+    typical: ClassVar[float] = 0.2
     source = "estimate: 0 to 30 %"
-    confused_with = ()
+    confused_with: ClassVar[tuple[str, ...]] = ()
 
     def modify_material(self, material: AbstractMaterial) -> AbstractMaterial:
         """Return the material law with changed parameters."""

@@ -1,5 +1,7 @@
 """Curved Clausius-Clapeyron lines: transformation temperatures that are not linear in the stress."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -21,14 +23,14 @@ class ClausiusCurvature(MaterialEffect):
         "K", "rise of the transformation temperatures beyond a straight line, at 100 MPa", -4.0, 8.0, 0.0
     )
     key = "clausius-curvature"
-    typical = 0.5
+    typical: ClassVar[float] = 0.5
     source = (
         "isobaric cycles of NiTiHf at 50 to 400 MPa, whose lines bend on heating and on cooling "
         "(experiments/measured/isobaric.py)"
     )
-    confused_with = ("stress-dependent-strain", "gradual-transformation")
+    confused_with: ClassVar[tuple[str, ...]] = ("stress-dependent-strain", "gradual-transformation")
     # On other rigs the stress varies with the transformation only.
-    needs = ("prescribed strain or stress",)
+    needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the shift of the transformation temperatures, K."""

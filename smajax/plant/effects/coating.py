@@ -1,9 +1,11 @@
 """Coating or sleeve: a second thermal node around the wire."""
 
+from typing import ClassVar
+
 import jax
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import ThermalNode
+from smajax.plant.effects.base import Shapes, ThermalNode
 
 
 class Coating(ThermalNode):
@@ -12,7 +14,7 @@ class Coating(ThermalNode):
     strength: jax.Array = parameter("1", "conduction into the coating over convection", 0.0, 6.0, 0.0)
     time_constant: jax.Array = parameter("s", "time in which the coating follows the wire", 0.2, 60.0, 3.0)
     key = "coating"
-    typical = 0.5
+    typical: ClassVar[float] = 0.5
     source = "estimate: time constants 0.5 to 10 s, capacities 0.3 to 3 of the wire's"
-    confused_with = ("latent-heat", "end-conduction", "heat-capacity")
-    shapes = (("time_constant", (1.0, 5.0)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("latent-heat", "end-conduction", "heat-capacity")
+    shapes: ClassVar[Shapes] = (("time_constant", (1.0, 5.0)),)

@@ -1,5 +1,7 @@
 """Compliance of frame and tendon."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,11 +14,11 @@ class Compliance(MechanismEffect):
 
     strength: jax.Array = parameter("m/N", "compliance of frame and tendon", 0.0, 2e-3, 0.0)
     key = "compliance"
-    typical = 1e-4
+    typical: ClassVar[float] = 1e-4
     source = "estimate: 5 to 50 N/mm"
-    confused_with = ("load-change",)
-    other_channels = ("force",)
-    needs = ("displacement",)
+    confused_with: ClassVar[tuple[str, ...]] = ("load-change",)
+    other_channels: ClassVar[tuple[str, ...]] = ("force",)
+    needs: ClassVar[tuple[str, ...]] = ("displacement",)
 
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

@@ -1,5 +1,7 @@
 """Convection that depends on the wire's diameter; visible only in wires of several diameters."""
 
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -16,11 +18,11 @@ class ConvectionDiameter(HeatEffect):
 
     strength: jax.Array = parameter("1", "exponent with which h falls with the diameter", -0.5, 1.0, 0.0)
     key = "convection-diameter"
-    typical = 0.6
+    typical: ClassVar[float] = 0.6
     source = "Churchill and Chu's correlation: h = 147, 71, 43 W/m^2/K at diameters of 0.1, 0.25, 0.5 mm"
-    confused_with = ()
+    confused_with: ClassVar[tuple[str, ...]] = ()
 
-    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat added to the wires, W/m^3."""
         cooling = context.heat.conductance(state.temperature, context.wire) * (
             state.temperature - context.environment.ambient

@@ -1,5 +1,7 @@
 """Convection that depends on the temperature difference, as natural convection does."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -15,11 +17,11 @@ class ConvectionTemperature(HeatEffect):
 
     strength: jax.Array = parameter("1", "relative rise of h per 50 K above ambient", -0.4, 1.0, 0.0)
     key = "convection-temperature"
-    typical = 0.11
+    typical: ClassVar[float] = 0.11
     source = "Churchill and Chu's correlation for thin wires: 0.10 to 0.12 per 50 K"
-    confused_with = ("radiation", "current-limit")
+    confused_with: ClassVar[tuple[str, ...]] = ("radiation", "current-limit")
 
-    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat added to the wires, W/m^3."""
         excess = state.temperature - context.environment.ambient
         return (

@@ -1,11 +1,13 @@
 """Coulomb (dry) friction in guide, pulley or sheath."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MechanismEffect, StageContext, WireState
+from smajax.plant.effects.base import MechanismEffect, Shapes, StageContext, WireState
 from smajax.plant.effects.memory import presliding_state
 
 
@@ -21,12 +23,12 @@ class CoulombFriction(MechanismEffect):
     )
     key = "coulomb-friction"
     obstacle_to_rates = "dry friction"
-    typical = 2e7
+    typical: ClassVar[float] = 2e7
     source = "capstan equation: 8 to 21 % of the load over a quarter turn at a coefficient of 0.05 to 0.15"
-    confused_with = ("backlash",)
-    needs = ("drag",)
+    confused_with: ClassVar[tuple[str, ...]] = ("backlash",)
+    needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True
-    shapes = (("reversal", (1e-5, 3e-6)),)
+    shapes: ClassVar[Shapes] = (("reversal", (1e-5, 3e-6)),)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:
         """Return the presliding state at the first row: 0."""

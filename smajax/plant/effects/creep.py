@@ -1,10 +1,12 @@
 """Creep: martensite that continues to reorient under load."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
+from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 from smajax.plant.effects.memory import first_order_lag
 
 
@@ -18,11 +20,11 @@ class Creep(MaterialEffect):
     strength: jax.Array = parameter("1", "strain that relaxes", -0.02, 0.02, 0.0)
     time_constant: jax.Array = parameter("s", "time in which it relaxes", 0.5, 500.0, 15.0)
     key = "creep"
-    typical = 0.002
+    typical: ClassVar[float] = 0.002
     source = "estimate: 0.1 to 1 % of strain within minutes"
-    confused_with = ("ratcheting", "end-conduction")
-    needs = ("clock",)
-    shapes = (("time_constant", (5.0, 30.0)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("ratcheting", "end-conduction")
+    needs: ClassVar[tuple[str, ...]] = ("clock",)
+    shapes: ClassVar[Shapes] = (("time_constant", (5.0, 30.0)),)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Return the filtered fraction: that of the first row."""

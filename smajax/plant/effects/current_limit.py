@@ -1,11 +1,13 @@
 """Current or voltage limit of the driver: large currents are lower than recorded."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import DriveEffect
+from smajax.plant.effects.base import DriveEffect, Shapes
 from smajax.plant.effects.skip_at_zero import skip_at_zero
 
 
@@ -26,11 +28,11 @@ class CurrentLimit(DriveEffect):
     by_voltage: jax.Array = parameter("1", "share m: 0 limits the current, 1 the voltage", 0.0, 1.0, 0.5)
     reference: jax.Array = parameter("A", "current to which the strength refers", 1e-3, 100.0, 1.0)
     key = "current-limit"
-    typical = 0.05
+    typical: ClassVar[float] = 0.05
     source = "estimate: current sources lose 1 to 10 % near their limit"
-    confused_with = ("convection-temperature", "radiation")
-    shapes = (("sharpness", (2.0, 12.0)), ("by_voltage", (0.5,)))
-    needs = ("current",)
+    confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature", "radiation")
+    shapes: ClassVar[Shapes] = (("sharpness", (2.0, 12.0)), ("by_voltage", (0.5,)))
+    needs: ClassVar[tuple[str, ...]] = ("current",)
 
     @skip_at_zero
     def signal(self, signal: Float[Array, " wires"], resistance: Float[Array, " wires"]) -> Float[Array, " wires"]:

@@ -1,5 +1,7 @@
 """Drift of the displacement or angle sensor."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,10 +14,10 @@ class EncoderDrift(SensorEffect):
 
     strength: jax.Array = parameter("m/s", "drift of the reading", -1e-3, 1e-3, 0.0)
     key = "encoder-drift"
-    typical = 2e-6
+    typical: ClassVar[float] = 2e-6
     source = "estimate: a displacement or angle that drifts with time"
-    confused_with = ("ratcheting",)
-    needs = ("clock",)
+    confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
+    needs: ClassVar[tuple[str, ...]] = ("clock",)
 
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

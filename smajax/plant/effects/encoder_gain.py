@@ -1,5 +1,7 @@
 """Gain error of the displacement or angle sensor."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,11 +14,11 @@ class EncoderGain(SensorEffect):
 
     strength: jax.Array = parameter("1", "relative error of the gain", -0.1, 0.1, 0.0)
     key = "encoder-gain"
-    typical = 0.01
+    typical: ClassVar[float] = 0.01
     source = "estimate: 0.1 to 2 %"
     # A gain differs from other effects only through nominal values that are not measured, such as the wire's length;
     # chosen by trial.
-    absorbed_from = 0.99
+    absorbed_from: ClassVar[float] = 0.99
 
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

@@ -1,9 +1,11 @@
 """Heat conduction into the crimps at the ends, which warm up slowly."""
 
+from typing import ClassVar
+
 import jax
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import ThermalNode
+from smajax.plant.effects.base import Shapes, ThermalNode
 
 
 class EndConduction(ThermalNode):
@@ -15,8 +17,8 @@ class EndConduction(ThermalNode):
     strength: jax.Array = parameter("1", "conduction to the crimps over convection", 0.0, 0.6, 0.0)
     time_constant: jax.Array = parameter("s", "time constant with which the crimps warm up", 2.0, 500.0, 30.0)
     key = "end-conduction"
-    typical = 0.08
+    typical: ClassVar[float] = 0.08
     source = "fin length sqrt(k d / 4 h): 4 mm at each end of a wire of 0.25 mm diameter"
-    confused_with = ("ambient-drift", "coating")
-    shapes = (("time_constant", (15.0, 60.0)),)
-    steady_share = 0.5
+    confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift", "coating")
+    shapes: ClassVar[Shapes] = (("time_constant", (15.0, 60.0)),)
+    steady_share: ClassVar[float] = 0.5

@@ -1,5 +1,7 @@
 """Functional fatigue: transformation strain that is lost with every cycle."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,11 +14,11 @@ class FunctionalFatigue(MaterialEffect):
 
     strength: jax.Array = parameter("1", "share of the transformation strain lost in each full cycle", -0.02, 0.06, 0.0)
     key = "functional-fatigue"
-    typical = 0.005
+    typical: ClassVar[float] = 0.005
     source = "estimate: 0.1 to 1 % in 100 cycles of a trained wire, much more in the first cycles"
-    confused_with = ("ratcheting",)
+    confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
 
-    def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""
         return (
             -self.strength

@@ -1,12 +1,14 @@
 """Gradual transformation: grains with distributed transformation temperatures."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
+from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 from smajax.plant.materials.base import Fractions
 
 # Eight grains at the middles of equal shares; chosen by trial, tests/unit/plant/test_effects.py holds it.
@@ -24,12 +26,16 @@ class GradualTransformation(MaterialEffect):
     strength: jax.Array = parameter("1", "share of the wire that transforms gradually", 0.0, 1.0, 0.0)
     width: jax.Array = parameter("K", "width of the logistic distribution of the grains' temperatures", 1.0, 40.0, 8.0)
     key = "gradual-transformation"
-    typical = 0.3
+    typical: ClassVar[float] = 0.3
     source = "isobaric cycles of actuator wire, rounded at all four corners (experiments/measured/isobaric.py)"
-    confused_with = ("temperature-distribution", "minor-loop-shape", "stress-dependent-strain")
+    confused_with: ClassVar[tuple[str, ...]] = (
+        "temperature-distribution",
+        "minor-loop-shape",
+        "stress-dependent-strain",
+    )
     # The grains make every step expensive, and a free motion hardly identifies them.
-    needs = ("prescribed strain or stress",)
-    shapes = (("width", (5.0, 12.0)),)
+    needs: ClassVar[tuple[str, ...]] = ("prescribed strain or stress",)
+    shapes: ClassVar[Shapes] = (("width", (5.0, 12.0)),)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Fractions:
         """Return the fractions of the grains, shape ``(8, wires)``."""

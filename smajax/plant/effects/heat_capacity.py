@@ -1,5 +1,7 @@
 """Heat capacity that differs between the phases."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,9 +14,9 @@ class HeatCapacity(HeatEffect):
 
     strength: jax.Array = parameter("1", "relative excess of austenite's heat capacity", -0.5, 0.8, 0.0)
     key = "heat-capacity"
-    typical = 0.1
+    typical: ClassVar[float] = 0.1
     source = "estimate: reported capacities differ by 0 to 15 % between the phases"
-    confused_with = ("latent-heat",)
+    confused_with: ClassVar[tuple[str, ...]] = ("latent-heat",)
 
     def capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
         """Compute the added heat capacity, as a share of the capacity."""

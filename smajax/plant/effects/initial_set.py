@@ -1,5 +1,7 @@
 """Initial set: strain from before the recording that the first heating removes."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,12 +17,12 @@ class InitialSet(MaterialEffect):
         "1", "strain from before the recording that the first heating removes", -0.02, 0.02, 0.0
     )
     key = "initial-set"
-    typical = 0.002
+    typical: ClassVar[float] = 0.002
     source = (
         "a soft arm (public recordings bu-softlimb): its rest shape moves by 1 to 3 of 15 deg with the first pulse "
         "and not again"
     )
-    confused_with = ("ratcheting", "creep")
+    confused_with: ClassVar[tuple[str, ...]] = ("ratcheting", "creep")
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Return the remaining share: 1."""

@@ -1,5 +1,7 @@
 """Latent heat of the transformation: C dT/dt = ... + s dxi/dt."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -15,9 +17,9 @@ class LatentHeat(HeatEffect):
 
     strength: jax.Array = parameter("J/m^3", "latent heat per volume of wire", 0.0, 4e8, 0.0)
     key = "latent-heat"
-    typical = 1.5e8
+    typical: ClassVar[float] = 1.5e8
     source = "Flexinol data sheet: 5.78 cal/g at 6450 kg/m^3"
-    confused_with = ("coating", "heat-capacity")
+    confused_with: ClassVar[tuple[str, ...]] = ("coating", "heat-capacity")
 
     def enthalpy(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the stored heat -s xi, J/m^3."""

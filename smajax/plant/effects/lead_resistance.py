@@ -1,5 +1,7 @@
 """Resistance of leads and contacts in the measured voltage."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -14,10 +16,10 @@ class LeadResistance(DriveEffect):
         "ohm", "resistance of leads and contacts inside the measured voltage", -1.0, 5.0, 0.0
     )
     key = "lead-resistance"
-    typical = 0.2
+    typical: ClassVar[float] = 0.2
     source = "estimate: 0.05 to 0.5 ohm"
-    confused_with = ("resistivity-temperature",)
-    needs = ("voltage observed",)
+    confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature",)
+    needs: ClassVar[tuple[str, ...]] = ("voltage observed",)
 
     def voltage(self, current: Float[Array, "..."]) -> Float[Array, "..."]:
         """Compute the addition to the measured voltage, V: s i."""

@@ -1,5 +1,7 @@
 """Load that changes with the position, such as a weight on an arm."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -17,10 +19,10 @@ class LoadChange(MechanismEffect):
         "Pa", "change of the load, as stress in the wire, over a contraction of 4 %", -2e8, 4e8, 0.0
     )
     key = "load-change"
-    typical = 3e7
+    typical: ClassVar[float] = 3e7
     source = "estimate: the lever arm of a weight changes with the position"
-    confused_with = ("bias-nonlinearity",)
-    needs = ("drag",)
+    confused_with: ClassVar[tuple[str, ...]] = ("bias-nonlinearity",)
+    needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, ""]:

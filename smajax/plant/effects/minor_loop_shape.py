@@ -1,5 +1,7 @@
 """Shape of minor loops: partial transformations whose rate differs from that of complete ones."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -47,9 +49,9 @@ class MinorLoopShape(MaterialEffect):
 
     strength: jax.Array = parameter("1", "additional exponent of the remaining share", -0.8, 2.0, 0.0)
     key = "minor-loop-shape"
-    typical = 0.3
+    typical: ClassVar[float] = 0.3
     source = "estimate: exponents of 0 to 1"
-    confused_with = ("temperature-distribution",)
+    confused_with: ClassVar[tuple[str, ...]] = ("temperature-distribution",)
 
     @skip_at_zero
     def modify_fractions(self, before: Fractions, after: Fractions) -> Fractions:

@@ -1,5 +1,7 @@
 """Quantisation: rounding by the converter, which is part of the noise."""
 
+from typing import ClassVar
+
 import jax
 
 from smajax.parameters import parameter
@@ -12,6 +14,6 @@ class Quantisation(SensorEffect):
     strength: jax.Array = parameter("1", "step of the converter", 0.0, 1.0, 0.0)
     key = "quantisation"
     obstacle_to_rates = "rounded readings"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "the variance of rounding, step squared over 12"
     no_mean_effect = "rounding scatters and does not shift the mean: its variance is counted in the noise"

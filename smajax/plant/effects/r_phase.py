@@ -1,11 +1,13 @@
 """R-phase: a small strain and a hump of the resistivity before the martensite."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
-from smajax.plant.materials.brinson import cosine_remainder
+from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
+from smajax.plant.materials.cosine_kinetics import cosine_remainder
 
 # Clausius-Clapeyron slope of the R-phase in Pa/K: steeper than that of the martensite, since its strain is small. An
 # estimate.
@@ -30,17 +32,17 @@ class RPhase(MaterialEffect):
     kept: jax.Array = parameter("1", "share of its strain that remains in the martensitic part", 0.0, 1.0, 0.5)
     hump: jax.Array = parameter("1", "relative rise of the resistivity per 1 % of R-phase strain", -0.2, 0.5, 0.1)
     key = "r-phase"
-    typical = 0.006
+    typical: ClassVar[float] = 0.006
     source = "estimate: 0.5 to 1 % of strain, 10 to 20 % of resistance"
-    confused_with = ("resistivity-temperature", "slack")
-    shapes = (("above", (8.0, -10.0, 25.0)), ("width", (10.0,)), ("kept", (0.5,)), ("hump", (0.1,)))
+    confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature", "slack")
+    shapes: ClassVar[Shapes] = (("above", (8.0, -10.0, 25.0)), ("width", (10.0,)), ("kept", (0.5,)), ("hump", (0.1,)))
 
     def _share(self, state: WireState, context: StageContext) -> jax.Array:
         middle = context.material.forward_start + self.above + state.stress / _SLOPE
         cold = 1.0 - cosine_remainder((middle - state.temperature) / self.width + 0.5, 0.0)
         return (1.0 - (1.0 - self.kept) * state.fractions.martensite) * cold
 
-    def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""
         return self.strength * self._share(state, context)
 

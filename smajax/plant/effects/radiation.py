@@ -1,5 +1,7 @@
 """Thermal radiation."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -17,11 +19,11 @@ class Radiation(HeatEffect):
 
     strength: jax.Array = parameter("1", "emissivity of the surface", 0.0, 1.0, 0.0)
     key = "radiation"
-    typical = 0.5
+    typical: ClassVar[float] = 0.5
     source = "estimate: emissivity of oxidised NiTi 0.2 to 0.8, which is 2 to 9 % of h in still air"
-    confused_with = ("convection-temperature",)
+    confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature",)
 
-    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat added to the wires, W/m^3."""
         hot, cold = state.temperature + _ZERO_CELSIUS, context.environment.ambient + _ZERO_CELSIUS
         return -self.strength * _STEFAN_BOLTZMANN * 4.0 / context.wire.diameter * (hot**4 - cold**4)

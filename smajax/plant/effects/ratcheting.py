@@ -1,5 +1,7 @@
 """Ratcheting: permanent strain that grows with every cycle."""
 
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -19,11 +21,11 @@ class Ratcheting(MaterialEffect):
     )
     exponent: jax.Array = parameter("1", "power of the number of cycles with which the strain grows", 0.02, 1.5, 1.0)
     key = "ratcheting"
-    typical = 2e-4
+    typical: ClassVar[float] = 2e-4
     source = "estimate: 1e-5 to 1e-4 per cycle of a young wire, more at high stress"
-    confused_with = ("encoder-drift", "creep")
+    confused_with: ClassVar[tuple[str, ...]] = ("encoder-drift", "creep")
 
-    def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""
         return (
             self.strength * jnp.expm1(self.exponent * jnp.log1p(0.5 * state.accumulated_transformation)) / self.exponent

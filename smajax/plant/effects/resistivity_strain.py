@@ -1,5 +1,7 @@
 """Resistance that rises with the transformation strain."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -14,9 +16,9 @@ class ResistivityStrain(MaterialEffect):
         "1", "change of the resistance with strain over that of the geometry", -4.0, 6.0, 0.0
     )
     key = "resistivity-strain"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "estimate: 4 % of strain raise the resistance by 8 %"
-    confused_with = ("resistivity-temperature",)
+    confused_with: ClassVar[tuple[str, ...]] = ("resistivity-temperature",)
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the added resistivity, as a share of the resistivity."""

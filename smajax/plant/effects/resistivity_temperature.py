@@ -1,5 +1,7 @@
 """Resistivity that rises with temperature."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,9 +14,9 @@ class ResistivityTemperature(MaterialEffect):
 
     strength: jax.Array = parameter("1/K", "temperature coefficient of resistivity", -2e-3, 5e-3, 0.0)
     key = "resistivity-temperature"
-    typical = 7e-4
+    typical: ClassVar[float] = 7e-4
     source = "estimate: 5e-4 to 1e-3 per kelvin"
-    confused_with = ("convection-temperature", "current-limit", "lead-resistance")
+    confused_with: ClassVar[tuple[str, ...]] = ("convection-temperature", "current-limit", "lead-resistance")
 
     def resistivity(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the added resistivity, as a share of the resistivity."""

@@ -1,5 +1,7 @@
 """Lag of the displacement, angle or force sensor."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -13,10 +15,10 @@ class SensorLag(SensorEffect):
 
     strength: jax.Array = parameter("s", "time constant of the sensor", 0.0, 2.0, 0.0)
     key = "sensor-lag"
-    typical = 0.03
+    typical: ClassVar[float] = 0.03
     source = "estimate: 10 to 100 ms"
-    confused_with = ("time-skew", "viscous-friction")
-    needs = ("clock",)
+    confused_with: ClassVar[tuple[str, ...]] = ("time-skew", "viscous-friction")
+    needs: ClassVar[tuple[str, ...]] = ("clock",)
 
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

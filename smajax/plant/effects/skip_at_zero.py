@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from smajax.plant.effects.base import AbstractEffect
 
 
-def skip_at_zero(hook: Callable) -> Callable:
+def skip_at_zero(hook: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a hook so that it is evaluated only if the strength is not 0 or is differentiated.
 
     Otherwise the hook of the base class is evaluated.
@@ -27,16 +27,16 @@ def skip_at_zero(hook: Callable) -> Callable:
     """
     name = hook.__name__
 
-    def base_hook(effect: "AbstractEffect", args: tuple) -> Any:
+    def base_hook(effect: "AbstractEffect", args: tuple[Any, ...]) -> Any:
         return getattr(super(type(effect), effect), name)(*args)
 
     @eqx.filter_custom_jvp
-    def evaluate(effect: "AbstractEffect", args: tuple) -> Any:
+    def evaluate(effect: "AbstractEffect", args: tuple[Any, ...]) -> Any:
         return jax.lax.cond(effect.strength == 0.0, lambda: base_hook(effect, args), lambda: hook(effect, *args))
 
     @evaluate.def_jvp
-    def _(primals: tuple, tangents: tuple) -> tuple:
-        def with_tangent(function: Callable) -> Callable:
+    def _(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
+        def with_tangent(function: Callable[..., Any]) -> Callable[..., Any]:
             return _dense_jvp(function, jax.eval_shape(lambda: evaluate(*primals)), primals, tangents)
 
         full = with_tangent(lambda effect, args: hook(effect, *args))
@@ -51,10 +51,12 @@ def skip_at_zero(hook: Callable) -> Callable:
     return method
 
 
-def _dense_jvp(function: Callable, shapes: Any, primals: tuple, tangents: tuple) -> Callable:
+def _dense_jvp(
+    function: Callable[..., Any], shapes: Any, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> Callable[..., Any]:
     """A function without arguments that returns value and tangent, with zeros in place of tangents of ``None``."""
 
-    def jvp() -> tuple:
+    def jvp() -> tuple[Any, ...]:
         result, tangent = eqx.filter_jvp(function, primals, tangents)
         filled = jax.tree.map(
             lambda shape, t: jnp.zeros_like(shape) if t is None else t, shapes, tangent, is_leaf=lambda x: x is None

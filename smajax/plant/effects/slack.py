@@ -1,12 +1,14 @@
 """Slack: motion that is lost before the tendon is taut."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MechanismEffect
+from smajax.plant.effects.base import MechanismEffect, Shapes
 
 
 class Slack(MechanismEffect):
@@ -15,11 +17,11 @@ class Slack(MechanismEffect):
     strength: jax.Array = parameter("m", "motion that is lost before the tendon is taut", 0.0, 5e-3, 0.0)
     span: jax.Array = parameter("m", "motion over which the tendon tightens", 1e-5, 3e-3, 5e-4)
     key = "slack"
-    typical = 2e-4
+    typical: ClassVar[float] = 2e-4
     source = "estimate: 0.1 to 0.5 mm"
-    confused_with = ("backlash", "r-phase")
-    needs = ("displacement",)
-    shapes = (("span", (2e-4, 1e-3, 3e-3)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("backlash", "r-phase")
+    needs: ClassVar[tuple[str, ...]] = ("displacement",)
+    shapes: ClassVar[Shapes] = (("span", (2e-4, 1e-3, 3e-3)),)
 
     def displacement(
         self, motion: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

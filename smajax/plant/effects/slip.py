@@ -1,12 +1,14 @@
 """Plastic strain by slip, set by the highest stress so far."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import maximum
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
+from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 
 # Stress in Pa to which the strength refers: NiTi yields by slip near it.
 _REFERENCE = 1e9
@@ -24,10 +26,10 @@ class Slip(MaterialEffect):
     exponent: jax.Array = parameter("1", "hardening exponent n", 2.0, 20.0, 8.0)
     key = "slip"
     obstacle_to_rates = "a memory of the highest stress"
-    typical = 0.005
+    typical: ClassVar[float] = 0.005
     source = "NiTi yields by slip at 0.8 to 1.2 GPa; exponents of 5 to 12 are usual for metals (Ramberg, Osgood 1943)"
-    confused_with = ("ratcheting",)
-    shapes = (("exponent", (8.0,)),)
+    confused_with: ClassVar[tuple[str, ...]] = ("ratcheting",)
+    shapes: ClassVar[Shapes] = (("exponent", (8.0,)),)
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Return the highest stress so far as a share of 1 GPa."""

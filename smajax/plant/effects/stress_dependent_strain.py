@@ -1,11 +1,13 @@
 """Transformation strain that depends on the stress."""
 
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
-from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
+from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 
 # Stress in Pa at which the transformation strain is that of the material law: a usual load of an actuator wire.
 _REFERENCE = 150e6
@@ -19,12 +21,12 @@ class StressDependentStrain(MaterialEffect):
     )
     saturation: jax.Array = parameter("Pa", "stress over which the transformation strain saturates", 10e6, 600e6, 50e6)
     key = "stress-dependent-strain"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "estimate: saturation within 30 to 100 MPa, more in NiTiHf (experiments/measured/isobaric.py)"
-    confused_with = ()
-    shapes = (("saturation", (50e6, 200e6)),)
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    shapes: ClassVar[Shapes] = (("saturation", (50e6, 200e6)),)
 
-    def strain(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""
         ratio = jnp.expm1(-state.stress / self.saturation) / jnp.expm1(-_REFERENCE / self.saturation)
         return self.strength * (ratio - 1.0) * context.material.transformation_strain(state.fractions)

@@ -1,5 +1,7 @@
 """Temperature distribution along the wire: ends that are colder than the middle."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -13,9 +15,9 @@ class TemperatureDistribution(MaterialEffect):
 
     strength: jax.Array = parameter("1", "share of the wire that belongs to its cold ends", 0.0, 0.5, 0.0)
     key = "temperature-distribution"
-    typical = 0.08
+    typical: ClassVar[float] = 0.08
     source = "two fin lengths of 4 mm on a wire of 100 mm"
-    confused_with = ("minor-loop-shape", "end-conduction")
+    confused_with: ClassVar[tuple[str, ...]] = ("minor-loop-shape", "end-conduction")
 
     def initial_memory(self, state: WireState, context: StageContext) -> Fractions:
         """Return the fractions of the ends."""

@@ -1,5 +1,7 @@
 """Thermocouple that conducts heat away from the wire and reads low."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,11 +14,11 @@ class ThermocoupleAttachment(SensorEffect):
 
     strength: jax.Array = parameter("1", "share of the excess temperature that is not measured", -0.2, 0.6, 0.0)
     key = "thermocouple-attachment"
-    typical = 0.2
+    typical: ClassVar[float] = 0.2
     source = "estimate: 0.2 for a 75 um thermocouple on a 0.25 mm wire"
     # A gain differs from other effects only through nominal values that are not measured; chosen by trial.
-    absorbed_from = 0.99
-    needs = ("temperature observed",)
+    absorbed_from: ClassVar[float] = 0.99
+    needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"
 
     def reading(

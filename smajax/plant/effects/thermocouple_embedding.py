@@ -1,5 +1,7 @@
 """Thermocouple embedded next to the wire, which the heat reaches through glue, sleeve or body."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -17,13 +19,13 @@ class ThermocoupleEmbedding(SensorEffect):
 
     strength: jax.Array = parameter("s", "time constant of each of the two lags", 0.0, 10.0, 0.0)
     key = "thermocouple-embedding"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = (
         "a soft arm with embedded wires (public recordings bu-softlimb): its bending peaks 2 to 5 s before its "
         "thermocouples do"
     )
-    confused_with = ("thermocouple-lag", "coating")
-    needs = ("temperature observed",)
+    confused_with: ClassVar[tuple[str, ...]] = ("thermocouple-lag", "coating")
+    needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"
 
     def reading(

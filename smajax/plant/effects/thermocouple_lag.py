@@ -1,5 +1,7 @@
 """Lag of the thermocouple."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -13,10 +15,10 @@ class ThermocoupleLag(SensorEffect):
 
     strength: jax.Array = parameter("s", "time constant of the thermocouple", 0.0, 5.0, 0.0)
     key = "thermocouple-lag"
-    typical = 0.3
+    typical: ClassVar[float] = 0.3
     source = "estimate: 0.05 to 1 s"
-    confused_with = ("time-skew",)
-    needs = ("temperature observed",)
+    confused_with: ClassVar[tuple[str, ...]] = ("time-skew",)
+    needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"
 
     def reading(

@@ -1,5 +1,7 @@
 """Thermocouple that picks up a voltage from the heating current."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,11 +14,11 @@ class ThermocouplePickup(SensorEffect):
 
     strength: jax.Array = parameter("K/A", "reading per current", -100.0, 100.0, 0.0)
     key = "thermocouple-pickup"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "Ma 2010: the reading jumps and changes sign with the current"
-    confused_with = ("current-limit",)
-    other_channels = ("current",)
-    needs = ("temperature observed",)
+    confused_with: ClassVar[tuple[str, ...]] = ("current-limit",)
+    other_channels: ClassVar[tuple[str, ...]] = ("current",)
+    needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"
 
     def reading(

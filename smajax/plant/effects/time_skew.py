@@ -1,5 +1,7 @@
 """Time skew: a channel that is recorded late or early."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,10 +17,10 @@ class TimeSkew(SensorEffect):
 
     strength: jax.Array = parameter("s", "delay of the channel", -1.0, 1.0, 0.0)
     key = "time-skew"
-    typical = 0.03
+    typical: ClassVar[float] = 0.03
     source = "estimate: 1 to 100 ms"
-    confused_with = ("sensor-lag",)
-    needs = ("clock",)
+    confused_with: ClassVar[tuple[str, ...]] = ("sensor-lag",)
+    needs: ClassVar[tuple[str, ...]] = ("clock",)
 
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

@@ -1,5 +1,7 @@
 """Transformation temperatures that shift with every cycle."""
 
+from typing import ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,9 +14,9 @@ class TransformationShift(MaterialEffect):
 
     strength: jax.Array = parameter("K", "shift of the transformation temperatures per full cycle", -4.0, 4.0, 0.0)
     key = "transformation-shift"
-    typical = 0.3
+    typical: ClassVar[float] = 0.3
     source = "estimate: start temperatures shift with accumulated transformation"
-    confused_with = ("ambient-drift",)
+    confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the shift of the transformation temperatures, K."""

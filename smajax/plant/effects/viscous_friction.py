@@ -1,5 +1,7 @@
 """Viscous friction: damping in proportion to the speed."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,10 +15,10 @@ class ViscousFriction(MechanismEffect):
 
     strength: jax.Array = parameter("Pa s", "stress in the wire per rate of contraction", 0.0, 3e9, 0.0)
     key = "viscous-friction"
-    typical = 2e8
+    typical: ClassVar[float] = 2e8
     source = "estimate: greased guides and sheaths"
-    confused_with = ("sensor-lag",)
-    needs = ("drag",)
+    confused_with: ClassVar[tuple[str, ...]] = ("sensor-lag",)
+    needs: ClassVar[tuple[str, ...]] = ("drag",)
     has_drag = True
 
     def initial_memory(self, state: WireState, context: StageContext) -> tuple[jax.Array, ...]:

@@ -1,5 +1,7 @@
 """Thermal crosstalk between neighbouring wires."""
 
+from typing import Any, ClassVar
+
 import jax
 from jaxtyping import Array, Float
 
@@ -12,12 +14,12 @@ class WireCrosstalk(HeatEffect):
 
     strength: jax.Array = parameter("1", "conductance between the wires over that of convection", 0.0, 0.6, 0.0)
     key = "wire-crosstalk"
-    typical = 0.05
+    typical: ClassVar[float] = 0.05
     source = "estimate: 2 to 10 % of h at a pitch of 1 to 2 mm"
-    confused_with = ("ambient-drift",)
-    needs = ("two wires",)
+    confused_with: ClassVar[tuple[str, ...]] = ("ambient-drift",)
+    needs: ClassVar[tuple[str, ...]] = ("two wires",)
 
-    def power(self, state: WireState, memory: tuple, context: StageContext) -> Float[Array, " wires"]:
+    def power(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat added to the wires, W/m^3."""
         per_kelvin = context.heat.conductance(context.environment.ambient, context.wire)
         return -self.strength * per_kelvin * (state.temperature - state.temperature[::-1])

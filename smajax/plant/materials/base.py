@@ -13,7 +13,7 @@ of any shape.
 
 import abc
 from dataclasses import KW_ONLY
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -95,7 +95,7 @@ class AbstractMaterial(CheckedModule):
         return eqx.tree_at(lambda law: (law.modulus_austenite, law.modulus_martensite), self, scaled)
 
     @abc.abstractmethod
-    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+    def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
         """Advance the fractions over a step in which temperature and stress change monotonically.
 
         Args:

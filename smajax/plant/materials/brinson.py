@@ -23,6 +23,8 @@ correction, with which the fractions cannot exceed 1 (Brinson's expression reach
 Source: brinson1993, equations 1 and 14 to 16; chung2007 for the twinned branch below M_s.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,7 +49,7 @@ class Brinson(AbstractMaterial):
     )
     smoothing: float = eqx.field(static=True, default=DEFAULT_SMOOTHING)
 
-    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+    def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
         """Advance the fractions over a step: the reverse branch first, then the two forward branches, which commute.
 
         Args:

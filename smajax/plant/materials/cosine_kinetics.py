@@ -11,6 +11,7 @@ CPU, which would slow down batches, and its derivative is written out, since tha
 
 import math
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,6 @@ def _sine(share: jax.Array) -> jax.Array:
     return share * series
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
 def cosine_remainder(progress: Float[Array, "..."], smoothing: float) -> Float[Array, "..."]:
     """Compute the share that remains to transform: cos^2(pi/2 progress), scaled to at least ``smoothing``.
 
@@ -51,12 +51,19 @@ def cosine_remainder(progress: Float[Array, "..."], smoothing: float) -> Float[A
         progress: Progress through the band, 0 at the start and 1 at the finish; limited to 0..1.
         smoothing: Share that never transforms.
     """
+    return _cosine_remainder(progress, smoothing)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _cosine_remainder(progress: jax.Array, smoothing: float) -> jax.Array:
     sine = _sine(1.0 - clip(progress, 0.0, 1.0))
     return smoothing + (1.0 - smoothing) * sine * sine
 
 
-@cosine_remainder.defjvp
-def _cosine_remainder_jvp(smoothing: float, primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+@_cosine_remainder.defjvp
+def _cosine_remainder_jvp(
+    smoothing: float, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[jax.Array, jax.Array]:
     (progress,), (tangent,) = primals, tangents
     inside = clip(progress, 0.0, 1.0)
     sine, cosine = _sine(1.0 - inside), _sine(inside)

@@ -9,6 +9,8 @@ which the hardening has a given value.
 Source: lagoudas2012, the hardening function without its constants.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -58,7 +60,7 @@ def inverse_hardening(
 
 
 @inverse_hardening.defjvp
-def _inverse_hardening_jvp(primals: tuple, tangents: tuple) -> tuple[jax.Array, jax.Array]:
+def _inverse_hardening_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[jax.Array, jax.Array]:
     """Tangent by the implicit function theorem."""
     share, n, m = primals
     share_dot, n_dot, m_dot = tangents
@@ -87,7 +89,7 @@ def _solve(share: jax.Array, n: jax.Array, m: jax.Array) -> tuple[jax.Array, jax
     a, b = jnp.where(lower_half, n, m), jnp.where(lower_half, m, n)
     top = jnp.log(0.5)
 
-    def iterate(carry: tuple) -> tuple:
+    def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         u, _, count = carry
         x, x_power = jnp.exp(u), jnp.exp(a * u)
         rest_power = jnp.exp(b * jnp.log1p(-x))

@@ -36,6 +36,7 @@ Source: lagoudas2012; boyd1996 for the polynomial hardening.
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -88,7 +89,7 @@ class Lagoudas(AbstractMaterial):
         "1", "share of the mixture of moduli in Young's modulus; the rest mixes compliances", 0.0, 1.0, 0.0
     )
 
-    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+    def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
         """Advance the fractions over a step, by the driving forces at its end.
 
         Args:

@@ -13,6 +13,7 @@ Source: tanaka1986, liang1990, elahinia2005.
 """
 
 import abc
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -41,7 +42,7 @@ class AbstractOneFraction(AbstractMaterial):
             The ratio, which has to be finite, with a finite derivative, for all such numbers.
         """
 
-    def evolve(self, fractions: Fractions, temperature: tuple, stress: tuple) -> Fractions:
+    def evolve(self, fractions: Fractions, temperature: tuple[Any, ...], stress: tuple[Any, ...]) -> Fractions:
         """Advance the fractions over a step: the reverse transformation first, then the forward one.
 
         Args:

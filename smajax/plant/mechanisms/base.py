@@ -135,7 +135,7 @@ class AbstractMechanism(CheckedModule):
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions of the wires as installed.
@@ -149,7 +149,7 @@ class AbstractMechanism(CheckedModule):
 
     @abc.abstractmethod
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Compute the stresses of the wires in Pa.
 
@@ -165,7 +165,7 @@ class AbstractMechanism(CheckedModule):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
@@ -181,7 +181,7 @@ class AbstractMechanism(CheckedModule):
         """
 
     @abc.abstractmethod
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Compute the unknowns at the start in Pa.
 
         Args:

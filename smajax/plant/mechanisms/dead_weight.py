@@ -31,14 +31,14 @@ class DeadWeight(AbstractDisplacement):
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions of martensite that grew under the load."""
         strain = material.current_transformation_strain(self._load_stress(context))
         return detwinned_fractions(material, temperature, strain)
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return no unknowns."""
         return jnp.zeros((0,))
 
@@ -46,7 +46,7 @@ class DeadWeight(AbstractDisplacement):
         return (self.load.mass * context.environment.gravity / context.wire.force_per_stress)[None]
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Compute the stress of the load, m g / A."""
         return self._load_stress(context)
@@ -56,7 +56,7 @@ class DeadWeight(AbstractDisplacement):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:

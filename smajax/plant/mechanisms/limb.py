@@ -13,7 +13,7 @@ equilibrium, and only inertia and damping limit its speed: such a rig needs one 
 Source: copaci2020 for the actuator and the elbow.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -76,7 +76,11 @@ class TendonLimb(AbstractMechanism):
     pulley: Pulley
     transmission: Transmission
     sheath: Sheath | None = None
-    wires, unknowns, prescribed, coordinate, extra_channels = 1, 1, (), "angle", ("torque",)
+    wires: ClassVar[int] = 1
+    unknowns: ClassVar[int] = 1
+    prescribed: ClassVar[tuple[str, ...]] = ()
+    coordinate: ClassVar[str] = "angle"
+    extra_channels: ClassVar[tuple[str, ...]] = ("torque",)
     obstacle_to_rates = (
         "an inertia, whose equation of motion is not part of the vector field, and dry friction in a sheath"
     )
@@ -105,7 +109,7 @@ class TendonLimb(AbstractMechanism):
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions after a stretch to the prestrain, the rest twinned, and then under the limb's load."""
@@ -114,13 +118,13 @@ class TendonLimb(AbstractMechanism):
         load = self.stress(self.initial_unknowns(prescribed, context), prescribed, context)
         return material.evolve(stretched, (temperature, temperature), (jnp.zeros_like(load), load))
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Compute the stress under the load at angle 0, or zero where the load does not pull."""
         moment = self.limb.moment(jnp.zeros(()), context.environment.gravity)
         return maximum(self._stress_under(moment, context), 0.0)[None]
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the unknown, or zero for slack wires."""
         return maximum(unknown, 0.0)
@@ -130,7 +134,7 @@ class TendonLimb(AbstractMechanism):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
@@ -146,7 +150,7 @@ class TendonLimb(AbstractMechanism):
         )
         return jnp.where(step > 0, pull, standing)
 
-    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return the strain at angle 0, the strain, and zeros: presliding state, angle, rate, acceleration."""
         return strain[0], strain[0], *(jnp.zeros(()) for _ in range(4))
 
@@ -157,7 +161,7 @@ class TendonLimb(AbstractMechanism):
         motion: Any,
         context: MechanismContext,
         step: Float[Array, ""],
-    ) -> tuple:
+    ) -> tuple[Any, ...]:
         """Compute the motion at the end of a step; a slack wire does not move the limb."""
         installed, before, z, *rotation = motion
         slack = minimum(unknown[0], 0.0) / context.modulus

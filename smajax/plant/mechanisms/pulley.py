@@ -1,5 +1,7 @@
 """Pulley with inertia and damping, and the time integration of its rotation."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -14,7 +16,7 @@ class Pulley(CheckedModule):
     inertia: jax.Array = parameter("kg m^2", "moment of inertia of all that turns", 0.0, 100.0, 0.0)
     damping: jax.Array = parameter("N m s/rad", "viscous damping of the rotation", 0.0, 1e4, 0.0)
 
-    def step(self, motion: tuple, angle: Float[Array, ""], step: Float[Array, ""]) -> tuple:
+    def step(self, motion: tuple[Any, ...], angle: Float[Array, ""], step: Float[Array, ""]) -> tuple[Any, ...]:
         """Compute angle, rate and acceleration after a step by the generalised-alpha rule.
 
         The rule has alpha_m = -1, alpha_f = 0, beta = 1 and gamma = 3/2: second order, with spectral radius 0 at
@@ -37,7 +39,7 @@ class Pulley(CheckedModule):
         new = jnp.where(moving, new, acceleration)
         return angle, rate + step * (1.5 * new - 0.5 * acceleration), new
 
-    def moment(self, before: tuple, after: tuple, inertia: Float[Array, ""]) -> Float[Array, ""]:
+    def moment(self, before: tuple[Any, ...], after: tuple[Any, ...], inertia: Float[Array, ""]) -> Float[Array, ""]:
         """Compute I theta'' + c theta' at the end of a step, by the same rule.
 
         Args:

@@ -17,7 +17,7 @@ Source: fast_rotary_actuator, equations 9 (integrated) and 10.
 """
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -59,7 +59,7 @@ class AbstractRotary(AbstractMechanism):
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions of wires stretched to the prestrain: detwinned by it, the rest twinned."""
@@ -83,15 +83,19 @@ class MasslessRotary(AbstractRotary):
     """Two wires on a pulley without inertia or damping. The unknown is their common stress; the motion is the angle."""
 
     pulley: Pulley
-    wires, unknowns, prescribed, coordinate, extra_channels = 2, 1, (), "angle", ("torque",)
+    wires: ClassVar[int] = 2
+    unknowns: ClassVar[int] = 1
+    prescribed: ClassVar[tuple[str, ...]] = ()
+    coordinate: ClassVar[str] = "angle"
+    extra_channels: ClassVar[tuple[str, ...]] = ("torque",)
     obstacle_to_rates = "play between two slack wires"
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stress."""
         return jnp.zeros((1,))
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the unknown in both wires, or zero for slack wires."""
         return jnp.broadcast_to(maximum(unknown, 0.0), (2,))
@@ -101,7 +105,7 @@ class MasslessRotary(AbstractRotary):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
@@ -145,7 +149,11 @@ class AbstractInertialRotary(AbstractRotary):
     angle, its rate, and the acceleration of the integration rule.
     """
 
-    wires, unknowns, prescribed, coordinate, extra_channels = 2, 3, (), "angle", ("torque", "rate")
+    wires: ClassVar[int] = 2
+    unknowns: ClassVar[int] = 3
+    prescribed: ClassVar[tuple[str, ...]] = ()
+    coordinate: ClassVar[str] = "angle"
+    extra_channels: ClassVar[tuple[str, ...]] = ("torque", "rate")
     obstacle_to_rates = "an inertia, whose equation of motion is not part of the vector field"
 
     @property
@@ -162,12 +170,12 @@ class AbstractInertialRotary(AbstractRotary):
         """
         return 0.0
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stresses and angle 0."""
         return jnp.zeros((3,))
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the unknown stresses, or zero for slack wires."""
         return maximum(unknown[:2], 0.0)
@@ -177,7 +185,7 @@ class AbstractInertialRotary(AbstractRotary):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
@@ -189,7 +197,7 @@ class AbstractInertialRotary(AbstractRotary):
         pull = maximum(unknown[0], 0.0) - maximum(unknown[1], 0.0)
         return jnp.append(wires, moments / (self.pulley.radius * context.wire.force_per_stress) - pull)
 
-    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return zeros: angle, rate, and the rule's acceleration."""
         return jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
 
@@ -200,7 +208,7 @@ class AbstractInertialRotary(AbstractRotary):
         motion: Any,
         context: MechanismContext,
         step: Float[Array, ""],
-    ) -> tuple:
+    ) -> tuple[Any, ...]:
         """Compute angle, rate and acceleration at the end of a step."""
         angle = unknown[2] / context.modulus * context.wire.motion_per_strain / self.pulley.radius
         return self.pulley.step(motion, angle, step)

@@ -23,6 +23,8 @@ at s = 0.
 Source: copaci2020 for the PTFE tube in a Bowden cable.
 """
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -58,5 +60,5 @@ class Liner(ThermalNode):
     strength: jax.Array = parameter("1", "conductance from wire to liner over that from liner to air", 0.0, 1e3, 0.0)
     time_constant: jax.Array = parameter("s", "time in which the liner follows a steady wire", 1e-3, 1e4, 5.0)
     key = "sheath-liner"
-    typical = 1.0
+    typical: ClassVar[float] = 1.0
     source = "copaci2020: a PTFE tube between wire and Bowden cable"

@@ -1,7 +1,7 @@
 """Base classes of the mechanisms with a single wire: those that move a load, and those that only have a strain."""
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,7 +17,9 @@ class AbstractDisplacement(AbstractMechanism):
     The state of the mechanism is the strain at zero displacement.
     """
 
-    wires, prescribed, coordinate = 1, (), "displacement"
+    wires: ClassVar[int] = 1
+    prescribed: ClassVar[tuple[str, ...]] = ()
+    coordinate: ClassVar[str] = "displacement"
     obstacle_to_rates = ""
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
@@ -67,19 +69,19 @@ class AbstractElasticLoad(AbstractDisplacement):
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions of martensite that grew under the load at displacement 0."""
         strain = material.current_transformation_strain(self.initial_unknowns(prescribed, context))
         return detwinned_fractions(material, temperature, strain)
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return the stress under the load at displacement 0."""
         return self.force(jnp.zeros((1,))) / context.wire.force_per_stress
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the unknown, or zero for a slack wire."""
         return maximum(unknown, 0.0)
@@ -89,7 +91,7 @@ class AbstractElasticLoad(AbstractDisplacement):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:
@@ -101,10 +103,11 @@ class AbstractElasticLoad(AbstractDisplacement):
 class AbstractMaterialPoint(AbstractMechanism):
     """Base class of one wire whose strain is its only motion, counted from ``wire.prestrain``; without a state."""
 
-    wires, coordinate = 1, "strain"
+    wires: ClassVar[int] = 1
+    coordinate: ClassVar[str] = "strain"
     obstacle_to_rates = ""
 
-    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple:
+    def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return no state."""
         return ()
 
@@ -115,7 +118,7 @@ class AbstractMaterialPoint(AbstractMechanism):
         motion: Any,
         context: MechanismContext,
         step: Float[Array, ""],
-    ) -> tuple:
+    ) -> tuple[Any, ...]:
         """Return no state."""
         return ()
 

@@ -1,6 +1,6 @@
 """Stress path: a material point under prescribed temperatures and stresses."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -16,13 +16,14 @@ _HOT = 1e4
 class StressPath(AbstractMaterialPoint):
     """Material point under a prescribed stress; it starts as if cooled from austenite under its first stress."""
 
-    unknowns, prescribed = 0, ("stress",)
+    unknowns: ClassVar[int] = 0
+    prescribed: ClassVar[tuple[str, ...]] = ("stress",)
 
     def fractions(
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions after cooling from austenite under the first stress."""
@@ -30,12 +31,12 @@ class StressPath(AbstractMaterialPoint):
         stress = jnp.broadcast_to(prescribed["stress"], temperature.shape)
         return material.evolve(Fractions(zero, zero), (hot, temperature), (stress, stress))
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return no unknowns."""
         return jnp.zeros((0,))
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the prescribed stress."""
         return prescribed["stress"][None]
@@ -45,7 +46,7 @@ class StressPath(AbstractMaterialPoint):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:

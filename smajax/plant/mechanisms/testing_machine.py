@@ -1,6 +1,6 @@
 """Testing machine that prescribes the strain of a wire."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -18,24 +18,25 @@ class TestingMachine(AbstractMaterialPoint):
     """
 
     __test__ = False
-    unknowns, prescribed = 1, ("strain",)
+    unknowns: ClassVar[int] = 1
+    prescribed: ClassVar[tuple[str, ...]] = ("strain",)
 
     def fractions(
         self,
         material: AbstractMaterial,
         temperature: Float[Array, " wires"],
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
     ) -> Fractions:
         """Compute the fractions of a stress-free wire stretched to its first strain."""
         return detwinned_fractions(material, temperature, context.wire.prestrain + prescribed["strain"][None])
 
-    def initial_unknowns(self, prescribed: dict, context: MechanismContext) -> Float[Array, " unknowns"]:
+    def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stress."""
         return jnp.zeros((1,))
 
     def stress(
-        self, unknown: Float[Array, " unknowns"], prescribed: dict, context: MechanismContext
+        self, unknown: Float[Array, " unknowns"], prescribed: dict[str, Any], context: MechanismContext
     ) -> Float[Array, " wires"]:
         """Return the unknown, or zero for a slack wire."""
         return maximum(unknown, 0.0)
@@ -45,7 +46,7 @@ class TestingMachine(AbstractMaterialPoint):
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],
         motion: Any,
-        prescribed: dict,
+        prescribed: dict[str, Any],
         context: MechanismContext,
         step: Float[Array, ""],
     ) -> Float[Array, " unknowns"]:

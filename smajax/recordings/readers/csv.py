@@ -46,7 +46,9 @@ class CsvTable(Table):
     """
 
     def __init__(self, path: Path, skip_rows: int, delimiter: str, decimal: str, headers: Sequence[str] | None = None):
-        self.path, self.delimiter, self.decimal = path, delimiter, decimal
+        self.path: Path = path
+        self.delimiter: str = delimiter
+        self.decimal = decimal
         self._check_dialect(skip_rows)
         self._digest = hashlib.sha256()
         with path.open("rb") as file:
@@ -61,8 +63,10 @@ class CsvTable(Table):
             self._data_start = file.tell() if headers is None else start
             next_line = file.readline(_LONGEST_ROW)
         self._header_row = skip_rows + 1
-        self.first_row = skip_rows + (2 if headers is None else 1)
-        self.headers = self._read_headers(line, next_line) if headers is None else self._check_headers(headers, line)
+        self.first_row: int = skip_rows + (2 if headers is None else 1)
+        self.headers: tuple[str, ...] = (
+            self._read_headers(line, next_line) if headers is None else self._check_headers(headers, line)
+        )
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers, which are read block by block."""

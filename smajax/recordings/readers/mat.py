@@ -45,7 +45,9 @@ class MatTable(Table):
                 f"{path}: the file has no variables: save one vector per channel, such as time and current"
             )
         units = self._units() if any(name == "units" for name, _, _ in shapes) else {}
-        self.headers = tuple(f"{name} [{units[name]}]" if name in units else name for name in self._names)
+        self.headers: tuple[str, ...] = tuple(
+            f"{name} [{units[name]}]" if name in units else name for name in self._names
+        )
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return variables as columns."""

@@ -37,7 +37,7 @@ class MemoryTable(Table):
         if not columns:
             cure = "give it columns such as 'time [s]' and 'current [A]'"
             raise InputError(f"{origin}: there is no column: {cure}")
-        self.headers = tuple(str(header).strip() for header, _ in columns)
+        self.headers: tuple[str, ...] = tuple(str(header).strip() for header, _ in columns)
         self._values = [values for _, values in columns]
         self._digest = ""
 

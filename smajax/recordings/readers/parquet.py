@@ -42,7 +42,7 @@ class ParquetTable(Table):
             raise InputError(
                 f"{path}: the file is not readable as Parquet ({first_line(error)}): write it again, or use CSV"
             ) from None
-        self.headers = tuple(str(name).strip() for name in self._file.schema_arrow.names)
+        self.headers: tuple[str, ...] = tuple(str(name).strip() for name in self._file.schema_arrow.names)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""

@@ -37,13 +37,15 @@ class XlsxTable(Table):
     """
 
     def __init__(self, path: Path, skip_rows: int, decimal: str, sheet: str | None):
-        self.path, self._decimal = path, decimal
+        self.path: Path = path
+        self._decimal = decimal
         book = self._open()
         if sheet is not None and sheet not in book.sheetnames:
             hint = suggestion(sheet, book.sheetnames)
             raise InputError(f"{path}: there is no sheet '{sheet}'{hint}: it has {', '.join(book.sheetnames)}")
         self._sheet = book[sheet] if sheet is not None else book.worksheets[0]
-        self.headers, self.first_row = self._read_headers(skip_rows + 1), skip_rows + 2
+        self.headers: tuple[str, ...] = self._read_headers(skip_rows + 1)
+        self.first_row: int = skip_rows + 2
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""

@@ -7,5 +7,4 @@ from smajax.report.documents.schemas import write_schemas
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: python -m smajax.report.documents FOLDER")
-    for path in write_schemas(sys.argv[1]):
-        print(path)
+    print(*write_schemas(sys.argv[1]), sep="\n")

@@ -22,7 +22,9 @@ class Part(BaseModel):
     may have more keys, since a later version of smajax may add some to the same schema; they are kept.
     """
 
-    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True, serialize_by_alias=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        extra="allow", strict=True, allow_inf_nan=False, frozen=True, serialize_by_alias=True
+    )
 
     @classmethod
     def check(cls, content: Content) -> Content:

@@ -59,7 +59,11 @@ class Model(NamedTuple):
 
 
 def equations_text(
-    start: Callable, advance: Callable, outputs: Callable, parameter_count: int, input_count: int
+    start: Callable[..., Any],
+    advance: Callable[..., Any],
+    outputs: Callable[..., Any],
+    parameter_count: int,
+    input_count: int,
 ) -> str:
     """Return the NumPy text of a model's equations.
 

@@ -71,7 +71,7 @@ _MAX_PRODUCT_POWER = 4
 _TO_EVEN = 1
 
 
-def numpy_source(name: str, function: Callable, arguments: Mapping[str, Any]) -> str:
+def numpy_source(name: str, function: Callable[..., Any], arguments: Mapping[str, Any]) -> str:
     """Return the source text of a NumPy function ``name`` that is equivalent to a JAX function.
 
     Args:
@@ -179,7 +179,7 @@ class _Writer(SourceWriter[str]):
         if names:
             self.line(f"{', '.join(names)} = {', '.join(values)}")
 
-    def while_loop(self, options: dict, inputs: list[str]) -> list[str]:
+    def while_loop(self, options: dict[str, Any], inputs: list[str]) -> list[str]:
         """Write a ``while`` loop with the parameters of its equation; return the names of its last carry."""
         in_condition, in_body = options["cond_nconsts"], options["body_nconsts"]
         condition, body = inputs[:in_condition], inputs[in_condition : in_condition + in_body]
@@ -191,7 +191,7 @@ class _Writer(SourceWriter[str]):
             self.assign(carry, self.inline(options["body_jaxpr"], body + carry))
         return carry
 
-    def scan_loop(self, options: dict, inputs: list[str]) -> list[str]:
+    def scan_loop(self, options: dict[str, Any], inputs: list[str]) -> list[str]:
         """Write a ``scan`` as a ``for`` loop; return the names of its last carry and of its stacked results."""
         fixed, length = options["num_consts"], options["length"]
         split = fixed + options["num_carry"]
@@ -213,7 +213,7 @@ class _Writer(SourceWriter[str]):
             self.value(f"np.stack({r}{reversal})" if length else e) for r, e in zip(rows, empty, strict=True)
         ]
 
-    def branches(self, options: dict, inputs: list[str]) -> list[str]:
+    def branches(self, options: dict[str, Any], inputs: list[str]) -> list[str]:
         """Write a ``cond`` or ``switch`` as branches; return the names of its results."""
         which, rest = inputs[0], inputs[1:]
         closed = options["branches"]
@@ -233,14 +233,14 @@ def _takes_numbers(equation: Any) -> bool:
     return all(atom.aval.dtype == np.float64 for atom in atoms)
 
 
-def _expression(kind: str, options: dict, inputs: list[str], avals: list[Any], out: Any) -> str | None:
+def _expression(kind: str, options: dict[str, Any], inputs: list[str], avals: list[Any], out: Any) -> str | None:
     """Text of an operation with one result; ``None`` if there is none."""
     if text := _elementwise(kind, options, inputs, avals, out):
         return text
     return _rearranged(kind, options, inputs, avals, out) or _indexed(kind, options, inputs, avals)
 
 
-def _elementwise(kind: str, options: dict, inputs: list[str], avals: list[Any], out: Any) -> str | None:
+def _elementwise(kind: str, options: dict[str, Any], inputs: list[str], avals: list[Any], out: Any) -> str | None:
     """Text of an elementwise operation, a reduction or a product."""
     first = inputs[0] if inputs else ""
     if kind in _INFIX and not (kind in ("div", "pow") and avals[0].dtype.kind != "f"):
@@ -272,7 +272,7 @@ def _elementwise(kind: str, options: dict, inputs: list[str], avals: list[Any], 
     return None
 
 
-def _rearranged(kind: str, options: dict, inputs: list[str], avals: list[Any], out: Any) -> str | None:
+def _rearranged(kind: str, options: dict[str, Any], inputs: list[str], avals: list[Any], out: Any) -> str | None:
     """Text of an operation that rearranges or repeats its input."""
     first = inputs[0] if inputs else ""
     shape = avals[0].shape if avals else ()
@@ -297,7 +297,7 @@ def _rearranged(kind: str, options: dict, inputs: list[str], avals: list[Any], o
     return None
 
 
-def _indexed(kind: str, options: dict, inputs: list[str], avals: list[Any]) -> str | None:
+def _indexed(kind: str, options: dict[str, Any], inputs: list[str], avals: list[Any]) -> str | None:
     """Text of a slice."""
     if kind == "slice":
         steps = options["strides"] or (1,) * len(avals[0].shape)
@@ -314,7 +314,7 @@ def _indexed(kind: str, options: dict, inputs: list[str], avals: list[Any]) -> s
     return None
 
 
-def _broadcast(name: str, shape: tuple, new_shape: tuple, dimensions: tuple) -> str:
+def _broadcast(name: str, shape: tuple[Any, ...], new_shape: tuple[Any, ...], dimensions: tuple[Any, ...]) -> str:
     if shape == new_shape:
         return name
     if not shape:

@@ -9,6 +9,8 @@ import importlib
 import json
 import math
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from pythonfmu import Fmi2Slave
@@ -19,30 +21,34 @@ _STEP_ROUNDING = 1e-9
 _SAMPLE_ROUNDING = 1e-6
 
 
-class Slave(Fmi2Slave):
+class _Slave(Fmi2Slave):
     """Plant or controller; the state is ``None`` until it is needed, and is never changed in place."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, **kwargs: Any):
         super().__init__(**kwargs)
-        self.equations = importlib.import_module(f"{__name__}_equations")
-        self.model = json.loads((Path(kwargs["resources"]) / "model.json").read_text("utf-8"))
+        self.equations: ModuleType = importlib.import_module(f"{__name__}_equations")
+        self.model: dict[str, Any] = json.loads((Path(kwargs["resources"]) / "model.json").read_text("utf-8"))
         variables = self.model["variables"]
-        self.places = {
+        self.places: dict[str, list[int]] = {
             kind: [i for i, v in enumerate(variables) if v["causality"] == kind]
             for kind in ("input", "output", "parameter")
         }
-        self.values = [np.float64(v.get("start", math.nan)) for v in variables]
-        self.state, self.running, self.begin, self.samples = None, False, 0.0, 0
+        self.values: list[float] = [np.float64(v.get("start", math.nan)) for v in variables]
+        self.state: Any = None
+        self.running: bool = False
+        self.begin: float = 0.0
+        self.samples: int = 0
 
-    def setup_experiment(self, start_time, *_):
+    def setup_experiment(self, start_time: float, *_: Any) -> None:
         """Store the start time in s."""
         self.begin = start_time
 
-    def exit_initialization_mode(self):
+    def exit_initialization_mode(self) -> None:
         """Compute the start state from the start values."""
-        self.state, self.running = self._current_state(), True
+        self.state = self._current_state()
+        self.running = True
 
-    def do_step(self, current_time, step_size):
+    def do_step(self, current_time: float, step_size: float) -> bool:
         """Take a communication step (times in s); return whether the state is finite."""
         inputs, parameters, state = self._values_of("input"), self._values_of("parameter"), self._current_state()
         with np.errstate(all="ignore"):
@@ -56,14 +62,14 @@ class Slave(Fmi2Slave):
         self.state = state
         return bool(all(np.all(np.isfinite(leaf)) for leaf in state))
 
-    def set_real(self, vrs, values):
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set variables by their value references."""
         for vr, value in zip(vrs, values, strict=True):
             self.values[vr] = np.float64(value)
         if not self.running:
-            self.state = None  # its start values are still being set
+            self.state = None
 
-    def get_real(self, vrs):
+    def get_real(self, vrs: list[int]) -> list[float]:
         """Return variables by their value references; outputs are computed from the current inputs."""
         if set(vrs) & set(self.places["output"]):
             with np.errstate(all="ignore"):
@@ -90,7 +96,8 @@ class Slave(Fmi2Slave):
             return [step / count] * count
         period = self.model["period"]
         last = math.ceil((time + step - self.begin) / period - _SAMPLE_ROUNDING)
-        due, self.samples = max(0, last - self.samples), max(last, self.samples)
+        due = max(0, last - self.samples)
+        self.samples = max(last, self.samples)
         return [period] * due
 
     def _get_fmu_state(self):

@@ -1,6 +1,7 @@
 """The spec of the Bouc-Wen model for fits."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from smajax.fitting.io_models.problem import ModelSpec, Series
 from smajax.fitting.io_models.specs.ranges import as_arrays, direction_of, output_at_zero, ranges_of
@@ -37,5 +38,5 @@ def bouc_wen_spec(series: Sequence[Series], *, rest: bool = False) -> ModelSpec:
     return ModelSpec("bouc-wen", _make, as_arrays(lower), as_arrays(upper), as_arrays(start))
 
 
-def _make(parameters: dict) -> BoucWen:
+def _make(parameters: dict[str, Any]) -> BoucWen:
     return BoucWen(**parameters)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +45,7 @@ def hammerstein_wiener_spec(series: Sequence[Series], knots: int = 10) -> ModelS
     )
 
 
-def _sides(series: Sequence[Series], knots: int) -> tuple[dict, dict, dict]:
+def _sides(series: Sequence[Series], knots: int) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Lower and upper bounds and the first guess."""
     low, span, bottom, swing = ranges_of(series)
     step, duration = step_of(series), duration_of(series)
@@ -80,11 +81,11 @@ def _sides(series: Sequence[Series], knots: int) -> tuple[dict, dict, dict]:
     return lower, upper, start
 
 
-def _make(parameters: dict) -> HammersteinWiener:
+def _make(parameters: dict[str, Any]) -> HammersteinWiener:
     return HammersteinWiener(**parameters)
 
 
-def _without_delay(parameters: dict) -> dict:
+def _without_delay(parameters: dict[str, Any]) -> dict[str, Any]:
     return parameters | {"delay": jnp.zeros(())}
 
 

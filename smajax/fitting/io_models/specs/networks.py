@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -65,7 +66,9 @@ def heating_cooling_spec(series: Sequence[Series], hidden: int = 10, order: int 
     return ModelSpec("heating-cooling", _make_switched, lower, upper, start, needs_even_rows=True, weight_mask=mask)
 
 
-def _network_sides(series: Sequence[Series], hidden: int, order: int) -> tuple[dict, dict, dict]:
+def _network_sides(
+    series: Sequence[Series], hidden: int, order: int
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Bounds and first guess of a network: a linear model that returns slowly to the resting output."""
     low, span, bottom, swing = ranges_of(series)
     rest = float(np.mean([s.output[np.isfinite(s.output)][0] for s in series]))
@@ -89,16 +92,16 @@ def _network_sides(series: Sequence[Series], hidden: int, order: int) -> tuple[d
     return lower, upper, start
 
 
-def _weight_mask(network: dict) -> dict:
+def _weight_mask(network: dict[str, Any]) -> dict[str, Any]:
     """1 for a network's weights, 0 for its other parameters."""
     return {k: jnp.full_like(v, k not in ("rest", "scale")) for k, v in network.items()}
 
 
-def _make_narx(parameters: dict) -> Narx:
+def _make_narx(parameters: dict[str, Any]) -> Narx:
     return Narx(**parameters)
 
 
-def _make_switched(parameters: dict) -> Switched:
+def _make_switched(parameters: dict[str, Any]) -> Switched:
     slow = parameters["fast"] + parameters["beyond"] * (parameters["longest"] - parameters["fast"])
     return Switched(
         Narx(**parameters["heating"]), slow=slow, **{k: parameters[k] for k in ("share", "fast", "rest", "off")}

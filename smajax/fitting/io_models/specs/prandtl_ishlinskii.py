@@ -99,7 +99,9 @@ def _fixed_values(count: int, thresholds: Any, densities: Any) -> tuple[np.ndarr
     return gaps, fixed
 
 
-def _sides(ranges: Ranges, direction: float, count: int, envelopes: int) -> tuple[dict, dict, dict]:
+def _sides(
+    ranges: Ranges, direction: float, count: int, envelopes: int
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Lower and upper bounds and the first guess, with even thresholds."""
     low, span, bottom, swing = ranges
     envelope = {
@@ -139,7 +141,7 @@ def _gap_sides(fixed: np.ndarray | None, count: int, swing: float) -> tuple[np.n
     return np.full(count, 1e-4 * swing), np.full(count, swing), np.full(count, 0.5 * swing / count)
 
 
-def _extra_starts(start: dict, ranges: Ranges, envelopes: int) -> list[Any]:
+def _extra_starts(start: dict[str, Any], ranges: Ranges, envelopes: int) -> list[Any]:
     """Further first guesses: envelopes with other slopes and centres, and plays with another largest threshold."""
     low, span, _, _ = ranges
     envelope = start["loading"]
@@ -155,7 +157,7 @@ def _extra_starts(start: dict, ranges: Ranges, envelopes: int) -> list[Any]:
     return starts
 
 
-def _make(parameters: dict) -> PrandtlIshlinskii:
+def _make(parameters: dict[str, Any]) -> PrandtlIshlinskii:
     densities = parameters["densities"]
     count = densities.shape[0]
     thresholds = (
@@ -173,14 +175,14 @@ def _make(parameters: dict) -> PrandtlIshlinskii:
     )
 
 
-def _envelope(parameters: dict) -> Envelope:
+def _envelope(parameters: dict[str, Any]) -> Envelope:
     """An envelope from its ``centre``, an input, whose bounds do not depend on the zero of the input."""
     return Envelope(
         parameters["height"], parameters["slope"], -parameters["slope"] * parameters["centre"], parameters["middle"]
     )
 
 
-def _twice_as_many(parameters: dict) -> dict:
+def _twice_as_many(parameters: dict[str, Any]) -> dict[str, Any]:
     """The parameters of twice as many plays with the same output: the additional plays have density 0."""
     densities = parameters["densities"]
     return parameters | {"densities": jnp.stack([jnp.zeros_like(densities), densities], axis=1).ravel()}

@@ -62,7 +62,7 @@ def transfer_function_spec(series: Sequence[Series], structure: Structure = "und
     ]
     simpler = STRUCTURES.index(structure) - 1
 
-    def embed(parameters: dict) -> dict:
+    def embed(parameters: dict[str, Any]) -> dict[str, Any]:
         return start | _with_more_poles(parameters, structure, _PROMPT_SHARE * step)
 
     nested = ((transfer_function_spec(series, STRUCTURES[simpler]), embed),) if simpler >= 0 else ()
@@ -107,7 +107,7 @@ def _sides(
     return used[0], used[1], used[2]
 
 
-def _with_more_poles(parameters: dict, structure: Structure, prompt: float) -> dict:
+def _with_more_poles(parameters: dict[str, Any], structure: Structure, prompt: float) -> dict[str, Any]:
     """The parameters of a ``structure`` with the output of the one before it: two poles as a pair, or one fast pole."""
     if structure != "underdamped":
         return parameters | {"second": prompt}
@@ -117,7 +117,7 @@ def _with_more_poles(parameters: dict, structure: Structure, prompt: float) -> d
     return {k: v for k, v in parameters.items() if k != "second"} | {"first": first, "damping": damping}
 
 
-def _make(parameters: dict, structure: Structure) -> TransferFunction:
+def _make(parameters: dict[str, Any], structure: Structure) -> TransferFunction:
     return TransferFunction(**parameters, **dict.fromkeys(_UNUSED[structure], jnp.asarray(1.0)), structure=structure)
 
 
