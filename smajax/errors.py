@@ -81,7 +81,7 @@ class Cancelled(Exception):
     exit_code = 130
 
 
-# What a callback raises to stop a search with the best point so far; Ctrl-C raises the first.
+# What a progress callback raises to stop the work; Ctrl-C raises the first.
 STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
 
 

@@ -4,9 +4,9 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, ParamSpec, Protocol, runtime_checkable
 
-from smajax.errors import Cancelled
+from smajax.errors import STOP_SIGNALS, Cancelled
 
 # Least time (s) between two lines of one phase where stderr is not a terminal; chosen by trial.
 _MIN_SECONDS_BETWEEN_LINES = 2.0
@@ -34,6 +34,27 @@ class ProgressEvent(NamedTuple):
 
 
 ProgressCallback = Callable[[ProgressEvent], object]
+_Arguments = ParamSpec("_Arguments")
+
+
+class CallbackStop(Exception):
+    """The progress callback asked to stop. A ``StopIteration`` of other code is a fault and is not taken for it."""
+
+
+def stoppable(callback: Callable[_Arguments, object]) -> Callable[_Arguments, None]:
+    """Return a callback that raises ``CallbackStop`` where the given one asks to stop; its result is ignored.
+
+    Args:
+        callback: The callback, which may raise ``StopIteration`` or ``KeyboardInterrupt``.
+    """
+
+    def report(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> None:
+        try:
+            callback(*args, **kwargs)
+        except STOP_SIGNALS as signal:
+            raise CallbackStop from signal
+
+    return report
 
 
 @runtime_checkable
@@ -104,7 +125,7 @@ class Reporter:
             return
         try:
             self._callback(event)
-        except (StopIteration, KeyboardInterrupt) as error:
+        except STOP_SIGNALS as error:
             if self.stopped and isinstance(error, StopIteration):
                 return  # the work is ending with the best result so far
             self.stopped: bool = True

@@ -9,10 +9,10 @@ import numpy as np
 from smajax.comparison.input_output_models import fit_input_output_model
 from smajax.comparison.material_models import fit_material_model
 from smajax.comparison.model_result import ModelResult
-from smajax.diagnosis.cancellation import CallbackStop, stoppable
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.plant.materials.registry import MATERIALS
+from smajax.progress import CallbackStop, stoppable
 from smajax.recordings.recording import Recording
 
 # Absolute value from which a prediction counts as not finite: its square would overflow in the scores.

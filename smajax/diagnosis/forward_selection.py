@@ -28,7 +28,6 @@ import numpy as np
 from smajax.diagnosis.acceptance import MIN_CHI2_FALL, rejection
 from smajax.diagnosis.backward_elimination import drop_unneeded_effects, swap_confusable_effects
 from smajax.diagnosis.base_fit import BaseFit, fit_base
-from smajax.diagnosis.cancellation import CallbackStop, stoppable
 from smajax.diagnosis.candidate_evaluation import CandidateEvaluator, Scores
 from smajax.diagnosis.candidates import Candidate, CandidateFit, EffectSet
 from smajax.diagnosis.confusable_effects import refit_confusable_effects
@@ -43,6 +42,7 @@ from smajax.diagnosis.ranking import rank_effects
 from smajax.diagnosis.selection_state import SIGNIFICANCE, SelectionState, chi2_threshold
 from smajax.diagnosis.successive_halving import successive_halving
 from smajax.errors import Cancelled
+from smajax.progress import CallbackStop, stoppable
 
 # Least share of the base fit's excess over the noise that a cause explains: an effect that is near to a cause outside
 # of the catalogue rarely explains more. Chosen by trial; experiments/diagnosis/hidden_effects.py prints the rates.

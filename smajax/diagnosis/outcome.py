@@ -22,6 +22,7 @@ from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.diagnosis.result import Conclusion, Diagnosis, bootstrap_cut, summarise
 from smajax.diagnosis.selection_state import SelectionState
 from smajax.errors import NumericsError
+from smajax.progress import CallbackStop, stoppable
 
 # Reduced chi-squared over its expectation up to which a prediction of the selection split is as good as noise. For the
 # holdout, whose inputs may have a larger range, its square. Chosen by trial.
@@ -84,12 +85,13 @@ def diagnose(
 
 def _continuation(state: SelectionState, report_progress: Callable[[str], None]) -> Callable[[str], bool]:
     """A function that reports progress and returns whether the diagnosis goes on."""
+    report = stoppable(report_progress)
 
     def may_continue(text: str) -> bool:
         if not state.interrupted:
             try:
-                report_progress(text)
-            except (StopIteration, KeyboardInterrupt):
+                report(text)
+            except CallbackStop:
                 state.interrupted = True
         return not state.interrupted
 

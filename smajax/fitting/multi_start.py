@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.errors import STOP_SIGNALS
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
 from smajax.fitting.compilation import LARGE_PROGRAM_OPTIONS, vmap_unless_single
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, LMState, SolverStatus
+from smajax.progress import CallbackStop, stoppable
 
 # Least number of random points that are simulated to choose starts from. Chosen by trial on fits of rigs;
 # tests/unit/fitting/test_fit.py holds the number.
@@ -140,6 +140,7 @@ class MultiStartSolver:
             This solver.
         """
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
+        report = stoppable(progress)
         try:
             while self.steps < last and (running := self._count_running()):
                 self.simulations += running * (1 + self._points.shape[1])
@@ -148,8 +149,8 @@ class MultiStartSolver:
                 self._wall_time = time.perf_counter() - began
                 best = self.cost
                 self._history.append((self.simulations, self._wall_time, best))
-                progress(self.steps, best)
-        except STOP_SIGNALS:
+                report(self.steps, best)
+        except (CallbackStop, KeyboardInterrupt):
             self._interrupted = True
         return self
 

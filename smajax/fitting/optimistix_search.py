@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 
-from smajax.errors import STOP_SIGNALS
 from smajax.fitting.bound_transformation import BoundTransformation
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
+from smajax.progress import CallbackStop, stoppable
 
 # A search that ends above its best cost by more than this share of it has not converged: rounding.
 _SAME_COST = 1e-9
@@ -86,6 +86,7 @@ class OptimistixSearch:
             This search.
         """
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
+        report = stoppable(progress)
         try:
             while self.steps < last and SolverStatus.running in self._statuses:
                 for k in np.flatnonzero([status is SolverStatus.running for status in self._statuses]):
@@ -94,8 +95,8 @@ class OptimistixSearch:
                 self._wall_time = time.perf_counter() - began
                 best = float(np.min(self._costs))
                 self._history.append((self.simulations, self._wall_time, best))
-                progress(self.steps, best)
-        except STOP_SIGNALS:
+                report(self.steps, best)
+        except (CallbackStop, KeyboardInterrupt):
             self._interrupted = True
         return self
 

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from smajax.errors import STOP_SIGNALS, InputError
+from smajax.errors import InputError
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs
+from smajax.progress import CallbackStop, stoppable
 
 # Cost of a point that cannot be simulated: far above any cost of a successful simulation, and its square is still a
 # float.
@@ -87,7 +88,7 @@ class CostMeter:
             raise InputError(
                 f"a budget of {budget} simulations does not allow to simulate all recordings once: give a larger one"
             )
-        self._problem, self._size, self._progress = problem, size, progress
+        self._problem, self._size, self._progress = problem, size, stoppable(progress)
         self._budget = math.inf if budget is None else budget
         self._target = -math.inf if target is None else target
         self._calls = self._simulations = self._failures = 0
@@ -130,7 +131,7 @@ class CostMeter:
             self._note()
         try:
             self._progress(self._calls, self._cost)
-        except STOP_SIGNALS:  # a StopIteration would end iterators of the search that calls this
+        except CallbackStop:
             raise _SearchEnded("interrupted") from None
         if self._cost <= self._target:
             raise _SearchEnded("target")

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from smajax.errors import STOP_SIGNALS, Cancelled, NumericsError
+from smajax.errors import Cancelled, NumericsError
 from smajax.fitting.abstract_problem import costs, residual
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.io_models.networks import fit_network
@@ -32,6 +32,7 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.laws import response
 from smajax.laws.base import AbstractInputOutputModel
+from smajax.progress import CallbackStop, stoppable
 
 # All constants of the search were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py,
 # which holds the errors of the fits.
@@ -206,7 +207,7 @@ def fit_io_model(
     began = time.perf_counter()
     try:
         result = _fit(spec, series, starts, seed, max_steps, _StopRequest(progress))
-    except STOP_SIGNALS:
+    except (CallbackStop, KeyboardInterrupt):
         raise Cancelled(f"the fit of {spec.name} was cancelled before its first step had ended") from None
     return dataclasses.replace(result, wall_time=time.perf_counter() - began)
 
@@ -219,16 +220,16 @@ class _StopRequest:
     """
 
     def __init__(self, progress: Callable[[int, float], None]):
-        self._progress, self.is_set = progress, False
+        self._progress, self.is_set = stoppable(progress), False
 
     def __call__(self, step: int, cost: float) -> None:
-        """Report a step; raises ``StopIteration`` if the fit is to be stopped."""
+        """Report a step; raises ``CallbackStop`` if the fit is to be stopped."""
         try:
             self._progress(step, cost)
-        except STOP_SIGNALS:
+        except CallbackStop:
             self.is_set = True
         if self.is_set:
-            raise StopIteration
+            raise CallbackStop
 
 
 def _fit(
@@ -342,7 +343,7 @@ def _least_squares(
             if stop.is_set:
                 break
         if stop.is_set and best.vector is None:
-            raise StopIteration
+            raise CallbackStop
         if stop.is_set or best.vector is None or not spec.nonsmooth or not least < (1.0 - _MIN_DECREASE) * before:
             break
         points = best.vector + _ROUND_SPREAD * rng.standard_normal((_POINTS_PER_ROUND, len(best.vector)))

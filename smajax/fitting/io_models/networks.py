@@ -27,12 +27,12 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from smajax.errors import STOP_SIGNALS
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.numerics.nonsmooth import clip
+from smajax.progress import CallbackStop, stoppable
 
 # All constants were chosen by trial on the recordings of tests/unit/laws/test_input_output_models.py, which holds the
 # fits.
@@ -154,9 +154,9 @@ def fit_network(
     Returns:
         The end of the fit under the chosen ridge.
     """
-    path = _fit_ridges(problem, weight_mask, starts, seed, max_steps // _FEWER_STEPS, progress)
+    path = _fit_ridges(problem, weight_mask, starts, seed, max_steps // _FEWER_STEPS, stoppable(progress))
     lowest_rate, least = min(path.errors)
-    chosen = next(k for k, error in enumerate(path.errors) if error <= (lowest_rate, _EQUAL_ERROR * least))
+    chosen = min(k for k, error in enumerate(path.errors) if error <= (lowest_rate, _EQUAL_ERROR * least))
     ridge_problem, rows = _with_ridge(problem, weight_mask, _RIDGES[chosen]), problem.data.time.shape[1]
     if path.stopped:
         rate = float(divergence_rate(problem, path.best[chosen])[0])
@@ -217,7 +217,7 @@ def _fit_ridges(
             with ThreadPoolExecutor(os.cpu_count()) as pool:  # a search of one start is one thread
                 task = lambda part, starting, ridge=ridge: train(part, ridge, starting, (rows,))  # noqa: E731
                 ends = list(pool.map(task, problems, points))
-        except STOP_SIGNALS:
+        except (CallbackStop, KeyboardInterrupt):
             # Before the first ridge there is the end of the first search alone.
             errors, best = errors or [(0.0, math.inf)], best or [first.vectors[:1]]
             return _RidgePath(errors, best, simulations, stopped=True)

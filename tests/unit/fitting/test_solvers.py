@@ -136,6 +136,14 @@ def test_a_search_that_is_stopped_keeps_its_best_point(search, signal):
     assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.asarray(result.points[0]), 10.0) ** 2)))
 
 
+@pytest.mark.parametrize(("search", "method"), [(MultiStartSolver, "_arguments"), (OptimistixSearch, "_advance_one")])
+def test_a_stop_iteration_of_other_code_is_a_fault(search, method, monkeypatch):
+    monkeypatch.setattr(search, method, lambda *_: next(iter(())))
+    solver, inf = (SOLVERS[0],) if search is OptimistixSearch else (), np.full(2, np.inf)
+    with pytest.raises(StopIteration):
+        search(*solver, rosenbrock, 10.0, np.array([[-1.2, 1.0]]), -inf, inf, size=2).advance(5)
+
+
 def test_a_start_that_fails_is_reported():
     search = OptimistixSearch(
         SOLVERS[0], lambda y, _: jnp.log(y), None, -np.ones((1, 1)), -np.ones(1) * 9, np.ones(1), size=1

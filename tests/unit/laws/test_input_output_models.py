@@ -780,6 +780,13 @@ def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
         fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
 
 
+def test_a_stop_iteration_of_other_code_is_a_fault(monkeypatch):
+    monkeypatch.setattr(MultiStartSolver, "_arguments", lambda _: next(iter(())))
+    series = [Series("a", TIME, INPUT, INPUT)]
+    with pytest.raises(StopIteration):
+        fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
+
+
 @pytest.mark.parametrize("calls", [1, 2])
 def test_a_network_s_fit_that_is_stopped_keeps_its_ridges(calls):
     def stop(number, cost):
