@@ -56,10 +56,11 @@ def diagnose(
         known_noise: Known standard deviations of the noise by channel, SI; those of other channels are estimated.
         report_progress: Called with a line of text at each stage. It may raise ``StopIteration`` or
             ``KeyboardInterrupt``: the diagnosis then ends with the effects that are accepted so far, without a search
-            for the stage of the residual or the next experiment.
+            for the stage of the residual or the next experiment, as after Ctrl-C.
 
     Raises:
-        Cancelled: If the callback stopped the diagnosis before the first effect was accepted.
+        Cancelled: If the diagnosis was stopped before the first effect was accepted.
+        KeyboardInterrupt: If Ctrl-C ended the last refits, without which there is no prediction of the holdout.
         NumericsError: If the simulation fails at the rig's own values, or if the base fit neither converged nor is at
             the noise, and no effect is accepted; its ``state`` then holds the parameters of the base fit.
     """
@@ -75,10 +76,14 @@ def diagnose(
         _reject_all(state, RejectionCode.holdout)
         after, verdict = before, "unresolved"
     stage = term = experiment = None
-    if verdict in ("unresolved", "partial") and may_continue("searching for the stage that the residual comes from"):
-        stage, term = _locate_residual(evaluator, state)
-    if verdict not in ("named", "nothing-missing") and may_continue("designing the next experiment"):
-        experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
+    unexplained = verdict in ("unresolved", "partial")
+    try:
+        if unexplained and may_continue("searching for the stage that the residual comes from"):
+            stage, term = _locate_residual(evaluator, state)
+        if verdict not in ("named", "nothing-missing") and may_continue("designing the next experiment"):
+            experiment = propose_experiment(problem, state.current.refit, _rivals(state), seed)
+    except KeyboardInterrupt:  # the effects are a result without these two
+        state.interrupted = True
     conclusion = Conclusion(verdict, stage, term, experiment, holdout_decided)
     return summarise(evaluator, state, before, after, conclusion)
 

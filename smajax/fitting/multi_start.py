@@ -127,10 +127,12 @@ class MultiStartSolver:
         self.simulations: int = 0
         self._interrupted, self._sequential = False, sequential
 
-    def advance(
-        self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None
-    ) -> "MultiStartSolver":
-        """Take at most ``steps`` more steps. Ctrl-C, or ``StopIteration`` in ``progress``, keeps the best points.
+    def advance(self, steps: int = 100, progress: Callable[[int, float], object] | None = None) -> "MultiStartSolver":
+        """Take at most ``steps`` more steps.
+
+        With ``progress``, Ctrl-C or a ``StopIteration`` of the callback ends the searches, and the best points are kept
+        with the status ``interrupted``. Without it, Ctrl-C raises ``KeyboardInterrupt``, so that a caller that does not
+        ask for the status cannot take these points for the ends of the searches.
 
         Args:
             steps: Number of steps.
@@ -140,7 +142,7 @@ class MultiStartSolver:
             This solver.
         """
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
-        report = stoppable(progress)
+        report = stoppable(progress or (lambda step, cost: None))
         try:
             while self.steps < last and (running := self._count_running()):
                 self.simulations += running * (1 + self._points.shape[1])
@@ -151,6 +153,8 @@ class MultiStartSolver:
                 self._history.append((self.simulations, self._wall_time, best))
                 report(self.steps, best)
         except (CallbackStop, KeyboardInterrupt):
+            if progress is None:
+                raise
             self._interrupted = True
         return self
 

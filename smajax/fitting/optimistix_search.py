@@ -73,10 +73,12 @@ class OptimistixSearch:
         self.simulations: int = 0
         self._interrupted = False
 
-    def advance(
-        self, steps: int = 100, progress: Callable[[int, float], None] = lambda step, cost: None
-    ) -> "OptimistixSearch":
-        """Take at most ``steps`` more steps of each search; Ctrl-C, or ``StopIteration`` in ``progress``, ends them.
+    def advance(self, steps: int = 100, progress: Callable[[int, float], object] | None = None) -> "OptimistixSearch":
+        """Take at most ``steps`` more steps of each search.
+
+        With ``progress``, Ctrl-C or a ``StopIteration`` of the callback ends the searches, and the best points are kept
+        with the status ``interrupted``. Without it, Ctrl-C raises ``KeyboardInterrupt``, so that a caller that does not
+        ask for the status cannot take these points for the ends of the searches.
 
         Args:
             steps: Number of steps.
@@ -86,7 +88,7 @@ class OptimistixSearch:
             This search.
         """
         began, last = time.perf_counter() - self._wall_time, self.steps + steps
-        report = stoppable(progress)
+        report = stoppable(progress or (lambda step, cost: None))
         try:
             while self.steps < last and SolverStatus.running in self._statuses:
                 for k in np.flatnonzero([status is SolverStatus.running for status in self._statuses]):
@@ -97,6 +99,8 @@ class OptimistixSearch:
                 self._history.append((self.simulations, self._wall_time, best))
                 report(self.steps, best)
         except (CallbackStop, KeyboardInterrupt):
+            if progress is None:
+                raise
             self._interrupted = True
         return self
 

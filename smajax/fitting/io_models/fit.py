@@ -202,13 +202,13 @@ def fit_io_model(
         InputError: There are not more measured rows than parameters, or the rows are not evenly sampled where the model
             needs that.
         NumericsError: The residual is not finite at any start.
-        Cancelled: The fit was stopped in its first step.
+        Cancelled: The fit was stopped before it had a result.
     """
     began = time.perf_counter()
     try:
         result = _fit(spec, series, starts, seed, max_steps, _StopRequest(progress))
     except (CallbackStop, KeyboardInterrupt):
-        raise Cancelled(f"the fit of {spec.name} was cancelled before its first step had ended") from None
+        raise Cancelled(f"the fit of {spec.name} was cancelled before it had a result") from None
     return dataclasses.replace(result, wall_time=time.perf_counter() - began)
 
 
@@ -248,6 +248,7 @@ def _fit(
     else:
         mask = ravel_pytree(spec.weight_mask)[0]
         network = fit_network(problem, mask, starts, seed, max_steps, stop)
+        stop.is_set |= network.interrupted
         end = _SearchEnd(network.vector, network.simulations, network.ridge, network.divergence_rate)
     if end.vector is None:
         raise NumericsError(

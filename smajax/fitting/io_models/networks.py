@@ -13,6 +13,7 @@ The network that fits one order of inputs best may still diverge on another. Eac
 training inputs in other orders, and the ends that diverge on the fewest of them are preferred (``divergence_rate``).
 """
 
+import contextlib
 import dataclasses
 import math
 import os
@@ -29,7 +30,6 @@ from jaxtyping import Array, Float
 
 from smajax.fitting.abstract_problem import AbstractFitProblem, costs, residual
 from smajax.fitting.io_models.problem import IOModelProblem, SeriesData
-from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver
 from smajax.numerics.nonsmooth import clip
 from smajax.progress import CallbackStop, stoppable
@@ -117,12 +117,14 @@ class NetworkFit(NamedTuple):
         simulations: Number of simulations.
         ridge: Strength of the ridge.
         divergence_rate: Share of the reordered inputs on which the network diverges.
+        interrupted: Whether the fit was stopped before its end.
     """
 
     vector: np.ndarray | None
     simulations: int
     ridge: float
     divergence_rate: float
+    interrupted: bool = False
 
 
 def fit_network(
@@ -149,7 +151,8 @@ def fit_network(
         seed: Seed of the random starts.
         max_steps: Most steps of each search.
         progress: Called after the first search and after each ridge with its number and the cost of the best end; if it
-            raises ``StopIteration``, the ridges so far are compared, and the chosen end is not refined.
+            raises ``StopIteration``, the ridges so far are compared, and the chosen end is not refined. Ctrl-C after
+            the first search does the same.
 
     Returns:
         The end of the fit under the chosen ridge.
@@ -158,11 +161,14 @@ def fit_network(
     lowest_rate, least = min(path.errors)
     chosen = min(k for k, error in enumerate(path.errors) if error <= (lowest_rate, _EQUAL_ERROR * least))
     ridge_problem, rows = _with_ridge(problem, weight_mask, _RIDGES[chosen]), problem.data.time.shape[1]
-    if path.stopped:
+    last = None
+    if not path.stopped:
+        with contextlib.suppress(KeyboardInterrupt):
+            last = _train(ridge_problem, path.best[chosen], (rows,), max_steps, _FINAL_RTOL)
+    if last is None:
         rate = float(divergence_rate(problem, path.best[chosen])[0])
         simulations = path.simulations * problem.data.measured.shape[0]
-        return NetworkFit(path.best[chosen][0], simulations, _RIDGES[chosen], rate)
-    last = _train(ridge_problem, path.best[chosen], (rows,), max_steps, _FINAL_RTOL)
+        return NetworkFit(path.best[chosen][0], simulations, _RIDGES[chosen], rate, interrupted=True)
     candidates = np.vstack([last.vectors, path.best[chosen]])
     rates = divergence_rate(problem, candidates)
     vector = candidates[np.argmin(rates)] if last.costs[0] < math.inf else None
@@ -327,8 +333,6 @@ def _train(
             stage = dataclasses.replace(ridge_problem, problem=problem)
             solver = MultiStartSolver(residual, stage, point[None], lower, upper, size=stage.size, rtol=rtol)
             result = solver.advance(max_steps).result()
-            if SolverStatus.interrupted in result.statuses:
-                raise KeyboardInterrupt
             simulations += result.simulations
             point = result.points[0]
         vector, steps = _minimise_closed_loop(

@@ -72,45 +72,55 @@ def test_stop_iteration_of_other_code_is_a_fault(rounds, monkeypatch):
         select_effects(SimpleNamespace())  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize(
-    ("word", "calls"),
-    [("nothing", ["stage", "experiment"]), ("stage", []), ("designing", ["stage"]), ("holdout", [])],
-)
-def test_end_of_a_diagnosis_is_left_out(rounds, monkeypatch, word, calls):
-    """The effects are selected; the stage of the residual and the next experiment are not searched for any more."""
-    called: list[str] = []
-    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
+@pytest.fixture
+def selected(rounds, monkeypatch):
+    """A diagnosis without simulations that accepts an effect and explains a part only; summaries are (fit, conclusion)."""
     rounds.current = fit_of("creep")
+    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
     monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
     monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
     monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
     monkeypatch.setattr(outcome, "_verdict", lambda *_: "partial")
     monkeypatch.setattr(outcome, "improves_holdout", lambda *_: True)
-    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: called.append("stage") or ("heat", None))
+    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: ("heat", None))
     monkeypatch.setattr(outcome, "_rivals", lambda *_: {})
+    monkeypatch.setattr(outcome, "propose_experiment", lambda *_: None)
+    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: (after, conclusion))
+    return rounds
+
+
+@pytest.mark.parametrize(
+    ("word", "calls"),
+    [("nothing", ["stage", "experiment"]), ("stage", []), ("designing", ["stage"]), ("holdout", [])],
+)
+def test_end_of_a_diagnosis_is_left_out(selected, monkeypatch, word, calls):
+    """The effects are selected; the stage of the residual and the next experiment are not searched for any more."""
+    called: list[str] = []
+    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: called.append("stage") or ("heat", None))
     monkeypatch.setattr(outcome, "propose_experiment", lambda *_: called.append("experiment"))
-    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: conclusion)
-    conclusion = diagnose(SimpleNamespace(), report_progress=stop_at(word, StopIteration))  # pyright: ignore[reportArgumentType]
-    assert called == calls and rounds.interrupted == (word != "nothing")
-    assert conclusion.verdict == "partial" and conclusion.unresolved_stage == ("heat" if "stage" in calls else None)  # pyright: ignore[reportAttributeAccessIssue]
+    _, conclusion = diagnose(SimpleNamespace(), report_progress=stop_at(word, StopIteration))  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    assert called == calls and selected.interrupted == (word != "nothing")
+    assert conclusion.verdict == "partial" and conclusion.unresolved_stage == ("heat" if "stage" in calls else None)
+
+
+@pytest.mark.parametrize(("search", "stage"), [("_locate_residual", None), ("propose_experiment", "heat")])
+def test_ctrl_c_after_the_selection_keeps_the_effects(selected, monkeypatch, search, stage):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outcome, search, interrupt)
+    refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
+    assert refit.effect_set.keys == ("creep",) and selected.interrupted
+    assert conclusion.unresolved_stage == stage and conclusion.next_experiment is None
 
 
 @pytest.mark.parametrize(
     ("verdict", "improves", "decided", "after"),
     [("named", False, False, ("creep",)), ("partial", True, True, ("creep",)), ("partial", False, True, ())],
 )
-def test_part_of_the_holdout_in_the_choice_is_recorded(rounds, monkeypatch, verdict, improves, decided, after):
-    evaluator = SimpleNamespace(problem=SimpleNamespace(samples=100))
-    rounds.current = fit_of("creep")
-    monkeypatch.setattr(outcome, "select_effects", lambda *_, **__: (evaluator, rounds))
-    monkeypatch.setattr(outcome, "reject_if_little_explained", lambda *_: None)
-    monkeypatch.setattr(outcome, "_joint_refits", lambda problem, state: (state.base_fit.refit, state.current.refit))
+def test_part_of_the_holdout_in_the_choice_is_recorded(selected, monkeypatch, verdict, improves, decided, after):
     monkeypatch.setattr(outcome, "_verdict", lambda *_: verdict)
     monkeypatch.setattr(outcome, "improves_holdout", lambda *_: improves)
-    monkeypatch.setattr(outcome, "_locate_residual", lambda *_: ("heat", None))
-    monkeypatch.setattr(outcome, "_rivals", lambda *_: {})
-    monkeypatch.setattr(outcome, "propose_experiment", lambda *_: None)
-    monkeypatch.setattr(outcome, "summarise", lambda evaluator, state, before, after, conclusion: (after, conclusion))
     refit, conclusion = diagnose(SimpleNamespace())  # pyright: ignore[reportArgumentType, reportGeneralTypeIssues]
     assert refit.effect_set.keys == after and conclusion.holdout_decided == decided
-    assert [(r.key, r.code) for r in rounds.rejected] == ([] if after else [("creep", "holdout")])
+    assert [(r.key, r.code) for r in selected.rejected] == ([] if after else [("creep", "holdout")])

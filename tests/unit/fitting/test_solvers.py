@@ -136,6 +136,21 @@ def test_a_search_that_is_stopped_keeps_its_best_point(search, signal):
     assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.asarray(result.points[0]), 10.0) ** 2)))
 
 
+@pytest.mark.parametrize(
+    ("search", "method"), [(MultiStartSolver, "_count_running"), (OptimistixSearch, "_advance_one")]
+)
+def test_ctrl_c_is_raised_where_nobody_asks_for_the_status(search, method, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    solver, inf = (SOLVERS[0],) if search is OptimistixSearch else (), np.full(2, np.inf)
+    begun = search(*solver, rosenbrock, 10.0, np.array([[-1.2, 1.0]]), -inf, inf, size=2)
+    monkeypatch.setattr(search, method, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        begun.advance(5)
+    assert begun.advance(5, lambda step, cost: None) is begun
+
+
 @pytest.mark.parametrize(("search", "method"), [(MultiStartSolver, "_arguments"), (OptimistixSearch, "_advance_one")])
 def test_a_stop_iteration_of_other_code_is_a_fault(search, method, monkeypatch):
     monkeypatch.setattr(search, method, lambda *_: next(iter(())))

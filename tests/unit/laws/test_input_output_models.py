@@ -1,6 +1,7 @@
 """Black boxes against SciPy's linear systems and against themselves, and fits that recover known parameters."""
 
 import dataclasses
+import itertools
 import math
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from smajax.comparison.scores import fit_percent
 from smajax.errors import Cancelled, InputError
 from smajax.files.rig_file import read_rig
+from smajax.fitting.io_models import networks
 from smajax.fitting.io_models.fit import fit_io_model
 from smajax.fitting.io_models.networks import blocked_k_fold, divergence_rate
 from smajax.fitting.io_models.problem import Series, build_io_problem
@@ -776,7 +778,7 @@ def test_a_fit_that_is_stopped_before_its_first_step_has_no_result(monkeypatch):
 
     monkeypatch.setattr(MultiStartSolver, "_arguments", interrupt)
     series = [Series("a", TIME, INPUT, INPUT)]
-    with pytest.raises(Cancelled, match="one-pole was cancelled before its first step"):
+    with pytest.raises(Cancelled, match="one-pole was cancelled before it had a result"):
         fit_io_model(transfer_function_spec(series, "one-pole"), series, starts=2)
 
 
@@ -796,6 +798,24 @@ def test_a_network_s_fit_that_is_stopped_keeps_its_ridges(calls):
     u = INPUT[:120]
     series = [Series("a", TIME[:120], u, np.asarray(network().response(jnp.asarray(TIME[:120]), jnp.asarray(u))))]
     result = fit_io_model(narx_spec(series), series, starts=1, max_steps=20, progress=stop)
+    assert result.interrupted and math.isfinite(result.rmse) and result.ridge == 0.3
+
+
+@pytest.mark.parametrize("calls", [2, 7])
+def test_ctrl_c_in_a_network_s_fit_keeps_its_ridges(calls, monkeypatch):
+    """Under the first ridge, and where the end of the only ridge is refined."""
+    counted, train = itertools.count(1), networks._train
+
+    def interrupt(*args):
+        if next(counted) >= calls:
+            raise KeyboardInterrupt
+        return train(*args)
+
+    monkeypatch.setattr(networks, "_train", interrupt)
+    monkeypatch.setattr(networks, "_RIDGES", (0.3,))
+    u = INPUT[:120]
+    series = [Series("a", TIME[:120], u, np.asarray(network().response(jnp.asarray(TIME[:120]), jnp.asarray(u))))]
+    result = fit_io_model(narx_spec(series), series, starts=1, max_steps=20)
     assert result.interrupted and math.isfinite(result.rmse) and result.ridge == 0.3
 
 
