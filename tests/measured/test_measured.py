@@ -7,11 +7,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
+
+from experiments.fitting import interval_coverage
 
 import numpy as np
 import pytest
 
+from smajax.fitting.result import Estimate
 from tests.conftest import ROOT
 
 EXPERIMENTS = ROOT / "experiments"
@@ -229,3 +233,18 @@ def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
     assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]
     assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]
+
+
+@pytest.mark.parametrize(("count", "least", "largest"), [(200, 0.91, 0.98), (40, 0.85, 1.0)])
+def test_expected_shares_are_quantiles(count, least, largest):
+    assert interval_coverage.expected_shares(count) == pytest.approx((least, largest), abs=1e-12)
+
+
+def test_a_profile_without_an_end_does_not_contain_the_truth(monkeypatch):
+    """Its row says so, and an interval that a bound cuts off is said to have no ends."""
+    ends = iter([{"lower95": None, "upper95": 101.0}, *({"lower95": 99.0, "upper95": 102.0},) * 3])
+    monkeypatch.setattr(interval_coverage, "profile_likelihood", lambda result, name: next(ends))
+    estimate = Estimate("heat.h0", 100.0, None, None, "W/m^2/K", True, (0.0, 100.0))
+    row = interval_coverage.profile_row("heat.h0", [SimpleNamespace(estimates=[estimate])] * 4)  # pyright: ignore[reportArgumentType]
+    assert row.measured == "75.0 % of 4; the first from none to 101 W/m^2/K, its interval from none to none"
+    assert row.met and row.target == "50 % or more"
