@@ -53,8 +53,8 @@ def read_recording(
     Args:
         source: A path; a DataFrame or pyarrow table; a dictionary or structured array such as
             ``{"time [s]": t, "current [A]": i}``; an array of shape (rows, columns) with ``headers``; or a
-            ``Recording``, which is returned if it has the required channels. An index of dates or durations is the
-            time.
+            ``Recording``, whose observed channels may be NaN, and which is returned if it has the required channels.
+            An index of dates or durations is the time.
         name: Name of the recording; by default that of the file, or "recording".
         mapping: Columns of channels whose headers are not ``name [unit]``, by channel.
         ignore: Headers of columns that are not read; every other column must be a known channel.
@@ -75,7 +75,11 @@ def read_recording(
     mapping = mapping or {}
     names = [*required, *observed, *(["time"] if clock else [])]
     if isinstance(source, Recording):
+        if headers is not None:
+            raise InputError(f"{source.name}: a Recording has channels with names already: leave out headers")
         recording = source if name is None else dataclasses.replace(source, name=name)
+        if drop_bad_rows:
+            recording = _without_bad_rows(recording, [n for n in names if n not in observed])
         return check_recording(recording, names, observed, mapping)
     if isinstance(source, str | os.PathLike):
         path = Path(source)
@@ -138,6 +142,18 @@ def _convert_to_si(origin: Path | str, columns: Sequence[FileColumn], values: di
         if not np.isfinite(values[column.name]).all():
             problem = f"numbers too large for {canonical}"
             raise InputError(f"{origin}: column '{column.header}': {problem}: correct the unit")
+
+
+def _without_bad_rows(recording: Recording, names: Sequence[str]) -> Recording:
+    """Return a recording without the rows in which a channel of ``names`` is not finite or time does not increase."""
+    values = {n: recording.channels[n] for n in names if n in recording.channels}
+    values |= {"time": recording.time} if recording.has_clock else {}
+    rows, notes = _good_rows(recording.name, values, first_row=0) if values else (None, ())
+    if rows is None:
+        return recording
+    channels = {n: column[rows] for n, column in recording.channels.items()}
+    time = recording.time[rows] if recording.has_clock else np.arange(len(rows), dtype=float)
+    return dataclasses.replace(recording, time=time, channels=channels, notes=(*recording.notes, *notes))
 
 
 def _good_rows(

@@ -8,6 +8,7 @@ import numpy as np
 from smajax.channels import channel_unit
 from smajax.errors import InputError
 from smajax.recordings.column_mapping import ChannelMap, FileColumn, require_channels
+from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.readers.memory import MemoryTable, content_sha256
 from smajax.recordings.recording import Recording
 from smajax.recordings.value_checks import check_changes, check_row_count, check_time
@@ -43,8 +44,8 @@ def check_recording(
         header = columns[name].header
         missing = np.flatnonzero(~np.isfinite(values[name]))
         if missing.size and name not in observed:
-            place = f"{recording.name}: row {missing[0]}, column '{header}'"
-            raise InputError(f"{place}: the value {values[name][missing[0]]} is not a finite number: correct it")
+            place, cure = f"{recording.name}: row {missing[0]}, column '{header}'", repair_hint(MemoryTable.drop_option)
+            raise InputError(f"{place}: the value {values[name][missing[0]]} is not a finite number: {cure}")
         if missing.size == len(recording):
             raise InputError(f"{recording.name}: column '{header}': no value is a finite number: correct them")
         if name in observed:

@@ -489,7 +489,8 @@ def bad_recording(**changes: Any) -> Recording:
         ),
         (
             bad_recording(current=np.full(ROWS, np.nan)),
-            "made: row 0, column 'current [A]': the value nan is not a finite number: correct it",
+            "made: row 0, column 'current [A]': the value nan is not a finite number: correct it, or leave such rows out "
+            "with drop_bad_rows=True",
         ),
         (
             bad_recording(time=np.zeros(ROWS)),
@@ -503,6 +504,30 @@ def test_a_recording_that_cannot_be_used_is_refused(recording, sentence):
     with pytest.raises(InputError) as refusal:
         read_recording(recording, required=["current"], observed=["displacement"])
     assert str(refusal.value) == sentence
+
+
+def test_bad_rows_of_a_recording_are_dropped_on_request():
+    """Rows in which an observed channel was not measured are kept."""
+    time, current, measured = (
+        np.array(bad_recording().time), np.array(bad_recording().channels["current"]), np.linspace(0.0, 1e-3, ROWS)
+    )  # fmt: skip
+    time[20], current[17], measured[5] = 0.0, np.nan, np.nan
+    recording = bad_recording(time=time, current=current, displacement=measured)
+    read = read_recording(recording, required=["current"], observed=["displacement"], drop_bad_rows=True)
+    rows = np.delete(np.arange(ROWS), [17, 20])
+    np.testing.assert_array_equal(read.time, time[rows])
+    np.testing.assert_array_equal(read.channels["displacement"], measured[rows])
+    assert read.sha256 == recording.sha256 and read.notes == (
+        "1 of 40 rows with a blank or unreadable cell dropped on request: row 17",
+        "1 of 40 rows in which time does not increase dropped on request: row 20",
+    )
+    whole = bad_recording()
+    assert read_recording(whole, required=["current"], drop_bad_rows=True) is whole
+
+
+def test_headers_of_a_recording_are_refused():
+    with pytest.raises(InputError, match="^made: a Recording has channels with names already: leave out headers$"):
+        read_recording(bad_recording(), headers=["time [s]", "current [A]"])
 
 
 def test_an_observed_channel_may_be_missing_in_some_rows_of_a_recording():
