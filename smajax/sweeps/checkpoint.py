@@ -1,6 +1,7 @@
 """Checkpoint of a running sweep: the folder ``NAME.partial`` with its finished chunks, locked by that run."""
 
 import contextlib
+import errno
 import hashlib
 import json
 import shutil
@@ -17,6 +18,8 @@ _SCHEMA = "smajax.sweep-partial/1"
 # File that identifies the sweep of a folder, and file that a run locks.
 _IDENTITY = "sweep.json"
 _LOCK = "lock"
+# What the system answers where the folder's file system has no locks, as some network drives.
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, getattr(errno, "ENOTSUP", errno.EOPNOTSUPP))
 
 
 def digest(header: Mapping[str, Any]) -> str:
@@ -49,7 +52,7 @@ def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> 
 
     Raises:
         InputError: If the folder is not a checkpoint, belongs to another sweep, contains chunks without ``resume``,
-            cannot be created, or is in use by another run.
+            cannot be created or locked, or is in use by another run.
     """
     folder = _folder_of(out)
     if folder.exists() and not (
@@ -73,21 +76,30 @@ def checkpoint_folder(out: Path, header: Mapping[str, Any], *, resume: bool) -> 
 
 
 def _lock(folder: Path) -> FileLock:
-    """Create the folder and lock it for this run."""
-    lock = FileLock(folder / _LOCK, timeout=0)
+    """Create the folder and lock it for this run; where the file system has no locks, it stays unlocked."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: the folder cannot be created ({error.strerror or error}): name another --out"
+        ) from None
+    lock = FileLock(folder / _LOCK, timeout=0)
+    try:
         lock.acquire()
     except Timeout:
         raise InputError(
             f"{folder}: another run is using it: wait until that run has ended, or name another --out"
         ) from None
-    except NotImplementedError:  # a file system without locks
+    except NotImplementedError:  # a system without locks
         pass
     except OSError as error:
-        raise InputError(
-            f"{folder}: the folder cannot be created ({error.strerror or error}): name another --out"
-        ) from None
+        if error.errno not in _NO_LOCKS:
+            with contextlib.suppress(OSError):
+                folder.rmdir()  # unless there are files of an earlier run
+            raise InputError(
+                f"{folder / _LOCK}: this run cannot lock its folder ({error.strerror or error}): make the folder "
+                "writable, or name another --out"
+            ) from None
     return lock
 
 

@@ -1,6 +1,7 @@
 """Sweeps: designs, metrics against the exact reference, derivatives, the command, and interrupted runs."""
 
 import contextlib
+import errno
 import json
 import os
 import pathlib
@@ -36,7 +37,7 @@ from smajax.errors import InputError
 from smajax.files import actuator_file
 from smajax.files.rig_file import read_rig
 from smajax.report.sweep import best_rows, sweep_summary
-from smajax.sweeps import chunks, compilation, evaluation, space
+from smajax.sweeps import checkpoint, chunks, compilation, evaluation, space
 from smajax.sweeps.bandwidth import FrequencyPoint, find_bandwidth
 from smajax.sweeps.checkpoint import checkpoint_folder
 from smajax.sweeps.chunks import derivative_column
@@ -721,6 +722,37 @@ def test_lock_of_a_run_and_check_of_its_chunks(folder):
     (partial / parts[1].file).unlink()
     outcome = run(folder, resume=True)
     assert outcome.exit_code == 0 and outcome.document["codes"] == {"done": 40}
+
+
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_has_a_checkpoint_without_a_lock(folder, monkeypatch, code):
+    def refuse(lock):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(checkpoint.FileLock, "acquire", refuse)
+    with checkpoint_folder(folder / "out", {}, resume=False) as partial:
+        assert partial.is_dir()
+
+
+def test_a_folder_that_cannot_be_locked_is_refused(folder, monkeypatch):
+    def refuse(lock):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(checkpoint.FileLock, "acquire", refuse)
+    with (
+        pytest.raises(
+            InputError, match=r"out.partial/lock: this run cannot lock its folder \(Permission denied\): make"
+        ),
+        checkpoint_folder(folder / "out", {}, resume=False),
+    ):
+        pass
+    assert not (folder / "out.partial").exists()
+    (folder / "file").write_text("", "utf-8")
+    with (
+        pytest.raises(InputError, match=r"out.partial: the folder cannot be created \(Not a directory\): name another"),
+        checkpoint_folder(folder / "file" / "out", {}, resume=False),
+    ):
+        pass
 
 
 def test_a_full_disk_keeps_what_is_there(folder):
