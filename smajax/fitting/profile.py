@@ -39,8 +39,8 @@ def profile_likelihood(
     Args:
         result: A fit.
         name: Label of a free parameter.
-        points: Number of values.
-        width: The values reach this number of standard errors to either side.
+        points: Number of values, odd and at least 3: the one in the middle is the estimate.
+        width: The values reach this number of standard errors to either side, above 0.
         progress: Called after each step of the searches with its number and the best cost so far; it may interrupt
             them by ``StopIteration`` or ``KeyboardInterrupt``.
 
@@ -51,9 +51,11 @@ def profile_likelihood(
         without a rise.
 
     Raises:
-        InputError: The parameter is not free, is at its bound, or has no effect.
+        InputError: The parameter is not free, is at its bound, or has no effect; or ``points`` or ``width`` is not
+            possible.
         Cancelled: The searches were interrupted.
     """
+    _check_range(points, width)
     index, deviation = _index_and_deviation(result, name)
     estimate, scale = result.estimates[index], result.problem.unknowns[index].scale
     lower, upper = (np.tile(b, (points, 1)) for b in result.problem.bounds)
@@ -110,6 +112,17 @@ def profile_labels(names: Sequence[str], settings: Settings, recordings: Sequenc
     return [label for name in names for label in labels_of[name]]
 
 
+def _check_range(points: int, width: float) -> None:
+    """Refuse a number of values without one in the middle, and a range without a length."""
+    if points < 3 or points % 2 == 0:
+        raise InputError(
+            f"points: a profile has the estimate in the middle of its values, and {points} is not an odd number of at "
+            "least 3: give one, such as 9"
+        )
+    if not 0.0 < width < math.inf:
+        raise InputError(f"width: the values cannot reach {width:g} standard errors: give a number above 0, such as 3")
+
+
 def _variance_ratio(result: FitResult, jacobian: np.ndarray, index: int) -> float:
     """Variance by white noise of variance 1 over the variance of an estimate.
 
@@ -144,7 +157,7 @@ def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> fl
 
     Args:
         values: Values (n,) of the parameter from its estimate outwards.
-        rise: Rise (n,) of the cost at these values, from 0; NaN where it is not known.
+        rise: Rise (n,) of the cost at these values, from 0; NaN where its search did not converge.
         level: The level.
 
     Returns:
@@ -153,11 +166,11 @@ def crossing(values: np.ndarray, rise: np.ndarray, level: float = CHI2_95) -> fl
     distance = np.abs(values - values[0])
     # Values that a bound has clipped repeat it.
     usable = np.isfinite(rise) & (np.diff(distance, prepend=-1.0) > 0.0)
-    known = len(rise) if np.all(usable) else int(np.argmin(usable))
-    root = np.sqrt(np.maximum(rise[:known], 0.0)) - math.sqrt(level)
+    count = len(rise) if np.all(usable) else int(np.argmin(usable))
+    root = np.sqrt(np.maximum(rise[:count], 0.0)) - math.sqrt(level)
     above = np.flatnonzero(root > 0.0)
     if not len(above) or above[0] == 0:
         return None
-    curve = PchipInterpolator(distance[:known], root)
+    curve = PchipInterpolator(distance[:count], root)
     step = float(cast(Any, brentq(curve, distance[above[0] - 1], distance[above[0]])))
-    return float(values[0] + math.copysign(step, values[known - 1] - values[0]))
+    return float(values[0] + math.copysign(step, values[count - 1] - values[0]))

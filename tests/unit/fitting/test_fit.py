@@ -263,6 +263,18 @@ def test_warnings_and_start_values_of_a_fit(result):
     assert held.status is SimulationStatus.done and held.rmse("displacement") > 10 * NOISE
 
 
+@pytest.mark.parametrize("points", [-3, 1, 2, 8])
+def test_a_profile_without_a_middle_is_refused(result, points):
+    with pytest.raises(InputError, match=rf"^points: a profile has .* and {points} is not an odd number of at least 3"):
+        profile_likelihood(result, "heat.h0", points=points)
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0, np.nan, np.inf])
+def test_a_profile_without_a_range_is_refused(result, width):
+    with pytest.raises(InputError, match=r"^width: the values cannot reach .* give a number above 0, such as 3$"):
+        profile_likelihood(result, "heat.h0", width=width)
+
+
 def test_an_interrupted_profile_is_no_profile(result, monkeypatch):
     advance = MultiStartSolver.advance
 
