@@ -30,7 +30,9 @@ class OptimistixSearch:
 
     Attributes:
         steps: Number of steps so far.
-        simulations: Number of evaluations of the residual so far; a Jacobian counts as p.
+        simulations: Estimated number of evaluations of the residual so far: in each step of each search one by the
+            solver, one at the point that it reaches, and a Jacobian, which counts as p. Rejected steps, which need no
+            Jacobian, and steps of minimisers, which need a gradient instead, count the same.
     """
 
     def __init__(

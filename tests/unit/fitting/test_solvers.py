@@ -8,6 +8,7 @@ import pytest
 import scipy.optimize
 
 from smajax.errors import InputError
+from smajax.fitting import optimistix_search
 from smajax.fitting.bound_transformation import BoundTransformation
 from smajax.fitting.fit import check_solver, fit
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
@@ -103,12 +104,30 @@ def test_optimistix_solvers_search_within_bounds(solver):
 
 
 def test_a_search_that_ends_above_its_best_point_has_not_converged():
-    """Gauss-Newton steps from here so near to a bound that no derivative is left."""
+    """Gauss-Newton steps from here so near to a bound that no derivative is left: its best point is the start."""
     lower, upper = np.array([0.1, -np.inf]), np.array([2.6, 4.0])
     search = OptimistixSearch(SOLVERS[1], rosenbrock, 10.0, np.array([[0.2, 1.0]]), lower, upper, size=2)
     result = search.advance(200).result()
-    assert result.statuses[0] in (SolverStatus.stalled, SolverStatus.steps)
-    assert result.costs[0] <= float(np.sum(rosenbrock(jnp.array([0.2, 1.0]), 10.0) ** 2))
+    assert result.statuses == [SolverStatus.stalled] and result.steps < 200
+    np.testing.assert_allclose(result.points, [[0.2, 1.0]], rtol=1e-12)
+    assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.array([0.2, 1.0]), 10.0) ** 2)), rel=1e-12)
+
+
+@pytest.mark.parametrize(("last", "status"), [(2.0, "stalled"), (1.0 + 1e-12, "converged")])
+def test_a_solver_that_ends_above_the_best_cost_has_not_converged(monkeypatch, last, status):
+    """Without an error of the solver, and up to rounding."""
+    steps = iter([(0.5, False, 1.0), (0.7, True, last)])
+
+    def step(solver, fn, point, search, state):
+        value, done, cost = next(steps)
+        return point, state, done, False, jnp.full(2, value), cost
+
+    monkeypatch.setattr(optimistix_search, "_step", step)
+    inf = np.full(2, np.inf)
+    search = OptimistixSearch(SOLVERS[0], rosenbrock, 10.0, np.zeros((1, 2)), -inf, inf, size=2)
+    result = search.advance(9).result()
+    assert result.statuses == [SolverStatus[status]] and result.steps == 2
+    assert search.simulations == 2 * (2 + 2) and result.points.tolist() == [[0.5, 0.5]] and result.costs == [1.0]
 
 
 @pytest.mark.parametrize("solver", [SOLVERS[0], SOLVERS[3]], ids=[NAMES[0], NAMES[3]])
@@ -126,14 +145,18 @@ def test_damped_optimistix_solvers_end_at_a_bound(solver):
 @pytest.mark.parametrize("search", [MultiStartSolver, OptimistixSearch])
 def test_a_search_that_is_stopped_keeps_its_best_point(search, signal):
     def stop(step, cost):
+        reported.append(cost)
         if step == 3:
             raise signal
 
+    reported: list[float] = []
     solver = (SOLVERS[0],) if search is OptimistixSearch else ()
     inf = np.full(2, np.inf)
     result = search(*solver, rosenbrock, 10.0, np.array([[-1.2, 1.0]]), -inf, inf, size=2).advance(99, stop).result()
     assert result.steps == 3 and result.statuses == [SolverStatus.interrupted]
-    assert result.costs[0] == pytest.approx(float(np.sum(rosenbrock(jnp.asarray(result.points[0]), 10.0) ** 2)))
+    assert result.costs[0] == reported[-1] == min(reported) and len(reported) == 3
+    cost = float(np.sum(rosenbrock(jnp.asarray(result.points[0]), 10.0) ** 2))
+    assert result.costs[0] == pytest.approx(cost, rel=1e-12)
 
 
 @pytest.mark.parametrize(
