@@ -42,9 +42,15 @@ class InputError(ValueError):
 
         Args:
             cure: The text in place of the field ``cure``, which is a part of the sentence.
+
+        Returns:
+            The error with the new cure; the error itself where its sentence has no cure to replace.
         """
-        before, _, after = str(self).rpartition(self.fields["cure"])
-        return InputError(before + cure + after, code=self.code, **(self.fields | {"cure": cure}))
+        old_cure = self.fields.get("cure", "")
+        if not old_cure or old_cure not in str(self):
+            return self
+        before, _, after = str(self).rpartition(old_cure)
+        return type(self)(before + cure + after, code=self.code, **(self.fields | {"cure": cure}))
 
 
 class DerivativeError(InputError):

@@ -51,7 +51,7 @@ def check_scale(
     unit: str,
     siblings_peak: float,
     place: Callable[[int], str],
-    cure: str,
+    unit_place: str,
 ) -> None:
     """Check that the scale of a column does not jump, and that its values are plausible.
 
@@ -62,7 +62,7 @@ def check_scale(
         siblings_peak: Largest magnitude, in the internal unit, in all columns of the same kind of channel: if wire 1
             carries a current, that in wire 2 may be zero.
         place: Returns a text such as "file: row 5, column 'x'" for an index.
-        cure: Where to correct the unit, with ``{unit}`` for the likely one.
+        unit_place: Where to correct the unit, with ``{unit}`` for the likely one, such as "the header to ...".
 
     Raises:
         InputError: If they are not; the message names place, likely unit and cure.
@@ -78,16 +78,16 @@ def check_scale(
         bound = low if si[outside[0]] < low else high
         limit = f"{'below' if bound == low else 'above'} {_bound_text(bound, unit, kind)}"
         problem = f"the {kind} of {_text(float(values[outside[0]]), unit)} is {limit}"
-        _refuse(place(int(outside[0])), problem, _likely_unit(values, kind, unit), name, cure)
+        _refuse(place(int(outside[0])), problem, _likely_unit(values, kind, unit), name, unit_place)
     if 0 < siblings_peak < channel.faint:
         row = int(np.argmax(abs(values)))
         if values[row]:
             peak = f"the largest {kind}, {_text(values[row], unit)}"
             problem = f"{peak}, is below {_bound_text(channel.faint, unit, kind)}"
-            _refuse(place(row), problem, _likely_unit(values, kind, unit), name, cure)
+            _refuse(place(row), problem, _likely_unit(values, kind, unit), name, unit_place)
     if kind in ("temperature", "ambient") and conversion(unit, "degC") == (1, 0) and _looks_like_kelvin(values):
         start = f"a {kind} that starts at {_text(values[0], unit)} and is never below {_text(values.min(), unit)}"
-        _refuse(place(0), f"{start} is not one in degC", "K", name, cure)
+        _refuse(place(0), f"{start} is not one in degC", "K", name, unit_place)
 
 
 def _looks_like_kelvin(values: NDArray[np.float64]) -> bool:
@@ -96,9 +96,9 @@ def _looks_like_kelvin(values: NDArray[np.float64]) -> bool:
     return bool(at_room and values.min() >= _LOWEST_KELVIN and values.max() < _HIGHEST_KELVIN)
 
 
-def _refuse(place: str, problem: str, likely: str | None, name: str, cure: str) -> None:
+def _refuse(place: str, problem: str, likely: str | None, name: str, unit_place: str) -> None:
     looks = f", and the numbers look like {likely}" if likely else ", outside the range of rigs with SMA wires"
-    advice = f"correct {cure.format(unit=likely)}" if likely else "correct the unit or the value"
+    advice = f"correct {unit_place.format(unit=likely)}" if likely else "correct the unit or the value"
     exception = f", or, if it is right, give {name} any_scale = true under [channels] in the rig"
     raise InputError(f"{place}: {problem}{looks}: {advice}{exception}", code="implausible", cure=exception)
 

@@ -49,10 +49,10 @@ def check_values(
         if column.name == "time":
             check_time(numbers, column.unit, lambda i, column=column: place(column, i), drop_option)
         if not column.any_scale:
-            source = f"[channels] {column.name} to unit = " + '"{unit}"'
-            cure = source if column.mapped else f"the header to '{column.name} [{{unit}}]'"
+            mapping = f"[channels] {column.name} to unit = " + '"{unit}"'
+            unit_place = mapping if column.mapped else f"the header to '{column.name} [{{unit}}]'"
             peak = peaks[channel_of(column.name)]
-            check_scale(numbers, column.name, column.unit, peak, lambda i, column=column: place(column, i), cure)
+            check_scale(numbers, column.name, column.unit, peak, lambda i, column=column: place(column, i), unit_place)
         if column.name in observed:
             check_changes(path, column, numbers)
 
