@@ -61,15 +61,13 @@ class Registry(Mapping[str, type[Module]]):
         return dict(self._read_shipped())
 
     @cached_property
-    def _entry_points(self) -> dict[str, importlib.metadata.EntryPoint]:
-        points: dict[str, importlib.metadata.EntryPoint] = {}
+    def _entry_points(self) -> dict[str, list[importlib.metadata.EntryPoint]]:
+        """The entry points by name: several where packages offer different classes under one name."""
+        points: dict[str, list[importlib.metadata.EntryPoint]] = {}
         for point in importlib.metadata.entry_points(group=self.group):
-            other = points.setdefault(point.name, point)
-            if other.value != point.value:
-                raise InputError(
-                    f"two packages offer the {self.kind} '{point.name}', as {other.value} and as {point.value}: "
-                    "uninstall one of them"
-                )
+            others = points.setdefault(point.name, [])
+            if point.value not in [other.value for other in others]:
+                others.append(point)
         return points
 
     @property
@@ -112,7 +110,7 @@ class Registry(Mapping[str, type[Module]]):
 
         Raises:
             KeyError: If there is no such name.
-            InputError: If an installed package names a class that cannot be imported or used.
+            InputError: If an installed package names a class that cannot be imported or used, or two offer the name.
         """
         if name in self._shipped:
             return self._shipped[name]
@@ -142,8 +140,12 @@ class Registry(Mapping[str, type[Module]]):
 
     def _load(self, name: str) -> None:
         """Import the class that an installed package names, and add it."""
-        point = self._entry_points[name]
-        package = point.dist.name if point.dist else point.module
+        points = self._entry_points[name]
+        packages = [point.dist.name if point.dist else point.module for point in points]
+        if len(points) > 1:
+            offers = " and ".join(f"{package} ({p.value})" for package, p in zip(packages, points, strict=True))
+            raise InputError(f"the packages {offers} offer the {self.kind} '{name}': uninstall all but one of them")
+        (point,), (package,) = points, packages
         try:
             self.register(name, point.load())
         except Exception as error:

@@ -23,6 +23,7 @@ from smajax.plant.materials import AbstractBandKinetics, AbstractMaterial, Brins
 from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms import AbstractElasticLoad, DeadWeight
 from smajax.plant.mechanisms.registry import MECHANISMS
+from smajax.plant.registry import Registry
 from tests.conftest import ROOT
 
 
@@ -279,12 +280,17 @@ print(*warned, sep="\\n")
 """
 
 
+def install(folder: pathlib.Path, name: str, entry_points: str) -> None:
+    """Write the metadata of an installed package."""
+    info = folder / f"{name.replace('-', '_')}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", "utf-8")
+    (info / "entry_points.txt").write_text(textwrap.dedent(entry_points), "utf-8")
+
+
 def test_an_installed_package_adds_classes_by_entry_points(tmp_path: pathlib.Path):
     (tmp_path / "sma_extra.py").write_text(PACKAGE, "utf-8")
-    info = tmp_path / "sma_extra-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: sma-extra\nVersion: 1.0\n", "utf-8")
-    (info / "entry_points.txt").write_text(textwrap.dedent(ENTRY_POINTS), "utf-8")
+    install(tmp_path, "sma-extra", ENTRY_POINTS)
     path = os.pathsep.join([str(ROOT), str(tmp_path)])
     run = subprocess.run(
         [sys.executable, "-c", SCRIPT],
@@ -300,6 +306,24 @@ def test_an_installed_package_adds_classes_by_entry_points(tmp_path: pathlib.Pat
     assert len(lines) == 4
     for line, sentence in zip(lines, (law, effect, law, effect), strict=True):
         assert sentence in line and line.endswith("repair or uninstall sma-extra")
+
+
+def test_two_installed_packages_of_one_name_are_a_conflict(tmp_path: pathlib.Path, monkeypatch):
+    (tmp_path / "sma_extra.py").write_text(PACKAGE, "utf-8")
+    install(tmp_path, "sma-extra", "[smajax.materials]\nlinear = sma_extra:Law\nown = sma_extra:Law\n")
+    install(tmp_path, "sma-more", "[smajax.materials]\nlinear = sma_more:Other\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    registry = Registry("material", AbstractMaterial, dict)
+    sentence = (
+        r"^the packages sma-(extra|more) \(sma_.*\) and sma-(extra|more) \(sma_.*\) offer the material 'linear': "
+        "uninstall all but one of them$"
+    )
+    with pytest.raises(InputError, match=sentence) as caught:
+        registry["linear"]
+    assert all(part in str(caught.value) for part in ("sma-extra (sma_extra:Law)", "sma-more (sma_more:Other)"))
+    assert registry["own"].__name__ == "Law"
+    with pytest.warns(UserWarning, match=sentence):
+        assert list(registry) == ["own"]
 
 
 @pytest.mark.parametrize("room", ["plant", "laws", "actuators", "fitting", "sweeps"])
