@@ -197,20 +197,24 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
 
 
 def as_float(value: Any) -> Any:
-    """Convert a number or a NumPy array to a float64 array; return anything else, such as ``None``, unchanged.
+    """Convert a number, or an array of integers or of float64, to a float64 array of JAX.
+
+    Args:
+        value: A number or an array of NumPy or JAX; anything else, such as ``None``, is returned unchanged.
 
     Raises:
-        InputError: If JAX computes in single precision, or the value is an array of single precision.
+        InputError: If JAX computes in single precision, or the value is an array of another type: its digits are lost
+            already, or it is not an array of real numbers.
     """
-    if getattr(value, "dtype", None) == jnp.float32:
-        require_x64()
-        raise InputError(
-            "a parameter is an array of float32 and smajax needs double precision: make it with dtype=jnp.float64"
-        )
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number | np.ndarray):
+    if isinstance(value, bool | str) or not isinstance(value, int | float | np.generic | np.ndarray | jax.Array):
         return value
     require_x64()
-    return jnp.asarray(value, dtype=jnp.float64)
+    kind = getattr(value, "dtype", np.float64)
+    if kind != np.float64 and not jnp.issubdtype(kind, np.integer):
+        raise InputError(
+            f"a parameter is an array of {kind} and smajax needs double precision: make it with dtype=jnp.float64"
+        )
+    return value if kind == np.float64 and isinstance(value, jax.Array) else jnp.asarray(value, dtype=jnp.float64)
 
 
 def parameter(
@@ -349,11 +353,13 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
         The plant or actuator with the new values.
 
     Raises:
-        InputError: If there is no such parameter, or a value that JAX does not trace is outside of its bounds.
+        InputError: If there is no such parameter, a value that JAX does not trace is outside of its bounds, or a value
+            is an array of another type than float64 or an integer one.
     """
     table = all_declarations(plant) if values else {}
-    for name, value in values.items():
-        check_value(name, value, _find(table, name))
+    for name, number in values.items():
+        declared, value = _find(table, name), as_float(number)
+        check_value(name, value, declared)
         for member in TIES.get(name, (name,)):
             plant = eqx.tree_at(
                 lambda p, m=member: _leaf(p, m), plant, jnp.asarray(value, jnp.float64), is_leaf=lambda x: x is None

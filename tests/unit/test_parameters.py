@@ -101,6 +101,21 @@ class TestChecks:
         assert Wire(np.float64(1e-4), np.int64(1)).length.dtype == jnp.float64
         assert Initial(temperature=25.0).temperature.dtype == jnp.float64 and Initial().temperature is None
 
+    @pytest.mark.parametrize("library", [np, jnp])
+    @pytest.mark.parametrize("kind", ["float16", "bfloat16", "float32", "bool", "complex128"])
+    def test_arrays_without_double_precision_are_refused(self, plant, library, kind):
+        value = library.asarray(1.0, jnp.dtype(kind))
+        for make in (lambda: Wire(1e-4, value), lambda: parameters.replace(plant, {"wire.length": value})):
+            with pytest.raises(InputError, match=rf"^a parameter is an array of {kind} and smajax needs double prec"):
+                make()
+
+    @pytest.mark.parametrize("value", [2, np.int8(2), np.array(2, np.uint32), jnp.array(2), jnp.array(2, jnp.int8)])
+    def test_integers_become_parameters_of_double_precision(self, plant, value):
+        length = Wire(1e-4, value).length
+        assert length.dtype == jnp.float64 and float(length) == 2.0
+        assert parameters.replace(plant, {"wire.length": value}).wire.length.dtype == jnp.float64
+        assert jax.jit(lambda number: Wire(1e-4, number).length)(jnp.asarray(value)).dtype == jnp.float64
+
     def test_a_value_beyond_its_bound_by_rounding_passes(self):
         assert float(Wire(1e-6 * (1.0 - 1e-15), 100.0 * (1.0 + 1e-15)).length) > 100.0
 
