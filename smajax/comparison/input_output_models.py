@@ -13,8 +13,9 @@ from smajax.comparison.model_result import ModelResult
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
 from smajax.fitting.io_models.fit import IOModelFit, fit_io_model
-from smajax.fitting.io_models.problem import ModelSpec, Series, is_evenly_sampled
+from smajax.fitting.io_models.problem import ModelSpec, Series
 from smajax.fitting.io_models.specs import MODEL_SPECS
+from smajax.laws.row_spacing import is_evenly_spaced
 from smajax.recordings.recording import Recording
 
 # Number of starts for models with few parameters, and for networks, whose fits take longer. Chosen by trial.
@@ -87,9 +88,9 @@ def _to_series(recording: Recording, inputs: Sequence[str], channel: str) -> Ser
 def _resample(spec: ModelSpec, recordings: Sequence[Recording], held: Sequence[str]) -> tuple[list[Recording], str]:
     """The recordings, on equally spaced rows if a model needs them, and a note; ``held`` inputs are steps."""
     step = float(np.median(np.diff(recordings[0].time)))
-    if not spec.needs_even_rows or all(is_evenly_sampled(r.time, step) for r in recordings):
+    if not spec.needs_even_rows or all(is_evenly_spaced(r.time, step) for r in recordings):
         return list(recordings), ""
-    resampled = [r if is_evenly_sampled(r.time, step) else r.resample(step, held) for r in recordings]
+    resampled = [r if is_evenly_spaced(r.time, step) else r.resample(step, held) for r in recordings]
     names = " and ".join(r.name for r, even in zip(recordings, resampled, strict=True) if even is not r)
     return resampled, f"it needs rows every {step:.4g} s: {names} resampled for it, and scored at the rows recorded"
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smajax.laws.base import AbstractSeriesModel
-from smajax.laws.row_spacing import is_evenly_spaced
+from smajax.laws.row_spacing import ROUNDING, is_evenly_spaced
 
 Structure = Literal["one-pole", "two-poles", "underdamped", "underdamped-and-pole"]
 STRUCTURES: tuple[Structure, ...] = ("one-pole", "two-poles", "underdamped", "underdamped-and-pole")
@@ -60,7 +60,7 @@ class TransferFunction(AbstractSeriesModel):
             time: Times of the rows, s.
             values: Inputs at the rows.
         """
-        if is_evenly_spaced(time):
+        if is_evenly_spaced(time, tolerance=ROUNDING):
             return self.even_response(time, values)
         before, initial = self._before(values[0])
         # One matrix after the other: a large batch of them can lock up the linear algebra of compiled programs.

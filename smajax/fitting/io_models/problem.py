@@ -21,9 +21,7 @@ from smajax.errors import InputError
 from smajax.fitting.abstract_problem import AbstractFitProblem
 from smajax.laws.base import AbstractInputOutputModel
 from smajax.laws.response import compute_response
-
-# Rows count as evenly sampled up to this deviation, as a share of the step; chosen by trial, for clocks that jitter.
-_STEP_TOLERANCE = 0.01
+from smajax.laws.row_spacing import is_evenly_spaced
 
 
 class Series(NamedTuple):
@@ -196,16 +194,6 @@ def _series_data(series: Sequence[Series], steps: Sequence[float], count: int, w
     )
 
 
-def is_evenly_sampled(time: np.ndarray, step: float) -> bool:
-    """Return whether rows are evenly sampled.
-
-    Args:
-        time: Times (n,), s.
-        step: Time between two rows, s.
-    """
-    return bool(np.max(np.abs(np.diff(time) - step)) <= _STEP_TOLERANCE * step)
-
-
 def check_sampling(spec: ModelSpec, series: Series, step: float) -> None:
     """Check that a series is evenly sampled where the model needs that.
 
@@ -217,7 +205,7 @@ def check_sampling(spec: ModelSpec, series: Series, step: float) -> None:
     Raises:
         InputError: It is not.
     """
-    if spec.needs_even_rows and not is_evenly_sampled(series.time, step):
+    if spec.needs_even_rows and not is_evenly_spaced(series.time, step):
         gaps = np.diff(series.time)
         raise InputError(
             f"{series.name}: its rows are {gaps.min():.4g} to {gaps.max():.4g} s apart, and {spec.name} needs rows "

@@ -1,5 +1,6 @@
 """Black boxes against SciPy's linear systems and against themselves, and fits that recover known parameters."""
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -120,6 +121,24 @@ def test_models_in_discrete_time_refuse_uneven_rows():
                 model.predict_ahead(time, u, u, jnp.asarray(5))
         even = compute_response(model, jnp.asarray(TIME[:10]), u)
         np.testing.assert_allclose(eqx.filter_jit(compute_response)(model, jnp.asarray(TIME[:10]), u), even, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("jitter", "passes"), [(0.004, True), (0.02, False)])
+def test_a_clock_that_jitters_counts_as_even_for_a_call_as_for_a_fit(jitter, passes):
+    knots, values = jnp.linspace(0.0, 1.0, 3), INPUT[:60]
+    curve = HammersteinWiener(knots, knots, jnp.array([-0.5, 0.1]), jnp.asarray(0.5), knots)
+    time = TIME[:60] + 0.1 * jitter * np.random.default_rng(5).choice([-1.0, 1.0], 60)
+    series = [Series("made.csv", time, values, values)]
+    expected = contextlib.nullcontext() if passes else pytest.raises(InputError, match="needs equally spaced rows")
+    with expected:
+        compute_response(curve, jnp.asarray(time), jnp.asarray(values))
+    expected = contextlib.nullcontext() if passes else pytest.raises(InputError, match=r"narx needs rows every 0\.")
+    with expected:
+        build_io_problem(narx_spec(series), series)
+    traced = eqx.filter_jit(compute_response)(curve, jnp.asarray(time), jnp.asarray(values))
+    assert bool(jnp.all(jnp.isfinite(traced))) is passes
+    exact = compute_response(function("one-pole", gain=1.0, rest=0.0, first=1.0), jnp.asarray(time), jnp.ones(60))
+    np.testing.assert_allclose(exact, 1.0 - np.exp(-(time - time[0])), atol=1e-9)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
