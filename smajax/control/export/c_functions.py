@@ -122,18 +122,21 @@ class StateType:
         for name, member, result, needed in zip(self.names, self.values, results, self.needed, strict=True):
             if not needed or (result.text == member.text and result.has_same_places(member)):
                 continue
-            if not member.shape:
-                text = result.element(0)
-                if text in members:  # another member, which may be assigned before
-                    before.append(f"    {C_TYPES[member.kind]} last_{name} = {text};")
-                    text = f"last_{name}"
-                after.append(f"    {member.text} = {text};")
-            else:
-                after += [f"    {member.element(k)} = {result.element(k)};" for k in range(member.size)]
-                if member.size > 1 and result.steps is not None:
-                    text = f"{member.element_at('k')} = {result.element_at('k')};"
-                    after[-member.size :] = [f"    for (int k = 0; k < {member.size}; k++) {text}"]
+            if result.variable in members:  # a part of the state, which may be assigned before
+                copy = member._replace(text=f"last_{name}")
+                before.append(f"    {C_TYPES[member.kind]} last_{name}{f'[{member.size}]' if member.shape else ''};")
+                before += _assignments(copy, result)
+                result = copy
+            after += _assignments(member, result)
         return [*before, *after]
+
+
+def _assignments(target: CValue, source: CValue) -> list[str]:
+    """Lines that assign a value to a variable, or to the elements of an array."""
+    if target.size > 1 and source.steps is not None:
+        text = f"{target.element_at('k')} = {source.element_at('k')};"
+        return [f"    for (int k = 0; k < {target.size}; k++) {text}"]
+    return [f"    {target.element(k)} = {source.element(k)};" for k in range(target.size)]
 
 
 def state_type(
@@ -220,7 +223,7 @@ def state_function(
     tail = state.writes(results[: len(state.names)])
     if output:
         tail.append(f"    return {results[-1].element(0)};")
-        if any(value.text == results[-1].text for value in state.values):  # a member, which has been assigned before
+        if any(v.text == results[-1].variable for v in state.values):  # a part of the state, which is assigned before
             lines = [*lines, f"    smajax_real output = {results[-1].element(0)};"]
             tail[-1] = "    return output;"
     return [*without_unused(lines, tail), *tail]

@@ -89,9 +89,9 @@ class LoopWriter(SourceWriter[CValue]):
         return variable
 
     def _assign(self, targets: Sequence[CValue], values: Sequence[CValue]) -> None:
-        """Assign several values at once: those that are variables of the loop themselves are copied first."""
-        names = {target.text for target in targets}
-        copies = [self._variable("next", v) if v.text in names else v for v in values]
+        """Assign several values at once: those that are variables of the loop, or parts of them, are copied first."""
+        names = {target.variable for target in targets}
+        copies = [self._variable("next", v) if v.variable in names else v for v in values]
         for target, value in zip(targets, copies, strict=True):
             self.copy(target, value)
 

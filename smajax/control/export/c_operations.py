@@ -19,6 +19,14 @@ _MATH |= {"atan2": "atan2", "rem": "fmod", "round": "rint"}
 # Functions of the header by primitive.
 _OWN = {"max": "smajax_max", "min": "smajax_min", "sign": "smajax_sign", "abs": "smajax_abs"}
 _OWN |= {"is_finite": "smajax_is_number"}
+# The same for integers.
+_OF_INTEGERS = {
+    "rem": "{} % {}",
+    "max": "({0} > {1} ? {0} : {1})",
+    "min": "({0} < {1} ? {0} : {1})",
+    "abs": "({0} < 0 ? -{0} : {0})",
+    "sign": "(({0} > 0) - ({0} < 0))",
+}
 # Nouns for the variables of results by primitive.
 NOUNS = {
     **{"add": "sum", "add_any": "sum", "sub": "difference", "mul": "product", "div": "ratio", "neg": "opposite"},
@@ -61,8 +69,8 @@ def elementwise(kind: str, options: dict[str, Any], operands: list[CValue]) -> s
         return f"{{}} {(_FLAG_INFIX if first == 'flag' else _BIT_INFIX)[kind]} {{}}"
     if kind in _INFIX or kind in _COMPARISONS:
         return f"{{}} {(_INFIX | _COMPARISONS)[kind]} {{}}"
-    if first == "int" and kind in ("rem", "abs", "sign", "max", "min"):
-        return {"rem": "{} % {}", "max": "({0} > {1} ? {0} : {1})", "min": "({0} < {1} ? {0} : {1})"}.get(kind)
+    if first == "int" and kind in _OF_INTEGERS:
+        return _OF_INTEGERS[kind]
     if kind == "round" and int(options["rounding_method"]) != _TO_EVEN:
         return None
     if kind in ("square", "integer_pow"):

@@ -37,6 +37,11 @@ class CValue(NamedTuple):
         return int(np.prod(self.shape, dtype=int))
 
     @property
+    def variable(self) -> str:
+        """Name of the variable or array whose value, element or elements it is."""
+        return self.text.partition("[")[0]
+
+    @property
     def steps(self) -> tuple[int, int] | None:
         """First position and distance of the positions; ``None`` if they are not evenly spaced."""
         if self.index is None or self.index.size < 2:
