@@ -62,8 +62,8 @@ class AbstractControllerAroundPID(AbstractController):
         return self.pid.upper
 
     @property
-    def period(self) -> float:
-        """Period of the samples, s: that of the PID."""
+    def period(self) -> Any:
+        """Period of the samples, s: that of the PID, a number that the export to C traces."""
         return self.pid.period
 
     def with_limits(self: _Controller, lower: Float[Array, ""], upper: Float[Array, ""]) -> _Controller:

@@ -14,6 +14,7 @@ from smajax.control.export.c_source import CProgram, c_body, without_unused
 from smajax.control.export.c_templates import FUNCTION, STATE
 from smajax.control.export.c_values import C_TYPES, CValue, constant_scalar, kind_of_dtype
 from smajax.control.export.named_leaves import leaf_names
+from smajax.control.export.static_numbers import static_numbers, with_static_numbers
 
 
 def number_text(number: float) -> str:
@@ -33,7 +34,8 @@ class Constants:
     Attributes:
         numbers: The module without anything but its numbers.
         others: The module without its numbers.
-        values: C values of the numbers.
+        static: Values of its static numbers that have names, by name.
+        values: C values of the numbers, and of the static ones.
         defines: Lines that define the scalars.
     """
 
@@ -54,9 +56,11 @@ class Constants:
             renamed: Other names of some numbers.
             literal: Whether a scalar is written as a number, by name and value.
         """
-        numbers, others = eqx.partition(program.static.mark(module), eqx.is_inexact_array)
+        numbers, others = eqx.partition(module, eqx.is_inexact_array)
         self.numbers: Any = numbers
         self.others: Any = others
+        own = static_numbers(module)
+        self.static: dict[str, float] = {name: value for name, value in program.static.items() if name in own}
         self.values: list[CValue] = []
         self.defines: list[str] = []
         for name, leaf in zip(leaf_names(self.numbers), jax.tree.leaves(self.numbers), strict=True):
@@ -67,16 +71,24 @@ class Constants:
                 self.values.append(constant_scalar(array))
             else:
                 self.defines.append(f"#define SMAJAX_{name.upper()} ({number_text(float(array))})")
-                self.values.append(CValue(f"SMAJAX_{name.upper()}", (), "real"))
+                self.values.append(_named_scalar(name))
+        self.values += map(_named_scalar, self.static)
 
     @property
     def argument(self) -> tuple[Any, list[CValue]]:
         """The numbers as an argument of ``c_body``."""
-        return self.numbers, self.values
+        return (self.numbers, tuple(self.static.values())), self.values
 
     def module(self, numbers: Any) -> Any:
-        """Return the module with other numbers."""
-        return eqx.combine(numbers, self.others)
+        """Return the module with other numbers, given as in ``argument``."""
+        leaves, static = numbers
+        named = dict(zip(self.static, static, strict=True))
+        return with_static_numbers(eqx.combine(leaves, self.others), self.static, named)
+
+
+def _named_scalar(name: str) -> CValue:
+    """A number that the header defines."""
+    return CValue(f"SMAJAX_{name.upper()}", (), "real")
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ from smajax.control.export.c_source import CProgram
 from smajax.control.export.c_values import CValue
 from smajax.control.export.json_document import estimator_document
 from smajax.control.export.named_leaves import leaf_names
+from smajax.control.export.static_numbers import static_numbers
 from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.dropouts import ReferenceHold, step_with_dropouts
@@ -47,6 +48,9 @@ from smajax.control.sensors.dropout_hold import DROPOUT_TIMEOUT, DropoutHold
 
 # The time after which a missing measurement counts as lost.
 _BLIND = (jnp.zeros(()), [CValue("SMAJAX_BLIND", (), "real")])
+
+# What Python raises where it needs the value of a traced number.
+_NEEDS_VALUE = (TypeError, ValueError)
 
 
 class _State(NamedTuple):
@@ -70,8 +74,37 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
             other than a thermal observer.
     """
     loop = owner if isinstance(owner, ClosedLoop) else ClosedLoop(owner, channel="value")
-    program, controller = CProgram(), loop.controller
-    numbers = Constants(program, controller)
+    if loop.estimator is not None:
+        estimator_document(loop.estimator)
+    program, parts = _program(loop)
+    return _header(loop, units, version, program, parts)
+
+
+def _program(loop: ClosedLoop) -> tuple[CProgram, tuple[list[str], list[str]]]:
+    """The program of a loop, with its definitions and functions; its static numbers have names where they can."""
+    static: dict[str, float] = {}
+    for part in (loop.controller, loop.allocation, loop.temperature_limiter, loop.estimator):
+        static = static_numbers(part) | static
+    try:
+        program = CProgram(static)
+        return program, _definitions_and_functions(program, loop)
+    except _NEEDS_VALUE:  # of one of the numbers, or another fault, which then occurs again
+        program = CProgram({name: value for name, value in static.items() if _can_have_name(loop, {name: value})})
+        return program, _definitions_and_functions(program, loop)
+
+
+def _can_have_name(loop: ClosedLoop, static: dict[str, float]) -> bool:
+    """Whether the functions can be traced without the value of a static number."""
+    try:
+        _definitions_and_functions(CProgram(static), loop)
+    except _NEEDS_VALUE:
+        return False
+    return True
+
+
+def _definitions_and_functions(program: CProgram, loop: ClosedLoop) -> tuple[list[str], list[str]]:
+    """Definitions of the constants, and the functions."""
+    numbers = Constants(program, loop.controller)
     functions = _step_functions(program, numbers)
     allocation, limiter, defines = loop.allocation, loop.temperature_limiter, [*numbers.defines]
     wires = None
@@ -79,8 +112,6 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
         wires = Constants(program, allocation, renamed=_ALLOCATION_NAMES)
         defines += wires.defines
         functions.append(_allocate(program, wires))
-    if loop.estimator is not None:
-        estimator_document(loop.estimator)
     if limiter is not None:
         guard = Constants(program, limiter, "guard_", literal=lambda name, number: number == 0.0)
         defines += guard.defines
@@ -90,7 +121,7 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
             observer = Constants(program, loop.estimator, "observer_", literal=lambda name, number: "exponent" in name)
             defines += observer.defines
             functions += _observer_functions(program, observer)
-    return _header(loop, units, version, program, (defines, functions))
+    return defines, functions
 
 
 def _header(
@@ -99,7 +130,7 @@ def _header(
     """The text of the header; ``parts`` are the definitions of the constants, and the functions."""
     defines, functions = parts
     body = "\n".join(functions)
-    static = {"period": float(loop.period), **program.static.values}
+    static = {"period": float(loop.period), **program.static}
     limits = [
         f"#define SMAJAX_{name.upper()} ((smajax_real){number!r})"
         for name, number in static.items()

@@ -6,7 +6,7 @@ depends are left out.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -16,7 +16,6 @@ from jax.extend.core import Literal
 from smajax.control.export.c_loops import LoopWriter
 from smajax.control.export.c_operations import NOUNS, elementwise, folded, math_functions, simplified
 from smajax.control.export.c_values import C_TYPES, CValue, Kind, constant_scalar, kind_of_dtype
-from smajax.control.export.static_numbers import StaticNumbers
 from smajax.errors import InputError
 
 # Counter of the loops over the elements of an array, which are never within each other.
@@ -38,13 +37,13 @@ class CProgram:
     """What the functions of a C program have in common.
 
     Attributes:
-        static: Static numbers of the modules that are written.
+        static: Values of the static numbers that have names, by name.
         math: Functions of math.h that are used.
         arrays: Names of constant arrays by kind and text.
     """
 
-    def __init__(self, static: StaticNumbers | None = None) -> None:
-        self.static: StaticNumbers = static or StaticNumbers()
+    def __init__(self, static: Mapping[str, float] | None = None) -> None:
+        self.static: dict[str, float] = dict(static or {})
         self.math: set[str] = set()
         self.arrays: dict[tuple[Kind, str], str] = {}
 
@@ -136,8 +135,7 @@ class CWriter(LoopWriter):
             sign = "-" if float(array.reshape(())) < 0.0 else ""
             text = "smajax_nan()" if np.isnan(array.reshape(())) else f"({sign}smajax_infinity())"
             return CValue(text, array.shape, "real", number=float(array.reshape(())))
-        name = self.program.static.names.get(float(array.reshape(()))) if array.dtype.kind == "f" else None
-        return constant_scalar(array) if name is None else CValue(f"SMAJAX_{name.upper()}", array.shape, "real")
+        return constant_scalar(array)
 
     def scalar(self, noun: str, text: str, kind: Kind, shape: tuple[int, ...], operands: Sequence[CValue]) -> CValue:
         """Write the assignment of an expression to a variable, unless it has one already; return its value.

@@ -1,59 +1,67 @@
-"""Static numbers of a module by name in a trace, such as the period of a controller.
+"""Static numbers of the parts of a loop by name, such as the period of a controller.
 
-A static number is a literal in a trace, without a name. Before the module is traced, its static numbers are changed by
-a few units in the last place, so that each differs from every other number: the literals then have names. What follows
-from such a number in Python, before the trace, changes by rounding only.
+A static number is a literal in a trace, without a name. Here it becomes an argument of the traced function, as the
+gains are. That is not possible where Python needs its value, as in ``if self.leak == 1.0``: it then stays a literal.
 """
 
 import dataclasses
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
-# Units in the last place by which the first static number is changed; each further one by one more.
-_FIRST_STEP = 3
 
+def static_numbers(module: Any) -> dict[str, float]:
+    """Return the static numbers of a module, and of the modules in it, by name.
 
-class StaticNumbers:
-    """Static numbers of some modules.
+    Of several numbers of one name the first one has it. Numbers that are 0 or not finite have no name.
 
-    Attributes:
-        names: Name of each number by its changed value.
-        values: Original value of each number by its name.
+    Args:
+        module: The module.
     """
+    numbers: dict[str, float] = {}
+    for part in _parts(module):
+        for field in dataclasses.fields(part):
+            value = getattr(part, field.name)
+            if _is_static_number(field, value) and np.isfinite(value) and value != 0.0:
+                numbers.setdefault(field.name, value)
+    return numbers
 
-    def __init__(self) -> None:
-        self.names: dict[float, str] = {}
-        self.values: dict[str, float] = {}
 
-    def mark(self, module: Any) -> Any:
-        """Return a module whose static numbers, and those of the modules in it, are changed.
+def with_static_numbers(module: Any, values: Mapping[str, float], numbers: Mapping[str, Any]) -> Any:
+    """Return a module, and the modules in it, with other values of its named static numbers.
 
-        A name that has another value already keeps the first one; the number then stays as it is.
+    Args:
+        module: The module.
+        values: Values of the named numbers in the module; a number with another value is not the named one.
+        numbers: Other values by name, which may be traced.
+    """
+    if not _is_module(module):
+        return module
+    other = object.__new__(type(module))
+    for field in dataclasses.fields(module):
+        value = getattr(module, field.name)
+        if _is_static_number(field, value):
+            value = numbers[field.name] if values.get(field.name) == value else value
+        elif not field.metadata.get("static", False):
+            value = with_static_numbers(value, values, numbers)
+        object.__setattr__(other, field.name, value)
+    return other
 
-        Args:
-            module: The module.
-        """
-        if not isinstance(module, eqx.Module) or not dataclasses.is_dataclass(module):
-            return module
-        marked = object.__new__(type(module))
+
+def _parts(module: Any) -> Iterator[Any]:
+    """The module and the modules in it."""
+    if _is_module(module):
+        yield module
         for field in dataclasses.fields(module):
-            value = getattr(module, field.name)
-            static = field.metadata.get("static", False)
-            new = self._marked_number(field.name, value) if static else self.mark(value)
-            object.__setattr__(marked, field.name, new)
-        return marked
+            if not field.metadata.get("static", False):
+                yield from _parts(getattr(module, field.name))
 
-    def _marked_number(self, name: str, value: Any) -> Any:
-        """The changed number; anything else stays as it is."""
-        if not isinstance(value, float) or not np.isfinite(value) or value == 0.0:
-            return value
-        if self.values.setdefault(name, value) != value:
-            return value
-        place = list(self.values).index(name)
-        number = value
-        for _ in range(_FIRST_STEP + place):
-            number = float(np.nextafter(number, np.inf))
-        self.names[number] = name
-        return number
+
+def _is_module(value: Any) -> bool:
+    return isinstance(value, eqx.Module) and dataclasses.is_dataclass(value)
+
+
+def _is_static_number(field: dataclasses.Field, value: Any) -> bool:
+    return field.metadata.get("static", False) and isinstance(value, float)

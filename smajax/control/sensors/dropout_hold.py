@@ -38,7 +38,12 @@ class DropoutHold(NamedTuple):
         finite = _counts(measured, accept)
         return cls(jnp.where(finite, measured, 0.0), jnp.where(finite, 0.0, timeout))
 
-    def update(self, measured: Float[Array, ""], period: float, accept: Bool[Array, ""] | bool = True) -> "DropoutHold":
+    def update(
+        self,
+        measured: Float[Array, ""],
+        period: Float[Array, ""] | float,
+        accept: Bool[Array, ""] | bool = True,
+    ) -> "DropoutHold":
         """Return the state after the next sample.
 
         Args:

@@ -113,11 +113,8 @@ def test_it_is_tuned_from_its_file(study):
     assert not study.tuned.unstable and not study.margins.unstable and study.rollouts > 1
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
-def test_its_c_header_does_the_same(tmp_path, study):
-    controller = study.tuned.loop.controller
-    text = export_files(study).contents["controller.h"].decode()
-    assert "#define SMAJAX_DEAD_BAND ((smajax_real)2e-05)" in text and "#define SMAJAX_LEAK" in text
+def check_in_c(tmp_path, controller, text):
+    """Compile a C header, and compare its commands with those of the controller."""
     (tmp_path / "controller.h").write_text(text)
     (tmp_path / "c.c").write_text(
         '#include "controller.h"\nvoid run(int n, const double *r, const double *y, double *u) {\n'
@@ -131,6 +128,28 @@ def test_its_c_header_does_the_same(tmp_path, study):
     ctypes.CDLL(str(tmp_path / "c.so")).run(200, *(a.ctypes.data_as(pointer) for a in (r, y, u)))
     np.testing.assert_allclose(u, commands_of(controller, r, y), rtol=1e-12, atol=1e-15)
     assert np.ptp(u) > 1e-3
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+def test_its_c_header_does_the_same(tmp_path, study):
+    text = export_files(study).contents["controller.h"].decode()
+    assert "#define SMAJAX_DEAD_BAND ((smajax_real)2e-05)" in text and "#define SMAJAX_LEAK" in text
+    check_in_c(tmp_path, study.tuned.loop.controller, text)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
+def test_a_static_number_on_which_python_branches_is_a_literal_in_c(tmp_path):
+    class Branching(DeadBandPI):
+        """PI controller with or without a leak."""
+
+        def step(self, state, reference, value):
+            state, command = super().step(state, reference, value)
+            return state, command if self.leak == 1.0 else 0.5 * command
+
+    branching = Branching(*map(jnp.asarray, (150.0, 60.0, 2e-5, -0.5, 0.5)), period=PERIOD)
+    text = c_header(ClosedLoop(branching, channel="displacement"), ("A", "m"), "0")
+    assert text.count("SMAJAX_PERIOD") > 2 and "SMAJAX_LEAK" not in text
+    check_in_c(tmp_path, branching, text)
 
 
 def test_its_fmu_does_the_same(tmp_path, study):
