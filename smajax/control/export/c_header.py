@@ -37,7 +37,7 @@ from smajax.control.export.c_functions import (
 )
 from smajax.control.export.c_source import CProgram
 from smajax.control.export.c_values import CValue
-from smajax.control.export.json_document import estimator_document
+from smajax.control.export.json_document import estimator_document, limiter_document
 from smajax.control.export.named_leaves import leaf_names
 from smajax.control.export.static_numbers import static_numbers
 from smajax.control.loop.allocation import Allocation
@@ -70,12 +70,14 @@ def c_header(owner: AbstractController | ClosedLoop, units: tuple[str, str], ver
         version: Version of smajax.
 
     Raises:
-        InputError: for an operation of the controller that cannot be written in C, with its name, or for an estimator
-            other than a thermal observer.
+        InputError: for an operation of the controller that cannot be written in C, with its name; for an estimator
+            other than a thermal observer; or for a temperature limiter with another timeout than ``DROPOUT_TIMEOUT``.
     """
     loop = owner if isinstance(owner, ClosedLoop) else ClosedLoop(owner, channel="value")
     if loop.estimator is not None:
         estimator_document(loop.estimator)
+    if loop.temperature_limiter is not None:
+        limiter_document(loop.temperature_limiter)
     program, parts = _program(loop)
     return _header(loop, units, version, program, parts)
 

@@ -57,8 +57,8 @@ def controller_document(owner: AbstractController | ClosedLoop, units: Mapping[s
         units: Unit of each gain by name.
 
     Raises:
-        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope, or a
-            gain without a unit.
+        InputError: for a feedforward other than the inverse of a Prandtl-Ishlinskii operator with one envelope, a gain
+            without a unit, or a temperature limiter with another timeout.
     """
     controller = owner.controller if isinstance(owner, ClosedLoop) else owner
     inverse, constants, lone = feedforward_inverse(controller), controller.constants(), jnp.zeros(())
@@ -104,7 +104,16 @@ def _other_numbers(controller: AbstractController) -> dict[str, Any]:
 
 
 def limiter_document(limiter: TemperatureLimiter) -> dict[str, float]:
-    """Return the numbers of a temperature limiter: largest temperature (degC), gains, and largest command, SI."""
+    """Return the numbers of a temperature limiter: largest temperature (degC), gains, and largest command, SI.
+
+    Raises:
+        InputError: for another timeout than that of the controlled channel.
+    """
+    if float(limiter.timeout) != DROPOUT_TIMEOUT:
+        raise InputError(
+            f"a temperature limiter with a timeout of {float(limiter.timeout):g} s cannot be exported: an exported "
+            f"controller has one timeout, {DROPOUT_TIMEOUT:g} s, so leave timeout out"
+        )
     return {
         "limit": float(limiter.limit),
         "kp": float(limiter.pid.kp),

@@ -707,6 +707,18 @@ def test_a_pair_whose_sensor_drops_out_keeps_its_co_contraction():
     assert np.all(commands[109:130] == 0.2) and np.any(commands[90:109] > 0.3)
 
 
+def test_a_temperature_limiter_with_its_own_timeout_is_not_exported():
+    """The header has one timeout, so that it would stop the wire at another time."""
+    limiter = TemperatureLimiter(pid(0.05, 0.02, 0.0, tf=0.0, low=0.0, high=0.5), jnp.asarray(84.0), timeout=3.0)
+    loop = loop_of(pid(), limiter=limiter)
+    for export in (
+        lambda: c_header(loop, ("A", "m"), "0"),
+        lambda: controller_document(loop, dict.fromkeys(gains(loop), "-")),
+    ):
+        with pytest.raises(InputError, match="a timeout of 3 s cannot be exported: .* 1 s, so leave timeout out"):
+            export()
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler here")
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.parametrize("wires", [1, 2])
