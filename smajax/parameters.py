@@ -184,7 +184,7 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
     """
     if isinstance(value, str):
         raise InputError(f"{name} = '{value}' is text: give a number in {declaration.unit}")
-    if isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | np.number | int | float):
+    if not is_concrete(value):
         return
     numbers = np.asarray(value, float)
     lower = declaration.lower - _BOUND_ROUNDING * abs(declaration.lower)
@@ -194,6 +194,15 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
         worst = float(numbers[outside].flat[0])
         shown = as_text(worst, declaration.unit) if math.isfinite(worst) else f"{worst} {declaration.unit}"
         raise InputError(f"{name}: {bounds_error(shown, declaration)}")
+
+
+def is_concrete(value: Any) -> bool:
+    """Return whether a value is a number or an array that can be checked: not traced, and no placeholder of JAX.
+
+    Args:
+        value: The value.
+    """
+    return isinstance(value, jax.Array | np.ndarray | np.number | int | float) and not isinstance(value, Tracer)
 
 
 def as_float(value: Any) -> Any:

@@ -16,14 +16,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.control.controllers.around_pid import AbstractControllerAroundPID
 from smajax.control.controllers.pid import PID, PIDState
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import clip
-from smajax.parameters import parameter
+from smajax.parameters import is_concrete, parameter
 
 
 class AdaptiveState(NamedTuple):
@@ -80,9 +79,8 @@ class AdaptivePID(AbstractControllerAroundPID):
         """
         for name in ("p", "i", "d"):
             start, rate = getattr(self.pid, f"k{name}"), getattr(self, f"rate_{name}")
-            if isinstance(start, Tracer) or isinstance(rate, Tracer) or start is None or rate is None:
-                continue
-            if np.any((np.asarray(rate) > 0.0) & (np.asarray(start) <= 0.0)):
+            is_checked = is_concrete(start) and is_concrete(rate)
+            if is_checked and np.any((np.asarray(rate) > 0.0) & (np.asarray(start) <= 0.0)):
                 raise InputError(
                     f"k{name} starts at 0 and has the adaptation rate rate_{name}, and a gain grows up to "
                     f"{self.growth:g} times its start value: give k{name} a value above 0, or leave rate_{name} out"

@@ -14,13 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from smajax.control.estimators.base import AbstractTemperatureEstimator, per_wire
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum
+from smajax.parameters import is_concrete
 from smajax.plant.plant import Plant
 
 # Martensite fraction at which ``ThermalObserver.of`` evaluates the heat capacity: the middle of a transformation.
@@ -66,11 +66,6 @@ class UnstableObserverError(InputError):
         self.gain_is_faster: bool = gain_is_faster
 
 
-def _is_traced(value: ArrayLike) -> bool:
-    """Whether a value cannot be checked: it is traced, or a placeholder of JAX."""
-    return isinstance(value, Tracer) or not isinstance(value, jax.Array | np.ndarray | float | int)
-
-
 class ThermalObserver(AbstractTemperatureEstimator):
     """Luenberger observer of the temperatures of the wires.
 
@@ -94,7 +89,7 @@ class ThermalObserver(AbstractTemperatureEstimator):
     period: float = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        linear = not _is_traced(self.exponent) and np.all(np.asarray(self.exponent) == 1.0)
+        linear = is_concrete(self.exponent) and np.all(np.asarray(self.exponent) == 1.0)
         # The loss of a linear observer has one rate; that of others depends on the temperature (``check_stability``).
         self._check_rates(-self.a2 if linear else jnp.zeros(()))
 
@@ -108,13 +103,13 @@ class ThermalObserver(AbstractTemperatureEstimator):
             UnstableObserverError: if the sum of the rates of heat loss and correction is above one per period. Between
                 one and two per period the error would alternate in sign, and beyond it would grow.
         """
-        if not any(map(_is_traced, (temperature, self.ambient, self.a2, self.exponent))):
+        if all(map(is_concrete, (temperature, self.ambient, self.a2, self.exponent))):
             excess = maximum(temperature - self.ambient, 0.0)
             self._check_rates(-self.exponent * self.a2 * excess ** (self.exponent - 1.0))
 
     def _check_rates(self, loss_rate: jax.Array) -> None:
         """Raise the error if loss and correction are too fast for the period; tracers are not checked."""
-        if any(map(_is_traced, (loss_rate, self.gain))):
+        if not all(map(is_concrete, (loss_rate, self.gain))):
             return
         rate = float(np.max(np.asarray(loss_rate + self.gain)))
         if self.period * rate > 1.0:

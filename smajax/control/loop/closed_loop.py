@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.control.controllers.base import AbstractController
@@ -22,6 +21,7 @@ from smajax.control.sensors.instruments import Instruments
 from smajax.control.sensors.sensor_model import ideal_sensor
 from smajax.errors import InputError
 from smajax.numerics.nonsmooth import maximum, minimum
+from smajax.parameters import is_concrete
 
 
 class Measurement(NamedTuple):
@@ -122,7 +122,7 @@ class ClosedLoop(eqx.Module):
         """
         if limits is not None:
             lower, upper = (jnp.asarray(end, jnp.float64) for end in limits)
-            if not isinstance(lower, Tracer) and not isinstance(upper, Tracer) and lower >= upper:
+            if is_concrete(lower) and is_concrete(upper) and lower >= upper:
                 raise InputError(f"limits = ({lower:g}, {upper:g}): the first command has to be below the second")
             controller = controller.with_limits(lower, upper)
         self.controller = controller
