@@ -38,7 +38,6 @@ import numpy as np
 
 from smajax.channels import CHANNELS, numbered
 from smajax.control.analysis.step_response import find_jumps
-from smajax.control.controller_file.quantities import float_arrays
 from smajax.control.controller_file.renamed_keys import with_current_controller_keys
 from smajax.control.controller_file.scenario import read_scenario
 from smajax.control.controller_file.schema import OPTIONS, SECTIONS, ControllerSection, TuneSection, controller_section
@@ -53,7 +52,6 @@ from smajax.control.controller_file.search_sections import (
 from smajax.control.controller_file.sensors import read_sensors
 from smajax.control.controllers.base import AbstractController
 from smajax.control.controllers.registry import controller_class, file_kinds
-from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.loop.gains import gains, unit_of, with_gains
 from smajax.control.loop.rollout import Scenario
@@ -215,11 +213,6 @@ def _output(head: ControllerSection, unit: str, system: SampledPlant) -> tuple[f
         raise InputError(
             f"controller.output: a wire cannot be cooled by its drive: make the lower limit {show('0 ' + unit)} or more"
         )
-    if system.wires == 2 and not lower < 0.0 < upper:
-        raise InputError(
-            "controller.output: a command above 0 heats the first wire, one below 0 the second: "
-            "give a lower limit below 0 and an upper limit above 0"
-        )
     return lower, upper
 
 
@@ -233,16 +226,12 @@ def _loop(
     """The closed loop with its start gains, and the unit of each; ``sampling`` is period, wires and output limits."""
     period, wires, (lower, upper) = sampling
     sensors = read_sensors(data, rig, (units.command, units.difference), period, max(upper, -lower))
-    allocation = None
-    if wires > 1:
-        largest, co_contraction, second = float_arrays(upper, 0.0, -lower)
-        allocation = Allocation(upper=largest, co_contraction=co_contraction, wires=wires, second_upper=second)
-    loop = ClosedLoop(
-        _controller(data["controller"], head, period, (lower, upper)),
-        allocation,
-        **sensors._asdict(),
-        channel=units.channel,
-    )
+    controller = _controller(data["controller"], head, period, (lower, upper))
+    loop = ClosedLoop(controller, **sensors._asdict(), channel=units.channel)
+    try:
+        loop = loop.for_wires(wires)
+    except InputError as error:
+        raise InputError(f"controller.output: {error}") from None
     return _with_gains(loop, head.kind, data["gains"], (units.command, units.difference))
 
 

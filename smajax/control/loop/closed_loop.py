@@ -19,7 +19,7 @@ from smajax.control.sensors.base import AbstractSensor
 from smajax.control.sensors.dropout_hold import DropoutHold
 from smajax.control.sensors.instruments import Instruments
 from smajax.control.sensors.sensor_model import ideal_sensor
-from smajax.errors import InputError
+from smajax.errors import InputError, suggestion
 from smajax.numerics.nonsmooth import maximum, minimum
 from smajax.parameters import is_concrete
 
@@ -175,17 +175,31 @@ class ClosedLoop(eqx.Module):
             wires: Number of wires of the plant.
 
         Raises:
-            InputError: if the loop is for another number of wires.
+            InputError: if the loop is for another number of wires, or its commands never heat one of two wires.
         """
+        loop = self
         if self.allocation is None and wires == 2:
             lower, upper = self.controller.limits
-            pair = Allocation(upper, jnp.zeros(()), wires, -lower)
-            return dataclasses.replace(self, allocation=pair)
-        if self.wires != wires:
+            loop = dataclasses.replace(self, allocation=Allocation(upper, jnp.zeros(()), wires, -lower))
+        if loop.wires != wires:
             raise InputError(
                 f"the plant has {wires} wires, and the loop is for {self.wires}: give an Allocation with wires={wires}"
             )
-        return self
+        if wires == 2:
+            loop._check_that_both_wires_are_heated()
+        return loop
+
+    def _check_that_both_wires_are_heated(self) -> None:
+        """Raise an error for limits with which one of two wires never gets a command; traced ones are not checked."""
+        lower, upper = self.controller.limits
+        co_contraction = 0.0 if self.allocation is None else self.allocation.co_contraction
+        if not all(map(is_concrete, (lower, upper, co_contraction))) or co_contraction > 0.0:
+            return
+        if not lower < 0.0 < upper:
+            raise InputError(
+                f"the commands for two wires are limited to {lower:g} to {upper:g}, and a command above 0 heats the "
+                "first wire, one below 0 the second: give a lower limit below 0 and an upper limit above 0"
+            )
 
     def allocate(self, command: Float[Array, ""]) -> Float[Array, " wires"]:
         """Return the commands of the wires.
@@ -195,13 +209,33 @@ class ClosedLoop(eqx.Module):
         """
         return command[None] if self.allocation is None else self.allocation(command)
 
+    def controlled_value(self, channels: dict[str, Float[Array, ""]]) -> Float[Array, ""]:
+        """Return the value of the controlled channel.
+
+        Args:
+            channels: The plant's channels by name.
+
+        Raises:
+            InputError: if there is no channel of that name; it suggests the most similar one.
+        """
+        if self.channel not in channels:
+            raise InputError(
+                f"the plant has no channel '{self.channel}'{suggestion(self.channel, channels)}: "
+                f"its channels are {', '.join(channels)}"
+            )
+        return channels[self.channel]
+
     def reset(self, reference: Float[Array, ""], channels: dict[str, Float[Array, ""]]) -> LoopState:
         """Return the state of a loop whose reference and channels have been constant.
 
         Args:
             reference: Reference so far, in the channel's unit.
             channels: The plant's channels by name.
+
+        Raises:
+            InputError: if the controlled channel is not one of them.
         """
+        value = self.controlled_value(channels)
         limiters = (
             ()
             if self.temperature_limiter is None
@@ -209,8 +243,8 @@ class ClosedLoop(eqx.Module):
         )
         estimator = () if self.estimator is None else self.estimator.init(channels)
         instruments = () if self.instruments is None else self.instruments.reset(channels)
-        hold = DropoutHold.init(channels[self.channel]) if self.allow_dropouts else None
-        value = channels[self.channel] if hold is None else hold.value
+        hold = DropoutHold.init(value) if self.allow_dropouts else None
+        value = value if hold is None else hold.value
         measurement = (self.sensor.reset(value), estimator, instruments)
         return LoopState(self.controller.reset(reference, value), measurement, limiters, hold)
 

@@ -28,7 +28,7 @@ from smajax.channels import channel_of
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.control.sampled_plant import AbstractSampledSystem, SampledPlant
 from smajax.control.sampling_period import check_same_period
-from smajax.errors import InputError, NumericsError, suggestion
+from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
 from smajax.plant.plant import Plant
@@ -145,7 +145,8 @@ def rollout(
         Channels and commands at the samples, the final states, and the status.
 
     Raises:
-        InputError: if periods differ, the numbers of wires differ, or the step of a traced plant is not given.
+        InputError: if periods differ, the numbers of wires differ, the plant has no channel of the loop's name, the
+            limits of two wires never heat one of them, or the step of a traced plant is not given.
         NumericsError: if the simulation fails and ``throw`` is set; the message says what to do.
     """
     if period is not None:
@@ -191,13 +192,9 @@ def _scenario(system: AbstractSampledSystem, loop: ClosedLoop, reference: Any, i
     """The scenario of a reference."""
     if isinstance(reference, Scenario):
         return reference
-    channels = system.observe(system.start(), jnp.zeros(system.wires))
-    if loop.channel not in channels:
-        raise InputError(
-            f"the plant has no channel '{loop.channel}'{suggestion(loop.channel, channels)}: "
-            f"its channels are {', '.join(channels)}"
-        )
-    return Scenario.noiseless(reference, channels[loop.channel] if initial is None else initial)
+    if initial is None:
+        initial = loop.controlled_value(system.observe(system.start(), jnp.zeros(system.wires)))
+    return Scenario.noiseless(reference, initial)
 
 
 def simulate_loop(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Scenario) -> Rollout:
@@ -215,7 +212,7 @@ def simulate_loop(system: AbstractSampledSystem, loop: ClosedLoop, scenario: Sce
         Channels and commands at the samples, and the final states.
 
     Raises:
-        InputError: if plant and loop have different periods.
+        InputError: if plant and loop have different periods, or the plant has no channel of the loop's name.
     """
     check_same_period("plant", system.period, "controller", loop.period)
     if system.is_implicit:

@@ -63,6 +63,12 @@ def test_two_wires_get_an_allocation_by_themselves():
     one = ClosedLoop(controller, Allocation(jnp.asarray(0.7), jnp.asarray(0.0)), channel="angle")
     with pytest.raises(InputError, match="the plant has 2 wires, and the loop is for 1"):
         rollout(plant, one, np.zeros(3))
+    pair = Allocation(jnp.asarray(0.7), jnp.asarray(0.0), 2)
+    for loop in (ClosedLoop(controller, allocation, channel="angle", limits=(0.0, 0.7)) for allocation in (None, pair)):
+        with pytest.raises(
+            InputError, match="limited to 0 to 0.7, and .* below 0 the second: give a lower limit below"
+        ):
+            rollout(plant, loop, np.zeros(3))
 
 
 def test_all_parts_have_one_period(plant, sampled):
@@ -95,6 +101,8 @@ def test_all_parts_have_one_period(plant, sampled):
 def test_mistakes_are_named(plant):
     with pytest.raises(InputError, match="the plant has no channel 'displacment' .did you mean 'displacement'"):
         rollout(plant, ClosedLoop(pid(dt=PERIOD), channel="displacment"), REFERENCE)
+    with pytest.raises(InputError, match="the plant has no channel 'displacment' .did you mean 'displacement'"):
+        rollout(plant, ClosedLoop(pid(dt=PERIOD), channel="displacment"), Scenario.noiseless(REFERENCE, 0.0))
     with pytest.raises(InputError, match="the first command has to be below the second"):
         loop_of(limits=(0.5, 0.1))
     with pytest.raises(InputError, match="give one value for each sample"):
