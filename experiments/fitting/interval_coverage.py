@@ -136,8 +136,9 @@ def profile_row(name: str, results: list[FitResult]) -> Row:
     share, (least, _) = float(np.mean([contains(e, TRUTH[name]) for e in ends])), expected_shares(len(ends))
     interval = next(e for e in results[0].estimates if e.name == name)
     interval_ends = (interval.lower95, interval.upper95)
+    unit = "" if interval.unit == "1" else f" {interval.unit}"
     text = (
-        f"{100 * share:.1f} % of {len(results)}; the first {as_range(ends[0])} {interval.unit}, its interval "
+        f"{100 * share:.1f} % of {len(results)}; the first {as_range(ends[0])}{unit}, its interval "
         f"{as_range(interval_ends)}"
     )
     numbers = {"coverage": share, "profile": ends[0], "interval": interval_ends}
