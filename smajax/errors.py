@@ -1,4 +1,4 @@
-"""Errors that smajax raises on purpose, and the suggestion for a misspelt name.
+"""Errors that smajax raises on purpose, and parts of their sentences.
 
 ``InputError`` reports a mistake in the input: one sentence that names the file, row, column or key, and the cure (exit
 code 2). ``NumericsError`` reports a failed calculation: the result code, the parameters that caused it, and the results
@@ -13,6 +13,9 @@ from typing import Any
 # Similarity (difflib's ratio, 0 to 1) from which a name is suggested; chosen by trial,
 # tests/unit/files/test_bad_rigs.py holds it.
 _MIN_SIMILARITY = 0.5
+# Characters of a value, and of the message of another package, that a sentence shows; chosen to keep it on one line.
+_VALUE_CHARACTERS = 30
+_MESSAGE_CHARACTERS = 120
 
 
 class InputError(ValueError):
@@ -103,3 +106,18 @@ def suggestion(word: str, candidates: Iterable[str]) -> str:
     """
     matches = difflib.get_close_matches(word, list(candidates), n=1, cutoff=_MIN_SIMILARITY)
     return f" (did you mean '{matches[0]}'?)" if matches else ""
+
+
+def shortened(text: str, length: int = _VALUE_CHARACTERS) -> str:
+    """Return a text for a sentence, with three dots in place of what exceeds ``length`` characters.
+
+    Args:
+        text: The text.
+        length: Largest number of characters, the dots included.
+    """
+    return text if len(text) <= length else text[: length - 3] + "..."
+
+
+def first_line(error: Exception) -> str:
+    """Return the beginning of the message of another package's error, for a sentence."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_CHARACTERS]

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from smajax.errors import InputError, suggestion
+from smajax.errors import InputError, shortened, suggestion
 from smajax.recordings.paths import replacing, similar_name, unreadable
 from smajax.units import parse_quantity
 
@@ -191,8 +191,7 @@ def show(value: Any) -> str:
     """Return a value from a TOML file as text for a sentence, shortened if it is long."""
     if isinstance(value, bool):
         return str(value).lower()
-    text = repr(value)
-    return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
+    return shortened(repr(value), _SHOWN_CHARACTERS)
 
 
 def _sentence(error: Any, model: type[BaseModel], section: str) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from smajax import __version__
-from smajax.errors import InputError
+from smajax.errors import InputError, first_line
 from smajax.numerics.process import count_cores, prepare_jax
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 LOCAL = "local"
 # Time in s within which a scheduler must answer, and must have a worker; chosen by trial.
 _TIMEOUT = 20
-# Number of characters of another library's message that an error message repeats.
-_MESSAGE_LENGTH = 160
 # Largest number of dead workers in a sweep; the chunk of a dead worker is sent to another one. Chosen so that only a
 # chunk that kills every worker stops a run; experiments/speed/sweep_interruptions.py kills workers.
 _MAX_DEATHS = 100
@@ -73,9 +71,10 @@ def connected(address: str) -> Iterator[Any]:
             _check_identity(address)
             client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, MemoryError) as error:
-            words = (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_LENGTH]
             hint = "check its address, or leave --scheduler out to use this computer"
-            raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({words}): {hint}") from None
+            raise InputError(
+                f"--scheduler {address}: no Dask scheduler answers there ({first_line(error)}): {hint}"
+            ) from None
         stack.enter_context(client)
         _check_workers(client, address)
         yield client

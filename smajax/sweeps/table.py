@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from smajax.errors import InputError
+from smajax.errors import InputError, first_line
 from smajax.files.renamed_keys import current_name
 from smajax.recordings.readers.parquet import pyarrow_parquet
 
@@ -16,8 +16,6 @@ from smajax.recordings.readers.parquet import pyarrow_parquet
 KEY = b"smajax.sweep"
 # Keys that a header must have.
 _REQUIRED = ("name", "recording", "rig", "rig_name", "sweep")
-# Number of characters of pyarrow's message that an error message repeats.
-_MESSAGE_LENGTH = 120
 
 
 def write_table(
@@ -69,10 +67,8 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     try:
         table = parquet.read_table(path)
     except Exception as error:  # pyarrow raises many kinds of exceptions for damaged files
-        words = (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_LENGTH]
-        raise InputError(
-            f"{path}: the file is not readable as Parquet ({words}): remove it, and run the sweep again with --resume"
-        ) from None
+        problem = f"the file is not readable as Parquet ({first_line(error)})"
+        raise InputError(f"{path}: {problem}: remove it, and run the sweep again with --resume") from None
     return {current_name(n.partition(" [")[0]): table.column(n).to_numpy() for n in table.column_names}
 
 

@@ -1,8 +1,8 @@
-"""Errors with a cure that a front end replaces."""
+"""Errors with a cure that a front end replaces, and parts of sentences."""
 
 import pytest
 
-from smajax.errors import DerivativeError, InputError
+from smajax.errors import DerivativeError, InputError, first_line, shortened
 
 
 @pytest.mark.parametrize("kind", [InputError, DerivativeError])
@@ -18,3 +18,10 @@ def test_the_cure_of_a_sentence_is_replaced(kind):
 def test_a_sentence_without_a_cure_stays(fields):
     error = InputError("run.csv: row 7 is bad", **fields)
     assert error.with_cure("remove it") is error
+
+
+def test_parts_of_a_sentence_are_shortened():
+    assert shortened("x" * 30) == "x" * 30 and shortened("x" * 31) == "x" * 27 + "..."
+    assert shortened("abcdef", 5) == "ab..."
+    assert first_line(ValueError("one\ntwo")) == "one" and first_line(OSError()) == "OSError"
+    assert len(first_line(ValueError("x" * 500))) == 120

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smajax.errors import InputError
+from smajax.errors import InputError, shortened
 
 # Bytes that reading a file may take; tests/unit/recordings/test_recording.py reads ten million rows within it.
 MEMORY_LIMIT = 2 * 2**30
@@ -22,10 +22,6 @@ _PLAIN_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 # Texts of cells by which programs mark missing values and values that are not finite.
 _NOT_FINITE = ("nan", "inf", "infinity", "na", "n/a", "#n/a", "null", "none")
-# Characters of a cell that a message shows; chosen to keep it on one line.
-_SHOWN_CHARACTERS = 30
-# Characters of the message of another package that a sentence shows; chosen to keep it on one line.
-_MESSAGE_CHARACTERS = 120
 
 
 def repair_hint(drop_option: str) -> str:
@@ -126,7 +122,7 @@ def number_error(place: str, text: str, decimal: str) -> InputError:
         text: Text of the cell.
         decimal: Decimal sign, ``.`` or ``,``.
     """
-    shown = text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
+    shown = shortened(text)
     if not text:
         return row_error(f"{place}: the cell is blank")
     if text.lower().strip("+-") in _NOT_FINITE:
@@ -140,8 +136,3 @@ def number_error(place: str, text: str, decimal: str) -> InputError:
     if _PLAIN_NUMBER.fullmatch(text.replace(",", ".")):
         return row_error(f"{place}: '{shown}' is too large for a number")
     return row_error(f"{place}: '{shown}' is not a number")
-
-
-def first_line(error: Exception) -> str:
-    """Return the beginning of the message of another package's error, for a sentence."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:_MESSAGE_CHARACTERS]

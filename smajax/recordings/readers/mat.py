@@ -12,8 +12,8 @@ from typing import Any, final
 
 import numpy as np
 
-from smajax.errors import InputError
-from smajax.recordings.readers.base import Table, file_sha256, first_line, refuse_if_too_large, row_error
+from smajax.errors import InputError, first_line
+from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
 
 # Types of the data elements of a version 5 file (MATLAB's "MAT-File Format").
 _MATRIX = 14

@@ -9,13 +9,11 @@ from typing import Any, cast, final
 
 import numpy as np
 
-from smajax.errors import InputError
-from smajax.recordings.readers.base import Table, first_line, refuse_if_too_large, repair_hint
+from smajax.errors import InputError, first_line, shortened
+from smajax.recordings.readers.base import Table, refuse_if_too_large, repair_hint
 
 # Header of the times that an index of dates or durations has.
 _INDEX_HEADER = "time [s]"
-# Characters of a value that a message shows; chosen to keep it on one line.
-_SHOWN_CHARACTERS = 30
 _NANOSECONDS_PER_SECOND = 1e9
 _NUMBERS = (int, float, np.integer, np.floating)
 
@@ -90,8 +88,7 @@ class MemoryTable(Table):
         others = [k for k, value in enumerate(values) if not isinstance(value, _NUMBERS) or isinstance(value, bool)]
         if not others:
             return f"{self.origin}: column '{header}': the numbers are stored as objects: {cure}"
-        shown = repr(values[others[0]] if values.dtype.kind == "O" else str(values[others[0]]))
-        shown = shown if len(shown) <= _SHOWN_CHARACTERS else shown[: _SHOWN_CHARACTERS - 3] + "..."
+        shown = shortened(repr(values[others[0]] if values.dtype.kind == "O" else str(values[others[0]])))
         return f"{self.origin}: row {others[0]}, column '{header}': {shown} is not a number: correct it, and {cure}"
 
 

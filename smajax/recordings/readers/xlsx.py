@@ -13,12 +13,11 @@ from typing import Any, final
 
 import numpy as np
 
-from smajax.errors import InputError, suggestion
+from smajax.errors import InputError, first_line, suggestion
 from smajax.recordings.readers.base import (
     MEMORY_LIMIT,
     Table,
     file_sha256,
-    first_line,
     number_error,
     parse_number,
     refuse_if_too_large,
