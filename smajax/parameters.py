@@ -379,3 +379,13 @@ def replace(plant: Any, values: Mapping[str, Any]) -> Any:
 def expand(names: Iterable[str]) -> list[str]:
     """Return parameter names with ties replaced by their members, in the same order."""
     return [member for name in names for member in TIES.get(name, (name,))]
+
+
+def by_leaf(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values by leaf: a tie sets its members, and a value of the member itself has precedence.
+
+    Args:
+        values: Values by name of a parameter or a tie.
+    """
+    of_ties = {member: value for name, value in values.items() for member in TIES.get(name, ())}
+    return of_ties | {name: value for name, value in values.items() if name not in TIES}

@@ -187,7 +187,7 @@ def _read_bounds(
     for name, ends in flatten_keys(bounds).items():
         _check_names([name], table, "fit.bounds")
         low, high = _read_span(name, ends, table[name])
-        for member in TIES.get(name, (name,)):
+        for member in parameters.expand([name]):
             nominal = float(parameters.get(plant, member))
             if not math.isnan(nominal) and not low <= nominal <= high:
                 value = as_text(nominal, table[name].unit)

@@ -20,12 +20,13 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
+from smajax import parameters
 from smajax.errors import InputError, suggestion
 from smajax.files.parameter_names import all_parameter_names, declarations_of
 from smajax.files.renamed_keys import current_name
 from smajax.files.toml import STRICT, parse_toml, read_text, render_toml, show, validate, write_text
 from smajax.files.validators import quantity
-from smajax.parameters import TIES, declarations
+from smajax.parameters import declarations
 from smajax.plant.materials.base import AbstractMaterial
 from smajax.plant.materials.registry import MATERIALS
 from smajax.recordings.datasets import data_path
@@ -121,21 +122,17 @@ def load_material(name: str | Path, model: str = "brinson", **values: float) -> 
     """
     if model not in MATERIALS:
         raise InputError(f"there is no material '{model}'{suggestion(model, MATERIALS)}: choose {', '.join(MATERIALS)}")
-    entries, law = read_parameters(find_set(str(name))), MATERIALS[model]
+    entries, law = parameters.by_leaf(read_parameters(find_set(str(name)))), MATERIALS[model]
     declared = declarations(law)
     for key in values.keys() - declared.keys():
         raise InputError(f"{model} has no parameter '{key}'{suggestion(key, declared)}: correct or remove it")
-    for tie, members in TIES.items():
-        if tie in entries:
-            entries = dict.fromkeys(members, entries[tie]) | entries
-    known_values: dict[str, Any] = {
-        key: entries[n].value for key in declared if (n := f"material.{key}") in entries
-    } | values
-    missing = [key for key, declaration in declared.items() if declaration.default is None and key not in known_values]
+    of_set: dict[str, Any] = {key: entries[n].value for key in declared if (n := f"material.{key}") in entries}
+    arguments = of_set | values
+    missing = [key for key, declaration in declared.items() if declaration.default is None and key not in arguments]
     if missing:
         problem = f"parameter set {name} has no {', '.join(missing)}"
         raise InputError(f"{problem}, which {model} needs: give the missing values as arguments")
-    return law(**known_values)
+    return law(**arguments)
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

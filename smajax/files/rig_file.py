@@ -23,7 +23,6 @@ from smajax.files.rig_schema import FitSection, RigSection
 from smajax.files.rig_text import rig_toml
 from smajax.files.rig_values import (
     ParameterSet,
-    by_leaf,
     entries_for,
     entry_values,
     file_values,
@@ -34,7 +33,7 @@ from smajax.files.rig_values import (
     value_sources,
 )
 from smajax.files.toml import check_schema, flatten_keys, parse_toml, read_text, validate, write_text
-from smajax.parameters import TIES, Declaration
+from smajax.parameters import TIES, Declaration, by_leaf
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor

@@ -10,7 +10,7 @@ from smajax.files.parameter_sets import Entry, find_set, read_parameters
 from smajax.files.rig_kinds import Stages
 from smajax.files.toml import show, validate
 from smajax.files.validators import section_model
-from smajax.parameters import TIES, Declaration
+from smajax.parameters import TIES, Declaration, by_leaf
 
 
 class ParameterSet(NamedTuple):
@@ -121,12 +121,6 @@ def section_values(section: str, content: Any, table: Mapping[str, Declaration])
 def entry_values(entries: Mapping[str, Entry]) -> dict[str, float]:
     """Return the values of entries by name."""
     return {n: entry.value for n, entry in entries.items()}
-
-
-def by_leaf(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values by leaf: a tie sets its members, and a value of the member itself has precedence."""
-    tied = {member: value for name, value in values.items() for member in TIES.get(name, ())}
-    return tied | {name: value for name, value in values.items() if name not in TIES}
 
 
 def value_sources(

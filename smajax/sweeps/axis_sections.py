@@ -146,7 +146,7 @@ def check_order(axes: Sequence[Axis], subject: Subject) -> None:
     """
     declarations, ends = subject.declarations, {}
     for axis in axes:
-        ends |= dict.fromkeys(parameters.TIES.get(axis.name, (axis.name,)), (axis.lower, axis.upper))
+        ends |= dict.fromkeys(parameters.expand([axis.name]), (axis.lower, axis.upper))
     for low, high in ORDERED_PAIRS:
         if low not in declarations or high not in declarations or not {low, high} & ends.keys():
             continue
