@@ -19,10 +19,11 @@ from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
-from smajax.fitting.evaluation import copied_holdout_warnings, fit_warnings, start_responses
 from smajax.fitting.fit import fit as fit_plant
+from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.profile import profile_labels, profile_likelihood
+from smajax.fitting.responses import start_responses
 from smajax.fitting.result import FitResult, Response
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.recording import Recording

@@ -1,4 +1,4 @@
-"""Responses of fitted plants to their recordings, and the error of the time steps."""
+"""Responses of plants to the recordings of a fit, and the error of the time steps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -51,6 +51,34 @@ def simulate_responses(
         responses.append(Response(recording, role, model, SimulationStatus(int(result.status))))
     errors = _discretisation_errors(plants[0], responses[0], channels, interpolation, step, (grid, samples))
     return responses, errors
+
+
+def start_responses(
+    plant: Plant,
+    recordings: Sequence[Recording],
+    observe: Sequence[str],
+    *,
+    holdout: Sequence[Recording] = (),
+    interpolation: str = "hold",
+    step: float | None = None,
+) -> list[Response]:
+    """Simulate all recordings with the start values, as where a fit failed.
+
+    Args:
+        plant: The plant with the start values.
+        recordings: The training recordings.
+        observe: Observed channels.
+        holdout: The holdout recordings.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        step: Longest step in s; the plant's default if not given.
+
+    Returns:
+        The responses; one whose simulation fails has the status.
+    """
+    everything = [*recordings, *holdout]
+    roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
+    plants = [plant] * len(everything)
+    return simulate_responses(plants, everything, roles, observe, interpolation, step)[0]
 
 
 def _discretisation_errors(

@@ -16,14 +16,14 @@ from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting import fit as fit_module
 from smajax.fitting import intervals
 from smajax.fitting.autoregression import fit_autoregression
-from smajax.fitting.evaluation import copied_holdout_warnings, fit_warnings, start_responses
 from smajax.fitting.fit import fit
+from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartSolver, screen_starts
 from smajax.fitting.noise import difference_noise
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.profile import crossing, profile_labels, profile_likelihood
-from smajax.fitting.responses import simulate_responses
+from smajax.fitting.responses import simulate_responses, start_responses
 from smajax.report.prediction import recording_series
 from smajax.simulation.status import SimulationStatus
 from tests.reference import rigs

@@ -1,10 +1,9 @@
-"""What is looked at after the search of a fit: warnings, and the responses of a plant that could not be fitted."""
+"""Warnings of a fit: noisy inputs, stresses beyond the law's range, and a holdout that is a copy."""
 
 from collections.abc import Sequence
 
 from smajax.fitting.input_noise import input_noise_warnings
-from smajax.fitting.responses import simulate_responses
-from smajax.fitting.result import FitResult, Response
+from smajax.fitting.result import FitResult
 from smajax.fitting.unknowns import Settings
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.plant.plant import Plant
@@ -45,31 +44,3 @@ def copied_holdout_warnings(train: Sequence[Recording], holdout: Sequence[Record
         for recording, original in copies
         if original is not None
     ]
-
-
-def start_responses(
-    plant: Plant,
-    recordings: Sequence[Recording],
-    observe: Sequence[str],
-    *,
-    holdout: Sequence[Recording] = (),
-    interpolation: str = "hold",
-    step: float | None = None,
-) -> list[Response]:
-    """Simulate all recordings with the start values, as where a fit failed.
-
-    Args:
-        plant: The plant with the start values.
-        recordings: The training recordings.
-        observe: Observed channels.
-        holdout: The holdout recordings.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
-        step: Longest step in s; the plant's default if not given.
-
-    Returns:
-        The responses; one whose simulation fails has the status.
-    """
-    everything = [*recordings, *holdout]
-    roles = ["train"] * len(recordings) + ["holdout"] * len(holdout)
-    plants = [plant] * len(everything)
-    return simulate_responses(plants, everything, roles, observe, interpolation, step)[0]
