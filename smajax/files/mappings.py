@@ -1,4 +1,4 @@
-"""Dictionaries from Python in place of TOML files: their values as TOML has them."""
+"""Dictionaries from Python in place of TOML files, with values of the types that TOML has."""
 
 import os
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from smajax.files.toml import show
 
 
 def plain_tables(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a dictionary with the values that its text in TOML would have: tuples are lists, NumPy's numbers floats.
+    """Return a dictionary as a TOML file would give it: tuples become lists, and numbers of NumPy those of Python.
 
     Args:
         data: Tables by section, as ``tomllib`` returns them.

@@ -19,8 +19,8 @@ from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.multi_start import MultiStartResult
 from smajax.progress import CallbackStop, stoppable
 
-# A search that ends above its best cost by more than this share of it has not converged: rounding.
-_SAME_COST = 1e-9
+# A search that ends above its best cost by more than this share of it, which covers rounding, has not converged.
+_COST_ROUNDING = 1e-9
 
 Residual = Callable[[jax.Array, Any], jax.Array]
 
@@ -120,7 +120,7 @@ class OptimistixSearch:
         elif bool(unsuccessful):
             self._statuses[k] = SolverStatus.stalled
         elif bool(done):
-            at_best = float(cost) <= (1.0 + _SAME_COST) * self._costs[k]
+            at_best = float(cost) <= (1.0 + _COST_ROUNDING) * self._costs[k]
             self._statuses[k] = SolverStatus.converged if at_best else SolverStatus.stalled
 
     def result(self) -> MultiStartResult:

@@ -107,6 +107,7 @@ def evaluate_designs(
     starts = range(0, len(designs), size)
 
     def run_batch(first: int) -> dict[str, np.ndarray]:
+        """Return the columns of the batch whose first design is number ``first``."""
         # The last batch is padded with its last design, so that all batches use one program.
         rows = np.minimum(np.arange(first, first + size), len(designs) - 1)
         batch = compilation.spread_over_devices(designs[rows])

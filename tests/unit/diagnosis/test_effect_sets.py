@@ -108,22 +108,24 @@ def test_all_parameters_are_free_and_have_intervals(rig, recordings, monkeypatch
     displaced = PAIR.with_values({"effects.coating.time_constant": 5.0, "effects.r-phase.strength": 0.004})
     # A search among candidates uses the usual program and holds what has no slot; nothing else is compiled.
     search = problem.start_search(displaced, problem.nominal).advance(20)
-    raced = evaluator.evaluate(problem.refit_from(search))
-    assert raced.refit.values["effects.coating.time_constant"] == 5.0 and problem.holds_parameters(raced.refit)
+    partial_fit = evaluator.evaluate(problem.refit_from(search))
+    assert partial_fit.refit.values["effects.coating.time_constant"] == 5.0 and problem.holds_parameters(
+        partial_fit.refit
+    )
     assert len(problem.free_effect_parameters(PAIR)) == len(FREE) > SLOTS and compiled == []
-    at_noise = dataclasses.replace(raced, train_chi2=1.0, select_chi2=1.0)
-    assert _free_held_parameters(evaluator, at_noise, [raced]) == [raced] and compiled == []
-    # The fit that counts frees them all.
-    (freed,) = _free_held_parameters(evaluator, raced, [raced])
-    assert compiled == [2 * SLOTS] and not problem.holds_parameters(freed.refit)
-    assert freed.train_chi2 < raced.train_chi2 and freed.train_chi2 < 1.1
-    assert evaluator.with_all_parameters_free(freed) is freed
-    intervals = effect_intervals(evaluator, freed.refit)
+    at_noise = dataclasses.replace(partial_fit, train_chi2=1.0, select_chi2=1.0)
+    assert _free_held_parameters(evaluator, at_noise, [partial_fit]) == [partial_fit] and compiled == []
+    # The fit that is reported has all of them free.
+    (free_fit,) = _free_held_parameters(evaluator, partial_fit, [partial_fit])
+    assert compiled == [2 * SLOTS] and not problem.holds_parameters(free_fit.refit)
+    assert free_fit.train_chi2 < partial_fit.train_chi2 and free_fit.train_chi2 < 1.1
+    assert evaluator.with_all_parameters_free(free_fit) is free_fit
+    intervals = effect_intervals(evaluator, free_fit.refit)
     assert set(intervals) == FREE
     low, high = intervals["effects.coating.time_constant"]
     assert low < 3.0 < high and high - low < 3.0
     # The next round scores the other effects at this fit.
-    assert evaluator.scores(freed.refit).jacobian.shape == (problem.samples, problem.size + len(FREE))
+    assert evaluator.scores(free_fit.refit).jacobian.shape == (problem.samples, problem.size + len(FREE))
     residual, jacobian = problem.evaluate(PAIR, problem.nominal, TRAIN, sorted(FREE))
     assert jacobian.shape == (len(residual), problem.size + len(FREE)) and compiled == [2 * SLOTS]
 

@@ -36,7 +36,7 @@ def columns(rows: int = ROWS, scale: float = 1.0) -> dict[str, Any]:
     }
 
 
-def same(recording: Recording, other: Recording) -> None:
+def assert_same(recording: Recording, other: Recording) -> None:
     """Check that two recordings are equal to the last bit."""
     assert list(recording.channels) == list(other.channels)
     np.testing.assert_array_equal(recording.time, other.time)
@@ -76,9 +76,9 @@ def test_every_kind_of_table_equals_the_file(kind, tmp_path):
     pd.DataFrame(columns()).to_csv(tmp_path / "run.csv", index=False)
     convert, options = SOURCES[kind]
     recording = read_recording(convert(columns()), **options)
-    same(recording, read_recording(tmp_path / "run.csv"))
+    assert_same(recording, read_recording(tmp_path / "run.csv"))
     assert recording.name == "recording" and len(recording.sha256) == 64 and recording.notes == ()
-    same(read_recording(convert(columns()), **options, drop_bad_rows=True), recording)
+    assert_same(read_recording(convert(columns()), **options, drop_bad_rows=True), recording)
 
 
 def test_a_polars_table_is_read_by_its_methods():
@@ -90,7 +90,7 @@ def test_a_polars_table_is_read_by_its_methods():
         def get_column(self, name):
             return pd.Series(columns()[name])
 
-    same(read_recording(PolarsFrame()), read_recording(columns()))
+    assert_same(read_recording(PolarsFrame()), read_recording(columns()))
 
 
 def test_pandas_is_not_imported_to_read_a_table():
@@ -114,12 +114,12 @@ def test_durations_and_dates_are_times():
         (pd.Timestamp("2026-01-01") + durations).rename("clock"),
         (pd.Timestamp("2026-01-01") + durations).as_unit("us"),
     ):
-        same(read_recording(frame.set_index(index)), read_recording(columns()))
+        assert_same(read_recording(frame.set_index(index)), read_recording(columns()))
 
 
 def test_a_column_of_time_counts_more_than_an_index_of_dates():
     frame = pd.DataFrame(columns()).set_index(pd.date_range("2026-01-01", periods=ROWS, freq="1h"))
-    same(read_recording(frame), read_recording(columns()))
+    assert_same(read_recording(frame), read_recording(columns()))
     renamed = frame.rename(columns={"time [s]": "t"})
     recording = read_recording(renamed, mapping={"time": ChannelMap("t", "s")})
     np.testing.assert_array_equal(recording.time, columns()["time [s]"])
@@ -127,11 +127,13 @@ def test_a_column_of_time_counts_more_than_an_index_of_dates():
 
 def test_an_index_that_counts_rows_is_no_column():
     frame = pd.DataFrame(columns())
-    same(read_recording(frame.iloc[5:]), read_recording({name: values[5:] for name, values in columns().items()}))
+    assert_same(
+        read_recording(frame.iloc[5:]), read_recording({name: values[5:] for name, values in columns().items()})
+    )
     frame.index.name = "sample"
     with pytest.raises(InputError, match=r"^the DataFrame: column 'sample' is not a known channel"):
         read_recording(frame)
-    same(read_recording(frame, ignore=["sample"]), read_recording(columns()))
+    assert_same(read_recording(frame, ignore=["sample"]), read_recording(columns()))
 
 
 def test_columns_are_mapped_and_ignored_as_in_a_rig():
@@ -407,7 +409,7 @@ def test_bad_rows_are_dropped_and_counted_on_request(tmp_path):
         "1 of 40 rows in which time does not increase dropped on request: row 20",
     )
     pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
-    same(recording, read_recording(tmp_path / "run.csv", drop_bad_rows=True))
+    assert_same(recording, read_recording(tmp_path / "run.csv", drop_bad_rows=True))
     table["displacement [mm]"][30:] = 5000.0  # a row is named by its number in the table
     with pytest.raises(InputError, match=r"row 30, column 'displacement \[mm\]'"):
         read_recording(table, drop_bad_rows=True)
@@ -418,7 +420,7 @@ def test_later_changes_of_the_table_do_not_change_the_recording():
     recording = read_recording(table)
     for values in table.values():
         values[:] = -1.0
-    same(recording, read_recording(columns()))
+    assert_same(recording, read_recording(columns()))
 
 
 def test_the_sum_is_of_the_columns_with_their_headers():
@@ -539,7 +541,7 @@ def test_an_observed_channel_may_be_missing_in_some_rows_of_a_recording():
 def test_a_rig_reads_every_kind_of_table(kind):
     rig = parse_rig(RIG)
     convert, options = SOURCES[kind]
-    same(rig.read(convert(columns()), **options), rig.read(columns()))
+    assert_same(rig.read(convert(columns()), **options), rig.read(columns()))
     table = columns()
     del table["current [A]"]
     with pytest.raises(InputError, match="the channel current is missing"):
@@ -562,7 +564,7 @@ def test_recordings_from_memory_and_files_get_distinct_names(tmp_path):
         ("long 2", "holdout"),
     ]
     [(recording, _)] = read_train_and_holdout(rig, frame)
-    same(recording, rig.read(frame))
+    assert_same(recording, rig.read(frame))
 
 
 def test_faults_of_several_tables_are_distinguished():
@@ -613,7 +615,7 @@ def test_a_table_of_pandas_and_back_is_the_same(values, step, has_clock):
         "time": ChannelMap("time [ms]", any_scale=True),
     }
     again = read_recording(table, mapping=mapping, clock=has_clock)
-    same(again, recording)
+    assert_same(again, recording)
     assert read_recording(again.to_pandas(), mapping=mapping, clock=has_clock).sha256 == again.sha256
 
 
