@@ -18,7 +18,8 @@ class ProgressEvent(NamedTuple):
     """One report of long work to its callback.
 
     A callback that raises ``StopIteration`` stops the work: with the best result so far where ``can_stop`` is set, else
-    with ``Cancelled``.
+    with ``Cancelled``. One that raises ``KeyboardInterrupt`` does the same, but is not replaced by ``Cancelled``. What
+    a callback returns is ignored, and so is a request to stop when the work has its result already.
 
     Attributes:
         text: What is being done, in words.
@@ -95,8 +96,8 @@ class Reporter:
             can_stop: Whether the work can stop in this phase with the best result so far.
 
         Raises:
-            KeyboardInterrupt: If the callback asks to stop where the work can.
-            Cancelled: If it asks to stop where there is no result.
+            KeyboardInterrupt: If the callback asks to stop where the work can, or raised it itself.
+            Cancelled: If it asks to stop by ``StopIteration`` where there is no result.
         """
         self._report(ProgressEvent(text, can_stop=can_stop))
 
@@ -116,7 +117,7 @@ class Reporter:
         Args:
             text: What is being done.
         """
-        with contextlib.suppress(Cancelled):
+        with contextlib.suppress(Cancelled, KeyboardInterrupt):
             self._report(ProgressEvent(text))
 
     def _report(self, event: ProgressEvent) -> None:

@@ -25,7 +25,7 @@ def compare_models(
     recordings: Sequence[Recording],
     *,
     seed: int,
-    progress: Callable[[str], None] = lambda model: None,
+    progress: Callable[[str], object] = lambda model: None,
 ) -> list[ModelResult]:
     """Fit each model to the training recording and predict the first observed channel of the holdout.
 

@@ -79,7 +79,7 @@ _MIN_CHI2_TO_GO_ON = 1.02
 # Message of ``Cancelled``.
 _CANCELLED = "the diagnosis was stopped before the first effect was accepted"
 
-Report = Callable[[str], None]
+Report = Callable[[str], object]
 
 
 def select_effects(

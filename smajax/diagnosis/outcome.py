@@ -40,7 +40,7 @@ def diagnose(
     *,
     seed: int = 0,
     known_noise: Mapping[str, float] = MappingProxyType({}),
-    report_progress: Callable[[str], None] = lambda text: None,
+    report_progress: Callable[[str], object] = lambda text: None,
 ) -> Diagnosis:
     """Find the effects that a rig lacks, classify the outcome, and propose the next experiment.
 
@@ -88,7 +88,7 @@ def diagnose(
     return summarise(evaluator, state, before, after, conclusion)
 
 
-def _continuation(state: SelectionState, report_progress: Callable[[str], None]) -> Callable[[str], bool]:
+def _continuation(state: SelectionState, report_progress: Callable[[str], object]) -> Callable[[str], bool]:
     """A function that reports progress and returns whether the diagnosis goes on."""
     report = stoppable(report_progress)
 

@@ -51,7 +51,7 @@ def fit(
     step: float | None = None,
     max_steps: int = 100,
     solver: Solver | None = None,
-    progress: Callable[[int, float], None] = lambda step, cost: None,
+    progress: Callable[[int, float], object] = lambda step, cost: None,
 ) -> FitResult:
     """Fit a plant's free parameters to recordings by bounded least squares from several starts.
 
@@ -126,7 +126,7 @@ def _search(
     recordings: int,
     max_steps: int,
     solver: Solver | None,
-    progress: Callable[[int, float], None],
+    progress: Callable[[int, float], object],
     began: float,
 ) -> _Search:
     """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s."""

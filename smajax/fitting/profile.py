@@ -32,7 +32,7 @@ def profile_likelihood(
     *,
     points: int = 9,
     width: float = 3.0,
-    progress: Callable[[int, float], None] = lambda step, cost: None,
+    progress: Callable[[int, float], object] = lambda step, cost: None,
 ) -> dict[str, Any]:
     """Compute the best cost with one parameter held at several values.
 

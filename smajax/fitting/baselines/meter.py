@@ -19,7 +19,7 @@ UNUSABLE_COST = 1e30
 
 EndReason = Literal["settled", "target", "budget", "interrupted"]
 # Called with the number of calls of the compiled program and the best cost so far.
-Progress = Callable[[int, float], None]
+Progress = Callable[[int, float], object]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -182,7 +182,7 @@ def fit_io_model(
     starts: int = 8,
     seed: int = 0,
     max_steps: int = 150,
-    progress: Callable[[int, float], None] = lambda step, cost: None,
+    progress: Callable[[int, float], object] = lambda step, cost: None,
 ) -> IOModelFit:
     """Fit an input-output model to series by least squares from several starts.
 
@@ -219,7 +219,7 @@ class _StopRequest:
         is_set: Whether the fit is to be stopped.
     """
 
-    def __init__(self, progress: Callable[[int, float], None]):
+    def __init__(self, progress: Callable[[int, float], object]):
         self._progress, self.is_set = stoppable(progress), False
 
     def __call__(self, step: int, cost: float) -> None:

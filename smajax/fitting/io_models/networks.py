@@ -133,7 +133,7 @@ def fit_network(
     starts: int,
     seed: int,
     max_steps: int,
-    progress: Callable[[int, float], None] = lambda step, cost: None,
+    progress: Callable[[int, float], object] = lambda step, cost: None,
 ) -> NetworkFit:
     """Fit a network under weaker and weaker ridges, and choose the ridge by cross-validation.
 
@@ -198,7 +198,7 @@ def _fit_ridges(
     starts: int,
     seed: int,
     max_steps: int,
-    progress: Callable[[int, float], None],
+    progress: Callable[[int, float], object],
 ) -> _RidgePath:
     """Fit the problem and its folds under each ridge, from the strongest to the weakest."""
     (lower, upper), rng = problem.bounds, np.random.default_rng(seed)

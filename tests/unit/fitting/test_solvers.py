@@ -159,6 +159,14 @@ def test_a_search_that_is_stopped_keeps_its_best_point(search, signal):
     assert result.costs[0] == pytest.approx(cost, rel=1e-12)
 
 
+@pytest.mark.parametrize("search", [MultiStartSolver, OptimistixSearch])
+def test_what_a_callback_returns_does_not_stop_a_search(search):
+    solver, inf = (SOLVERS[0],) if search is OptimistixSearch else (), np.full(2, np.inf)
+    begun = search(*solver, rosenbrock, 10.0, np.array([[-1.2, 1.0]]), -inf, inf, size=2)
+    result = begun.advance(3, lambda step, cost: True).result()
+    assert result.steps == 3 and result.statuses == [SolverStatus.steps]
+
+
 @pytest.mark.parametrize(
     ("search", "method"), [(MultiStartSolver, "_count_running"), (OptimistixSearch, "_advance_one")]
 )
