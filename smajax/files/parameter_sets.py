@@ -126,8 +126,8 @@ def load_material(name: str | Path, model: str = "brinson", **values: float) -> 
     declared = declarations(law)
     for key in values.keys() - declared.keys():
         raise InputError(f"{model} has no parameter '{key}'{suggestion(key, declared)}: correct or remove it")
-    of_set: dict[str, Any] = {key: entries[n].value for key in declared if (n := f"material.{key}") in entries}
-    arguments = of_set | values
+    of_set = {key: entries[n].value for key in declared if (n := f"material.{key}") in entries}
+    arguments: dict[str, Any] = {**of_set, **values}
     missing = [key for key, declaration in declared.items() if declaration.default is None and key not in arguments]
     if missing:
         problem = f"parameter set {name} has no {', '.join(missing)}"
