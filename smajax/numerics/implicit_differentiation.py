@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.dense import solve_dense
+from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 
 
 def jvp(function: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
@@ -52,3 +53,32 @@ def implicit_jvp(
     residual, state = jvp(lambda *primals: step_residual(end, *primals), primals, tangents)
     change = solve_dense(jacobian, residual)
     return state - sum(state_per_unknown[:, i] * change[i] for i in range(len(end)))
+
+
+@eqx.filter_custom_jvp
+def implicit_root(residual: Callable[..., Any], search: Callable[..., Any], arguments: tuple[Any, ...], name: str) -> Float[Array, " unknowns"]:
+    """Search for a root z of ``residual(z, *arguments)``; differentiable once in the arguments, in both modes.
+
+    The search is not differentiated: dz = -(dr/dz)^-1 (dr/dp) dp, with p the arguments.
+
+    Args:
+        residual: Function of the root, shape ``(unknowns,)``, and of the arguments; it must not capture traced values.
+        search: Function of the arguments that returns the root; it must not capture traced values.
+        arguments: Pytrees.
+        name: Name of the function for the message of a second derivative.
+
+    Returns:
+        The root.
+
+    Raises:
+        DerivativeError: When a second derivative is taken.
+    """
+    return search(*arguments)
+
+
+@implicit_root.def_jvp
+def _implicit_root_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, ...]:
+    residual, search, arguments, name = primals
+    arguments = nondifferentiable(arguments, first_order_only(name))
+    root = search(*arguments)
+    return root, implicit_jvp(lambda z, *p: (residual(z, *p), z), root, arguments, tangents[2])

@@ -202,8 +202,9 @@ def simulate(
         step: Longest step in s for a recording; ``default_step`` if not given.
         solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
             adaptive step size, in place of the implicit step: a second opinion. Not every plant has one.
-        adjoint: With ``solver``: how diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint`` (reverse mode) if
-            not given.
+        adjoint: With ``solver``: how diffrax differentiates, ``diffrax.RecursiveCheckpointAdjoint()`` if not given.
+            It has reverse mode only, and ``diffrax.ForwardMode()`` forward mode only; ``diffrax.DirectAdjoint()``,
+            which is compiled more slowly, has both.
         throw: Whether to raise if the simulation fails. Under ``jax.jit`` or ``jax.vmap`` nothing is raised, so that
             programs can be cached: look at ``status``.
 
@@ -214,7 +215,7 @@ def simulate(
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
         InputError: If something is of single precision, the recording lacks a channel, the grid would depend on a
             traced plant, an option does not apply, or the plant has no vector field for ``solver``.
-        DerivativeError: When a second derivative is taken.
+        DerivativeError: When a second derivative is taken, or one in reverse mode with ``diffrax.ForwardMode()``.
     """
     name = "simulate"
     if isinstance(inputs, Recording):

@@ -23,6 +23,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics import newton
+from smajax.numerics.derivative_order import forward_mode_only
+from smajax.numerics.implicit_differentiation import implicit_root
 from smajax.plant.effects.base import MechanismEffect, WireState
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.materials.base import Fractions
@@ -37,9 +39,10 @@ from smajax.simulation.time_stepping import simulation_status
 # is that at its start (relative difference 1e-6 with a time constant of 1 s).
 _INCREMENT = 1e-6
 # Newton steps for the unknowns of the mechanism at given fractions. Their equation is piecewise linear, nearly, and the
-# first guess is the integrated unknown; two steps reach rounding, the third makes higher derivatives exact.
+# first guess is the integrated unknown.
 _BALANCE_STEPS = 3
-# Newton steps after the search for the rates: the first one has exact first derivatives, the second one higher ones.
+# Newton steps after the search for the rates. With a step less of each, temperatures of a testing machine change by up
+# to 1e-5 K, which is above the tolerances below.
 _RATE_STEPS = 2
 # Relative tolerance of the step size control, and the absolute ones of temperature (K), fraction, and unknown (Pa);
 # tests/unit/simulation/test_vector_field.py holds the resulting difference to the implicit step.
@@ -47,6 +50,11 @@ _RELATIVE_TOLERANCE = 1e-7
 _ABSOLUTE_TOLERANCE = 1e-7
 # Largest mean number of diffrax steps per sample. Chosen by trial, far above what the tests need.
 _STEPS_PER_SAMPLE = 256
+
+_FORWARD_MODE = (
+    "simulate: adjoint ForwardMode has no derivatives in reverse mode: use jax.jvp or jax.jacfwd, or give "
+    "diffrax.RecursiveCheckpointAdjoint()"
+)
 
 
 class Differential(NamedTuple):
@@ -102,9 +110,20 @@ def check_vector_field(plant: Plant) -> None:
             )
 
 
-def plant_term() -> dfx.ODETerm[Any]:
-    """Return the plant's vector field as a diffrax term; its ``args`` are ``FieldArguments``."""
-    return dfx.ODETerm(rates)
+def check_adjoint(adjoint: dfx.AbstractAdjoint | None) -> None:
+    """Check that an adjoint of diffrax can differentiate states at many samples of an input that jumps.
+
+    Args:
+        adjoint: The adjoint; ``None`` for the default one.
+
+    Raises:
+        InputError: If it cannot.
+    """
+    if isinstance(adjoint, dfx.ImplicitAdjoint | dfx.BacksolveAdjoint):
+        raise InputError(
+            f"simulate: adjoint {type(adjoint).__name__} needs a steady state or an input without jumps: give "
+            "diffrax.RecursiveCheckpointAdjoint() for reverse mode, or diffrax.ForwardMode() for forward mode"
+        )
 
 
 def initial_variables(plant: Plant, signal: Float[Array, " signals"]) -> tuple[Differential, Any]:
@@ -128,28 +147,52 @@ def state_of(variables: Differential, signal: Float[Array, " signals"], plant: P
         plant: The plant.
         motion: State of the mechanism.
     """
-    prescribed, context, mechanism = plant._prescribed_channels(signal), plant._mechanism_context(), plant.mechanism
-    temperature = variables.temperature
-    if isinstance(plant.heat, PrescribedTemperature):
-        temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
-
-    def state_with(unknown: jax.Array) -> State:
-        stress = mechanism.stress(unknown, prescribed, context)
-        return State(temperature, variables.fractions, stress, unknown, motion, variables.memory)
-
-    def balance(unknown: jax.Array) -> jax.Array:
-        state = state_with(unknown)
-        strain = plant._strain(plant._wire_state(state), state.memory)
-        return mechanism.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
-
-    unknown = variables.unknown * context.modulus
-    if mechanism.unknowns:
-        unknown = newton.polish(balance, unknown, _BALANCE_STEPS)
-    state = state_with(unknown)
+    fixed = (plant, variables, signal, motion)
+    unknown = variables.unknown * plant._mechanism_context().modulus
+    if plant.mechanism.unknowns:
+        unknown = implicit_root(_balance_residual, _solve_balance, fixed, "simulate")
+    state = _state_with(unknown, *fixed)
     if not plant.all_effects:
         return state
     strain = plant._strain(plant._wire_state(state), state.memory)
-    return state._replace(memory=state.memory | {"contraction": mechanism.contraction(strain)})
+    return state._replace(memory=state.memory | {"contraction": plant.mechanism.contraction(strain)})
+
+
+def _state_with(
+    unknown: Float[Array, " unknowns"],
+    plant: Plant,
+    variables: Differential,
+    signal: Float[Array, " signals"],
+    motion: Any,
+) -> State:
+    """The state of the plant with given unknowns of the mechanism in Pa."""
+    prescribed, temperature = plant._prescribed_channels(signal), variables.temperature
+    if isinstance(plant.heat, PrescribedTemperature):
+        temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
+    stress = plant.mechanism.stress(unknown, prescribed, plant._mechanism_context())
+    return State(temperature, variables.fractions, stress, unknown, motion, variables.memory)
+
+
+def _balance_residual(
+    unknown: Float[Array, " unknowns"],
+    plant: Plant,
+    variables: Differential,
+    signal: Float[Array, " signals"],
+    motion: Any,
+) -> Float[Array, " unknowns"]:
+    """Residual of the mechanism's balance in Pa."""
+    state = _state_with(unknown, plant, variables, signal, motion)
+    strain = plant._strain(plant._wire_state(state), state.memory)
+    prescribed, context = plant._prescribed_channels(signal), plant._mechanism_context()
+    return plant.mechanism.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
+
+
+def _solve_balance(
+    plant: Plant, variables: Differential, signal: Float[Array, " signals"], motion: Any
+) -> Float[Array, " unknowns"]:
+    """Unknowns of the mechanism at given fractions, Pa."""
+    guess = variables.unknown * plant._mechanism_context().modulus
+    return newton.polish(lambda z: _balance_residual(z, plant, variables, signal, motion), guess, _BALANCE_STEPS)
 
 
 def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
@@ -168,14 +211,28 @@ def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
     state = plant._begin_step(state_of(y, signal, plant, motion), jnp.asarray(_INCREMENT))
     net_heat = plant._net_heat(plant._wire_state(state), state.memory, signal)
     problem = (plant, state, net_heat, signal, slope)
-    guess = jnp.concatenate([jnp.zeros_like(state.temperature), jnp.zeros_like(state.unknown)])
-    # The search is not differentiated; the Newton steps after it are.
-    fixed = jax.lax.stop_gradient(problem)
-    rate, failed = newton.solve(lambda z: _rate_residual(z, *fixed)[0], guess, plant.mechanism.wires)
-    rate = newton.polish(lambda z: _rate_residual(z, *problem)[0], jnp.where(failed, jnp.nan, rate), _RATE_STEPS)
+    rate = implicit_root(_rate_balance, _solve_rates, problem, "simulate")
     end = _rate_residual(rate, *problem)[1]
     wires, modulus = plant.mechanism.wires, plant._mechanism_context().modulus
     return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.memory)
+
+
+def _solve_rates(plant: Plant, state: State, *terms: jax.Array) -> Float[Array, " unknowns"]:
+    """Rates of temperatures and unknowns, in K/s and Pa/s; NaN if the search failed."""
+    guess = jnp.concatenate([jnp.zeros_like(state.temperature), jnp.zeros_like(state.unknown)])
+
+    def residual(rate: jax.Array) -> jax.Array:
+        return _rate_balance(rate, plant, state, *terms)
+
+    rate, failed = newton.solve(residual, guess, plant.mechanism.wires)
+    return newton.polish(residual, jnp.where(failed, jnp.nan, rate), _RATE_STEPS)
+
+
+def _rate_balance(
+    rate: Float[Array, " unknowns"], plant: Plant, state: State, *terms: jax.Array
+) -> Float[Array, " unknowns"]:
+    """The residual of ``_rate_residual`` alone."""
+    return _rate_residual(rate, plant, state, *terms)[0]
 
 
 def _rate_residual(
@@ -251,23 +308,25 @@ def integrate_vector_field(
         inputs: Its inputs on a grid, of which only the samples matter: the solver steps to each of them, since a held
             input jumps there.
         solver: The diffrax solver, such as ``diffrax.Tsit5()`` or ``diffrax.Kvaerno5()``.
-        adjoint: How diffrax differentiates; ``diffrax.RecursiveCheckpointAdjoint()`` if not given.
+        adjoint: How diffrax differentiates: ``diffrax.RecursiveCheckpointAdjoint()`` (the default, in reverse mode),
+            ``diffrax.ForwardMode()``, or ``diffrax.DirectAdjoint()`` (in both modes; it is compiled more slowly).
 
     Returns:
         States at the samples, each leaf with a leading axis of ``samples``, and the status code.
 
     Raises:
-        InputError: If the plant has no vector field.
+        InputError: If the plant has no vector field, or the adjoint does not apply.
+        DerivativeError: When a second derivative is taken, or one in reverse mode with ``ForwardMode``.
     """
     check_vector_field(plant)
+    check_adjoint(adjoint)
     controller = dfx.PIDController(rtol=_RELATIVE_TOLERANCE, atol=_ABSOLUTE_TOLERANCE)
     samples = inputs.time[inputs.sample_indices]
     variables, motion = initial_variables(plant, inputs.sample_signals[0])
     first, structure = jax.tree.flatten(variables)  # diffrax takes no empty nodes
-    term = plant_term()
 
     def flat_rates(t: Any, y: list[Any], arguments: FieldArguments) -> list[Any]:
-        return jax.tree.leaves(term.vf(t, jax.tree.unflatten(structure, y), arguments))
+        return jax.tree.leaves(rates(t, jax.tree.unflatten(structure, y), arguments))
 
     solution = dfx.diffeqsolve(
         dfx.ODETerm(flat_rates),
@@ -284,6 +343,8 @@ def integrate_vector_field(
         throw=False,
     )
     later = jax.tree.unflatten(structure, cast(list, solution.ys))
+    if isinstance(adjoint, dfx.ForwardMode):
+        later = forward_mode_only(later, _FORWARD_MODE)
     states = jax.vmap(lambda y, signal: state_of(y, signal, plant, motion))(later, inputs.sample_signals)
     return states, _status(states, dfx.is_okay(solution.result))
 

@@ -4,19 +4,22 @@ import dataclasses
 
 import diffrax as dfx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from smajax import parameters
-from smajax.errors import InputError
+from smajax.errors import DerivativeError, InputError
 from smajax.files.rig_file import parse_rig, read_rig
 from smajax.plant.effects import Quantisation
 from smajax.plant.materials import Lagoudas
+from smajax.plant.materials.base import Fractions
 from smajax.plant.mechanisms import AbstractMechanism, DeadWeight, Load
+from smajax.plant.wire import Initial
 from smajax.recordings.datasets import data_path
 from smajax.simulation.inputs import discretise
 from smajax.simulation.run import simulate
-from smajax.simulation.vector_field import check_vector_field
+from smajax.simulation.vector_field import FieldArguments, check_vector_field, initial_variables, rates
 from tests.support import plants
 
 # K. Bound on the difference of the implicit step at the finest grid; chosen by trial.
@@ -37,18 +40,91 @@ def test_the_implicit_step_converges_to_the_differential_equation(kind):
     assert np.ptp(np.asarray(exact.state.fractions.martensite)) > 0.1
 
 
-def test_the_differential_equation_has_its_derivative():
+@pytest.mark.parametrize(("current", "temperature"), [(0.15, None), (0.27, 84.0)])
+def test_the_implicit_step_has_order_four_away_from_the_ends_of_a_transformation(current, temperature):
+    """Without a transformation, and within one whose start was before the first sample."""
+    plant = plants.dead_weight()
+    if temperature is not None:
+        stress, one = plant.mechanism._load_stress(plant._mechanism_context()), jnp.ones(1)
+        at_start = plant.material.evolve(Fractions(one, 0.0 * one), (20.0 * one, temperature * one), (stress, stress))
+        initial = Initial(temperature, at_start.detwinned[0], at_start.twinned[0])
+        plant = dataclasses.replace(plant, initial=initial)
+    recording = plants.recording({"current": np.full(4, current)}, 0.5 * np.arange(4))
+    exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5())
+    martensite = np.asarray(exact.state.fractions.martensite)[:, 0]
+    assert np.ptp(martensite) > 0.5 if temperature else np.ptp(martensite) < 1e-12
+    errors = []
+    for step in (0.5, 0.25):
+        result = simulate(plant, discretise(plant, recording, step=step))
+        errors.append(float(np.max(np.abs(result.channels["temperature"] - exact.channels["temperature"]))))
+    assert 3.5 < np.log2(errors[0] / errors[1]) < 4.5, errors
+
+
+@pytest.fixture(scope="module")
+def last_temperature():
+    """The temperature at the last of a few samples as a function of the convection coefficient."""
     plant, recording = plants.dead_weight(), plants.inputs("dead_weight", 12, 0.15)
     inputs = discretise(plant, recording)
 
-    def last_temperature(h0):
-        heated = parameters.replace(plant, {"heat.h0": h0})
-        result = simulate(heated, inputs, solver=dfx.Tsit5(), adjoint=dfx.ForwardMode())
+    def function(h0, **options):
+        grid = inputs if options else discretise(plant, recording, step=0.01)
+        result = simulate(parameters.replace(plant, {"heat.h0": h0}), grid, **options)
         return result.channels["temperature"][-1]
 
-    numeric = float(last_temperature(101.0) - last_temperature(99.0)) / 2.0
+    return function
+
+
+@pytest.fixture(scope="module")
+def numeric(last_temperature):
+    """Its derivative by finite differences."""
+    ends = [float(last_temperature(h0, solver=dfx.Tsit5())) for h0 in (100.1, 99.9)]
+    return (ends[0] - ends[1]) / 0.2
+
+
+@pytest.mark.parametrize("adjoint", [None, dfx.ForwardMode()])
+def test_the_differential_equation_has_its_derivative(adjoint, last_temperature, numeric):
     assert abs(numeric) > 1e-3
-    assert float(jax.jacfwd(last_temperature)(100.0)) == pytest.approx(numeric, rel=1e-3)
+    options = {"solver": dfx.Tsit5(), "adjoint": adjoint}
+    program = (jax.jacfwd if adjoint else jax.grad)(lambda h0: last_temperature(h0, **options))
+    assert float(program(100.0)) == pytest.approx(numeric, rel=1e-4)
+    if adjoint is None:
+        assert float(jax.grad(last_temperature)(100.0)) == pytest.approx(numeric, rel=1e-3)  # of the implicit step
+
+
+@pytest.mark.parametrize(
+    ("adjoint", "sentence"),
+    [
+        (dfx.ForwardMode(), "adjoint ForwardMode has no derivatives in reverse mode: use jax.jvp or jax.jacfwd, or"),
+        (dfx.ImplicitAdjoint(), "adjoint ImplicitAdjoint needs a steady state or an input without jumps: give diffrax"),
+        (dfx.BacksolveAdjoint(), "adjoint BacksolveAdjoint needs a steady state or an input without jumps: give"),
+    ],
+)
+def test_an_adjoint_without_reverse_mode_is_refused(adjoint, sentence, last_temperature):
+    with pytest.raises(InputError, match=f"^simulate: {sentence}"):
+        jax.grad(lambda h0: last_temperature(h0, solver=dfx.Tsit5(), adjoint=adjoint))(100.0)
+
+
+def test_the_rates_have_first_derivatives_in_both_modes():
+    plant, recording = plants.bias_spring(), plants.inputs("bias_spring", 12, 0.15)
+    inputs = discretise(plant, recording)
+    variables, motion = initial_variables(plant, inputs.sample_signals[0])
+    variables = variables._replace(temperature=variables.temperature + 66.0)
+
+    def temperature_rate(h0, start):
+        heated = parameters.replace(plant, {"heat.h0": h0})
+        moved = variables._replace(temperature=variables.temperature + start)
+        return rates(0.1, moved, FieldArguments(heated, inputs, motion)).temperature[0]
+
+    forward, reverse = (jax.jit(mode(temperature_rate, (0, 1)))(100.0, 0.0) for mode in (jax.jacfwd, jax.grad))
+    numeric = [
+        (temperature_rate(100.0 + 0.01 * k, 1e-4 * (1 - k)) - temperature_rate(100.0 - 0.01 * k, 1e-4 * (k - 1)))
+        / (0.02 if k else 2e-4)
+        for k in (1, 0)
+    ]
+    np.testing.assert_allclose(forward, numeric, rtol=1e-5)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-12)
+    with pytest.raises(DerivativeError, match="simulate has derivatives of first order only"):
+        jax.grad(jax.grad(temperature_rate))(100.0, 0.0)
 
 
 def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
