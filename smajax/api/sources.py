@@ -12,16 +12,16 @@ from smajax.files.rig_file import Rig, parse_rig, read_rig
 from smajax.files.warm_start import warm_start_plant
 from smajax.recordings.sources import as_source_list
 
-# What a rig is given by: the rig, its file, or a dictionary with the sections of one.
+# A rig, the path of its file, or a dictionary with the sections of a rig file.
 RigSource: TypeAlias = Rig | str | Path | Mapping[str, Any]
 
 
 def as_rig(rig: RigSource, **options: bool) -> Rig:
-    """Return a rig, read from its file or from a dictionary where one is given.
+    """Return a rig; one that is given as a file or a dictionary is read first.
 
     Args:
-        rig: The rig, its file, or a dictionary with the sections of one.
-        **options: Options of ``read_rig``.
+        rig: The rig, the path of its file, or a dictionary with the sections of a rig file.
+        **options: Options of ``read_rig``; they have no effect on a rig that was read before.
 
     Raises:
         InputError: If the file is missing or invalid.
@@ -30,7 +30,7 @@ def as_rig(rig: RigSource, **options: bool) -> Rig:
 
 
 def rig_text(rig: Rig) -> str:
-    """Return the text of a rig file: the text that the rig was read from, unless the rig was changed since.
+    """Return a rig as the text of a file: the text that it was read from, or a new one if it was changed since.
 
     Args:
         rig: The rig.

@@ -48,10 +48,10 @@ _PANEL_PIXELS = 58
 _GAP_PIXELS = 24
 # Height of the title, the legend and the time axis, in pixels.
 _FRAME_PIXELS = 144
-# Margin above a figure for the legend, and height of the title, in pixels.
+# Margin above the panels, which has the legend, and height of the title above it, in pixels.
 _TOP_PIXELS = 58
 _TITLE_PIXELS = 26
-# Weight of a panel below which its axis title has two small lines.
+# A panel of a smaller weight has its axis title in two lines of small print.
 _LOW_PANEL = 3.0
 
 

@@ -61,19 +61,23 @@ def integrate(
 def _scan_blocks(
     advance: Callable[..., Any], start: tuple[Any, ...], rows: tuple[Any, ...], output: Any, end_index: Int[Array, ""]
 ) -> tuple[tuple[Any, ...], Any]:
-    """Scan in blocks of steps up to the one that holds ``end_index``; the outputs after it are infinite."""
-    last, count = rows[1][-1], rows[1].shape[0]
-    fillings = last, last, last, jnp.zeros(())
-    blocked = [in_blocks(row, filling) for row, filling in zip(rows, fillings, strict=True)]
+    """Scan in blocks of steps up to the one that holds ``end_index``; the outputs after it are infinite.
+
+    ``output`` is an output at one grid point, which gives the shapes.
+    """
+    last_signal, count = rows[1][-1], rows[1].shape[0]
+    # The last block is filled up with steps of zero duration.
+    paddings = last_signal, last_signal, last_signal, jnp.zeros(())
+    blocks = [in_blocks(row, padding) for row, padding in zip(rows, paddings, strict=True)]
 
     def scan_block(k: jax.Array, carry: tuple[Any, ...]) -> tuple[Any, ...]:
         carry, outputs = carry
-        carry, block = jax.lax.scan(advance, carry, tuple(row[k] for row in blocked))
+        carry, block_outputs = jax.lax.scan(advance, carry, tuple(block[k] for block in blocks))
         update = jax.lax.dynamic_update_slice_in_dim
-        return carry, jax.tree.map(lambda all_, part: update(all_, part, k * BLOCK, axis=0), outputs, block)
+        return carry, jax.tree.map(lambda whole, part: update(whole, part, k * BLOCK, axis=0), outputs, block_outputs)
 
-    rows_in_all = blocked[0].shape[0] * BLOCK
-    empty = jax.tree.map(lambda leaf: jnp.full((rows_in_all, *leaf.shape), jnp.inf, leaf.dtype), output)
+    padded_count = blocks[0].shape[0] * BLOCK
+    empty = jax.tree.map(lambda leaf: jnp.full((padded_count, *leaf.shape), jnp.inf, leaf.dtype), output)
     carry, outputs = jax.lax.fori_loop(0, block_count(end_index), scan_block, (start, empty))
     return carry, jax.tree.map(lambda leaf: leaf[:count], outputs)
 

@@ -9,7 +9,7 @@ from smajax.parameters import parameter
 from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
 
 # Stress in Pa to which the strength refers: a usual load of an actuator wire.
-_REFERENCE = 100e6
+_REFERENCE_STRESS = 100e6
 
 
 class ClausiusCurvature(MaterialEffect):
@@ -34,4 +34,4 @@ class ClausiusCurvature(MaterialEffect):
 
     def shift(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Compute the shift of the transformation temperatures, K."""
-        return self.strength * (state.stress / _REFERENCE) ** 2
+        return self.strength * (state.stress / _REFERENCE_STRESS) ** 2

@@ -17,8 +17,9 @@ from smajax.plant.registry import Registry
 
 _PACKAGE = __name__.rpartition(".")[0]
 _STAGE_CLASSES = (DriveEffect, HeatEffect, MaterialEffect, MechanismEffect, SensorEffect)
-# A declared field of this name gets the largest recorded current (``smajax.diagnosis.effect_parameters``).
-_REFERENCE = "reference"
+# A parameter of this name needs no default: it is set to the largest recorded current
+# (``smajax.diagnosis.effect_parameters``).
+_CURRENT_SCALE = "reference"
 
 
 def effects_by_key(classes: Iterable[type[AbstractEffect]]) -> dict[str, type[AbstractEffect]]:
@@ -69,7 +70,7 @@ def effect_problem(name: str, cls: type[AbstractEffect]) -> str:
             "its strength has no declaration: write strength: jax.Array = parameter(UNIT, MEANING, LOWER, UPPER, 0.0)"
         )
     for key, declaration in declared.items():
-        if declaration.default is None and key != _REFERENCE:
+        if declaration.default is None and key != _CURRENT_SCALE:
             return f"its parameter '{key}' has no default: give one as the fifth argument of parameter"
     if not declared["strength"].lower <= 0.0 <= declared["strength"].upper or declared["strength"].default != 0.0:
         return "a strength of 0 has to be possible and its default, since the effect is absent there"

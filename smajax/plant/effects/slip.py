@@ -11,7 +11,7 @@ from smajax.parameters import parameter
 from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 
 # Stress in Pa to which the strength refers: NiTi yields by slip near it.
-_REFERENCE = 1e9
+_REFERENCE_STRESS = 1e9
 # Smallest relative stress, so that its logarithm is finite; at n >= 2 its power is 0 to rounding.
 _SMALLEST = 1e-9
 
@@ -33,7 +33,7 @@ class Slip(MaterialEffect):
 
     def initial_memory(self, state: WireState, context: StageContext) -> Float[Array, " wires"]:
         """Return the highest stress so far as a share of 1 GPa."""
-        return state.stress / _REFERENCE
+        return state.stress / _REFERENCE_STRESS
 
     def update_memory(
         self,
@@ -44,7 +44,7 @@ class Slip(MaterialEffect):
         context: StageContext,
     ) -> Float[Array, " wires"]:
         """Return the highest stress so far as a share of 1 GPa."""
-        return maximum(memory, after.stress / _REFERENCE)
+        return maximum(memory, after.stress / _REFERENCE_STRESS)
 
     def strain(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""

@@ -10,7 +10,7 @@ from smajax.parameters import parameter
 from smajax.plant.effects.base import MaterialEffect, Shapes, StageContext, WireState
 
 # Stress in Pa at which the transformation strain is that of the material law: a usual load of an actuator wire.
-_REFERENCE = 150e6
+_REFERENCE_STRESS = 150e6
 
 
 class StressDependentStrain(MaterialEffect):
@@ -28,5 +28,5 @@ class StressDependentStrain(MaterialEffect):
 
     def strain(self, state: WireState, memory: tuple[Any, ...], context: StageContext) -> Float[Array, " wires"]:
         """Compute the added strain."""
-        ratio = jnp.expm1(-state.stress / self.saturation) / jnp.expm1(-_REFERENCE / self.saturation)
+        ratio = jnp.expm1(-state.stress / self.saturation) / jnp.expm1(-_REFERENCE_STRESS / self.saturation)
         return self.strength * (ratio - 1.0) * context.material.transformation_strain(state.fractions)

@@ -69,7 +69,7 @@ class TendonLimb(AbstractMechanism):
 
     It starts at rest at angle 0, with wires that were stretched to the prestrain and then loaded. The unknown is the
     stress of the wires. The state of the mechanism consists of the strain at angle 0, the strain, the presliding state
-    of the friction, and the angle, its rate and the acceleration of the integration rule.
+    of the friction, and the angle, its rate and the acceleration (``Pulley.step``).
     """
 
     limb: Limb

@@ -145,8 +145,8 @@ class MasslessRotary(AbstractRotary):
 class AbstractInertialRotary(AbstractRotary):
     """Base class of pulleys with inertia, damping, or a moment that acts on them.
 
-    The unknowns are the stresses of the wires, and the angle as an elastic stress in a wire. The motion consists of the
-    angle, its rate, and the acceleration of the integration rule.
+    The unknowns are the stresses of the wires, and the angle as an elastic stress in a wire. The state of the mechanism
+    consists of the angle, its rate and the acceleration (``Pulley.step``).
     """
 
     wires: ClassVar[int] = 2
@@ -198,7 +198,7 @@ class AbstractInertialRotary(AbstractRotary):
         return jnp.append(wires, moments / (self.pulley.radius * context.wire.force_per_stress) - pull)
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
-        """Return zeros: angle, rate, and the rule's acceleration."""
+        """Return zeros: angle, rate and acceleration."""
         return jnp.zeros(()), jnp.zeros(()), jnp.zeros(())
 
     def update_motion(

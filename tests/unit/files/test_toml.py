@@ -1,4 +1,4 @@
-"""Writing of TOML files: values read back unchanged, floats to the last bit, in a readable layout."""
+"""Writing of TOML files: values are unchanged when read again, floats to the last bit, and the layout is readable."""
 
 import math
 import struct

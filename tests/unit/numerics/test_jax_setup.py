@@ -63,7 +63,7 @@ def test_the_best_designs_are_refined_on_the_processor():
 
 
 def python(code, **variables):
-    """Return the output of Python code in a process without settings of JAX in its environment."""
+    """Run Python code in a process whose environment has no settings of JAX, and return its output."""
     ours = ("XLA_FLAGS", "EQX_ON_ERROR", "JAX_ENABLE_X64")
     environment = {k: v for k, v in os.environ.items() if k not in ours} | {"JAX_PLATFORMS": "cpu"} | variables
     done = subprocess.run(
