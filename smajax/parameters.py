@@ -10,6 +10,7 @@ import dataclasses
 import inspect
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any, get_args, get_type_hints
 
@@ -166,7 +167,7 @@ def bounds_error(value: str, declaration: Declaration) -> str:
         declaration: Declaration of the parameter.
     """
     ends = (declaration.lower, declaration.upper)
-    low, high = (as_text(end, declaration.unit) if math.isfinite(end) else "" for end in ends)
+    low, high = (_shown(end, declaration.unit) if math.isfinite(end) else "" for end in ends)
     span = f"from {low} to {high}" if low and high else f"at least {low}" if low else f"at most {high}"
     return f"{value} is not possible for the {declaration.meaning}: give a value {span}"
 
@@ -192,8 +193,14 @@ def check_value(name: str, value: Any, declaration: Declaration) -> None:
     outside = ~((lower <= numbers) & (numbers <= upper))
     if np.any(outside):
         worst = float(numbers[outside].flat[0])
-        shown = as_text(worst, declaration.unit) if math.isfinite(worst) else f"{worst} {declaration.unit}"
-        raise InputError(f"{name}: {bounds_error(shown, declaration)}")
+        raise InputError(f"{name}: {bounds_error(_shown(worst, declaration.unit), declaration)}")
+
+
+def _shown(value: float, unit: str) -> str:
+    """A number with its unit; alone for a gain, whose unit depends on the drive and the channel, as in ``u/y``."""
+    if re.search(r"\b[uy]\b", unit):
+        return f"{value:g}"
+    return as_text(value, unit) if math.isfinite(value) else f"{value} {unit}"
 
 
 def is_concrete(value: Any) -> bool:

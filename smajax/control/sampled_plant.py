@@ -23,6 +23,7 @@ from smajax.control.pulse_width import on_fraction
 from smajax.errors import InputError
 from smajax.laws.transfer_function import TransferFunction
 from smajax.numerics.nonsmooth import maximum
+from smajax.parameters import CheckedModule
 from smajax.plant.implicit_step import differentiable_step, twice_differentiable_step
 from smajax.plant.plant import Plant
 from smajax.simulation.step_size import default_step
@@ -34,14 +35,14 @@ _STEPS_PER_PULSE = 8.0
 _ROUNDING = 1e-9
 
 
-class AbstractSampledSystem(eqx.Module):
+class AbstractSampledSystem(CheckedModule):
     """Base class of the systems that a loop controls, sampled once a period.
 
     Attributes:
         period: Period of the samples, s.
     """
 
-    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+    if TYPE_CHECKING:  # type checkers take abstract variables for constructor arguments
 
         @property
         def period(self) -> float: ...

@@ -19,7 +19,7 @@ class AbstractControllerAroundPID(AbstractController):
         pid: The PID.
     """
 
-    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+    if TYPE_CHECKING:  # type checkers take abstract variables for constructor arguments
 
         @property
         def pid(self) -> PID: ...

@@ -18,14 +18,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.errors import InputError
-from smajax.parameters import declarations
+from smajax.parameters import CheckedModule, declarations
 
 _Controller = TypeVar("_Controller", bound="AbstractController")
 # Fields that are given by rig and sampling, and are neither gains nor options.
 _LIMITS = ("lower", "upper")
 
 
-class AbstractController(eqx.Module):
+class AbstractController(CheckedModule):
     """Base class of the controllers of one channel.
 
     A subclass has the fields ``lower``, ``upper`` and ``period`` (or properties of these names), ``reset`` and
@@ -38,7 +38,7 @@ class AbstractController(eqx.Module):
         period: Period of the samples, s.
     """
 
-    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+    if TYPE_CHECKING:  # type checkers take abstract variables for constructor arguments
 
         @property
         def lower(self) -> jax.Array: ...

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.channels import numbered
+from smajax.parameters import CheckedModule
 
 
-class AbstractTemperatureEstimator(eqx.Module):
+class AbstractTemperatureEstimator(CheckedModule):
     """Base class of the estimators of the wires' temperatures, which a temperature limiter uses.
 
     At each sample ``update`` takes the measured channels, then ``apply_command`` the commands until the next sample.
@@ -20,7 +21,7 @@ class AbstractTemperatureEstimator(eqx.Module):
         period: Period of the samples, s.
     """
 
-    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+    if TYPE_CHECKING:  # type checkers take abstract variables for constructor arguments
 
         @property
         def period(self) -> float: ...

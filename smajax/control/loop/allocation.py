@@ -5,10 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.numerics.nonsmooth import clip, maximum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 
-class Allocation(eqx.Module):
+class Allocation(CheckedModule):
     """Allocation of a command to the wires; a single wire gets it unchanged.
 
     Of an antagonistic pair, the first wire gets the positive part of the command and the second one the negative part.

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from smajax.control.controllers.base import AbstractController
 from smajax.control.loop.closed_loop import ClosedLoop
 from smajax.errors import InputError, suggestion
-from smajax.parameters import Declaration, declarations
+from smajax.parameters import Declaration, check_value, declarations
 
 # Limits of the actuator, which are given by the rig and are not tuned.
 _NOT_TUNED = ("lower", "upper")
@@ -61,9 +61,10 @@ def with_gains(owner: _Owner, values: Mapping[str, Any]) -> _Owner:
         values: New gains by name, scalars in internal units; gains that are not named stay.
 
     Raises:
-        InputError: if there is no gain of that name.
+        InputError: if there is no gain of that name, or a value that is not traced is outside of its bounds.
     """
     for name, value in values.items():
+        check_value(name, value, declarations(_part(owner, name))[name])
         owner = eqx.tree_at(lambda o, n=name: getattr(_part(o, n), n), owner, jnp.asarray(value, jnp.float64))
     return owner
 

@@ -7,8 +7,10 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from smajax.parameters import CheckedModule
 
-class AbstractSensor(eqx.Module):
+
+class AbstractSensor(CheckedModule):
     """Base class of the sensors of one channel.
 
     Apart from its delay, the response of a sensor to the channel is 1, which ``smajax.control.analysis.margins`` uses.
@@ -18,7 +20,7 @@ class AbstractSensor(eqx.Module):
         delay: Delay of the measurement, samples.
     """
 
-    if TYPE_CHECKING:  # a checker of types takes abstract variables for fields of the constructor
+    if TYPE_CHECKING:  # type checkers take abstract variables for constructor arguments
 
         @property
         def noise(self) -> jax.Array: ...

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from smajax.channels import channel_of
 from smajax.control.sensors.sensor_model import SensorModel
 from smajax.numerics.nonsmooth import maximum
-from smajax.parameters import parameter
+from smajax.parameters import CheckedModule, parameter
 
 # Smallest lag, s: it is a divisor, and 0 for an instantaneous thermocouple. With this one, exp(-period / lag) is 0 in
 # double precision for every period above 1 us.
@@ -37,7 +37,7 @@ class InstrumentState(NamedTuple):
     draws: jax.Array
 
 
-class Instruments(eqx.Module):
+class Instruments(CheckedModule):
     """Sensors of a rig, one for each measured channel and wire; channels without a sensor are exact.
 
     The draw of a sample is the noise of the first sensor one sample later, of the second one two samples later, and so

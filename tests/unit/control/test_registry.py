@@ -3,14 +3,16 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from smajax.control.controllers import PID, AbstractController, controller_class, register_controller
 from smajax.control.controllers.adaptive_pid import AdaptivePID
 from smajax.control.estimators import AbstractTemperatureEstimator
+from smajax.control.loop.allocation import Allocation
 from smajax.control.loop.gains import gains, with_gains
 from smajax.control.sampled_plant import AbstractSampledSystem
-from smajax.control.sensors import AbstractSensor
+from smajax.control.sensors import AbstractSensor, Instruments
 from smajax.errors import InputError
 from smajax.parameters import parameter
 from tests.unit.control.test_control import pid
@@ -58,14 +60,54 @@ def test_what_cannot_be_registered(name, cls, sentence):
         register_controller(name, cls)
 
 
-@pytest.mark.parametrize("base", [AbstractTemperatureEstimator, AbstractSampledSystem, AbstractSensor])
-def test_an_incomplete_subclass_says_what_is_missing(base):
+@pytest.mark.parametrize(
+    ("base", "sentence"),
+    [
+        (
+            AbstractController,
+            "the methods 'reset' (return the state of a controller whose .*), 'step' (take one sample)",
+        ),
+        (
+            AbstractTemperatureEstimator,
+            "'apply_command' (.*), 'init' (.*), 'update' (take the measurements of one sample)",
+        ),
+        (
+            AbstractSampledSystem,
+            "'observe' (.*), 'step' (take one period), 'wires' (number of commands), 'with_param.*",
+        ),
+        (AbstractSensor, "the methods 'reset' (return the state of a sensor .*), 'step' (take one sample)"),
+    ],
+)
+def test_an_incomplete_subclass_says_what_is_missing(base, sentence):
     class Incomplete(base):
         def start(self):
             return None
 
-    with pytest.raises(TypeError, match="abstract (class Incomplete.*method|attributes)"):
+    pattern = sentence.replace("(", "[(]").replace(")", "[)]")
+    with pytest.raises(TypeError, match=f"^Incomplete cannot be constructed: define .*{pattern}$"):
         Incomplete()
+
+
+@pytest.mark.parametrize(
+    ("build", "sentence"),
+    [
+        (
+            lambda: PID(kp=-1.0, period=0.1),
+            "PID.kp: -1 is not possible for the proportional gain: give a value at least 0",
+        ),
+        (
+            lambda: with_gains(pid(), {"ki": -2.0}),
+            "ki: -2 is not possible for the integral gain: give a value at least 0",
+        ),
+        (lambda: PID(kp=np.nan, period=0.1), "PID.kp: nan is not possible for the proportional gain"),
+        (lambda: Instruments({}, 0.1, lag=-1.0), "Instruments.lag: -1000 ms is not possible for the time constant"),
+        (lambda: Allocation(jnp.asarray(1.0), -0.1, 2), "Allocation.co_contraction: -0.1 is not possible"),
+        (lambda: Plain(kp=-1.0, period=0.1), "Plain.kp: -1 is not possible"),
+    ],
+)
+def test_numbers_outside_of_their_bounds_are_refused(build, sentence):
+    with pytest.raises(InputError, match=f"^{sentence}"):
+        build()
 
 
 def test_two_gains_of_one_name_are_refused():
