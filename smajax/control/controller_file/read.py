@@ -244,15 +244,24 @@ def _controller(
         if name in section and name not in cls.options():
             owners = " or ".join(f'"{kind}"' for kind, other in file_kinds().items() if name in other.options())
             raise InputError(f"controller.{name} belongs to kind = {owners}: take it out, or change the kind")
-    defaults = {f.name: f.default for f in dataclasses.fields(cls)}
+    fields = {f.name: f for f in dataclasses.fields(cls)}
+    for name in cls.options():
+        if name not in section and name in fields and _is_required(fields[name]):
+            raise InputError(
+                f"controller.{name} is missing: {head.kind} needs a line like {name} = ..., since it has no default"
+            )
     options = {name: section[name] for name in cls.options() if name in section}
     for name, value in options.items():
-        default = defaults.get(name)
+        default = fields[name].default if name in fields else None
         if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
             options[name] = float(value)
         elif isinstance(default, bool | int | float | str) and type(value) is not type(default):
             raise InputError(f"controller.{name} = {show(value)} is not possible: give a value like {show(default)}")
     return cls.with_default_gains(output, period, **options)
+
+
+def _is_required(field: dataclasses.Field) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def _with_gains(loop: ClosedLoop, kind: str, section: Any, units: tuple[str, str]) -> tuple[ClosedLoop, dict[str, str]]:

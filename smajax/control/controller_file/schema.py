@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter
 
 from smajax.control.controllers.registry import controller_class, file_kinds
+from smajax.errors import InputError
 from smajax.files.toml import STRICT, validate
 from smajax.files.validators import one_of
 
@@ -51,10 +52,15 @@ def controller_section(data: Any) -> ControllerSection:
         data: The section.
 
     Raises:
-        InputError: for a wrong or unknown key or value.
+        InputError: for a wrong or unknown key or value, or an own kind whose option has the name of another key.
     """
     kind = data.get("kind", "pid") if isinstance(data, dict) else None
     own = controller_class(kind).options() if isinstance(kind, str) and kind in file_kinds() else ()
+    if taken := [name for name in own if name in ControllerSection.model_fields and name not in OPTIONS]:
+        raise InputError(
+            f"controller.kind = '{kind}': its option '{taken[0]}' has the name of another key of [controller]: rename "
+            f"the field '{taken[0]}' of its class"
+        )
     if isinstance(data, dict):
         data = {name: value for name, value in data.items() if name in OPTIONS or name not in own}
     return validate(ControllerSection, data, "controller")

@@ -15,6 +15,7 @@ import pytest
 
 from smajax.control.controller_file.read import read_controller
 from smajax.control.controllers import AbstractController, register_controller
+from smajax.control.controllers.registry import CONTROLLERS
 from smajax.control.export.c_header import c_header
 from smajax.control.export.files import export_files
 from smajax.control.export.json_document import controller_document
@@ -217,7 +218,10 @@ def test_an_operation_that_c_cannot_do_is_named():
         (("leak = 0.999", 'derivative_on = "value"'), "controller.derivative_on belongs to kind = "),
         (("leak = 0.999", 'leak = "much"'), "controller.leak = 'much' is not possible: give a value like 1.0"),
         (('kind = "dead-band-pi"', 'kind = "dead-band"'), "'dead-band' is not known .did you mean 'dead-band-pi'"),
-        (('kp = "150 A/m"\nki = "60 A/m/s"\n', ""), "holds no gain above 0|starts at 0|names no gain"),
+        (
+            ('kp = "150 A/m"\nki = "60 A/m/s"\n', ""),
+            "tune: kp starts at 0 A/m and is to be tuned between 0 and 0: start above 0",
+        ),
     ],
 )
 def test_a_mistake_in_its_file_is_one_sentence(tmp_path, change, sentence):
@@ -225,3 +229,32 @@ def test_a_mistake_in_its_file_is_one_sentence(tmp_path, change, sentence):
     (tmp_path / "c.toml").write_text(text.replace(*change))
     with pytest.raises(InputError, match=sentence):
         read_controller(tmp_path / "c.toml", read_rig(RIG))
+
+
+class Stepped(DeadBandPI):
+    """PI controller whose option has no default."""
+
+    levels: int = eqx.field(static=True, kw_only=True)
+
+
+class Named(DeadBandPI):
+    """PI controller with an option that has the name of a key."""
+
+    channel: str = eqx.field(static=True, kw_only=True, default="fast")
+
+
+@pytest.mark.parametrize(
+    ("cls", "sentence"),
+    [
+        (Stepped, "controller.levels is missing: own-options needs a line like levels = "),
+        (Named, "'own-options': its option 'channel' has the name of another key of .controller.: rename the field"),
+    ],
+)
+def test_options_that_a_file_cannot_give_are_named(tmp_path, cls, sentence):
+    (tmp_path / "c.toml").write_text(FILE.replace("dead-band-pi", "own-options"))
+    register_controller("own-options", cls)
+    try:
+        with pytest.raises(InputError, match=sentence):
+            read_controller(tmp_path / "c.toml", read_rig(RIG))
+    finally:
+        CONTROLLERS.unregister("own-options")
