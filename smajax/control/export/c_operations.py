@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from smajax.control.export.c_values import CValue
+from smajax.control.export.source_writer import MAX_PRODUCT_POWER, ROUND_TO_EVEN
 
 _INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
 _COMPARISONS = {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
@@ -38,10 +39,6 @@ NOUNS = {
     # A variable with the name of a function would hide it.
     **{name: f"{name}_value" for name in _MATH if name != "pow"},
 }
-# Value of ``rounding_method`` for rounding to even, as ``rint`` does.
-_TO_EVEN = 1
-# Largest integer power that is written as a product: that of the NumPy text.
-_MAX_PRODUCT_POWER = 4
 
 
 def math_functions(kind: str, options: dict[str, Any]) -> tuple[str, ...]:
@@ -51,7 +48,7 @@ def math_functions(kind: str, options: dict[str, Any]) -> tuple[str, ...]:
         kind: Name of the primitive.
         options: Its parameters.
     """
-    if kind == "integer_pow" and not 1 <= options["y"] <= _MAX_PRODUCT_POWER:
+    if kind == "integer_pow" and not 1 <= options["y"] <= MAX_PRODUCT_POWER:
         return ("pow",)
     return {"rsqrt": ("sqrt",), "logistic": ("exp",)}.get(kind, (_MATH[kind],) if kind in _MATH else ())
 
@@ -71,11 +68,11 @@ def elementwise(kind: str, options: dict[str, Any], operands: list[CValue]) -> s
         return f"{{}} {(_INFIX | _COMPARISONS)[kind]} {{}}"
     if first == "int" and kind in _OF_INTEGERS:
         return _OF_INTEGERS[kind]
-    if kind == "round" and int(options["rounding_method"]) != _TO_EVEN:
+    if kind == "round" and int(options["rounding_method"]) != ROUND_TO_EVEN:
         return None
     if kind in ("square", "integer_pow"):
         power = options.get("y", 2)
-        if 1 <= power <= _MAX_PRODUCT_POWER:
+        if 1 <= power <= MAX_PRODUCT_POWER:
             return " * ".join(["{0}"] * power)
         return f"(smajax_real)SMAJAX_POW({{0}}, {power})"
     if kind in _MATH:

@@ -18,7 +18,7 @@ from smajax.control.export.c_operations import NOUNS, elementwise, folded, math_
 from smajax.control.export.c_values import C_TYPES, CValue, Kind, constant_scalar, kind_of_dtype
 from smajax.errors import InputError
 
-# Counter of the loops over the elements of an array, which are never within each other.
+# Counter of the loops over the elements of an array, which are never nested.
 _COUNTER = "i"
 # Operations that only rearrange or repeat the elements of their operand.
 _REARRANGING = ("reshape", "squeeze", "expand_dims", "broadcast_in_dim", "transpose", "slice", "rev", "tile")

@@ -24,7 +24,7 @@ from smajax.laws.prandtl_ishlinskii_inverse import InversePrandtlIshlinskii
 # schema 1.
 SCHEMA = "smajax.controller/2"
 # Constants that are keys of the document itself; those of own controllers are below ``constants``.
-_OWN_KEYS = ("derivative_on", "law", "growth", "leave", "least")
+_TOP_LEVEL_CONSTANTS = ("derivative_on", "law", "growth", "leave", "least")
 
 
 def feedforward_inverse(controller: AbstractController) -> InversePrandtlIshlinskii | None:
@@ -73,10 +73,12 @@ def controller_document(owner: AbstractController | ClosedLoop, units: Mapping[s
         "output": [float(end) for end in controller.limits],
         "blind_s": DROPOUT_TIMEOUT,
         "gains": {name: {"value": float(gain(owner, name)), "unit": units[name]} for name in gains(owner)},
-        **{name: value for name, value in constants.items() if name in _OWN_KEYS},
+        **{name: value for name, value in constants.items() if name in _TOP_LEVEL_CONSTANTS},
         "state": leaf_names(state),
     }
-    others = {name: value for name, value in constants.items() if name not in _OWN_KEYS} | _other_numbers(controller)
+    others = {name: value for name, value in constants.items() if name not in _TOP_LEVEL_CONSTANTS} | _other_numbers(
+        controller
+    )
     if others:
         document["constants"] = others
     if inverse is not None:

@@ -16,6 +16,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 _IDENTITY = ("smajax_nondifferentiable", "stop_gradient", "copy", "copy_p", "optimization_barrier", "name")
 # Parameters of a call that may hold the jaxpr that it calls.
 _INNER = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+# Largest integer power that is written as a product. Chosen by trial; tests/unit/control/test_fmu.py compares results.
+MAX_PRODUCT_POWER = 4
+# Value of ``rounding_method`` for rounding to even.
+ROUND_TO_EVEN = 1
 
 Value = TypeVar("Value")
 

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.extend.core import Literal
 
-from smajax.control.export.source_writer import SourceWriter
+from smajax.control.export.source_writer import MAX_PRODUCT_POWER, ROUND_TO_EVEN, SourceWriter
 from smajax.errors import InputError
 
 HEADER = "import numpy as np\nfrom numpy import inf, nan  # noqa: F401\n"
@@ -65,10 +65,6 @@ _REDUCE = {
 }
 # Operations whose literals are written as Python numbers, next to a NumPy value.
 _TAKES_NUMBERS = (*_INFIX, "max", "min", "clamp")
-# Largest integer power that is written as a product. Chosen by trial; tests/unit/control/test_fmu.py compares results.
-_MAX_PRODUCT_POWER = 4
-# Value of ``rounding_method`` for rounding to even.
-_TO_EVEN = 1
 
 
 def numpy_source(name: str, function: Callable[..., Any], arguments: Mapping[str, Any]) -> str:
@@ -251,7 +247,7 @@ def _elementwise(kind: str, options: dict[str, Any], inputs: list[str], avals: l
         return f"{_REDUCE[kind]}({first}, axis={tuple(options['axes'])})"
     if kind in ("square", "integer_pow"):
         power = options.get("y", 2)
-        return " * ".join([first] * power) if 1 <= power <= _MAX_PRODUCT_POWER else f"{first} ** {power}"
+        return " * ".join([first] * power) if 1 <= power <= MAX_PRODUCT_POWER else f"{first} ** {power}"
     if kind == "select_n":
         if avals[0].dtype != np.bool_:
             return f"np.choose({first}, ({', '.join(inputs[1:])}))"
@@ -267,7 +263,7 @@ def _elementwise(kind: str, options: dict[str, Any], inputs: list[str], avals: l
     if kind == "dot_general" and not any(options["dimension_numbers"][1]):
         left, right = map(tuple, options["dimension_numbers"][0])
         return f"np.tensordot({first}, {inputs[1]}, ({left}, {right}))"
-    if kind == "round" and int(options["rounding_method"]) == _TO_EVEN:
+    if kind == "round" and int(options["rounding_method"]) == ROUND_TO_EVEN:
         return f"np.round({first})"
     return None
 
