@@ -158,11 +158,8 @@ def tune_controller(
     settings, identified = _with_feedforward(settings, timer)
     file_weights = settings.weights
     with timer.part("start", "evaluating the start gains"):
-        reachable = reachable_range(settings.system, settings.loop, settings.scenario, settings.limits)
         _check_channel(rig, settings)
-        unreachable = unreachable_reference(settings, reachable)
-        if unreachable is not None:
-            settings = replace(settings, scenario=clip_reference(settings.scenario, reachable))
+        settings, reachable, unreachable = _within_reach(settings)
         start = evaluate_gains(settings, _start_gains(settings))
     with timer.part("tune", "tuning"):
         problem = _problem(settings, draws, seed)
@@ -176,9 +173,22 @@ def tune_controller(
         with timer.part("tune"):
             result, checks, is_start = _checked_gains(settings, problem, result, checks, draws, seed, progress)
         other_weights, tuned = other_weights and not is_start, evaluate_gains(settings, result.gains)
-    inputs = (rig, settings, file_weights, seed)
-    behaviour = (start, tuned, result.rollouts, checks, reachable, unreachable, other_weights, identified)
-    return ControllerTuning(*inputs, *behaviour, _rmse_of_mean(settings, tuned), timer.timings)
+    return ControllerTuning(
+        rig=rig,
+        settings=settings,
+        file_weights=file_weights,
+        seed=seed,
+        start=start,
+        tuned=tuned,
+        rollouts=result.rollouts,
+        checks=checks,
+        reachable=reachable,
+        unreachable=unreachable,
+        other_weights=other_weights,
+        identified=identified,
+        rmse_of_mean=_rmse_of_mean(settings, tuned),
+        timings=timer.timings,
+    )
 
 
 def draw_parameters(rig: Rig, settings: ControllerFile, seed: int) -> dict[str, Float[np.ndarray, " draws"]]:
@@ -210,13 +220,18 @@ def draw_parameters(rig: Rig, settings: ControllerFile, seed: int) -> dict[str, 
     return draws | draw_from_ranges(robust.vary, count, rng)
 
 
-def unreachable_reference(settings: ControllerFile, reachable: ReachableRange) -> UnreachableReference | None:
-    """Return the reference if the rig cannot follow it; ``None`` if it can.
+def _within_reach(settings: ControllerFile) -> tuple[ControllerFile, ReachableRange, UnreachableReference | None]:
+    """The settings with a reference that the rig can follow, its range, and the reference of the file if it cannot."""
+    reachable = reachable_range(settings.system, settings.loop, settings.scenario, settings.limits)
+    clipped = clip_reference(settings.scenario, reachable)
+    unreachable = _unreachable_reference(settings, reachable, clipped is not settings.scenario)
+    return settings if unreachable is None else replace(settings, scenario=clipped), reachable, unreachable
 
-    Args:
-        settings: The content of a controller file.
-        reachable: Range of the channel that the rig reaches.
-    """
+
+def _unreachable_reference(
+    settings: ControllerFile, reachable: ReachableRange, is_clipped: bool
+) -> UnreachableReference | None:
+    """The reference if the rig cannot follow it; ``None`` if it can. ``is_clipped``: whether it can be clipped."""
     reference = np.asarray(settings.scenario.reference)
     initial = float(settings.scenario.initial_reference)
     tolerance = _REACH_TOLERANCE * max(float(np.ptp(np.append(reference, initial))), _MIN_SPAN)
@@ -230,7 +245,7 @@ def unreachable_reference(settings: ControllerFile, reachable: ReachableRange) -
         limited=any(k in settings.limits for k in ("temperature", "stress", "current"))
         or settings.loop.temperature_limiter is not None,
         stress_at_rest=stress if stress > settings.limits.get("stress", math.inf) else None,
-        clipped=clip_reference(settings.scenario, reachable) is not settings.scenario,
+        clipped=is_clipped,
     )
 
 
