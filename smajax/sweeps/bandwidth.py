@@ -68,6 +68,7 @@ def find_bandwidth(
     scan = start + (jnp.log(highest) - start) * jnp.linspace(0.0, 1.0, FREQUENCIES)
 
     def advance(bracket: _Bracket, k: jax.Array) -> tuple[_Bracket, None]:
+        """Take one frequency of the scan, or one of the bisection."""
         scanning = k < FREQUENCIES
         log_frequency = jnp.where(
             scanning, scan[jnp.minimum(k, FREQUENCIES - 1)], 0.5 * (bracket.low[0] + bracket.high[0])

@@ -113,20 +113,24 @@ def test_mistakes_are_named(plant):
         )
 
 
-def test_a_failed_rollout_raises_or_carries_its_status(sampled):
-    """At 60 A the wire melts."""
-    loop = ClosedLoop(pid(1e6, 0.0, 0.0, low=0.0, high=60.0, dt=PERIOD), channel="displacement")
-    result = rollout(sampled, loop, REFERENCE, throw=False)
-    assert int(result.status) != SimulationStatus.done
-    with pytest.raises(NumericsError, match=SimulationStatus(int(result.status)).hint[:20]):
+@pytest.mark.parametrize(
+    ("current", "status", "sentence"),
+    [
+        (5.0, SimulationStatus.overheated, "rollout: overheated: the wire exceeded 1300 degC, where it melts"),
+        (60.0, SimulationStatus.diverged, "rollout: diverged: the state became NaN or infinite"),
+    ],
+)
+def test_a_failed_rollout_raises_or_carries_its_status(sampled, current, status, sentence):
+    loop = ClosedLoop(pid(1e6, 0.0, 0.0, low=0.0, high=current, dt=PERIOD), channel="displacement")
+    assert int(rollout(sampled, loop, REFERENCE, throw=False).status) == status
+    with pytest.raises(NumericsError, match=f"^{sentence}"):
         rollout(sampled, loop, REFERENCE)
     batch = jax.vmap(
         lambda high: rollout(
             sampled, loop.__class__(loop.controller.with_limits(jnp.zeros(()), high), channel="displacement"), REFERENCE
         )
-    )(jnp.asarray([0.3, 60.0]))
-    assert batch.status.shape == (2,) and int(batch.status[0]) == SimulationStatus.done
-    assert int(batch.status[1]) == int(result.status)
+    )(jnp.asarray([0.3, current]))
+    assert batch.status.tolist() == [SimulationStatus.done, status]
 
 
 def last_position(sampled):

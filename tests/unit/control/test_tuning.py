@@ -931,17 +931,22 @@ def test_a_mistake_in_the_file_is_one_sentence(tmp_path, change):
     assert not (tmp_path / "out").exists()
 
 
-def test_sections_of_a_controller_file(tmp_path):
+@pytest.fixture
+def of(tmp_path):
+    """Reader of the text of a controller file."""
     rig = read_rig(RIG)
+
+    def read(text):
+        (tmp_path / "c.toml").write_text(text)
+        return read_controller(tmp_path / "c.toml", rig)
+
+    return read
+
+
+def test_references_of_a_controller_file(tmp_path, of):
     (tmp_path / "reference.csv").write_text(
         "time [s],displacement [mm]\n" + "\n".join(f"{0.1 * k:.1f},{k % 5}" for k in range(100))
     )
-    path = tmp_path / "c.toml"
-
-    def of(text):
-        path.write_text(text)
-        return read_controller(path, rig)
-
     recorded = of(FILE.replace(STAIRS, 'kind = "recorded"\nfile = "reference.csv"\n'))
     np.testing.assert_allclose(np.asarray(recorded.scenario.reference)[[0, 2, 4, 5]], [0.0, 1e-3, 2e-3, 2.5e-3])
     wave = of(FILE.replace(STAIRS, SINE))
@@ -953,6 +958,13 @@ def test_sections_of_a_controller_file(tmp_path):
         float(step.scenario.initial_reference) == 1e-3
         and int(np.argmax(np.asarray(step.scenario.reference) > 2e-3)) == 40
     )
+    warm = of(FILE.replace("A/m", "A/K").replace('kind = "pid"', 'kind = "pid"\nchannel = "temperature"').replace(
+        STAIRS, STEP.replace('low = "1 mm"\n', "").replace("3 mm", "70 degC")
+    ))  # fmt: skip
+    assert float(warm.scenario.initial_reference) == 20.0  # the temperature at rest
+
+
+def test_changes_of_a_controller_file(of):
     loaded = of(
         FILE
         + '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n[temperature_limiter]\nlimit = "100 degC"\nkp = "0.1 A/K"\n'
@@ -961,20 +973,39 @@ def test_sections_of_a_controller_file(tmp_path):
         loaded.scenario.changes["load.mass"][99:101].tolist() == [0.2, 0.3]
         and float(loaded.loop.temperature_limiter.limit) == 100.0
     )
+    changes = [
+        '[[change]]\nparameter = "load.mass"\nat = "9 s"\nvalue = "100 g"\n',
+        '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n',
+    ]
+    for order in (changes, changes[::-1]):
+        assert of(FILE + "".join(order)).scenario.changes["load.mass"][jnp.asarray([99, 100, 179, 180])].tolist() == [
+            0.2,
+            0.3,
+            0.3,
+            0.1,
+        ]
+
+
+def test_the_observer_of_a_controller_file(of):
     observed = of(
         FILE
         + GUARD
         + '[estimator]\ngain = "0.2 1/s"\n[instruments]\ntemperature = { noise = "0.5 K", delay = "50 ms", lag = "2 s" }\n'
     )
-    eye, meters, own = observed.loop.estimator, observed.loop.instruments, rig.plant.heat
+    eye, meters, plant = observed.loop.estimator, observed.loop.instruments, read_rig(RIG).plant
     assert isinstance(eye, ThermalObserver) and meters is not None and float(meters.lag) == 2.0
     assert float(meters.sensors["temperature"].noise) == 0.5 and meters.sensors["temperature"].delay == 1
     assert (
         float(eye.gain) == 0.2 and float(eye.ambient) == 20.0
     )  # the observer is stationary with the power of the heat loss
-    volume = float(rig.plant.wire.area * rig.plant.wire.length)
-    lost = 4.0 / float(rig.plant.wire.diameter) * float(own.convection(jnp.asarray(90.0))) * 70.0 * volume
+    volume = float(plant.wire.area * plant.wire.length)
+    lost = 4.0 / float(plant.wire.diameter) * float(plant.heat.convection(jnp.asarray(90.0))) * 70.0 * volume
     assert float(eye.step(jnp.asarray(90.0), jnp.asarray(lost))) == pytest.approx(90.0, abs=1e-9)
+    cubic = of(FILE + GUARD + '[estimator]\na1 = "12 K/J"\na2 = "-1e-4 K^-2/s"\nexponent = 3\n').loop.estimator
+    assert [float(v) for v in (cubic.a1, cubic.a2, cubic.exponent)] == [12.0, -1e-4, 3.0]
+
+
+def test_filters_of_a_controller_file(of):
     filtered = of(FILE + GUARD + EXTENDED + 'displacement = { noise = "20 um", delay = "100 ms" }\n').loop
     eye = filtered.estimator
     assert (
@@ -1009,30 +1040,20 @@ def test_sections_of_a_controller_file(tmp_path):
     ):
         with pytest.raises(InputError, match="an ExtendedKalmanFilter cannot be exported yet"):
             write(steered.loop, ("A", "m"), "it")
-    cubic = of(FILE + GUARD + '[estimator]\na1 = "12 K/J"\na2 = "-1e-4 K^-2/s"\nexponent = 3\n').loop.estimator
-    assert [float(v) for v in (cubic.a1, cubic.a2, cubic.exponent)] == [12.0, -1e-4, 3.0]
-    changes = [
-        '[[change]]\nparameter = "load.mass"\nat = "9 s"\nvalue = "100 g"\n',
-        '[[change]]\nparameter = "load.mass"\nat = "5 s"\nvalue = "300 g"\n',
-    ]
-    for order in (changes, changes[::-1]):
-        assert of(FILE + "".join(order)).scenario.changes["load.mass"][jnp.asarray([99, 100, 179, 180])].tolist() == [
-            0.2,
-            0.3,
-            0.3,
-            0.1,
-        ]
-    warm = of(FILE.replace("A/m", "A/K").replace('kind = "pid"', 'kind = "pid"\nchannel = "temperature"').replace(
-        STAIRS, STEP.replace('low = "1 mm"\n', "").replace("3 mm", "70 degC")
-    ))  # fmt: skip
-    assert float(warm.scenario.initial_reference) == 20.0  # the temperature at rest
+
+
+def test_kinds_of_a_controller_file(of):
     for kind, extra in (
         ("bpid", 'kb = "50 1/m"'),
         ("ppid", 'kp_rest = "20 A/m"\nband = "0.1 mm"'),
         ("adaptive-pid", "rate_p = 0.1"),
     ):
         result = of(FILE.replace('kind = "pid"', f'kind = "{kind}"').replace("[reference]", extra + "\n[reference]"))
-        assert type(result.loop.controller).__name__.lower() == kind.replace("-", "")
+        assert type(result.loop.controller).__name__.lower() == kind.replace("-", "") and not result.settle
+    assert of(FILE.replace("[tune]", '[tune]\nobjective = "settling"')).settle
+
+
+def test_two_wires_of_a_controller_file():
     task = read_controller(
         ROOT / "data" / "controllers" / "rotary.toml", read_rig(ROOT / "data" / "recordings" / "rotary" / "rig.toml")
     )
@@ -1042,4 +1063,3 @@ def test_sections_of_a_controller_file(tmp_path):
         "ki",
         "co_contraction",
     }
-    assert result.settle is False and of(FILE.replace("[tune]", '[tune]\nobjective = "settling"')).settle
