@@ -56,7 +56,9 @@ def implicit_jvp(
 
 
 @eqx.filter_custom_jvp
-def implicit_root(residual: Callable[..., Any], search: Callable[..., Any], arguments: tuple[Any, ...], name: str) -> Float[Array, " unknowns"]:
+def implicit_root(
+    residual: Callable[..., Any], search: Callable[..., Any], arguments: tuple[Any, ...], name: str
+) -> Float[Array, " unknowns"]:
     """Search for a root z of ``residual(z, *arguments)``; differentiable once in the arguments, in both modes.
 
     The search is not differentiated: dz = -(dr/dz)^-1 (dr/dp) dp, with p the arguments.
