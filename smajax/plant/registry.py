@@ -61,9 +61,10 @@ class Registry(Mapping[str, type[Module]]):
         return dict(self._read_shipped())
 
     @cached_property
-    def _entry_points(self) -> dict[str, list[importlib.metadata.EntryPoint]]:
+    def _entry_points(self) -> dict[str, list[Any]]:
         """The entry points by name: several where packages offer different classes under one name."""
-        points: dict[str, list[importlib.metadata.EntryPoint]] = {}
+        # Not always of importlib.metadata.EntryPoint: the package importlib_metadata adds its own class when imported.
+        points: dict[str, list[Any]] = {}
         for point in importlib.metadata.entry_points(group=self.group):
             others = points.setdefault(point.name, [])
             if point.value not in [other.value for other in others]:
