@@ -92,9 +92,7 @@ class CheckedModule(eqx.Module):
         super().__init_subclass__(**options)
         fields = {name: field for base in cls.__mro__[:0:-1] for name, field in _dataclass_fields(base).items()}
         fields |= {name: vars(cls)[name] for name in inspect.get_annotations(cls) if name in vars(cls)}
-        declared = {
-            name: field.metadata.get("declaration") for name, field in fields.items() if hasattr(field, "metadata")
-        }
+        declared = {name: getattr(field, "metadata", {}).get("declaration") for name, field in fields.items()}
         lines = [f"    {_describe(name, declaration)}" for name, declaration in declared.items() if declaration]
         if lines:
             text = inspect.cleandoc(vars(cls).get("__doc__") or f"{cls.__name__}.")
@@ -105,9 +103,16 @@ class CheckedModule(eqx.Module):
 
         Raises:
             TypeError: If the class lacks methods of its base class; the message says what each of them does.
+            InputError: If an argument has an unknown name.
         """
         if missing := missing_methods(cls):
             raise TypeError(f"{cls.__name__} cannot be constructed: {missing}")
+        _, *accepted = inspect.signature(cls.__init__).parameters.values()
+        names = [argument.name for argument in accepted]
+        unknown = [name for name in kwargs if name not in names]
+        if unknown and inspect.Parameter.VAR_KEYWORD not in [argument.kind for argument in accepted]:
+            hint = suggestion(unknown[0], names)
+            raise InputError(f"{cls.__name__} has no argument '{unknown[0]}'{hint}: it has {', '.join(names)}")
         return super().__new__(cls)
 
     def __check_init__(self) -> None:
@@ -126,12 +131,9 @@ def _dataclass_fields(cls: type[Any]) -> dict[str, dataclasses.Field]:
 
 def _describe(name: str, declaration: Declaration) -> str:
     """A parameter in one line: name, unit, meaning, bounds and default."""
-    ends = [f"{end:g}" for end in (declaration.lower, declaration.upper)]
-    default = declaration.default
-    start = (
-        "required" if default is None else "derived by default" if math.isnan(default) else f"{default:g} by default"
-    )
-    return f"{name} [{declaration.unit}]: {declaration.meaning}; {ends[0]} to {ends[1]}, {start}."
+    lower, upper, default = f"{declaration.lower:g}", f"{declaration.upper:g}", declaration.default
+    start = "required" if default is None else ("derived" if math.isnan(default) else f"{default:g}") + " by default"
+    return f"{name} [{declaration.unit}]: {declaration.meaning}; {lower} to {upper}, {start}."
 
 
 def missing_methods(cls: type[Any]) -> str:

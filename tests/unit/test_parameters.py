@@ -101,6 +101,21 @@ class TestChecks:
         assert Wire(np.float64(1e-4), np.int64(1)).length.dtype == jnp.float64
         assert Initial(temperature=25.0).temperature.dtype == jnp.float64 and Initial().temperature is None
 
+    def test_an_argument_with_an_unknown_name_is_refused_at_construction(self):
+        sentence = (
+            r"^Wire has no argument 'diametre' \(did you mean 'diameter'\?\): it has diameter, length, prestrain$"
+        )
+        with pytest.raises(InputError, match=sentence):
+            Wire(diametre=1e-4, length=0.2)
+
+        class AnyNames(Wire):
+            """Wire that takes arguments of any name."""
+
+            def __init__(self, **options):
+                super().__init__(options["d"], options["l"])
+
+        assert AnyNames(d=1e-4, l=0.2).length == 0.2
+
     @pytest.mark.parametrize("library", [np, jnp])
     @pytest.mark.parametrize("kind", ["float16", "bfloat16", "float32", "bool", "complex128"])
     def test_arrays_without_double_precision_are_refused(self, plant, library, kind):
