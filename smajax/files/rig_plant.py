@@ -67,7 +67,9 @@ def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[Abs
     for key, keys in content.items():
         effect = catalogue().get(key)
         if effect is None:
-            raise InputError(f"effects.{key} is not in the catalogue{suggestion(key, catalogue())}")
+            cure = "an effect of your own needs its module to be imported before, or an installed entry point"
+            hint = suggestion(key, catalogue()) or f": {cure}"
+            raise InputError(f"effects.{key} is not in the catalogue{hint}")
         section = f"effects.{key}"
         values = section_values(section, keys, {f"{section}.{n}": d for n, d in declarations(effect).items()})
         if reason := effect.unavailable_reason(capabilities):

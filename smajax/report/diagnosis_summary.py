@@ -72,16 +72,24 @@ def significant(value: float | None, digits: int = 3) -> str:
 def _effect_sentences(doc: Document, key: str) -> list[str]:
     """Sentences about an accepted effect: its size, and the effects from which it cannot be distinguished."""
     entry = next(r for r in doc["ranking"] if r["key"] == key)
-    interval = f" (95 %: {entry['lower95']:.3g} to {entry['upper95']:.3g})" if entry["lower95"] is not None else ""
-    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
-    size, meaning = f"{entry['strength']:.3g}{unit}{interval}", _meaning(doc, key)
+    size, meaning = _with_interval(entry["strength"], entry), _meaning(doc, key)
     lines = [f"The rig has {key} of {size}, an effect of the {entry['stage']} stage{f': {meaning}' * bool(meaning)}."]
+    shapes = [p for p in _parameters(doc, key) if p["name"] != f"effects.{key}.strength" and p["lower95"] is not None]
+    lines += [f"Its {p['name'].split('.')[2]} is {_with_interval(p['value'], p, 4)}: {p['meaning']}." for p in shapes]
     undetermined = [p["name"] for p in _parameters(doc, key) if p["lower95"] is None]
     if undetermined:
         lines.append(f"These recordings do not determine {' and '.join(undetermined)}.")
     if equivalent := doc["equivalent"].get(key):
         lines.append(f"These recordings cannot distinguish it from {', '.join(equivalent)}.")
     return lines
+
+
+def _with_interval(value: float, entry: Document, digits: int = 3) -> str:
+    """A value with the unit of an entry, and the 95 % interval of the entry if it has one."""
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+    ends = (significant(entry[end], digits) for end in ("lower95", "upper95"))
+    interval = f" (95 %: {' to '.join(ends)}{unit})" if entry["lower95"] is not None else ""
+    return f"{significant(value, digits)}{unit}{interval}"
 
 
 def _parameters(doc: Document, key: str) -> list[Document]:

@@ -506,3 +506,4 @@ def test_the_data_sets_are_listed_and_found(shared, monkeypatch):
     )
     monkeypatch.setenv("SMAJAX_DATA", str(shared / "data"))
     assert smajax("datasets", "get", "bu-softlimb").stdout.strip() == str(shared / "data" / "bu-softlimb")
+    assert "it holds holdout.csv, rig.toml, select.csv, train.csv" in smajax("datasets", "get", "dead-weight").stderr

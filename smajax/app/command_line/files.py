@@ -125,6 +125,7 @@ def datasets(
         raise InputError("'datasets get' needs a name: 'smajax datasets list' shows all")
     folder, missing = catalogue.get(name)
     typer.echo(folder)
+    typer.echo(f"smajax: it holds {', '.join(sorted(path.name for path in folder.iterdir()))}", err=True)
     if missing:
         note = catalogue.find(name).note
         typer.echo(f"smajax: not there: {', '.join(missing)}" + (f" ({note})" if note else ""), err=True)

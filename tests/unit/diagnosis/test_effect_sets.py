@@ -154,6 +154,19 @@ def test_effect_of_a_user_is_named(rig, recordings):
     page = page_of(document, simulated, diagnosis)
     assert "effects.periodic-draught.strength" in page and "before any choice by the holdout" in page
     words_of_the_holdout(document, lambda changed: page_of(changed, simulated, diagnosis))
+    words_of_further_parameters(document)
+
+
+def words_of_further_parameters(document) -> None:
+    """The summary has the fitted values of an effect's parameters besides its strength."""
+    key = document["effects"][0]
+    entry = {"name": f"effects.{key}.tau", "value": 12.345, "unit": "s", "meaning": "time constant"}
+    parameters = [*document["effect_parameters"], entry | {"lower95": 12.0, "upper95": 12.5}]
+    text = " ".join(sentences(document | {"effect_parameters": parameters}))
+    assert "Its tau is 12.35 s (95 %: 12 to 12.5 s): time constant." in text
+    parameters[-1] = entry | {"lower95": None, "upper95": None}
+    text = " ".join(sentences(document | {"effect_parameters": parameters}))
+    assert "Its tau" not in text and f"do not determine effects.{key}.tau" in text
 
 
 def words_of_the_holdout(document, page) -> None:

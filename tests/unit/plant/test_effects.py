@@ -327,6 +327,10 @@ def test_what_a_rig_cannot_have_is_not_tried_and_said():
     for section, said in (
         ('[effects.wire-crosstalk]\nstrength = "0.1"', "does not apply to this rig: it needs two wires"),
         ('[effects.latent-heet]\nstrength = "1 J/m^3"', "not in the catalogue (did you mean 'latent-heat'?)"),
+        (
+            '[effects.my-own-effect]\nstrength = "1"',
+            "needs its module to be imported before, or an installed entry point",
+        ),
         ('[effects.quantisation]\nstrength = "1"', "rounding scatters"),
         ('[effects.latent-heat]\nstrenght = "1 J/m^3"', "did you mean 'strength'?"),
         ('[effects.latent-heat]\nstrength = "9 GJ/m^3"', "is not possible"),
