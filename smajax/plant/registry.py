@@ -24,6 +24,7 @@ from smajax.parameters import missing_methods, module_types
 
 Module = TypeVar("Module", bound=eqx.Module)
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_DECLARED_FIELD = "{name}: jax.Array = smajax.parameter(UNIT, MEANING, LOWER, UPPER, DEFAULT)"
 
 
 class Registry(Mapping[str, type[Module]]):
@@ -38,8 +39,8 @@ class Registry(Mapping[str, type[Module]]):
         kind: What the classes are.
         base: Base class of all classes.
         shipped: Function that returns the shipped classes by name; it is called once, when they are needed.
-        check: Function that returns what is wrong with a class of this kind under a name, in words with the cure; an
-            empty text if nothing is.
+        check: Function that returns all that is wrong with a class of this kind under a name, in words with the
+            cures; an empty text if nothing is. The class may lack attributes that its base class demands.
     """
 
     def __init__(
@@ -157,7 +158,7 @@ class Registry(Mapping[str, type[Module]]):
             ) from error
 
     def _problem(self, name: str, cls: Any) -> str:
-        """Return what is wrong with a name or a class, with the cure; an empty text if nothing is."""
+        """Return what is wrong with a name, or all that is wrong with a class; an empty text if nothing is."""
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             return "the name is not in small letters with hyphens: write it like 'my-law'"
         if not isinstance(cls, type):
@@ -167,30 +168,31 @@ class Registry(Mapping[str, type[Module]]):
         other = self.loaded.get(name)
         if other is not None and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             return f"the name is taken by {other.__module__}.{other.__qualname__}: choose another name"
-        problem = self._class_problem(cls) or self._check(name, cls)
-        return f"{cls.__name__} cannot be used: {problem}" if problem else ""
+        problems = [problem for problem in (self._class_problem(cls), self._check(name, cls)) if problem]
+        return f"{cls.__name__} cannot be used: {'; '.join(problems)}" if problems else ""
 
     def _class_problem(self, cls: Any) -> str:
-        """Return what a class lacks, with the cure; an empty text if it is complete."""
+        """Return all that a class lacks, with the cures; an empty text if it is complete."""
         return class_problem(cls)
 
 
 def class_problem(cls: type[Any]) -> str:
-    """Return what a class lacks, with the cure: methods, class attributes, or the declaration of a field.
+    """Return all that a class lacks, with the cures: methods, class attributes, and declarations of fields.
 
     Args:
         cls: A class derived from ``CheckedModule``.
 
     Returns:
-        The problem in words; an empty text if there is none.
+        The problems in words; an empty text if there is none.
     """
-    if missing := missing_methods(cls):
-        return missing
-    names = sorted({*getattr(cls, "__abstractvars__", ()), *getattr(cls, "__abstractclassvars__", ())})
-    if names:
-        return f"define {', '.join(repr(name) for name in names)} in the body of the class"
+    problems = [missing] if (missing := missing_methods(cls)) else []
+    fields, constants = (sorted(getattr(cls, name, ())) for name in ("__abstractvars__", "__abstractclassvars__"))
+    if constants:
+        problems.append(f"define {', '.join(map(repr, constants))} in the body of the class")
+    for name in fields:
+        problems.append(f"define '{name}' in the body of the class: {_DECLARED_FIELD.format(name=name)}")
     for field in dataclasses.fields(cls):
         if "declaration" not in field.metadata and not field.metadata.get("static") and not module_types(cls, field):
-            cure = f"write {field.name}: jax.Array = smajax.parameters.parameter(UNIT, MEANING, LOWER, UPPER, DEFAULT)"
-            return f"its field '{field.name}' has no declaration: {cure}, or equinox.field(static=True) for an option"
-    return ""
+            cure = f"write {_DECLARED_FIELD.format(name=field.name)}, or equinox.field(static=True) for an option"
+            problems.append(f"its field '{field.name}' has no declaration: {cure}")
+    return "; ".join(problems)

@@ -37,22 +37,24 @@ _OTHER_SECTIONS = (
 
 
 def mechanism_problem(name: str, cls: type[AbstractMechanism]) -> str:
-    """Return what is wrong with the class of a mechanism, with the cure; an empty text if nothing is.
+    """Return all that is wrong with the class of a mechanism, with the cures; an empty text if nothing is.
 
     Args:
         name: The kind of rig under which it is registered.
         cls: The class.
     """
-    if cls.wires not in (1, 2):
-        return f"it has {cls.wires!r} wires: write wires = 1 or wires = 2 in the body of the class"
-    for channel in (cls.coordinate, *cls.prescribed, *cls.extra_channels):
+    problems = []
+    if hasattr(cls, "wires") and cls.wires not in (1, 2):
+        problems.append(f"it has {cls.wires!r} wires: write wires = 1 or wires = 2 in the body of the class")
+    coordinate = [cls.coordinate] if hasattr(cls, "coordinate") else []
+    for channel in (*coordinate, *getattr(cls, "prescribed", ()), *cls.extra_channels):
         if channel not in CHANNELS:
             hint = suggestion(channel, CHANNELS)
-            return f"'{channel}' is not a channel{hint}: the channels are {', '.join(CHANNELS)}"
+            problems.append(f"'{channel}' is not a channel{hint}: the channels are {', '.join(CHANNELS)}")
     for field in dataclasses.fields(cls):
         if field.name in _OTHER_SECTIONS:
-            return f"its field '{field.name}' has the name of another section of rig files: rename it"
-    return ""
+            problems.append(f"its field '{field.name}' has the name of another section of rig files: rename it")
+    return "; ".join(problems)
 
 
 MECHANISMS = Registry("mechanism", AbstractMechanism, lambda: _SHIPPED, mechanism_problem)

@@ -104,6 +104,12 @@ class WithUnknownShape(WithoutTypical):
     shapes = (("delay", (1.0,)),)
 
 
+class WithPlainStrength(HeatEffect):
+    strength: float = 0.0
+    key = "another-name"
+    shapes = ("delay", (1.0,))  # pyright: ignore[reportAssignmentType]
+
+
 class AlwaysPresent(HeatEffect):
     strength: jax.Array = parameter("1", "strength", 0.5, 1.0, 0.7)
     key = "my-effect"
@@ -183,6 +189,25 @@ def test_wrong_use_is_one_sentence(kind, name, cls, sentence):
     with pytest.raises(InputError) as caught:
         register(kind, name, cls)
     assert sentence in str(caught.value)
+
+
+def test_all_that_a_class_lacks_is_said_at_once():
+    with pytest.raises(InputError) as caught:
+        register("effect", "my-effect", WithPlainStrength)
+    sentences = (
+        "its field 'strength' has no declaration: write strength: jax.Array = smajax.parameter(UNIT, MEANING",
+        'its key is not its name: write key = "my-effect"',
+        "its strength has no declaration: write strength: jax.Array = smajax.parameter(UNIT, MEANING, LOWER, UPPER, 0.0)",
+        "it has no usual strength: write typical = ...",
+        'its shapes have another form: write them like shapes = (("onset", (0.01, 0.02)),)',
+    )
+    assert all(sentence in str(caught.value) for sentence in sentences)
+    incomplete = type("Incomplete", (AbstractElasticLoad,), {"coordinate": "displacment", "__module__": __name__})
+    with pytest.raises(InputError) as caught:
+        register("mechanism", "my-band", incomplete)
+    assert all(
+        sentence in str(caught.value) for sentence in ("define the method 'force'", "'displacment' is not a channel")
+    )
 
 
 def test_options_need_no_declaration():
