@@ -30,7 +30,13 @@ def effect_problems(name: str, cls: type[AbstractEffect]) -> list[str]:
     """
     if not any(issubclass(cls, stage) for stage in _STAGE_CLASSES):
         return [f"it has no stage: derive it from one of {', '.join(c.__name__ for c in _STAGE_CLASSES)}"]
-    return [*_key_problems(name, cls), *_parameter_problems(cls), *_typical_problems(cls), *_shapes_problems(cls)]
+    return [
+        *_key_problems(name, cls),
+        *_parameter_problems(cls),
+        *_typical_problems(cls),
+        *_shapes_problems(cls),
+        *_flag_problems(cls),
+    ]
 
 
 def _key_problems(name: str, cls: type[AbstractEffect]) -> list[str]:
@@ -79,3 +85,31 @@ def _shapes_problems(cls: type[AbstractEffect]) -> list[str]:
         for field in names
         if field not in declared
     ]
+
+
+def _stage(cls: type[AbstractEffect]) -> type[AbstractEffect]:
+    """The base class of the effect's stage."""
+    return next(stage for stage in _STAGE_CLASSES if issubclass(cls, stage))
+
+
+def _overrides(cls: type[AbstractEffect], hook: str) -> bool:
+    """Whether a class, or one between it and the base class of its stage, defines a hook."""
+    return getattr(cls, hook, None) is not getattr(_stage(cls), hook, None)
+
+
+def _flag_problems(cls: type[AbstractEffect]) -> list[str]:
+    """Hooks that are not called without a class attribute, and class attributes that do nothing without their hook."""
+    problems = []
+    if issubclass(cls, MechanismEffect):
+        if _overrides(cls, "drag") and not cls.has_drag:
+            cure = "write has_drag = True in the body of the class"
+            problems.append(f"it defines drag, which is called only with has_drag: {cure}")
+        if cls.has_drag and not _overrides(cls, "drag"):
+            problems.append("it has has_drag = True and no drag: define drag, or leave has_drag out")
+        if cls.has_drag and "drag" not in cls.needs:
+            cure = 'write needs = ("drag",) in the body of the class'
+            problems.append(f"it has a drag, which not every rig can have: {cure}")
+    if cls.other_channels and not (_overrides(cls, "displacement") or _overrides(cls, "reading")):
+        cure = "leave other_channels out, or define displacement of a MechanismEffect or reading of a SensorEffect"
+        problems.append(f"it has other_channels, which only displacement and reading use: {cure}")
+    return problems
