@@ -4,7 +4,8 @@
 implicit step, ``stages`` those of each stage with its effects, ``state`` the state, and ``implicit_step`` the
 derivatives of a step. The stages are ``drive`` (Joule heat with the resistance of the phases), ``heat`` (heat balance)
 with ``convection`` (h(T)), ``materials``, ``mechanisms`` and ``sensor``. ``wire`` and ``coil`` are geometries of the
-wire, and ``effects`` has optional terms of each stage, such as latent heat.
+wire, ``effects`` has optional terms of each stage, such as latent heat, and ``capabilities`` the words for what a rig
+can have and show.
 """
 
 from smajax.plant.coil import Coil

@@ -3,7 +3,10 @@
 from smajax.channels import CHANNELS
 from smajax.plant.drive import DRIVES
 
-_WIRES = (1, 2)
+# Names of the channels of a rig with one wire or two.
+CHANNEL_NAMES: tuple[str, ...] = tuple(
+    f"{channel}{end}" for channel in CHANNELS if channel != "time" for end in ("", "_1", "_2")
+)
 
 RIG_CAPABILITIES: tuple[str, ...] = (
     "clock",  # the recordings have a time column
@@ -16,13 +19,8 @@ RIG_CAPABILITIES: tuple[str, ...] = (
 
 # All words that ``Plant.capabilities`` can return: those above, the electrical input, the coordinate of the mechanism,
 # and each channel that the recordings contain, as in "temperature observed" or, for two wires, "current_2 observed".
-CAPABILITIES: tuple[str, ...] = tuple(
-    dict.fromkeys(
-        [
-            *RIG_CAPABILITIES,
-            *DRIVES,
-            *(channel for channel in CHANNELS if channel != "time"),
-            *(f"{channel}{end} observed" for channel in CHANNELS for end in ("", *(f"_{i}" for i in _WIRES))),
-        ]
-    )
+CAPABILITIES: tuple[str, ...] = (
+    *RIG_CAPABILITIES,
+    *dict.fromkeys([*DRIVES, *(channel for channel in CHANNELS if channel != "time")]),
+    *(f"{channel} observed" for channel in CHANNEL_NAMES),
 )

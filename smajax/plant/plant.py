@@ -189,7 +189,13 @@ class Plant(StepSolver):
         return read
 
     def capabilities(self, observed: tuple[str, ...]) -> frozenset[str]:
-        """List the capabilities that effects may need of a rig (``AbstractEffect.needs``), such as ``two wires``.
+        """List the capabilities that effects may need of a rig (``AbstractEffect.needs``).
+
+        The words are ``clock``; ``one wire`` or ``two wires``; ``spring`` if the mechanism has one; ``drag`` if a
+        stress can oppose the contraction (``MechanismEffect.drag``); ``prescribed strain or stress`` of a testing
+        machine; the electrical input, such as ``current``; the coordinate of the mechanism, such as ``displacement``
+        or ``angle``; and ``CHANNEL observed`` for each observed channel, such as ``temperature observed``.
+        ``smajax.effects.CAPABILITIES`` has all of them.
 
         Args:
             observed: Names of the channels that the recordings contain.
@@ -197,7 +203,8 @@ class Plant(StepSolver):
         Returns:
             The capabilities; the caller removes ``clock`` if the recordings have no time column.
         """
-        words = {"clock", self.drive.control, self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
+        control = {self.drive.control} if self.drive.control else set()
+        words = control | {"clock", self.mechanism.coordinate, *(f"{c} observed" for c in observed)}
         words |= {"two wires"} if self.mechanism.wires == 2 else {"one wire"}
         words |= {"spring"} if hasattr(self.mechanism, "spring") else set()
         words |= {"prescribed strain or stress"} if self.mechanism.prescribed else set()

@@ -77,6 +77,15 @@ class Registry(Mapping[str, type[Module]]):
         """The classes by name without those of installed packages that no one has asked for yet."""
         return {**self._shipped, **self._added}
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, those included that installed packages offer; none is imported for this."""
+        return tuple(dict.fromkeys([*self.loaded, *self._entry_points]))
+
+    def __repr__(self) -> str:
+        """Return the kind and the names in words."""
+        return f"<{self.kind}s: {', '.join(self.names)}>"
+
     def register(self, name: str, cls: Any) -> None:
         """Add a class under a name.
 

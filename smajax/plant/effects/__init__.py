@@ -2,13 +2,15 @@
 
 ``catalogue`` lists all effects by key: those of the modules of this folder, where a new effect is a new file with a
 subclass of the base class of its stage, and those that ``smajax.register`` or an installed package adds (``registry``).
-``base`` has the base classes with their hooks, ``memory`` dynamics that several effects share, and ``skip_at_zero``
-compile-time machinery. The classes are importable from here by name: ``smajax.plant.effects.Coating``.
+``base`` has the base classes with their hooks, ``class_check`` what they demand of a class, ``memory`` dynamics that
+several effects share, and ``skip_at_zero`` compile-time machinery. ``CAPABILITIES`` has the words of
+``AbstractEffect.needs``. The classes are importable from here by name: ``smajax.plant.effects.Coating``.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
+from smajax.plant.capabilities import CAPABILITIES
 from smajax.plant.effects.base import (
     AbstractEffect,
     DriveEffect,
@@ -23,6 +25,7 @@ from smajax.plant.effects.base import (
 from smajax.plant.effects.registry import EFFECTS
 
 __all__ = [
+    "CAPABILITIES",
     "AbstractEffect",
     "DriveEffect",
     "HeatEffect",

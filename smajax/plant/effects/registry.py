@@ -49,7 +49,7 @@ def effect_problem(name: str, cls: type[AbstractEffect]) -> str:
         name: The name under which it is registered.
         cls: The class.
     """
-    return "; ".join(effect_problems(name, cls))
+    return "; ".join(effect_problems(name, cls, EFFECTS.names))
 
 
 EFFECTS = Registry("effect", AbstractEffect, shipped_effects, effect_problem)

@@ -6,9 +6,12 @@ import pytest
 
 from smajax.api.registration import register
 from smajax.errors import InputError
+from smajax.files.rig_file import read_rig
 from smajax.parameters import parameter
-from smajax.plant.effects.base import AbstractEffect, HeatEffect, MechanismEffect
+from smajax.plant.effects import CAPABILITIES
+from smajax.plant.effects.base import AbstractEffect, HeatEffect, MechanismEffect, SensorEffect
 from smajax.plant.effects.registry import EFFECTS, effect_problem
+from smajax.recordings.datasets import data_path
 
 
 @pytest.fixture(autouse=True)
@@ -71,3 +74,115 @@ def test_other_channels_without_a_hook_that_uses_them_are_refused():
     text = problem(effect(HeatEffect, power=power, other_channels=("force",)))
     assert "it has other_channels, which only displacement and reading use: leave other_channels out" in text
     register("effect", "end-stop", effect(MechanismEffect, displacement=displacement, other_channels=("force",)))
+
+
+def without_parameter(self, state):
+    return self.strength * state.temperature
+
+
+def in_another_order(self, state, context, memory):
+    return self.strength * state.temperature
+
+
+def optional(self, state, memory=(), context=None, scale=1.0):
+    return scale * self.strength * state.temperature
+
+
+@pytest.mark.parametrize(
+    ("stage", "body", "sentence"),
+    [
+        (
+            HeatEffect,
+            {},
+            "it does nothing, since it defines no hook of HeatEffect: define one of capacity, enthalpy, power",
+        ),
+        (
+            HeatEffect,
+            {"update_memory": lambda self, *rest: ()},
+            "it does nothing, since it defines no hook of HeatEffect",
+        ),
+        (SensorEffect, {}, "it defines no hook of SensorEffect: define reading"),
+        (HeatEffect, {"heat_power": power}, "no hook of HeatEffect (did you mean 'power'?): define one of"),
+        (
+            HeatEffect,
+            {"powr": power},
+            "it defines powr, which is not used (did you mean 'power'?): correct the name, or",
+        ),
+        (HeatEffect, {"power": power, "shape": ()}, "it defines shape, which is not used (did you mean 'shapes'?)"),
+        (
+            HeatEffect,
+            {"strain": power},
+            "it defines strain, a hook of MaterialEffect and not of HeatEffect: derive it from",
+        ),
+        (HeatEffect, {"power": 1.0}, "its power is not a method: write def power(self, state, memory, context)"),
+        (
+            HeatEffect,
+            {"power": without_parameter},
+            "its power(self, state) has other parameters than the hook: write def power(self, state, memory, context)",
+        ),
+        (
+            HeatEffect,
+            {"power": in_another_order},
+            "its power(self, state, context, memory) has the parameters in another",
+        ),
+        (
+            HeatEffect,
+            {"power": power, "needs": ("one-wire",)},
+            "its needs has 'one-wire', which is not a capability of rigs (did you mean 'one wire'?): name clock, one wire",
+        ),
+        (
+            HeatEffect,
+            {"power": power, "needs": "one wire"},
+            'its needs is a text and not a tuple: write needs = ("one wire",)',
+        ),
+        (
+            HeatEffect,
+            {"power": power, "confused_with": ("latent",)},
+            "its confused_with has 'latent', which is not an effect (did you mean 'latent-heat'?): name an effect of",
+        ),
+        (
+            MechanismEffect,
+            {"displacement": displacement, "other_channels": ("forces",)},
+            "its other_channels has 'forces', which is not a channel (did you mean 'force'?): name a channel such as",
+        ),
+        (
+            SensorEffect,
+            {"reading": displacement, "channel": "temperatur"},
+            "its channel 'temperatur' is not a channel (did you mean 'temperature'?)",
+        ),
+    ],
+)
+def test_what_would_do_nothing_or_fail_later_is_refused(stage, body, sentence):
+    assert sentence in problem(effect(stage, **body))
+
+
+@pytest.mark.parametrize(
+    ("stage", "body"),
+    [
+        (HeatEffect, {"power": power, "heat_power": power, "_powr": power}),
+        (HeatEffect, {"power": optional}),
+        (HeatEffect, {"no_mean_effect": "it scatters"}),
+        (HeatEffect, {"power": power, "needs": ("one wire", "current", "temperature observed", "current_2 observed")}),
+        (SensorEffect, {"reading": displacement, "channel": "temperature_2", "other_channels": ("current",)}),
+    ],
+)
+def test_what_an_effect_may_have_is_accepted(stage, body):
+    cls = effect(stage, **body)
+    register("effect", "end-stop", cls)
+    assert EFFECTS["end-stop"] is cls
+
+
+def test_of_two_own_effects_the_second_names_the_first():
+    first = effect(HeatEffect, power=power)
+    second = type("Second", (effect(HeatEffect, power=power),), {"key": "second", "confused_with": ("end-stop",)})
+    with pytest.raises(InputError, match="its confused_with has 'end-stop', which is not an effect"):
+        register("effect", "second", second)
+    register("effect", "end-stop", first)
+    register("effect", "second", second)
+
+
+@pytest.mark.parametrize("kind", ["dead-weight", "rotary", "bias-spring"])
+def test_the_capabilities_of_a_rig_are_listed_words(kind):
+    rig = read_rig(data_path("recordings", kind) / "rig.toml")
+    words = rig.plant.capabilities(tuple(rig.plant.observable))
+    assert words <= set(CAPABILITIES) and "clock" in words
