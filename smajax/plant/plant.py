@@ -15,6 +15,7 @@ from smajax.numerics.derivative_order import once_differentiable
 from smajax.numerics.nonsmooth import minimum
 from smajax.plant.drive import resistance
 from smajax.plant.effects.base import DriveEffect, MechanismEffect, SensorEffect, WireState
+from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.implicit_step import implicit_step
 from smajax.plant.materials.base import Fractions
 from smajax.plant.state import State
@@ -154,7 +155,11 @@ class Plant(StepSolver):
             "force": state.stress * self.wire.force_per_stress,
             "resistance": ohms,
             "current": current,
-            "voltage": current * ohms + sum(e.voltage(current) for e in self._effects_of(DriveEffect)),
+            "voltage": current * ohms
+            + sum(
+                checked_result(e, "voltage", e.voltage(current), current.shape, "wires")
+                for e in self._effects_of(DriveEffect)
+            ),
             "power": self.drive.joule(control, resistivity, self.wire) * self.wire.area * self.wire.length,
         }
         values = {
@@ -180,12 +185,14 @@ class Plant(StepSolver):
         for e in self._effects_of(MechanismEffect):
             if coordinate in read:
                 added = e.displacement(series[coordinate] * metres_per_unit, series, time)
+                checked_result(e, "displacement", added, time.shape, "rows")
                 read[coordinate] = read[coordinate] + added / metres_per_unit
         seen = dict(read)
         for e in self._effects_of(SensorEffect):
             name, scale = (e.channel, 1.0) if e.channel else (coordinate, metres_per_unit)
             if name in read:
-                read[name] = read[name] + e.reading(seen[name] * scale, seen, time) / scale
+                added = checked_result(e, "reading", e.reading(seen[name] * scale, seen, time), time.shape, "rows")
+                read[name] = read[name] + added / scale
         return read
 
     def capabilities(self, observed: tuple[str, ...]) -> frozenset[str]:

@@ -22,6 +22,7 @@ from smajax.plant.effects.base import (
     StageContext,
     WireState,
 )
+from smajax.plant.effects.hook_results import checked_memory, checked_result, checked_type
 from smajax.plant.heat import AbstractHeat, PrescribedTemperature
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext
@@ -118,7 +119,10 @@ class PlantStages(eqx.Module):
     def _begin_step(self, state: State, step: Float[Array, ""]) -> State:
         """The state with the memory that heat effects hold constant during a step of ``step`` seconds."""
         memory = state.memory
-        begun = {e.key: e.begin_step(memory[e.key], memory["time"], step) for e in self._effects_of(HeatEffect)}
+        begun = {}
+        for e in self._effects_of(HeatEffect):
+            constant = e.begin_step(memory[e.key], memory["time"], step)
+            begun[e.key] = checked_memory(e, "begin_step", constant, memory[e.key])
         return state._replace(memory=memory | begun)
 
     def _updated_memory(
@@ -130,8 +134,11 @@ class PlantStages(eqx.Module):
         step: Float[Array, ""],
     ) -> dict[str, Any]:
         """Memory of the effects of some kinds after a step from ``first`` to ``last``, by their keys."""
-        context = self._stage_context()
-        return {e.key: e.update_memory(memory[e.key], first, last, step, context) for e in self._effects_of(kinds)}
+        context, updated = self._stage_context(), {}
+        for e in self._effects_of(kinds):
+            at_end = e.update_memory(memory[e.key], first, last, step, context)
+            updated[e.key] = checked_memory(e, "update_memory", at_end, memory[e.key])
+        return updated
 
     # Drive.
 
@@ -147,20 +154,29 @@ class PlantStages(eqx.Module):
         wires, zero = self.mechanism.wires, jnp.zeros(())
         control = signal[:wires] if self.drive.control else jnp.zeros((wires,))
         ratio = resistivity / self.material.resistivity(Fractions(zero, zero))
-        return control + sum(e.signal(control, ratio) for e in self._effects_of(DriveEffect))
+        return control + sum(
+            checked_result(e, "signal", e.signal(control, ratio), control.shape, "wires")
+            for e in self._effects_of(DriveEffect)
+        )
 
     # Material.
 
     def _resistivity(self, wire_state: WireState) -> Float[Array, " wires"]:
         base, context = self.material.resistivity(wire_state.fractions), self._stage_context()
-        return base + sum(base * e.resistivity(wire_state, context) for e in self._effects_of(MaterialEffect))
+        return base + sum(
+            base * checked_result(e, "resistivity", e.resistivity(wire_state, context), base.shape, "wires")
+            for e in self._effects_of(MaterialEffect)
+        )
 
     def _strain(self, wire_state: WireState, memory: dict[str, Any]) -> Float[Array, " wires"]:
         context = self._stage_context()
         base = context.material.strain(
             wire_state.fractions, wire_state.temperature, wire_state.stress, self.environment.ambient
         )
-        return base + sum(e.strain(wire_state, memory[e.key], context) for e in self._effects_of(MaterialEffect))
+        return base + sum(
+            checked_result(e, "strain", e.strain(wire_state, memory[e.key], context), base.shape, "wires")
+            for e in self._effects_of(MaterialEffect)
+        )
 
     def _evolve_fractions(
         self, first: WireState, temperature: Float[Array, " wires"], stress: Float[Array, " wires"]
@@ -169,19 +185,26 @@ class PlantStages(eqx.Module):
         context = self._stage_context()
         material, shift = context.material, 0.0
         for e in self._effects_of(MaterialEffect):
-            material, shift = e.modify_material(material), shift + e.shift(first, context)
+            material = checked_type(e, "modify_material", e.modify_material(material), AbstractMaterial)
+            shift = shift + checked_result(e, "shift", e.shift(first, context), temperature.shape, "wires")
         fractions = material.evolve(
             first.fractions, (first.temperature - shift, temperature - shift), (first.stress, stress)
         )
         for e in self._effects_of(MaterialEffect):
-            fractions = e.modify_fractions(first.fractions, fractions)
+            changed = checked_type(e, "modify_fractions", e.modify_fractions(first.fractions, fractions), Fractions)
+            for part, before in zip(changed, fractions, strict=True):
+                checked_result(e, "modify_fractions", part, before.shape, "wires")
+            fractions = changed
         return fractions
 
     # Heat.
 
     def _heat_capacity(self, martensite: Float[Array, " wires"]) -> Float[Array, " wires"]:
         base = self.heat.capacity(martensite)
-        return base + sum(base * e.capacity(martensite) for e in self._effects_of(HeatEffect))
+        return base + sum(
+            base * checked_result(e, "capacity", e.capacity(martensite), martensite.shape, "wires")
+            for e in self._effects_of(HeatEffect)
+        )
 
     def _net_heat(
         self, wire_state: WireState, memory: dict[str, Any], signal: Float[Array, " signals"]
@@ -190,9 +213,18 @@ class PlantStages(eqx.Module):
         resistivity, context = self._resistivity(wire_state), self._stage_context()
         joule = self.drive.joule(self._electrical_input(signal, resistivity), resistivity, self.wire)
         rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, self.environment)
-        return rate + sum(e.power(wire_state, memory[e.key], context) for e in self._effects_of(HeatEffect))
+        return rate + sum(
+            checked_result(e, "power", e.power(wire_state, memory[e.key], context), rate.shape, "wires")
+            for e in self._effects_of(HeatEffect)
+        )
 
     def _stored_heat(self, first: WireState, last: WireState) -> Float[Array, " wires"] | float:
         """Heat per volume in J/m^3 stored between two instants in addition to warming, such as latent heat."""
-        context = self._stage_context()
-        return sum((e.enthalpy(last, context) - e.enthalpy(first, context) for e in self._effects_of(HeatEffect)), 0.0)
+        context, stored = self._stage_context(), 0.0
+        for e in self._effects_of(HeatEffect):
+            heats = [
+                checked_result(e, "enthalpy", e.enthalpy(w, context), w.temperature.shape, "wires")
+                for w in (last, first)
+            ]
+            stored = stored + (heats[0] - heats[1])
+        return stored

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.plant.effects.base import HeatEffect, MaterialEffect, MechanismEffect, WireState
+from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.stages import PlantStages
 from smajax.plant.state import State
@@ -113,7 +114,9 @@ class StepEquations(PlantStages):
         """Stress in Pa with which all effects with a drag oppose the contraction at the end of a step."""
         context = self._stage_context()
         effects = [e for e in self._effects_of(MechanismEffect) if e.has_drag]
-        total: Any = sum(e.drag(first, last, memory[e.key], step, context) for e in effects)
+        total: Any = sum(
+            checked_result(e, "drag", e.drag(first, last, memory[e.key], step, context), ()) for e in effects
+        )
         return total
 
     def _heat_residual(
