@@ -15,6 +15,21 @@ def register(kind: Literal["material", "mechanism", "effect", "controller"], nam
     diagnosis tries a registered effect like a shipped one. The classes derive from ``AbstractMaterial``,
     ``AbstractMechanism``, a base class of an effect such as ``HeatEffect``, or ``AbstractController``.
 
+    An effect must have the declared parameter ``strength`` with the default 0, the class attributes ``key`` (its name)
+    and ``typical`` (a usual strength), and a hook of its base class. ``help(smajax.effects.AbstractEffect)`` lists the
+    other attributes, such as ``source``, ``needs`` and ``confused_with``. A complete effect::
+
+        class HolderLeak(sma.effects.HeatEffect):  # heat that leaks into a holder at ambient temperature
+            strength: jax.Array = sma.parameter("W/m^3/K", "heat loss per kelvin", 0.0, 1e6, 0.0)
+            key = "holder-leak"
+            typical = 1e5
+            source = "estimate"
+
+            def power(self, state, memory, context):
+                return -self.strength * (state.temperature - context.environment.ambient)
+
+        sma.register("effect", "holder-leak", HolderLeak)
+
     An installed package can offer its classes without this call, as entry points of the groups ``smajax.materials``,
     ``smajax.mechanisms``, ``smajax.effects`` and ``smajax.controllers``.
 
@@ -25,7 +40,7 @@ def register(kind: Literal["material", "mechanism", "effect", "controller"], nam
 
     Raises:
         InputError: If the kind is unknown, the name is taken or has another form, or the class cannot be used; the
-            message says what it lacks.
+            message says all that it lacks.
     """
     # Imported here, since each of them takes as long as all of JAX.
     if kind == "material":

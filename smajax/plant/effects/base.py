@@ -34,7 +34,10 @@ class WireState(NamedTuple):
         temperature: Temperatures, shape ``(wires,)``, degC.
         fractions: Martensite fractions, shape ``(wires,)`` each.
         stress: Stresses, shape ``(wires,)``, Pa.
-        contraction: Contraction, a strain that is positive as the wire shortens, a scalar.
+        contraction: Minus the strain of the wire, a scalar, which grows as the wire shortens: 0 for austenite without
+            stress at ambient temperature, and so below 0 for a stretched wire, also at the first row. With two wires
+            half the strain of wire 2 less that of wire 1. An effect that needs the contraction since the first row
+            stores the initial one in its memory, as ``load_change`` does.
         accumulated_transformation: Sum of the changes of the martensite fraction in both directions, shape
             ``(wires,)``; a full cycle counts 2.
     """
@@ -66,17 +69,36 @@ class StageContext(NamedTuple):
 class AbstractEffect(CheckedModule):
     """Base class of all effects.
 
+    An effect derives from the base class of its stage: ``DriveEffect``, ``HeatEffect`` (or ``ThermalNode``),
+    ``MaterialEffect``, ``MechanismEffect`` or ``SensorEffect``. It must have the declared parameter ``strength``, the
+    class attributes ``key`` and ``typical``, and at least one hook of that base class; all other attributes have
+    defaults. A complete effect, heat that leaks into a holder::
+
+        class HolderLeak(sma.effects.HeatEffect):
+            strength: jax.Array = sma.parameter("W/m^3/K", "heat loss per kelvin", 0.0, 1e6, 0.0)
+            key = "holder-leak"
+            typical = 1e5  # a usual strength, in the unit of strength
+            source = "estimate"
+            confused_with = ("end-conduction",)
+            needs = ("one wire",)
+
+            def power(self, state, memory, context):
+                return -self.strength * (state.temperature - context.environment.ambient)
+
     Attributes:
-        strength: Strength, declared by the effect with ``parameter``; its bounds are the plausible range.
-        key: Name in rig files (``[effects.KEY]``) and in reports.
-        stage: Stage of the plant on which it acts.
-        typical: A usual strength.
-        source: Origin of the usual strength.
-        confused_with: Keys of effects that explain similar residuals.
-        needs: Capabilities (``Plant.capabilities``) without which a rig cannot have or show the effect.
+        strength: Strength, declared by the effect with ``smajax.parameter``; its bounds are the plausible range, and
+            its default is 0. Obligatory.
+        key: Name in rig files (``[effects.KEY]``) and in reports. Obligatory.
+        stage: Stage of the plant on which it acts; the base class has it.
+        typical: A usual strength, not 0. Obligatory.
+        source: Origin of the usual strength; for readers only.
+        confused_with: Keys of known effects that explain similar residuals; that one of two effects names the other is
+            enough.
+        needs: Capabilities without which a rig cannot have or show the effect, such as ``("two wires",)``: words of
+            ``smajax.effects.CAPABILITIES``, which ``Plant.capabilities`` explains.
         other_channels: Channels that ``displacement`` or ``reading`` uses in addition to the one that it changes.
         shapes: Further declared fields, such as a time constant, with the values that a search tries (an ``instant`` as
-            a share of the recording's length).
+            a share of the recording's length): ``(("onset", (0.01, 0.02)),)`` for a field ``onset``.
         no_mean_effect: For an effect that only adds scatter, the reason why it cannot be detected in the mean of a
             residual.
         absorbed_from: Share of its influence that free parameters have to compensate for it to count as absorbed. It is
@@ -88,7 +110,7 @@ class AbstractEffect(CheckedModule):
     key: ClassVar[str]
     stage: ClassVar[str]
     typical: ClassVar[float]
-    source: ClassVar[str]
+    source: ClassVar[str] = ""
     confused_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
     other_channels: ClassVar[tuple[str, ...]] = ()
@@ -138,10 +160,10 @@ class AbstractEffect(CheckedModule):
     def update_memory(
         self, memory: Any, before: WireState, after: WireState, step: Float[Array, ""], context: StageContext
     ) -> Any:
-        """Return the memory at the end of a step.
+        """Return the memory at the end of a step; by default that at the start.
 
         Args:
-            memory: The memory at the start.
+            memory: The memory at the start; what is returned has its structure and shapes.
             before: The wires at the start.
             after: The wires at the end.
             step: Duration, s.
@@ -307,7 +329,8 @@ class MechanismEffect(AbstractEffect):
     """Effect on the forces, or on the transmission of the motion to its sensor.
 
     Attributes:
-        has_drag: Whether it has a stress that opposes the contraction (``drag``).
+        has_drag: Whether it has a stress that opposes the contraction (``drag``). An effect with a drag also has
+            ``needs = ("drag",)``.
     """
 
     stage = "mechanism"
@@ -318,7 +341,11 @@ class MechanismEffect(AbstractEffect):
     ) -> Float[Array, ""]:
         """Compute the stress in Pa that opposes the contraction; called only if ``has_drag`` is set.
 
-        With two wires it acts on wire 1 against wire 2.
+        It is added to the stress of the wire, so a positive drag hinders the contraction, like a larger load, and
+        friction changes its sign with the direction of the motion. A force F in N along the wire, positive against the
+        contraction, is the drag F / ``context.wire.force_per_stress``: F over the cross-section of a straight wire.
+        With two wires half of it is added to the stress of wire 1, and half is subtracted from that of wire 2. No
+        stress falls below 0.
 
         Args:
             before: The wires at the start of a step.

@@ -1,17 +1,27 @@
 """The check of an effect's class: what would do nothing without a word is refused, and the shipped effects pass."""
 
+import dataclasses
+import inspect
+import textwrap
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
+import smajax as sma
 from smajax.api.registration import register
 from smajax.errors import InputError
 from smajax.files.rig_file import read_rig
 from smajax.parameters import parameter
-from smajax.plant.effects import CAPABILITIES
+from smajax.plant.effects import CAPABILITIES, catalogue
 from smajax.plant.effects.base import AbstractEffect, HeatEffect, MechanismEffect, SensorEffect
 from smajax.plant.effects.registry import EFFECTS, effect_problem
 from smajax.recordings.datasets import data_path
+from smajax.recordings.recording import Recording
+from tests.support import plants
+
+TIME = 0.1 * np.arange(20)  # s
 
 
 @pytest.fixture(autouse=True)
@@ -186,3 +196,44 @@ def test_the_capabilities_of_a_rig_are_listed_words(kind):
     rig = read_rig(data_path("recordings", kind) / "rig.toml")
     words = rig.plant.capabilities(tuple(rig.plant.observable))
     assert words <= set(CAPABILITIES) and "clock" in words
+
+
+@pytest.mark.parametrize("documented", [sma.register, AbstractEffect])
+def test_the_example_of_a_docstring_is_a_complete_effect(documented):
+    text = inspect.getdoc(documented) or ""
+    block = text.partition("::\n\n")[2].splitlines()
+    end = next((i for i, line in enumerate(block) if line and not line.startswith(" ")), len(block))
+    names = {"jax": jax, "sma": sma, "__name__": __name__}
+    exec(textwrap.dedent("\n".join(block[:end])), names)
+    leak = names["HolderLeak"]
+    register("effect", "holder-leak", leak)
+    plant = dataclasses.replace(plants.dead_weight(), effects=(leak(strength=1e5),))
+    without, warm = (
+        dataclasses.replace(plant, effects=()),
+        Recording.from_arrays("warm", TIME, {"current": 0.25 + 0.0 * TIME}),
+    )
+    temperatures = [float(sma.simulate(p, warm).channels["temperature"][-1]) for p in (plant, without)]
+    assert temperatures[0] < temperatures[1] - 0.1
+    assert all(f"``{word}``" in text for word in ("strength", "key", "typical"))
+
+
+def test_a_positive_drag_hinders_the_contraction_by_its_force_over_the_area():
+    class Pull(MechanismEffect):
+        strength: jax.Array = parameter("N", "force against the contraction", 0.0, 10.0, 0.0)
+        key, typical, has_drag, needs = "pull", 1.0, True, ("drag",)
+
+        def drag(self, before, after, memory, step, context):
+            return self.strength / context.wire.force_per_stress
+
+    plant = dataclasses.replace(plants.dead_weight(), effects=(Pull(strength=0.5),))
+    without, warm = (
+        dataclasses.replace(plant, effects=()),
+        Recording.from_arrays("warm", TIME, {"current": 0.25 + 0.0 * TIME}),
+    )
+    pulled, free = (sma.simulate(p, warm).channels for p in (plant, without))
+    np.testing.assert_allclose(pulled["force"][1:] - free["force"][1:], 0.5, rtol=1e-9)
+    assert pulled["displacement"][-1] < free["displacement"][-1]
+
+
+def test_the_catalogue_lists_its_keys():
+    assert repr(catalogue()).startswith("<effects: airflow-change, ambient-drift, ")
