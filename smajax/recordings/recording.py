@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import channel_unit
 from smajax.errors import InputError, suggestion
+from smajax.recordings.traced_values import is_tracing_error, traced_values_error
 from smajax.recordings.write import write_table
 from smajax.units import from_si, to_si
 
@@ -52,13 +53,14 @@ class Recording:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, values in self.channels.items():
-            if values.shape != self.time.shape:
-                shapes = f"channel '{name}' has shape {values.shape} and time {self.time.shape}"
+        time = _as_floats(self.time, f"{self.name}: time")
+        channels = {name: _as_floats(v, f"{self.name}: channel '{name}'") for name, v in self.channels.items()}
+        for name, values in channels.items():
+            if values.shape != time.shape:
+                shapes = f"channel '{name}' has shape {values.shape} and time {time.shape}"
                 raise InputError(f"{self.name}: {shapes}: make them equal")
-        channels = {name: _read_only(values) for name, values in self.channels.items()}
-        object.__setattr__(self, "time", _read_only(self.time))
-        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "time", _read_only(time))
+        object.__setattr__(self, "channels", MappingProxyType({n: _read_only(v) for n, v in channels.items()}))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
     @classmethod
@@ -72,7 +74,7 @@ class Recording:
         """Return a recording of arrays in SI units (temperatures in degC).
 
         Values are rounded to those that a column of float64 in ``units`` can represent, so that writing and reading
-        returns the same values.
+        returns the same values. JAX cannot trace them: ``discretise`` says how to differentiate in the inputs.
 
         Args:
             name: Name in messages and results.
@@ -81,14 +83,16 @@ class Recording:
             units: Units in which the channels are written and reported; internal units by default.
 
         Raises:
-            InputError: If the shapes differ.
+            InputError: If the shapes differ, or values are traced by JAX.
         """
         columns = [*([] if time is None else ["time"]), *channels]
         units = {channel: units.get(channel, channel_unit(channel)) for channel in columns}
-        rounded = {c: _as_in_file(np.asarray(values, float), c, units[c]) for c, values in channels.items()}
+        rounded = {
+            c: _as_in_file(_as_floats(values, f"{name}: channel '{c}'"), c, units[c]) for c, values in channels.items()
+        }
         if time is None:
             return cls(name, np.arange(len(next(iter(rounded.values()))), dtype=float), rounded, units, has_clock=False)
-        return cls(name, _as_in_file(np.asarray(time, float), "time", units["time"]), rounded, units)
+        return cls(name, _as_in_file(_as_floats(time, f"{name}: time"), "time", units["time"]), rounded, units)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -224,6 +228,16 @@ def sample_channels(
     else:
         raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")
     return result
+
+
+def _as_floats(values: Any, place: str) -> Floats:
+    """Return values as an array of float64, without a copy where possible."""
+    try:
+        return np.asarray(values, float)
+    except Exception as error:
+        if is_tracing_error(error):
+            raise traced_values_error(place) from None
+        raise
 
 
 def _as_in_file(values: Floats, name: str, unit: str) -> Floats:

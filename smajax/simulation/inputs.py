@@ -142,7 +142,9 @@ def _inputs(*arrays: np.ndarray) -> Inputs:
 def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> Inputs:
     """Put a recording's inputs on a grid of time steps.
 
-    Prescribed strain, stress and temperature are linear between samples.
+    Prescribed strain, stress and temperature are linear between samples. For derivatives in the inputs, call it outside
+    of the traced function, and there scale them (``Inputs.scale``) or replace their ``before``, ``after`` and
+    ``sample_signals``, since a recording cannot be traced.
 
     Args:
         plant: The plant, which determines the signals.

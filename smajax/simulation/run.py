@@ -192,7 +192,8 @@ def simulate(
 ) -> Simulation:
     """Simulate a plant; safe under ``jax.jit``, ``jax.vmap`` and differentiation in both modes.
 
-    Differentiable once in the plant's parameters and in the inputs. ``simulate_batch`` simulates many plants faster.
+    Differentiable once in the plant's parameters and in the inputs, as by the factor of ``Inputs.scale``.
+    ``simulate_batch`` simulates many plants faster.
 
     Args:
         plant: The plant; its effects of strength 0 are left out, unless the strength is traced.
@@ -217,19 +218,10 @@ def simulate(
             traced plant, an option does not apply, or the plant has no vector field for ``solver``.
         DerivativeError: When a second derivative is taken, or one in reverse mode with ``diffrax.ForwardMode()``.
     """
-    name = "simulate"
-    if isinstance(inputs, Recording):
-        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
-    elif step is not None or interpolation is not None:
-        raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
+    name = inputs.name if isinstance(inputs, Recording) else "simulate"
+    inputs = _on_a_grid(plant, inputs, interpolation, step)
     if adjoint is not None and solver is None:
         raise InputError("simulate: adjoint belongs to a diffrax solver: give solver, too, or leave out adjoint")
-    require_double(plant=plant, inputs=inputs)
-    if inputs.before.shape[-1:] != (len(plant.signals),):
-        raise InputError(
-            f"{name}: the inputs have {inputs.before.shape[-1]} signals and the plant is driven by "
-            f"{', '.join(plant.signals)}: call discretise with this plant"
-        )
     present = dataclasses.replace(plant, effects=tuple(e for e in plant.effects if not _is_zero(e.strength)))
     if solver is None:
         result = simulate_inputs(present, inputs)
@@ -240,6 +232,22 @@ def simulate(
         if status is not SimulationStatus.done:
             raise NumericsError(f"{name}: {status.name}: {status.hint}; parameters: {describe_parameters(plant)}")
     return result
+
+
+def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | None, step: float | None) -> Inputs:
+    """The inputs of a simulation on a grid, after checks of plant and shape."""
+    name = "simulate"
+    if isinstance(inputs, Recording):
+        name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
+    elif step is not None or interpolation is not None:
+        raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
+    require_double(plant=plant, inputs=inputs)
+    if inputs.before.shape[-1:] != (len(plant.signals),):
+        raise InputError(
+            f"{name}: the inputs have {inputs.before.shape[-1]} signals and the plant is driven by "
+            f"{', '.join(plant.signals)}: call discretise with this plant"
+        )
+    return inputs
 
 
 def _is_zero(strength: Float[Array, "..."]) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from smajax.errors import InputError, first_line, shortened
 from smajax.recordings.readers.base import Table, refuse_if_too_large, repair_hint
+from smajax.recordings.traced_values import is_tracing_error, traced_values_error
 
 # Header of the times that an index of dates or durations has.
 _INDEX_HEADER = "time [s]"
@@ -179,6 +180,8 @@ def _to_array(values: Any, place: str) -> np.ndarray:
         if array.dtype.kind == "O" and getattr(getattr(values, "dtype", None), "kind", "O") in "iuf":
             array = cast(Any, values).to_numpy(dtype=float, na_value=np.nan)  # a nullable column of pandas
     except Exception as error:  # each package has its own types of errors, as has a list of unequal lists
+        if is_tracing_error(error):
+            raise traced_values_error(place) from None
         raise InputError(
             f"{place}: the values are not an array ({first_line(error)}): give one number per row"
         ) from None

@@ -5,6 +5,8 @@ import sys
 from dataclasses import replace
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pyarrow
@@ -652,3 +654,53 @@ def test_a_bad_dictionary_is_refused_with_the_sentence_of_the_file(changes, sent
     with pytest.raises(InputError) as refusal:
         read_rig(tomllib.loads(RIG) | changes)
     assert str(refusal.value).startswith(sentence)
+
+
+TRACED = {
+    "array": lambda a: a * jnp.asarray(columns()["current [A]"]),
+    "list": lambda a: [a * value for value in columns()["current [A]"]],
+}
+
+
+REFUSED = {
+    "a dictionary": (
+        lambda current: read_recording(columns() | {"current [A]": current}),
+        "the dictionary: column 'current [A]'",
+    ),
+    "rows": (
+        lambda current: read_recording([[0.0, current[0]], [0.1, current[1]]], headers=["time [s]", "current [A]"]),
+        "the array",
+    ),
+    "channels": (
+        lambda current: Recording.from_arrays("pulse", np.arange(ROWS) / 50, {"current": current}),
+        "pulse: channel 'current'",
+    ),
+    "times": (
+        lambda current: Recording.from_arrays("pulse", current, {"current": columns()["current [A]"]}),
+        "pulse: time",
+    ),
+    "a copy": (
+        lambda current: replace(read_recording(columns(), name="pulse"), channels={"current": current}),
+        "pulse: channel 'current'",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", TRACED)
+@pytest.mark.parametrize("source", REFUSED)
+def test_traced_values_are_refused_with_what_to_trace_instead(source, kind):
+    read, place = REFUSED[source]
+    for trace in (jax.grad, jax.jit):
+        with pytest.raises(InputError) as refusal:
+            trace(lambda a: read(TRACED[kind](a)).channels["current"][0])(1.0)
+        assert str(refusal.value) == (
+            f"{place}: the values are traced by JAX, and a recording is not: make the inputs by discretise() outside "
+            "of the traced function, and in it take Inputs.scale() or replace their before, after and sample_signals"
+        )
+
+
+def test_arrays_of_jax_that_are_not_traced_are_taken():
+    recording = read_recording({name: jnp.asarray(values) for name, values in columns().items()})
+    assert_same(recording, read_recording(columns()))
+    doubled = replace(recording, channels={"current": 2.0 * jnp.asarray(recording.channels["current"])})
+    np.testing.assert_array_equal(doubled.channels["current"], 2.0 * columns()["current [A]"])
