@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from smajax.errors import InputError, suggestion
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
+from smajax.simulation.argument_checks import check_plant, check_recording
 from smajax.simulation.step_size import default_step
 
 # Steps per full range of a linear input: an interval between samples over which it changes by a tenth of its range gets
@@ -154,9 +155,11 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
         step: Longest step in s; ``default_step`` if not given.
 
     Raises:
-        InputError: If the recording lacks a channel, the interpolation is unknown, or the step depends on a traced
-            plant.
+        InputError: If an argument is of another type, the recording lacks a channel, the interpolation is unknown, or
+            the step depends on a traced plant.
     """
+    check_plant("discretise", plant)
+    check_recording("discretise", recording)
     _check_channels(plant, recording)
     if interpolation not in _INTERPOLATIONS:
         raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")

@@ -19,6 +19,7 @@ from smajax.errors import InputError
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
+from smajax.simulation.argument_checks import check_plant, check_state
 from smajax.simulation.time_stepping import simulation_status
 
 
@@ -43,10 +44,11 @@ def init(plant: Plant, signal: ArrayLike) -> State:
         The state, a pytree.
 
     Raises:
-        InputError: If the shape is wrong, or something is of single precision.
+        InputError: If an argument is of another type, the shape is wrong, or something is of single precision.
         DerivativeError: When a second derivative is taken under a prescribed strain.
     """
-    return plant.init(_signal(plant, signal, "init"))
+    signals = _signal(plant, signal, "init")  # first, since it checks the plant
+    return plant.init(signals)
 
 
 def step(
@@ -68,11 +70,12 @@ def step(
         The state at the end, and how the step ended.
 
     Raises:
-        InputError: If a shape is wrong, or something is of single precision.
+        InputError: If an argument is of another type, a shape is wrong, or something is of single precision.
         DerivativeError: When a second derivative is taken.
     """
     after = _signal(plant, signal, "step")
     start = after if before is None else _signal(plant, before, "step")
+    check_state("step", state)
     require_double(state=state, dt=dt)
     end, unsolved = plant.step(state, start, after, jnp.asarray(dt, float))
     return end, StepInfo(simulation_status(end, unsolved, jnp.max(end.temperature)))
@@ -92,14 +95,17 @@ def observe(plant: Plant, state: State, signal: ArrayLike) -> dict[str, Float[Ar
         Scalars by channel (``plant.observable``), SI and degC.
 
     Raises:
-        InputError: If the shape is wrong, or something is of single precision.
+        InputError: If an argument is of another type, the shape is wrong, or something is of single precision.
     """
+    signals = _signal(plant, signal, "observe")
+    check_state("observe", state)
     require_double(state=state)
-    return plant.observe(state, _signal(plant, signal, "observe"))
+    return plant.observe(state, signals)
 
 
 def _signal(plant: Plant, signal: ArrayLike, function: str) -> Float[Array, " signals"]:
     """The signals as an array of double precision, after checks of plant and shape."""
+    check_plant(function, plant)
     require_double(plant=plant, signal=signal)
     if np.shape(signal) != (len(plant.signals),):
         raise InputError(

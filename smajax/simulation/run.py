@@ -22,6 +22,7 @@ from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
+from smajax.simulation.argument_checks import A_RECORDING, check_plant, type_error
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
@@ -214,8 +215,8 @@ def simulate(
 
     Raises:
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
-        InputError: If something is of single precision, the recording lacks a channel, the grid would depend on a
-            traced plant, an option does not apply, or the plant has no vector field for ``solver``.
+        InputError: If an argument is of another type or of single precision, the recording lacks a channel, the grid
+            would depend on a traced plant, an option does not apply, or the plant has no vector field for ``solver``.
         DerivativeError: When a second derivative is taken, or one in reverse mode with ``diffrax.ForwardMode()``.
     """
     name = inputs.name if isinstance(inputs, Recording) else "simulate"
@@ -235,8 +236,11 @@ def simulate(
 
 
 def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | None, step: float | None) -> Inputs:
-    """The inputs of a simulation on a grid, after checks of plant and shape."""
+    """The inputs of a simulation on a grid, after checks of types and shape."""
     name = "simulate"
+    check_plant(name, plant)
+    if not isinstance(inputs, Inputs | Recording):
+        raise type_error(name, "inputs", inputs, f"Inputs, as discretise returns them, or {A_RECORDING}")
     if isinstance(inputs, Recording):
         name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
     elif step is not None or interpolation is not None:

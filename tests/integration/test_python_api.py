@@ -273,6 +273,52 @@ def test_mistakes_have_the_sentences_of_the_commands(files):
         sma.diagnose(files / "rig.toml", files / "train.csv", select=["a.csv", "b.csv"], holdout="c.csv")
 
 
+# Calls with an argument of a wrong type, and the sentences that refuse them.
+A_PLANT = "give a Plant, such as rig.plant of a rig from read_rig"
+A_RECORDING = "a Recording, such as rig.read(..., observed=False) of a file or of a table in memory"
+A_STATE = "give the state that init returns, or the first result of step"
+WRONG_TYPES = {
+    "sma.simulate(rig, inputs)": f"simulate: plant is of type Rig: {A_PLANT}",
+    "sma.simulate(plant, table)": "simulate: inputs is of type dict: give Inputs, as discretise returns them, "
+    f"or {A_RECORDING}",
+    "sma.discretise(rig, recording)": f"discretise: plant is of type Rig: {A_PLANT}",
+    "sma.discretise(plant, 'train.csv')": f"discretise: recording is of type str: give {A_RECORDING}",
+    "sma.init(rig, signal)": f"init: plant is of type Rig: {A_PLANT}",
+    "sma.step(rig, state, signal, 0.1)": f"step: plant is of type Rig: {A_PLANT}",
+    "sma.step(plant, (state, None), signal, 0.1)": f"step: state is of type tuple: {A_STATE}",
+    "sma.observe(rig, state, signal)": f"observe: plant is of type Rig: {A_PLANT}",
+    "sma.observe(plant, signal, signal)": f"observe: state is of type ndarray: {A_STATE}",
+    "sma.rollout(rig, loop, reference)": f"rollout: system is of type Rig: {A_PLANT}, or a SampledPlant",
+    "sma.rollout(plant, loop.controller, reference)": "rollout: loop is of type PID: give a ClosedLoop, such as "
+    "ClosedLoop(controller, channel=...)",
+}
+
+
+def test_arguments_of_a_wrong_type_are_named_with_what_is_taken():
+    """In a new process, since the tests' own checks of types would come first."""
+    code = f"""
+import numpy as np
+import jax
+import smajax as sma
+rig = sma.read_rig({str(DATA / "rig.toml")!r})
+plant, signal, reference = rig.plant, np.asarray([0.2]), np.full(3, 1e-3)
+table = {{"time [s]": 0.1 * np.arange(3), "current [A]": np.full(3, 0.2)}}
+recording = rig.read(table, observed=False)
+inputs = sma.discretise(plant, recording)
+state = sma.init(plant, signal)
+loop = sma.ClosedLoop(
+    sma.controllers.PID(kp=400.0, ki=50.0, lower=0.0, upper=0.4, period=0.1), channel="displacement"
+)
+for call in {list(WRONG_TYPES)!r}:
+    try:
+        eval(call)
+    except sma.InputError as error:
+        print(error)
+"""
+    result = python(code, JAX_ENABLE_X64="1")
+    assert result.stdout.splitlines() == list(WRONG_TYPES.values()), result.stderr
+
+
 def test_models_are_compared(files):
     ranked = sma.compare(
         files / "rig.toml", files / "train.csv", holdout=files / "holdout.csv", models=["tanaka", "transfer-function"]

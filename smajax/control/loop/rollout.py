@@ -32,6 +32,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
 from smajax.plant.plant import Plant
+from smajax.simulation.argument_checks import A_PLANT, type_error
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 
 # Channels that follow the command without delay; the others change in the course of the period.
@@ -145,10 +146,15 @@ def rollout(
         Channels and commands at the samples, the final states, and the status.
 
     Raises:
-        InputError: if periods differ, the numbers of wires differ, the plant has no channel of the loop's name, the
-            limits of two wires never heat one of them, or the step of a traced plant is not given.
+        InputError: if an argument is of another type, periods differ, the numbers of wires differ, the plant has no
+            channel of the loop's name, the limits of two wires never heat one of them, or the step of a traced plant is
+            not given.
         NumericsError: if the simulation fails and ``throw`` is set; the message says what to do.
     """
+    if not isinstance(system, Plant | AbstractSampledSystem):
+        raise type_error("rollout", "system", system, f"{A_PLANT}, or a SampledPlant")
+    if not isinstance(loop, ClosedLoop):
+        raise type_error("rollout", "loop", loop, "a ClosedLoop, such as ClosedLoop(controller, channel=...)")
     if period is not None:
         check_same_period("rollout", period, "controller", loop.period)
     sampled = _sampled(system, loop.period, step)
