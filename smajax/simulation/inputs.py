@@ -151,7 +151,8 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
         plant: The plant, which determines the signals.
         recording: The recording, which has a channel for each of the plant's signals. Without a clock it gets one step
             per row, since only the order of its rows matters.
-        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``. A rig's own is
+            ``rig.interpolation``: pass it, since neither plant nor recording has it.
         step: Longest step in s; ``default_step`` if not given.
 
     Raises:

@@ -200,7 +200,8 @@ def simulate(
         plant: The plant; its effects of strength 0 are left out, unless the strength is traced.
         inputs: The inputs on a grid (``discretise``), or a recording that gives them. With a recording the grid is made
             here, which a plant under ``jax.jit`` or ``jax.vmap`` allows only with ``step``.
-        interpolation: Electrical inputs of a recording between its samples: ``hold`` (the default) or ``linear``.
+        interpolation: Electrical inputs of a recording between its samples: ``hold`` (the default) or ``linear``. A
+            rig's own is ``rig.interpolation``: pass it, since neither plant nor recording has it.
         step: Longest step in s for a recording; ``default_step`` if not given.
         solver: A diffrax solver that integrates the plant's vector field (``smajax.simulation.vector_field``) with an
             adaptive step size, in place of the implicit step: a second opinion. Not every plant has one.

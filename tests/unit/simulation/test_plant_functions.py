@@ -186,3 +186,9 @@ def test_options_that_do_not_apply_are_refused(plant, inputs):
         simulate(plant, inputs, interpolation="hold")
     with pytest.raises(InputError, match="simulate: adjoint belongs to a diffrax solver"):
         simulate(plant, inputs, adjoint=diffrax.ForwardMode())
+
+
+@pytest.mark.parametrize("function", [simulate, discretise])
+def test_the_help_names_the_interpolation_of_a_rig_and_how_to_differentiate_in_the_inputs(function):
+    text = function.__doc__
+    assert "``rig.interpolation``" in text and "``Inputs.scale``" in text
