@@ -1,11 +1,28 @@
 """smajax: differentiable models of shape-memory-alloy actuators for estimation, diagnosis and control.
 
-The public names are loaded when they are first used, so that the command line and a mistake in a file stay fast::
+The public names by task; each has its own help, such as ``help(smajax.fit)``::
 
     import smajax as sma
 
-    result = sma.fit("rig.toml", "train.csv", holdout="holdout.csv")
-    print(result)
+    print(sma.fit("rig.toml", "train.csv", holdout="holdout.csv"))
+
+- Fit and diagnose: ``fit``, ``predict``, ``diagnose``, ``compare``, ``thermal_cycle_properties``. Design: ``sweep``,
+  ``tune``. They return a ``Study``: ``FitStudy`` (of ``Parameter``), ``PredictionStudy``, ``DiagnosisStudy``,
+  ``ComparisonStudy``, ``PropertiesStudy`` (of ``Property``), ``SweepStudy``, ``TuningStudy``. ``load`` reads a saved
+  one. ``ProgressEvent`` is what their callback ``progress`` gets.
+- Files: ``read_rig`` returns a ``Rig``, ``Rig.read`` and ``read_recording`` a ``Recording``, ``load_material`` a
+  material with the values of a parameter set.
+- Loops of your own: ``discretise`` returns ``Inputs``. Safe under ``jax.jit``, ``jax.vmap`` and ``jax.grad``:
+  ``simulate`` returns a ``Simulation`` with a ``SimulationStatus``; ``init``, ``step`` and ``observe`` take single
+  steps; ``rollout`` of a ``ClosedLoop`` over a ``Scenario`` returns a ``Rollout``.
+- Plants without a rig file: ``Plant`` of ``Wire`` or ``Coil``, ``Environment``, ``Initial``; a drive (``CurrentDrive``,
+  ``VoltageDrive``, ``PowerDrive``, ``DutyDrive``, ``NoDrive``); heat (``PolynomialConvection``, ``PowerLawConvection``,
+  ``PrescribedTemperature``); a ``Sensor``.
+- Classes of your own: ``register`` makes them known by name, ``parameter`` declares their parameters; base classes are
+  in the modules ``materials``, ``mechanisms``, ``effects`` and ``controllers``.
+- Errors: ``InputError``, ``NumericsError``, ``DerivativeError``, ``Cancelled``.
+
+All are loaded when they are first used, so that the command line and a mistake in a file stay fast.
 """
 
 import importlib

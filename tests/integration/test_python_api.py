@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -65,6 +66,12 @@ def test_every_public_name_is_there_once():
     assert set(sma.__all__) <= set(dir(sma))
     with pytest.raises(AttributeError, match="module 'smajax' has no attribute 'fitt'"):
         sma.fitt  # noqa: B018
+
+
+def test_the_help_of_the_package_lists_the_public_names_on_its_first_screen():
+    lines = sma.__doc__.splitlines()
+    listed = set(re.findall(r"``(\w+)``", sma.__doc__))
+    assert set(sma.__all__) - {"__version__"} <= listed and len(lines) <= 30
 
 
 def without_times(document):
