@@ -19,7 +19,8 @@ The public names by task; each has its own help, such as ``help(smajax.fit)``::
   ``VoltageDrive``, ``PowerDrive``, ``DutyDrive``, ``NoDrive``); heat (``PolynomialConvection``, ``PowerLawConvection``,
   ``PrescribedTemperature``); a ``Sensor``.
 - Classes of your own: ``register`` makes them known by name, ``parameter`` declares their parameters; base classes are
-  in the modules ``materials``, ``mechanisms``, ``effects`` and ``controllers``.
+  in the modules ``materials``, ``mechanisms``, ``effects`` and ``controllers``. These four are attributes and not
+  submodules: write ``sma.effects`` or ``from smajax import effects``, since ``import smajax.effects`` does not exist.
 - Errors: ``InputError``, ``NumericsError``, ``DerivativeError``, ``Cancelled``.
 
 All are loaded when they are first used, so that the command line and a mistake in a file stay fast.

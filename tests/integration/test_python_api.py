@@ -74,6 +74,14 @@ def test_the_help_of_the_package_lists_the_public_names_on_its_first_screen():
     assert set(sma.__all__) - {"__version__"} <= listed and len(lines) <= 30
 
 
+@pytest.mark.parametrize("name", sma._SUBPACKAGES)
+def test_public_modules_are_attributes_as_the_help_says(name):
+    """They cannot be submodules: the top of the package has no folder for them."""
+    assert f"``{name}``" in sma.__doc__ and "``from smajax import effects``" in sma.__doc__
+    result = python(f"from smajax import {name}; print({name}.__name__)")
+    assert result.stdout.strip() == sma._SUBPACKAGES[name], result.stderr
+
+
 def without_times(document):
     """Return a document without the entries that two runs differ in."""
     if isinstance(document, dict):
