@@ -120,7 +120,7 @@ def _flag_problems(cls: type[AbstractEffect]) -> list[str]:
             problems.append(f"it defines drag, which is called only with has_drag: {cure}")
         if cls.has_drag and not _overrides(cls, "drag"):
             problems.append("it has has_drag = True and no drag: define drag, or leave has_drag out")
-        if cls.has_drag and "drag" not in cls.needs:
+        if cls.has_drag and "drag" not in (cls.needs or ()):
             cure = 'write needs = ("drag",) in the body of the class'
             problems.append(f"it has a drag, which not every rig can have: {cure}")
     if cls.other_channels and not (_overrides(cls, "displacement") or _overrides(cls, "reading")):
@@ -204,8 +204,9 @@ def _word_problems(cls: type[AbstractEffect], effects: Collection[str]) -> list[
     problems = []
     for attribute, kind, words, cure in rules:
         values: Any = getattr(cls, attribute)
-        if isinstance(values, str):
-            problems.append(f'its {attribute} is a text and not a tuple: write {attribute} = ("{values}",)')
+        if not isinstance(values, tuple | list):
+            example = values if isinstance(values, str) else "WORD"
+            problems.append(f'its {attribute} is not a tuple: write {attribute} = ("{example}",)')
             continue
         for word in values:
             if word not in words:

@@ -143,7 +143,7 @@ def optional(self, state, memory=(), context=None, scale=1.0):
         (
             HeatEffect,
             {"power": power, "needs": "one wire"},
-            'its needs is a text and not a tuple: write needs = ("one wire",)',
+            'its needs is not a tuple: write needs = ("one wire",)',
         ),
         (
             HeatEffect,
