@@ -135,6 +135,7 @@ def optional(self, state, memory=(), context=None, scale=1.0):
             {"power": in_another_order},
             "its power(self, state, context, memory) has the parameters in another",
         ),
+        (HeatEffect, {"power": power, "needs": None}, 'its needs is not a tuple: write needs = ("WORD",)'),
         (
             HeatEffect,
             {"power": power, "needs": ("one-wire",)},
