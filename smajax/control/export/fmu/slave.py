@@ -67,7 +67,7 @@ class _Slave(Fmi2Slave):
         for vr, value in zip(vrs, values, strict=True):
             self.values[vr] = np.float64(value)
         if not self.running:
-            self.state = None
+            self.state = None  # its start values are still being set
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return variables by their value references; outputs are computed from the current inputs."""
