@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from smajax.errors import InputError, suggestion
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
-from smajax.simulation.argument_checks import check_plant, check_recording
+from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
 from smajax.simulation.step_size import default_step
 
 # Steps per full range of a linear input: an interval between samples over which it changes by a tenth of its range gets
@@ -159,8 +159,8 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
         InputError: If an argument is of another type, the recording lacks a channel, the interpolation is unknown, or
             the step depends on a traced plant.
     """
-    check_plant("discretise", plant)
-    check_recording("discretise", recording)
+    check_type("discretise", "plant", plant, Plant, A_PLANT)
+    check_type("discretise", "recording", recording, Recording, A_RECORDING)
     _check_channels(plant, recording)
     if interpolation not in _INTERPOLATIONS:
         raise InputError(f"interpolation = '{interpolation}' is not known: it is 'hold' or 'linear'")

@@ -19,7 +19,7 @@ from smajax.errors import InputError
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
-from smajax.simulation.argument_checks import check_plant, check_state
+from smajax.simulation.argument_checks import A_PLANT, A_STATE, check_type
 from smajax.simulation.time_stepping import simulation_status
 
 
@@ -75,7 +75,7 @@ def step(
     """
     after = _signal(plant, signal, "step")
     start = after if before is None else _signal(plant, before, "step")
-    check_state("step", state)
+    check_type("step", "state", state, State, A_STATE)
     require_double(state=state, dt=dt)
     end, unsolved = plant.step(state, start, after, jnp.asarray(dt, float))
     return end, StepInfo(simulation_status(end, unsolved, jnp.max(end.temperature)))
@@ -98,14 +98,14 @@ def observe(plant: Plant, state: State, signal: ArrayLike) -> dict[str, Float[Ar
         InputError: If an argument is of another type, the shape is wrong, or something is of single precision.
     """
     signals = _signal(plant, signal, "observe")
-    check_state("observe", state)
+    check_type("observe", "state", state, State, A_STATE)
     require_double(state=state)
     return plant.observe(state, signals)
 
 
 def _signal(plant: Plant, signal: ArrayLike, function: str) -> Float[Array, " signals"]:
     """The signals as an array of double precision, after checks of plant and shape."""
-    check_plant(function, plant)
+    check_type(function, "plant", plant, Plant, A_PLANT)
     require_double(plant=plant, signal=signal)
     if np.shape(signal) != (len(plant.signals),):
         raise InputError(

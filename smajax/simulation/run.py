@@ -22,7 +22,7 @@ from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
 from smajax.plant.state import State
 from smajax.recordings.recording import Recording
-from smajax.simulation.argument_checks import A_RECORDING, check_plant, type_error
+from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
@@ -239,9 +239,9 @@ def simulate(
 def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | None, step: float | None) -> Inputs:
     """The inputs of a simulation on a grid, after checks of types and shape."""
     name = "simulate"
-    check_plant(name, plant)
-    if not isinstance(inputs, Inputs | Recording):
-        raise type_error(name, "inputs", inputs, f"Inputs, as discretise returns them, or {A_RECORDING}")
+    check_type(name, "plant", plant, Plant, A_PLANT)
+    takes = f"Inputs, as discretise returns them, or {A_RECORDING}"
+    check_type(name, "inputs", inputs, Inputs | Recording, takes)
     if isinstance(inputs, Recording):
         name, inputs = inputs.name, discretise(plant, inputs, interpolation=interpolation or "hold", step=step)
     elif step is not None or interpolation is not None:

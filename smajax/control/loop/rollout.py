@@ -32,7 +32,7 @@ from smajax.errors import InputError, NumericsError
 from smajax.numerics.derivative_order import first_order_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import jvp
 from smajax.plant.plant import Plant
-from smajax.simulation.argument_checks import A_PLANT, type_error
+from smajax.simulation.argument_checks import A_PLANT, check_type
 from smajax.simulation.status import MELTING_TEMPERATURE, SimulationStatus
 
 # Channels that follow the command without delay; the others change in the course of the period.
@@ -151,10 +151,8 @@ def rollout(
             not given.
         NumericsError: if the simulation fails and ``throw`` is set; the message says what to do.
     """
-    if not isinstance(system, Plant | AbstractSampledSystem):
-        raise type_error("rollout", "system", system, f"{A_PLANT}, or a SampledPlant")
-    if not isinstance(loop, ClosedLoop):
-        raise type_error("rollout", "loop", loop, "a ClosedLoop, such as ClosedLoop(controller, channel=...)")
+    check_type("rollout", "system", system, Plant | AbstractSampledSystem, f"{A_PLANT}, or a SampledPlant")
+    check_type("rollout", "loop", loop, ClosedLoop, "a ClosedLoop, such as ClosedLoop(controller, channel=...)")
     if period is not None:
         check_same_period("rollout", period, "controller", loop.period)
     sampled = _sampled(system, loop.period, step)
