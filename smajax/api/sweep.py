@@ -187,12 +187,9 @@ def _sweep(
         with checkpoint_folder(out, header, resume=resume) as folder:
             complete = _simulate(designs, folder, submit, reporter, clock)
             workers.close()
-            kept = "nothing is kept, since no folder was given"
-            if save:
-                kept = (
-                    "run it again with --resume (resume=True in Python) to continue; the results so far are saved in "
-                )
-                kept += str(folder)
+            advice = "run it again with --resume (resume=True in Python) to continue"
+            saved = f"{advice}; the results so far are saved in {folder}"
+            kept = saved if save else "nothing is kept, since no folder was given"
             if not complete:
                 count = sum((folder / chunk.file).is_file() for chunk in designs.chunks)
                 raise Cancelled(f"stopped after {count} of {_counted(designs.chunks)}; {kept}")
