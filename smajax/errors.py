@@ -90,10 +90,6 @@ class Cancelled(Exception):
     exit_code = 130
 
 
-# What a progress callback raises to stop the work; Ctrl-C raises the first.
-STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
-
-
 def suggestion(word: str, candidates: Iterable[str]) -> str:
     """Return the suggestion of a name for a misspelt one, to append to a message.
 

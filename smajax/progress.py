@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, ParamSpec, Protocol, runtime_checkable
 
-from smajax.errors import STOP_SIGNALS, Cancelled
+from smajax.errors import Cancelled
 
+# What a progress callback raises to stop the work; Ctrl-C raises the first.
+_STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
 # Least time (s) between two lines of one phase where stderr is not a terminal; chosen by trial.
 _MIN_SECONDS_BETWEEN_LINES = 2.0
 # Width of the bar in characters.
@@ -52,7 +54,7 @@ def stoppable(callback: Callable[_Arguments, object]) -> Callable[_Arguments, No
     def report(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> None:
         try:
             callback(*args, **kwargs)
-        except STOP_SIGNALS as signal:
+        except _STOP_SIGNALS as signal:
             raise CallbackStop from signal
 
     return report
@@ -126,7 +128,7 @@ class Reporter:
             return
         try:
             self._callback(event)
-        except STOP_SIGNALS as error:
+        except _STOP_SIGNALS as error:
             if self.stopped and isinstance(error, StopIteration):
                 return  # the work is ending with the best result so far
             self.stopped: bool = True

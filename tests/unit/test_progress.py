@@ -2,8 +2,10 @@
 
 import pytest
 
-from smajax.errors import STOP_SIGNALS, Cancelled
+from smajax.errors import Cancelled
 from smajax.progress import CallbackStop, ProgressEvent, Reporter, stoppable
+
+STOP_SIGNALS = (KeyboardInterrupt, StopIteration)
 
 
 def raise_at(error, *texts):
