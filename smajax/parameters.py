@@ -206,7 +206,7 @@ def _shown(value: float, unit: str) -> str:
 
 
 def is_concrete(value: Any) -> bool:
-    """Return whether a value is a number or an array that can be checked: not traced, and no placeholder of JAX.
+    """Return whether a value is a number or an array whose elements are known, and not traced by JAX.
 
     Args:
         value: The value.

@@ -21,7 +21,6 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -272,7 +271,7 @@ def _fit_further_effects(
     Empty if no score at the first fit reaches the share ``min_score_gain`` of its excess.
     """
     candidates: list[Candidate] = []
-    queued: set[frozenset[Any]] = set()
+    queued: set[frozenset[str]] = set()
     for fit in beam:
         scores = evaluator.scores(fit.refit)
         excess = (fit.train_chi2 - 1.0) * evaluator.problem.samples
@@ -309,7 +308,7 @@ def _refine_best(
     """The best fit, converged and compared with confusable effects, and all fits, one for each set of effects."""
     samples = evaluator.problem.samples
     best = evaluator.refit_to_convergence(min(fits, key=lambda fit: fit.total_chi2))
-    by_effects: dict[frozenset[Any], CandidateFit] = {}
+    by_effects: dict[frozenset[str], CandidateFit] = {}
     all_fits = [best, *fits, *refit_confusable_effects(evaluator, best)]
     for fit in sorted(all_fits, key=lambda fit: fit.total_chi2):
         by_effects.setdefault(frozenset(fit.keys), fit)

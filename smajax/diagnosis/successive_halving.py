@@ -5,7 +5,6 @@ Source: jamieson2016.
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -66,7 +65,7 @@ def successive_halving(
     searches += map_in_pairs(evaluator.continue_if_needed, [s for s in groups[0] if s.stride > 1])
     by_search = map_in_pairs(lambda search: scan_onset_times(evaluator, search), groups[0])
     searches += [search for scanned in by_search for search in scanned]
-    best: dict[frozenset[Any], RefitSearch] = {}
+    best: dict[frozenset[str], RefitSearch] = {}
     for search in sorted(searches, key=lambda s: s.cost):
         best.setdefault(frozenset(search.effect_set.keys), search)
     refits = map_in_pairs(problem.refit_from, list(best.values())[:_MAX_EVALUATED])

@@ -41,8 +41,8 @@ _INCREMENT = 1e-6
 # Newton steps for the unknowns of the mechanism at given fractions. Their equation is piecewise linear, nearly, and the
 # first guess is the integrated unknown.
 _BALANCE_STEPS = 3
-# Newton steps after the search for the rates. With a step less of each, temperatures of a testing machine change by up
-# to 1e-5 K, which is above the tolerances below.
+# Newton steps after the search for the rates. Both numbers were chosen by trial: with a step less of each, temperatures
+# of a testing machine change by more than the tolerances below.
 _RATE_STEPS = 2
 # Relative tolerance of the step size control, and the absolute ones of temperature (K), fraction, and unknown (Pa);
 # tests/unit/simulation/test_vector_field.py holds the resulting difference to the implicit step.

@@ -170,11 +170,13 @@ def _step_functions(program: CProgram, numbers: Constants) -> list[str]:
     """State of the controller, and its functions."""
 
     def reset(values: Any, blind: jax.Array, reference: jax.Array, value: jax.Array) -> _State:
+        """Start as if reference and value had been constant."""
         held = ReferenceHold.init(reference)
         hold = DropoutHold.init(value, held.begun, blind)
         return _State(numbers.module(values).reset(held.reference, hold.value), hold, held)
 
     def step(values: Any, state: _State, blind: jax.Array, *inputs: jax.Array) -> tuple[_State, jax.Array]:
+        """Take one sample: the state after it and the command; the inputs are reference, value and both limits."""
         reference, value, lower, upper = inputs
         controller = numbers.module(values).with_limits(lower, upper)
         held = state.reference.update(reference)

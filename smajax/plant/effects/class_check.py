@@ -26,7 +26,7 @@ _CURRENT_SCALE = "reference"
 _MEMORY_HOOKS = ("initial_memory", "update_memory", "begin_step")
 # Similarity (difflib's ratio, 0 to 1) from which a name counts as a misspelt hook: "shfit" has 0.8, and a helper such
 # as heat_power has 0.67; tests/unit/plant/test_effect_classes.py holds it.
-_MISSPELT = 0.8
+_MISSPELT_SIMILARITY = 0.8
 
 
 def effect_problems(name: str, cls: type[AbstractEffect], effects: Collection[str]) -> list[str]:
@@ -160,7 +160,7 @@ def _own_names(cls: type[AbstractEffect]) -> set[str]:
 
 
 def _name_problems(cls: type[AbstractEffect]) -> list[str]:
-    """Names that no one uses: hooks of other stages, and those that are similar to a hook or a class attribute."""
+    """Names that are not used: hooks of other stages, and those that are similar to a hook or a class attribute."""
     stage, problems = _stage(cls), []
     attributes = {name for base in stage.__mro__ for name in inspect.get_annotations(base)} | set(dir(stage))
     known = [name for name in attributes if not name.startswith("_")]
@@ -170,7 +170,7 @@ def _name_problems(cls: type[AbstractEffect]) -> list[str]:
             problems.append(
                 f"it defines {name}, a hook of {others[0]} and not of {stage.__name__}: derive it from that"
             )
-        elif similar := difflib.get_close_matches(name.lower(), known, n=1, cutoff=_MISSPELT):
+        elif similar := difflib.get_close_matches(name.lower(), known, n=1, cutoff=_MISSPELT_SIMILARITY):
             hint = f"did you mean '{similar[0]}'?"
             cure = "correct the name, or begin it with an underscore"
             problems.append(f"it defines {name}, which is not used ({hint}): {cure}")
