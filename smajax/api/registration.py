@@ -17,18 +17,7 @@ def register(kind: Literal["material", "mechanism", "effect", "controller"], nam
 
     An effect must have the declared parameter ``strength`` with the default 0, the class attributes ``key`` (its name)
     and ``typical`` (a usual strength), and a hook of its base class. ``help(smajax.effects.AbstractEffect)`` lists the
-    other attributes, such as ``source``, ``needs`` and ``confused_with``. A complete effect::
-
-        class HolderLeak(sma.effects.HeatEffect):  # heat that leaks into a holder at ambient temperature
-            strength: jax.Array = sma.parameter("W/m^3/K", "heat loss per kelvin", 0.0, 1e6, 0.0)
-            key = "holder-leak"
-            typical = 1e5
-            source = "estimate"
-
-            def power(self, state, memory, context):
-                return -self.strength * (state.temperature - context.environment.ambient)
-
-        sma.register("effect", "holder-leak", HolderLeak)
+    other attributes, such as ``source``, ``needs`` and ``confused_with``, and has a complete example.
 
     An installed package can offer its classes without this call, as entry points of the groups ``smajax.materials``,
     ``smajax.mechanisms``, ``smajax.effects`` and ``smajax.controllers``.

@@ -199,9 +199,14 @@ def test_the_capabilities_of_a_rig_are_listed_words(kind):
     assert words <= set(CAPABILITIES) and "clock" in words
 
 
-@pytest.mark.parametrize("documented", [sma.register, AbstractEffect])
-def test_the_example_of_a_docstring_is_a_complete_effect(documented):
-    text = inspect.getdoc(documented) or ""
+def test_the_help_of_register_says_what_is_obligatory_and_where_an_example_is():
+    text = inspect.getdoc(sma.register) or ""
+    assert all(f"``{word}``" in text for word in ("strength", "key", "typical"))
+    assert "``help(smajax.effects.AbstractEffect)``" in text and "complete example" in text
+
+
+def test_the_example_of_the_docstring_is_a_complete_effect():
+    text = inspect.getdoc(AbstractEffect) or ""
     block = text.partition("::\n\n")[2].splitlines()
     end = next((i for i, line in enumerate(block) if line and not line.startswith(" ")), len(block))
     names = {"jax": jax, "sma": sma, "__name__": __name__}
