@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from smajax.plant.effects.base import HeatEffect, MaterialEffect, MechanismEffect, WireState
 from smajax.plant.effects.hook_results import checked_result
 from smajax.plant.heat import PrescribedTemperature
+from smajax.plant.materials.base import Fractions
 from smajax.plant.stages import PlantStages
 from smajax.plant.state import State
 
@@ -89,8 +90,12 @@ class StepEquations(PlantStages):
         prescribed: dict[str, Any],
         step: Float[Array, ""],
         end: Float[Array, " unknowns"],
+        share: Float[Array, " wires"] | None = None,
     ) -> tuple[WireState, dict[str, Any]]:
-        """The wires at the end, with the contraction of the start, and the memory of heat and material effects."""
+        """The wires at the end, with the contraction of the start, and the memory of heat and material effects.
+
+        Of the transformation only a ``share`` takes place, if it is given.
+        """
         temperature = end[: self.mechanism.wires]
         if "temperature" in prescribed:
             temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
@@ -98,6 +103,8 @@ class StepEquations(PlantStages):
         if self._has_drag:
             stress = self.mechanism.with_drag(stress, end[-1])
         fractions = self._evolve_fractions(first, temperature, stress)
+        if share is not None:
+            fractions = Fractions(*(a + share * (b - a) for a, b in zip(first.fractions, fractions, strict=True)))
         last = WireState(
             first.time + step, temperature, fractions, stress, first.contraction, first.accumulated_transformation
         )

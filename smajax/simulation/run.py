@@ -218,7 +218,8 @@ def simulate(
         NumericsError: If the simulation fails and ``throw`` is set; the message says what to do.
         InputError: If an argument is of another type or of single precision, the recording lacks a channel, the grid
             would depend on a traced plant, an option does not apply, or the plant has no vector field for ``solver``.
-        DerivativeError: When a second derivative is taken, or one in reverse mode with ``diffrax.ForwardMode()``.
+        DerivativeError: When a second derivative is taken, one in reverse mode with ``diffrax.ForwardMode()``, or one
+            with ``solver`` for a material law with driving forces or a mechanism with inertia.
     """
     name = inputs.name if isinstance(inputs, Recording) else "simulate"
     inputs = _on_a_grid(plant, inputs, interpolation, step)

@@ -1,9 +1,10 @@
 """The plant as a differential equation: rates of temperatures, martensite fractions and memories, for diffrax.
 
     C dT/dt = q(t, T, xi, sigma) - d(stored)/dt       d(xi)/dt = K(xi, T, sigma; dT/dt, d(sigma)/dt)
-    0 = B(z, T, xi, t)                                sigma = sigma(z, t)
+    0 = B(z, T, xi, m, t)      sigma = sigma(z, t)    dm/dt = m'(m, z)
 
-q is the net heat, ``stored`` the latent heat, B the balance of the mechanism in its unknowns z, and K the material law.
+q is the net heat, ``stored`` the latent heat, B the balance of the mechanism in its unknowns z at a given motion m, and
+K the material law. The motion has rates where the mechanism has an inertia: m' holds the equation of motion.
 A law is written in increments that do not depend on the rate; its rates K are the one-sided derivative of an increment
 in the direction of dT/dt and d(sigma)/dt. That direction decides which transformation proceeds, and the transformation
 decides the direction: the rates are the root of a piecewise linear equation in dT/dt and dz/dt. All terms are those of
@@ -19,12 +20,14 @@ from typing import Any, NamedTuple, cast
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from smajax.errors import InputError
 from smajax.numerics import newton
-from smajax.numerics.derivative_order import forward_mode_only
+from smajax.numerics.derivative_order import forward_mode_only, nondifferentiable
 from smajax.numerics.implicit_differentiation import implicit_root
+from smajax.numerics.nonsmooth import minimum
 from smajax.plant.effects.base import MechanismEffect, WireState
 from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.materials.base import Fractions
@@ -44,6 +47,9 @@ _BALANCE_STEPS = 3
 # Newton steps after the search for the rates. Both numbers were chosen by trial: with a step less of each, temperatures
 # of a testing machine change by more than the tolerances below.
 _RATE_STEPS = 2
+# Distance in martensite fraction over which rates of a law with driving forces rise (``_at_the_surface``): its error.
+# Chosen by trial: implicit solvers need too many steps with 1e-5, and fail without it.
+_RAMP = 1e-4
 # Relative tolerance of the step size control, and the absolute ones of temperature (K), fraction, and unknown (Pa);
 # tests/unit/simulation/test_vector_field.py holds the resulting difference to the implicit step.
 _RELATIVE_TOLERANCE = 1e-7
@@ -56,6 +62,12 @@ _FORWARD_MODE = (
     "diffrax.RecursiveCheckpointAdjoint()"
 )
 
+# Their rates jump, and an adaptive solver does not differentiate the time at which they do.
+_EVENTS = (
+    "simulate: a diffrax solver has no derivatives for a material law with driving forces or a mechanism with inertia, "
+    "whose rates jump: leave out solver= to differentiate the implicit step"
+)
+
 
 class Differential(NamedTuple):
     """The variables of the differential equation.
@@ -65,12 +77,14 @@ class Differential(NamedTuple):
         fractions: Martensite fractions, shape ``(wires,)`` each.
         unknown: Unknowns of the mechanism as shares of Young's modulus of austenite: first guesses of the solution of
             its balance, which alone counts.
+        motion: State of the mechanism.
         memory: States of the effects (``State.memory``).
     """
 
     temperature: Float[Array, " wires"]
     fractions: Fractions
     unknown: Float[Array, " unknowns"]
+    motion: Any
     memory: dict[str, Any]
 
 
@@ -80,12 +94,10 @@ class FieldArguments(NamedTuple):
     Attributes:
         plant: The plant.
         inputs: Its inputs on a grid.
-        motion: State of the mechanism, which is constant.
     """
 
     plant: Plant
     inputs: Inputs
-    motion: Any
 
 
 def check_vector_field(plant: Plant) -> None:
@@ -126,8 +138,8 @@ def check_adjoint(adjoint: dfx.AbstractAdjoint | None) -> None:
         )
 
 
-def initial_variables(plant: Plant, signal: Float[Array, " signals"]) -> tuple[Differential, Any]:
-    """Compute the variables at the first sample, and the constant state of the mechanism.
+def initial_variables(plant: Plant, signal: Float[Array, " signals"]) -> Differential:
+    """Compute the variables at the first sample.
 
     Args:
         plant: The plant.
@@ -135,26 +147,27 @@ def initial_variables(plant: Plant, signal: Float[Array, " signals"]) -> tuple[D
     """
     state = plant.init(signal)
     unknown = state.unknown / plant._mechanism_context().modulus
-    return Differential(state.temperature, state.fractions, unknown, state.memory), state.motion
+    return Differential(state.temperature, state.fractions, unknown, state.motion, state.memory)
 
 
-def state_of(variables: Differential, signal: Float[Array, " signals"], plant: Plant, motion: Any) -> State:
+def state_of(variables: Differential, signal: Float[Array, " signals"], plant: Plant) -> State:
     """Compute the state of the plant: the balance of the mechanism gives the stress.
 
     Args:
         variables: The variables of the differential equation.
         signal: Signals at the same instant.
         plant: The plant.
-        motion: State of the mechanism.
     """
-    fixed = (plant, variables, signal, motion)
+    fixed = (plant, variables, signal)
     unknown = variables.unknown * plant._mechanism_context().modulus
     if plant.mechanism.unknowns:
         unknown = implicit_root(_balance_residual, _solve_balance, fixed, "simulate")
     state = _state_with(unknown, *fixed)
+    strain = plant._strain(plant._wire_state(state), state.memory)
+    motion = plant.mechanism.complete_motion(unknown, strain, state.motion, plant._mechanism_context())
+    state = state._replace(motion=motion)
     if not plant.all_effects:
         return state
-    strain = plant._strain(plant._wire_state(state), state.memory)
     return state._replace(memory=state.memory | {"contraction": plant.mechanism.contraction(strain)})
 
 
@@ -163,14 +176,13 @@ def _state_with(
     plant: Plant,
     variables: Differential,
     signal: Float[Array, " signals"],
-    motion: Any,
 ) -> State:
     """The state of the plant with given unknowns of the mechanism in Pa."""
     prescribed, temperature = plant._prescribed_channels(signal), variables.temperature
     if isinstance(plant.heat, PrescribedTemperature):
         temperature = jnp.broadcast_to(prescribed["temperature"], temperature.shape)
     stress = plant.mechanism.stress(unknown, prescribed, plant._mechanism_context())
-    return State(temperature, variables.fractions, stress, unknown, motion, variables.memory)
+    return State(temperature, variables.fractions, stress, unknown, variables.motion, variables.memory)
 
 
 def _balance_residual(
@@ -178,21 +190,20 @@ def _balance_residual(
     plant: Plant,
     variables: Differential,
     signal: Float[Array, " signals"],
-    motion: Any,
 ) -> Float[Array, " unknowns"]:
     """Residual of the mechanism's balance in Pa."""
-    state = _state_with(unknown, plant, variables, signal, motion)
+    state = _state_with(unknown, plant, variables, signal)
     strain = plant._strain(plant._wire_state(state), state.memory)
     prescribed, context = plant._prescribed_channels(signal), plant._mechanism_context()
-    return plant.mechanism.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
+    return plant.mechanism.balance_at_rest(unknown, strain, variables.motion, prescribed, context)
 
 
 def _solve_balance(
-    plant: Plant, variables: Differential, signal: Float[Array, " signals"], motion: Any
+    plant: Plant, variables: Differential, signal: Float[Array, " signals"]
 ) -> Float[Array, " unknowns"]:
     """Unknowns of the mechanism at given fractions, Pa."""
     guess = variables.unknown * plant._mechanism_context().modulus
-    return newton.polish(lambda z: _balance_residual(z, plant, variables, signal, motion), guess, _BALANCE_STEPS)
+    return newton.polish(lambda z: _balance_residual(z, plant, variables, signal), guess, _BALANCE_STEPS)
 
 
 def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
@@ -201,23 +212,39 @@ def rates(t: Any, y: Differential, args: FieldArguments) -> Differential:
     Args:
         t: Time, s.
         y: The variables.
-        args: Plant, inputs, and the state of the mechanism.
+        args: Plant and inputs.
 
     Returns:
         The derivatives, in units of the variables per second.
     """
-    plant, inputs, motion = args
+    plant, inputs = args
     signal, slope = _signal_at(inputs, t)
-    state = plant._begin_step(state_of(y, signal, plant, motion), jnp.asarray(_INCREMENT))
+    state = plant._begin_step(state_of(y, signal, plant), jnp.asarray(_INCREMENT))
+    state, share = _at_the_surface(plant, state)
     net_heat = plant._net_heat(plant._wire_state(state), state.memory, signal)
-    problem = (plant, state, net_heat, signal, slope)
+    problem = (plant, state, net_heat, signal, slope, share)
     rate = implicit_root(_rate_balance, _solve_rates, problem, "simulate")
     end = _rate_residual(rate, *problem)[1]
     wires, modulus = plant.mechanism.wires, plant._mechanism_context().modulus
-    return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.memory)
+    return Differential(rate[:wires], end.fractions, rate[wires:] / modulus, end.motion, end.memory)
 
 
-def _solve_rates(plant: Plant, state: State, *terms: jax.Array) -> Float[Array, " unknowns"]:
+def _at_the_surface(plant: Plant, state: State) -> tuple[State, Float[Array, " wires"] | None]:
+    """The state whose fractions satisfy the law, and the share of the rates of its fractions that counts.
+
+    A law with driving forces (``AbstractMaterial.follows_surface``) has fractions on a surface while they change, which
+    integrated fractions leave by rounding and by the solver's error. Beyond the surface the law returns to it at once;
+    rates are those on the surface. Short of it there are none. So rates jump where integrated fractions end up by
+    chance, which no implicit solver can resolve: the share makes them rise over a distance of ``_RAMP``.
+    """
+    if not plant.material.follows_surface:
+        return state, None
+    at_once = plant._evolve_fractions(plant._wire_state(state), state.temperature, state.stress)
+    beyond = minimum(jnp.abs(at_once.martensite - state.fractions.martensite) * (1.0 / _RAMP), 1.0)
+    return state._replace(fractions=at_once), beyond**2 * (3.0 - 2.0 * beyond)
+
+
+def _solve_rates(plant: Plant, state: State, *terms: Any) -> Float[Array, " unknowns"]:
     """Rates of temperatures and unknowns, in K/s and Pa/s; NaN if the search failed."""
     guess = jnp.concatenate([jnp.zeros_like(state.temperature), jnp.zeros_like(state.unknown)])
 
@@ -229,7 +256,7 @@ def _solve_rates(plant: Plant, state: State, *terms: jax.Array) -> Float[Array, 
 
 
 def _rate_balance(
-    rate: Float[Array, " unknowns"], plant: Plant, state: State, *terms: jax.Array
+    rate: Float[Array, " unknowns"], plant: Plant, state: State, *terms: Any
 ) -> Float[Array, " unknowns"]:
     """The residual of ``_rate_residual`` alone."""
     return _rate_residual(rate, plant, state, *terms)[0]
@@ -242,6 +269,7 @@ def _rate_residual(
     net_heat: Float[Array, " wires"],
     signal: Float[Array, " signals"],
     slope: Float[Array, " signals"],
+    share: Float[Array, " wires"] | None,
 ) -> tuple[Float[Array, " unknowns"], State]:
     """Residual of the heat balance in K/s and of the mechanism's in Pa/s, and the rates of the state.
 
@@ -252,11 +280,12 @@ def _rate_residual(
         net_heat: Net heat of the wires, W/m^3.
         signal: Signals.
         slope: Their derivatives, per second.
+        share: Shares of the rates of the fractions (``_at_the_surface``).
     """
     first, wires = plant._wire_state(state), plant.mechanism.wires
     start = jnp.concatenate([state.temperature, state.unknown])
     (balance, stored, end) = jax.jvp(
-        lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h),
+        lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h, share),
         (jnp.asarray(_INCREMENT),),
         (jnp.ones(()),),
     )[1]
@@ -268,21 +297,27 @@ def _rate_residual(
 
 
 def _increment(
-    plant: Plant, state: State, first: WireState, ends: tuple[Any, ...], step: Float[Array, ""]
+    plant: Plant,
+    state: State,
+    first: WireState,
+    ends: tuple[Any, ...],
+    step: Float[Array, ""],
+    share: Float[Array, " wires"] | None,
 ) -> tuple[Float[Array, " balances"], Float[Array, " wires"], State]:
     """Balance, stored heat and state after an increment to signals and unknowns; the terms of ``_residual``."""
     signal, end = ends
     mechanism, context = plant.mechanism, plant._mechanism_context()
     prescribed, unknown = plant._prescribed_channels(signal), end[mechanism.wires :]
-    last, memory = plant._end_of_step(state, first, unknown, prescribed, step, end)
+    last, memory = plant._end_of_step(state, first, unknown, prescribed, step, end, share)
     strain = plant._strain(last, memory)
     if plant.all_effects:
         last = last._replace(contraction=mechanism.contraction(strain))
         memory = memory | plant._updated_memory((MechanismEffect,), memory, first, last, step)
         memory = memory | plant._shared_memory(last)
-    balance = mechanism.balance(unknown, strain, state.motion, prescribed, context, step)
+    motion = jax.tree.map(lambda m, rate: m + step * rate, state.motion, mechanism.motion_rates(state.motion))
+    balance = mechanism.balance_at_rest(unknown, strain, motion, prescribed, context)
     stored = jnp.zeros_like(last.temperature) + plant._stored_heat(first, last)
-    return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, state.motion, memory)
+    return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, motion, memory)
 
 
 def _signal_at(inputs: Inputs, t: Any) -> tuple[Float[Array, " signals"], Float[Array, " signals"]]:
@@ -305,8 +340,8 @@ def integrate_vector_field(
 
     Args:
         plant: The plant.
-        inputs: Its inputs on a grid, of which only the samples matter: the solver steps to each of them, since a held
-            input jumps there.
+        inputs: Its inputs on a grid. The solver steps to each sample, since a held input jumps there, and no step is
+            longer than the longest of the grid.
         solver: The diffrax solver, such as ``diffrax.Tsit5()`` or ``diffrax.Kvaerno5()``.
         adjoint: How diffrax differentiates: ``diffrax.RecursiveCheckpointAdjoint()`` (the default, in reverse mode),
             ``diffrax.ForwardMode()``, or ``diffrax.DirectAdjoint()`` (in both modes; it is compiled more slowly).
@@ -316,13 +351,21 @@ def integrate_vector_field(
 
     Raises:
         InputError: If the plant has no vector field, or the adjoint does not apply.
-        DerivativeError: When a second derivative is taken, or one in reverse mode with ``ForwardMode``.
+        DerivativeError: When a second derivative is taken, one in reverse mode with ``ForwardMode``, or one of a law
+            with driving forces or a mechanism with inertia.
     """
     check_vector_field(plant)
     check_adjoint(adjoint)
-    controller = dfx.PIDController(rtol=_RELATIVE_TOLERANCE, atol=_ABSOLUTE_TOLERANCE)
+    if plant.material.follows_surface or plant.mechanism.inertial:
+        plant, inputs = nondifferentiable((plant, inputs), _EVENTS)
     samples = inputs.time[inputs.sample_indices]
-    variables, motion = initial_variables(plant, inputs.sample_signals[0])
+    controller = dfx.PIDController(
+        rtol=_RELATIVE_TOLERANCE,
+        atol=_ABSOLUTE_TOLERANCE,
+        norm=optx.max_norm,  # a mean would depend on how many variables are constant
+        dtmax=jnp.max(jnp.diff(inputs.time)),  # a longer step may pass a transformation between its stages
+    )
+    variables = initial_variables(plant, inputs.sample_signals[0])
     first, structure = jax.tree.flatten(variables)  # diffrax takes no empty nodes
 
     def flat_rates(t: Any, y: list[Any], arguments: FieldArguments) -> list[Any]:
@@ -335,17 +378,17 @@ def integrate_vector_field(
         samples[-1],
         None,
         first,
-        args=FieldArguments(plant, inputs, motion),
+        args=FieldArguments(plant, inputs),
         stepsize_controller=dfx.ClipStepSizeController(controller, jump_ts=samples[1:-1]),
         saveat=dfx.SaveAt(ts=samples),
-        max_steps=_STEPS_PER_SAMPLE * len(samples),
+        max_steps=_STEPS_PER_SAMPLE * len(samples) + len(inputs.time),
         adjoint=dfx.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         throw=False,
     )
     later = jax.tree.unflatten(structure, cast(list, solution.ys))
     if isinstance(adjoint, dfx.ForwardMode):
         later = forward_mode_only(later, _FORWARD_MODE)
-    states = jax.vmap(lambda y, signal: state_of(y, signal, plant, motion))(later, inputs.sample_signals)
+    states = jax.vmap(lambda y, signal: state_of(y, signal, plant))(later, inputs.sample_signals)
     return states, _status(states, dfx.is_okay(solution.result))
 
 

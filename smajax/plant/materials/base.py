@@ -60,9 +60,12 @@ class AbstractMaterial(CheckedModule):
     Attributes:
         obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow
             "has"; empty if there are rates.
+        follows_surface: Whether the fractions change only while a driving force is at its threshold, so that they stay
+            on that surface; otherwise the direction of temperature and stress decides.
     """
 
     obstacle_to_rates: ClassVar[str] = ""
+    follows_surface: ClassVar[bool] = False
     _: KW_ONLY
     martensite_start: jax.Array = parameter("degC", "martensite start temperature at zero stress", -200.0, 600.0)
     martensite_finish: jax.Array = parameter("degC", "martensite finish temperature at zero stress", -200.0, 600.0)

@@ -68,9 +68,7 @@ class Lagoudas(AbstractMaterial):
     Source: lagoudas2012; boyd1996 for the default values.
     """
 
-    # Integrated rates would leave the surface on which a driving force reaches its threshold, and the law would
-    # return to it at once: there is no rate between the two.
-    obstacle_to_rates = "fractions that follow from driving forces and not from rates"
+    follows_surface = True
     min_strain_share: jax.Array = parameter(
         "1", "share of the largest strain that low stress makes, H_min / H_sat", 0.0, 1.0, 1.0
     )

@@ -52,8 +52,7 @@ class AbstractMechanism(CheckedModule):
         prescribed: Names of the recorded channels that the mechanism follows.
         coordinate: Name of the channel of its motion.
         extra_channels: Names of further channels that it adds to those of the plant.
-        obstacle_to_rates: What prevents a vector field (``smajax.simulation.vector_field``), in words that follow
-            "has"; empty if there are rates.
+        inertial: Whether the state of motion has rates (``motion_rates``) from an equation of motion.
         wire_class: Geometry of the wire in a rig file.
     """
 
@@ -62,7 +61,7 @@ class AbstractMechanism(CheckedModule):
     prescribed: eqx.AbstractClassVar[tuple[str, ...]]
     coordinate: eqx.AbstractClassVar[str]
     extra_channels: ClassVar[tuple[str, ...]] = ()
-    obstacle_to_rates: ClassVar[str] = "a state of motion whose rates it does not give"
+    inertial: ClassVar[bool] = False
     wire_class: ClassVar[type[AbstractWire]] = Wire
 
     @classmethod
@@ -94,6 +93,57 @@ class AbstractMechanism(CheckedModule):
     def parallel_wires(self) -> Float[Array, "..."] | float:
         """Number of equal wires that pull in parallel; channels are those of one of them."""
         return 1.0
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has".
+
+        It is empty if there are rates; then the state of the mechanism is constant, or ``motion_rates`` and
+        ``balance_at_rest`` are given.
+        """
+        return "a state of motion whose rates it does not give"
+
+    def balance_at_rest(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict[str, Any],
+        context: MechanismContext,
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate the residual of the balance at a given state of motion in Pa: for the vector field.
+
+        By default it is ``balance`` in a step of 0 s.
+
+        Args:
+            unknown: The unknowns, Pa.
+            strain: Strains of the wires.
+            motion: State of the mechanism.
+            prescribed: Prescribed channels.
+            context: Wire, environment and scale.
+        """
+        return self.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
+
+    def complete_motion(
+        self, unknown: Float[Array, " unknowns"], strain: Float[Array, " wires"], motion: Any, context: MechanismContext
+    ) -> Any:
+        """Compute the state of the mechanism with the entries that follow from stresses, such as an acceleration.
+
+        Args:
+            unknown: The unknowns, Pa.
+            strain: Strains of the wires.
+            motion: State of the mechanism.
+            context: Wire, environment and scale.
+        """
+        return motion
+
+    def motion_rates(self, motion: Any) -> Any:
+        """Compute the rates of a complete state of motion, per second; by default it is constant.
+
+        Args:
+            motion: State of the mechanism, as ``complete_motion`` returns it.
+        """
+        return jax.tree.map(jnp.zeros_like, motion)
 
     def longest_step(self, context: MechanismContext) -> Float[Array, "..."] | float:
         """Compute the longest step that resolves the mechanism's own motion.

@@ -25,7 +25,7 @@ from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.effects.memory import presliding_state
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
-from smajax.plant.mechanisms.pulley import Pulley
+from smajax.plant.mechanisms.pulley import Pulley, damping_without_inertia
 from smajax.plant.mechanisms.sheath import Liner, Sheath
 
 
@@ -81,9 +81,12 @@ class TendonLimb(AbstractMechanism):
     prescribed: ClassVar[tuple[str, ...]] = ()
     coordinate: ClassVar[str] = "angle"
     extra_channels: ClassVar[tuple[str, ...]] = ("torque",)
-    obstacle_to_rates = (
-        "an inertia, whose equation of motion is not part of the vector field, and dry friction in a sheath"
-    )
+    inertial: ClassVar[bool] = True
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """The friction of a sheath, or a limb without inertia."""
+        return "dry friction in a sheath" if self.sheath else damping_without_inertia(self.pulley.inertia)
 
     @property
     def effects(self) -> tuple[AbstractEffect, ...]:
@@ -149,6 +152,20 @@ class TendonLimb(AbstractMechanism):
             context.modulus * (motion[3] - after[3]) * self.wire_motion_per_coordinate / context.wire.motion_per_strain
         )
         return jnp.where(step > 0, pull, standing)
+
+    def complete_motion(
+        self, unknown: Float[Array, " unknowns"], strain: Float[Array, " wires"], motion: Any, context: MechanismContext
+    ) -> tuple[Any, ...]:
+        """Compute the acceleration under the pull of the wires without friction, the damping, and M."""
+        installed, _, z, angle, rate, _ = motion
+        pull = maximum(unknown[0], 0.0) / self._stress_under(jnp.ones(()), context)
+        moment = pull - self.limb.moment(angle, context.environment.gravity)
+        return installed, strain[0], z, angle, rate, self.pulley.acceleration(rate, moment, self.pulley.inertia)
+
+    def motion_rates(self, motion: Any) -> tuple[Any, ...]:
+        """Return the rates of angle and rate; other entries are constant, or follow from strain and stress."""
+        zero, (*_, rate, acceleration) = jnp.zeros(()), motion
+        return zero, zero, zero, rate, acceleration, zero
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return the strain at angle 0, the strain, and zeros: presliding state, angle, rate, acceleration."""

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from smajax.parameters import CheckedModule, parameter
@@ -51,3 +52,26 @@ class Pulley(CheckedModule):
             Moment in N m.
         """
         return inertia * (2.0 * after[2] - before[2]) + self.damping * after[1]
+
+    def acceleration(
+        self, rate: Float[Array, ""], moment: Float[Array, ""], inertia: Float[Array, ""]
+    ) -> Float[Array, ""]:
+        """Compute theta'' = (M - c theta') / I, in rad/s^2.
+
+        Args:
+            rate: Rate theta', rad/s.
+            moment: Moment M on the pulley, positive in the direction of the angle, N m.
+            inertia: Moment of inertia I of all rotating parts, kg m^2.
+        """
+        return (moment - self.damping * rate) / inertia
+
+
+def damping_without_inertia(inertia: Float[Array, ""]) -> str:
+    """Return why a rotation has no equation of motion, in words that follow "has"; empty if it has one.
+
+    Args:
+        inertia: Moment of inertia of all rotating parts, kg m^2; a traced one is taken to be positive.
+    """
+    if isinstance(inertia, Tracer) or float(inertia) > 0.0:
+        return ""
+    return "an inertia of 0, so that no acceleration follows from its moments"

@@ -28,7 +28,7 @@ from smajax.numerics.nonsmooth import clip, maximum, minimum
 from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
-from smajax.plant.mechanisms.pulley import Pulley
+from smajax.plant.mechanisms.pulley import Pulley, damping_without_inertia
 from smajax.plant.wire import Environment
 
 # s. Oscillations that this step does not resolve are so small that their damping by the integration rule is irrelevant.
@@ -88,7 +88,11 @@ class MasslessRotary(AbstractRotary):
     prescribed: ClassVar[tuple[str, ...]] = ()
     coordinate: ClassVar[str] = "angle"
     extra_channels: ClassVar[tuple[str, ...]] = ("torque",)
-    obstacle_to_rates = "play between two slack wires"
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """The range of angles in which both wires are slack."""
+        return "play between two slack wires"
 
     def initial_unknowns(self, prescribed: dict[str, Any], context: MechanismContext) -> Float[Array, " unknowns"]:
         """Return zero stress."""
@@ -154,7 +158,12 @@ class AbstractInertialRotary(AbstractRotary):
     prescribed: ClassVar[tuple[str, ...]] = ()
     coordinate: ClassVar[str] = "angle"
     extra_channels: ClassVar[tuple[str, ...]] = ("torque", "rate")
-    obstacle_to_rates = "an inertia, whose equation of motion is not part of the vector field"
+    inertial: ClassVar[bool] = True
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """A pulley that is damped and has no inertia; none otherwise."""
+        return damping_without_inertia(self.inertia)
 
     @property
     def inertia(self) -> Float[Array, "..."]:
@@ -196,6 +205,32 @@ class AbstractInertialRotary(AbstractRotary):
         moments = self.pulley.moment(motion, after, self.inertia) + self.moment(after[0], context.environment)
         pull = maximum(unknown[0], 0.0) - maximum(unknown[1], 0.0)
         return jnp.append(wires, moments / (self.pulley.radius * context.wire.force_per_stress) - pull)
+
+    def balance_at_rest(
+        self,
+        unknown: Float[Array, " unknowns"],
+        strain: Float[Array, " wires"],
+        motion: Any,
+        prescribed: dict[str, Any],
+        context: MechanismContext,
+    ) -> Float[Array, " unknowns"]:
+        """Evaluate both wires' strains less those at the angle of the motion, and the angle less that of the motion."""
+        angle = context.modulus * motion[0] * self.pulley.radius / context.wire.motion_per_strain
+        balance = self.balance(unknown, strain, motion, prescribed, context, jnp.zeros(()))
+        return jnp.append(balance[:2], unknown[2] - angle)
+
+    def complete_motion(
+        self, unknown: Float[Array, " unknowns"], strain: Float[Array, " wires"], motion: Any, context: MechanismContext
+    ) -> tuple[Any, ...]:
+        """Compute the acceleration under the moments of the wires, the damping, and M."""
+        angle, rate, _ = motion
+        moment = self.torque(maximum(unknown[:2], 0.0), context) - self.moment(angle, context.environment)
+        return angle, rate, self.pulley.acceleration(rate, moment, self.inertia)
+
+    def motion_rates(self, motion: Any) -> tuple[Any, ...]:
+        """Return the rates of angle and rate; that of the acceleration, which follows from the stresses, is 0."""
+        _, rate, acceleration = motion
+        return rate, acceleration, jnp.zeros(())
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return zeros: angle, rate and acceleration."""

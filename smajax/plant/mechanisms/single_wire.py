@@ -20,7 +20,11 @@ class AbstractDisplacement(AbstractMechanism):
     wires: ClassVar[int] = 1
     prescribed: ClassVar[tuple[str, ...]] = ()
     coordinate: ClassVar[str] = "displacement"
-    obstacle_to_rates = ""
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """Nothing: the state of the mechanism is constant."""
+        return ""
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> Float[Array, ""]:
         """Return the strain at zero displacement."""
@@ -105,7 +109,11 @@ class AbstractMaterialPoint(AbstractMechanism):
 
     wires: ClassVar[int] = 1
     coordinate: ClassVar[str] = "strain"
-    obstacle_to_rates = ""
+
+    @property
+    def obstacle_to_rates(self) -> str:
+        """Nothing: there is no state of motion."""
+        return ""
 
     def initial_motion(self, strain: Float[Array, " wires"]) -> tuple[Any, ...]:
         """Return no state."""

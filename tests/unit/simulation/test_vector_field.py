@@ -14,7 +14,8 @@ from smajax.files.rig_file import parse_rig, read_rig
 from smajax.plant.effects import Quantisation
 from smajax.plant.materials import Lagoudas
 from smajax.plant.materials.base import Fractions
-from smajax.plant.mechanisms import AbstractMechanism, DeadWeight, Load
+from smajax.plant.mechanisms import AbstractMechanism, DeadWeight, Joint, Link, Load, Pulley
+from smajax.plant.plant import Plant
 from smajax.plant.wire import Initial
 from smajax.recordings.datasets import data_path
 from smajax.simulation.inputs import discretise
@@ -107,13 +108,13 @@ def test_an_adjoint_without_reverse_mode_is_refused(adjoint, sentence, last_temp
 def test_the_rates_have_first_derivatives_in_both_modes():
     plant, recording = plants.bias_spring(), plants.inputs("bias_spring", 12, 0.15)
     inputs = discretise(plant, recording)
-    variables, motion = initial_variables(plant, inputs.sample_signals[0])
+    variables = initial_variables(plant, inputs.sample_signals[0])
     variables = variables._replace(temperature=variables.temperature + 66.0)
 
     def temperature_rate(h0, start):
         heated = parameters.replace(plant, {"heat.h0": h0})
         moved = variables._replace(temperature=variables.temperature + start)
-        return rates(0.1, moved, FieldArguments(heated, inputs, motion)).temperature[0]
+        return rates(0.1, moved, FieldArguments(heated, inputs)).temperature[0]
 
     forward, reverse = (jax.jit(mode(temperature_rate, (0, 1)))(100.0, 0.0) for mode in (jax.jacfwd, jax.grad))
     numeric = [
@@ -125,6 +126,82 @@ def test_the_rates_have_first_derivatives_in_both_modes():
     np.testing.assert_allclose(reverse, forward, rtol=1e-12)
     with pytest.raises(DerivativeError, match="simulate has derivatives of first order only"):
         jax.grad(jax.grad(temperature_rate))(100.0, 0.0)
+
+
+def joint() -> Plant:
+    return dataclasses.replace(plants.rotary(), mechanism=Joint(Pulley(0.02, 1e-4, 1e-2), Link(0.05, 0.08)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "plant"),
+    [("rotary", lambda: plants.rotary(2e-4, 2e-3)), ("rotary", joint), ("limb", lambda: plants.limb(False))],
+)
+def test_the_implicit_step_converges_to_the_equation_of_motion(kind, plant):
+    plant, recording = plant(), plants.inputs(kind, 40, 0.1)
+    exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5())
+    moved = {channel: np.asarray(exact.channels[channel]) for channel in ("angle", "torque")}
+    errors = []
+    for step in (0.005, 0.00125):
+        result = simulate(plant, discretise(plant, recording, step=step))
+        errors.append([np.max(np.abs(result.channels[c] - moved[c])) / np.ptp(moved[c]) for c in moved])
+    assert np.max(errors[1]) < 0.02, errors
+    assert errors[1][0] < 2e-3 and errors[1][0] < 0.25 * errors[0][0], errors
+
+
+def test_an_implicit_solver_of_diffrax_solves_the_equation_of_motion():
+    plant, recording = plants.rotary(2e-4, 2e-3), plants.inputs("rotary", 40, 0.1)
+    results = [simulate(plant, discretise(plant, recording), solver=s) for s in (dfx.Tsit5(), dfx.Kvaerno5())]
+    angles = [np.asarray(r.channels["angle"]) for r in results]
+    assert np.ptp(angles[0]) > 0.02
+    np.testing.assert_allclose(angles[1], angles[0], atol=1e-4 * np.ptp(angles[0]))
+
+
+@pytest.fixture(scope="module")
+def lagoudas_inputs():
+    """A wire of Lagoudas' law, and a current that makes partial loops."""
+    plant = with_part(material=Lagoudas(**LAGOUDAS, n1=0.5, n2=0.6, n3=0.7, n4=0.4))
+    time = np.arange(0.0, 13.0, 0.1)
+    current = 0.26 + 0.06 * np.sin(2.0 * np.pi * time / 9.0) + 0.06 * np.sin(2.0 * np.pi * time / 2.1)
+    return plant, plants.recording({"current": current}, time)
+
+
+@pytest.mark.parametrize("solver", [dfx.Tsit5(), dfx.Kvaerno3()])
+def test_fractions_on_the_surface_of_a_driving_force_follow_the_differential_equation(solver, lagoudas_inputs):
+    plant, recording = lagoudas_inputs
+    exact = simulate(plant, discretise(plant, recording), solver=solver)
+    implicit = simulate(plant, recording, step=0.01)
+    martensite = np.asarray(exact.state.fractions.martensite)[:, 0]
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(martensite)[np.abs(np.diff(martensite)) > 1e-4])))
+    assert len(turns) >= 2 and np.ptp(martensite) > 0.5
+    for channel, bound in (("temperature", 5e-3), ("displacement", 3e-6)):
+        assert np.max(np.abs(np.asarray(implicit.channels[channel] - exact.channels[channel]))) < bound, channel
+
+
+@pytest.mark.parametrize("mode", [jax.grad, jax.jacfwd])
+@pytest.mark.parametrize(
+    ("kind", "plant"),
+    [("dead_weight", lambda: with_part(material=Lagoudas(**LAGOUDAS))), ("rotary", lambda: plants.rotary(2e-4, 2e-3))],
+)
+def test_derivatives_of_rates_that_jump_are_refused(mode, kind, plant):
+    plant, inputs = plant(), plants.inputs(kind, 20, 0.1)
+    grid = discretise(plant, inputs)
+
+    def last_temperature(h0):
+        made = parameters.replace(plant, {"heat.h0": h0})
+        return jnp.sum(simulate(made, grid, solver=dfx.Tsit5()).state.temperature[-1])
+
+    with pytest.raises(DerivativeError, match="no derivatives for a material law with driving forces or.* leave out"):
+        mode(last_temperature)(100.0)
+
+
+def test_no_transformation_is_passed_by_a_long_step():
+    """A wire is warmed from below its transformation to above it between two samples."""
+    plant, recording = plants.rotary(2e-4, 2e-3), plants.inputs("rotary", 12, 0.2)
+    exact = simulate(plant, discretise(plant, recording), solver=dfx.Tsit5())
+    implicit = simulate(plant, recording, step=0.002)
+    angle = np.asarray(implicit.channels["angle"])
+    assert np.ptp(angle) > 0.3
+    np.testing.assert_allclose(exact.channels["angle"], angle, atol=5e-3 * np.ptp(angle))
 
 
 def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
@@ -144,14 +221,13 @@ def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
     ("plant", "reason"),
     [
         (plants.light_rotary, "the mechanism has play between two slack wires"),
-        (lambda: plants.rotary(2e-4, 2e-4), "the mechanism has an inertia"),
+        (lambda: plants.rotary(0.0, 2e-4), "the mechanism has an inertia of 0"),
         (plants.limb, "dry friction in a sheath"),
         (lambda: with_effect("coulomb-friction", "5 MPa"), "the effect 'coulomb-friction' has dry friction"),
         (lambda: with_effect("backlash", "0.1 mm"), "the effect 'backlash' has play"),
         (lambda: with_effect("viscous-friction", "1 MPa s"), "the effect 'viscous-friction' has a drag"),
         (lambda: with_part(effects=(Quantisation(0.01),)), "the effect 'quantisation' has rounded readings"),
         (lambda: with_effect("slip", "1 %"), "the effect 'slip' has a memory of the highest stress"),
-        (lambda: with_part(material=Lagoudas(**LAGOUDAS)), "the material law has fractions"),
         (lambda: with_part(mechanism=Moving(load=Load(0.2))), "the mechanism has a state of motion whose rates"),
     ],
 )
