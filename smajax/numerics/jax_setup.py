@@ -1,7 +1,8 @@
 """Compiler options of JAX for a process, and the choice of the CPU for single simulations.
 
 Importing smajax sets none of these: the command line, the tests and the experiments call
-``smajax.numerics.process.prepare_jax``, which sets the options. From Python, results are the same without them.
+``smajax.numerics.process.prepare_jax``, which sets the options. Without them results differ by rounding, which a search
+over a rough objective may amplify.
 """
 
 import contextlib
