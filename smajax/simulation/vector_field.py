@@ -62,10 +62,10 @@ _FORWARD_MODE = (
     "diffrax.RecursiveCheckpointAdjoint()"
 )
 
-# Their rates jump, and an adaptive solver does not differentiate the time at which they do.
-_EVENTS = (
-    "simulate: a diffrax solver has no derivatives for a material law with driving forces or a mechanism with inertia, "
-    "whose rates jump: leave out solver= to differentiate the implicit step"
+# Derivatives through an adaptive solver differ from finite differences of its own values for these plants.
+_INACCURATE = (
+    "simulate: a diffrax solver has no derivatives for a material law with driving forces or a mechanism with inertia: "
+    "leave out solver= to differentiate the implicit step"
 )
 
 
@@ -195,7 +195,7 @@ def _balance_residual(
     state = _state_with(unknown, plant, variables, signal)
     strain = plant._strain(plant._wire_state(state), state.memory)
     prescribed, context = plant._prescribed_channels(signal), plant._mechanism_context()
-    return plant.mechanism.balance_at_rest(unknown, strain, variables.motion, prescribed, context)
+    return plant.mechanism.balance_at_motion(unknown, strain, variables.motion, prescribed, context)
 
 
 def _solve_balance(
@@ -234,8 +234,8 @@ def _at_the_surface(plant: Plant, state: State) -> tuple[State, Float[Array, " w
 
     A law with driving forces (``AbstractMaterial.follows_surface``) has fractions on a surface while they change, which
     integrated fractions leave by rounding and by the solver's error. Beyond the surface the law returns to it at once;
-    rates are those on the surface. Short of it there are none. So rates jump where integrated fractions end up by
-    chance, which no implicit solver can resolve: the share makes them rise over a distance of ``_RAMP``.
+    rates are those on the surface. Short of it there are none. This jump of the rates is within the solver's error,
+    and implicit solvers do not resolve it: the share makes the rates rise over a distance of ``_RAMP``.
     """
     if not plant.material.follows_surface:
         return state, None
@@ -315,7 +315,7 @@ def _increment(
         memory = memory | plant._updated_memory((MechanismEffect,), memory, first, last, step)
         memory = memory | plant._shared_memory(last)
     motion = jax.tree.map(lambda m, rate: m + step * rate, state.motion, mechanism.motion_rates(state.motion))
-    balance = mechanism.balance_at_rest(unknown, strain, motion, prescribed, context)
+    balance = mechanism.balance_at_motion(unknown, strain, motion, prescribed, context)
     stored = jnp.zeros_like(last.temperature) + plant._stored_heat(first, last)
     return balance, stored, State(last.temperature, last.fractions, last.stress, unknown, motion, memory)
 
@@ -357,7 +357,7 @@ def integrate_vector_field(
     check_vector_field(plant)
     check_adjoint(adjoint)
     if plant.material.follows_surface or plant.mechanism.inertial:
-        plant, inputs = nondifferentiable((plant, inputs), _EVENTS)
+        plant, inputs = nondifferentiable((plant, inputs), _INACCURATE)
     samples = inputs.time[inputs.sample_indices]
     controller = dfx.PIDController(
         rtol=_RELATIVE_TOLERANCE,

@@ -1,4 +1,4 @@
-"""A command and the library give the same documents to the last digit, each in a process of its own."""
+"""A command and the library give the same documents to the last digit; each runs in a separate process."""
 
 import json
 import subprocess

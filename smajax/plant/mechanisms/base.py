@@ -99,11 +99,11 @@ class AbstractMechanism(CheckedModule):
         """What prevents a vector field (``smajax.simulation.vector_field``), in words that follow "has".
 
         It is empty if there are rates; then the state of the mechanism is constant, or ``motion_rates`` and
-        ``balance_at_rest`` are given.
+        ``balance_at_motion`` are given.
         """
         return "a state of motion whose rates it does not give"
 
-    def balance_at_rest(
+    def balance_at_motion(
         self,
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],

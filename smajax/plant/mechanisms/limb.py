@@ -25,7 +25,7 @@ from smajax.plant.effects.base import AbstractEffect
 from smajax.plant.effects.memory import presliding_state
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
-from smajax.plant.mechanisms.pulley import Pulley, damping_without_inertia
+from smajax.plant.mechanisms.pulley import Pulley, zero_inertia_obstacle
 from smajax.plant.mechanisms.sheath import Liner, Sheath
 
 
@@ -85,8 +85,8 @@ class TendonLimb(AbstractMechanism):
 
     @property
     def obstacle_to_rates(self) -> str:
-        """The friction of a sheath, or a limb without inertia."""
-        return "dry friction in a sheath" if self.sheath else damping_without_inertia(self.pulley.inertia)
+        """The friction of a sheath, or an inertia of 0; empty otherwise."""
+        return "dry friction in a sheath" if self.sheath else zero_inertia_obstacle(self.pulley.inertia)
 
     @property
     def effects(self) -> tuple[AbstractEffect, ...]:

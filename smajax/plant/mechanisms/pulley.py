@@ -66,8 +66,8 @@ class Pulley(CheckedModule):
         return (moment - self.damping * rate) / inertia
 
 
-def damping_without_inertia(inertia: Float[Array, ""]) -> str:
-    """Return why a rotation has no equation of motion, in words that follow "has"; empty if it has one.
+def zero_inertia_obstacle(inertia: Float[Array, ""]) -> str:
+    """Return what prevents rates of a rotation, in words that follow "has"; empty if the inertia is positive.
 
     Args:
         inertia: Moment of inertia of all rotating parts, kg m^2; a traced one is taken to be positive.

@@ -28,7 +28,7 @@ from smajax.numerics.nonsmooth import clip, maximum, minimum
 from smajax.parameters import CheckedModule, parameter
 from smajax.plant.materials.base import AbstractMaterial, Fractions
 from smajax.plant.mechanisms.base import AbstractMechanism, MechanismContext, detwinned_fractions
-from smajax.plant.mechanisms.pulley import Pulley, damping_without_inertia
+from smajax.plant.mechanisms.pulley import Pulley, zero_inertia_obstacle
 from smajax.plant.wire import Environment
 
 # s. Oscillations that this step does not resolve are so small that their damping by the integration rule is irrelevant.
@@ -162,8 +162,8 @@ class AbstractInertialRotary(AbstractRotary):
 
     @property
     def obstacle_to_rates(self) -> str:
-        """A pulley that is damped and has no inertia; none otherwise."""
-        return damping_without_inertia(self.inertia)
+        """An inertia of 0; empty otherwise."""
+        return zero_inertia_obstacle(self.inertia)
 
     @property
     def inertia(self) -> Float[Array, "..."]:
@@ -206,7 +206,7 @@ class AbstractInertialRotary(AbstractRotary):
         pull = maximum(unknown[0], 0.0) - maximum(unknown[1], 0.0)
         return jnp.append(wires, moments / (self.pulley.radius * context.wire.force_per_stress) - pull)
 
-    def balance_at_rest(
+    def balance_at_motion(
         self,
         unknown: Float[Array, " unknowns"],
         strain: Float[Array, " wires"],

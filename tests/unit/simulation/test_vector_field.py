@@ -182,7 +182,7 @@ def test_fractions_on_the_surface_of_a_driving_force_follow_the_differential_equ
     ("kind", "plant"),
     [("dead_weight", lambda: with_part(material=Lagoudas(**LAGOUDAS))), ("rotary", lambda: plants.rotary(2e-4, 2e-3))],
 )
-def test_derivatives_of_rates_that_jump_are_refused(mode, kind, plant):
+def test_inaccurate_derivatives_are_refused(mode, kind, plant):
     plant, inputs = plant(), plants.inputs(kind, 20, 0.1)
     grid = discretise(plant, inputs)
 
@@ -223,6 +223,7 @@ def test_latent_heat_and_a_second_node_are_part_of_the_differential_equation():
         (plants.light_rotary, "the mechanism has play between two slack wires"),
         (lambda: plants.rotary(0.0, 2e-4), "the mechanism has an inertia of 0"),
         (plants.limb, "dry friction in a sheath"),
+        (lambda: without_inertia(plants.limb(False)), "the mechanism has an inertia of 0"),
         (lambda: with_effect("coulomb-friction", "5 MPa"), "the effect 'coulomb-friction' has dry friction"),
         (lambda: with_effect("backlash", "0.1 mm"), "the effect 'backlash' has play"),
         (lambda: with_effect("viscous-friction", "1 MPa s"), "the effect 'viscous-friction' has a drag"),
@@ -245,6 +246,10 @@ class Moving(DeadWeight):
     """A mechanism that says nothing of the rates of its motion."""
 
     obstacle_to_rates = AbstractMechanism.obstacle_to_rates
+
+
+def without_inertia(plant: Plant) -> Plant:
+    return parameters.replace(plant, {"pulley.inertia": 0.0})
 
 
 def with_part(**parts):
