@@ -1,6 +1,7 @@
 """Problems of a split on longer or shorter time steps, all on the same compiled program."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import jax
@@ -48,11 +49,13 @@ def with_longer_steps(
         pieces: Number of usual steps that one step replaces.
 
     Returns:
-        The problem; ``None`` if the steps would exceed four default steps of its plant.
+        The problem; ``None`` if the steps would exceed four default steps of its plant, and for a path, of which each
+        row is a step.
     """
     grids = [discretise(problem.plant, r, interpolation=interpolation, step=step) for r in recordings]
     usual = max(float(np.median(np.diff(grid.time))) for grid in grids)
-    if pieces * stride * usual > _LONGEST * default_step(problem.plant):
+    longest = default_step(problem.plant)
+    if not math.isfinite(longest) or pieces * stride * usual > _LONGEST * longest:
         return None
     coarse = [grid.coarsen(stride, held=interpolation == "hold", pieces=pieces) for grid in grids]
     coarse += coarse[-1:] * (len(problem.data.measured) - len(coarse))

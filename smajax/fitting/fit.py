@@ -17,7 +17,7 @@ from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
 from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartResult, MultiStartSolver, screen_starts
-from smajax.fitting.noise import difference_noise
+from smajax.fitting.noise import difference_noise, quantisation_noise
 from smajax.fitting.optimistix_search import OptimistixSearch
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.responses import simulate_responses
@@ -32,11 +32,9 @@ Solver: TypeAlias = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.A
 
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
-# A parameter is at its bound where its distance from it is this share of its value: up to rounding.
-_BOUND_MARGIN_OF_VALUE = 1e-9
-# The same as a share of the range between the bounds: steps towards a bound grow ever shorter. Chosen by trial,
-# tests/unit/fitting/test_fit.py holds it.
-_BOUND_MARGIN_OF_RANGE = 1e-6
+# Largest distance from a bound, as a share of the parameter's scale, at which a parameter may be at that bound: steps
+# towards a bound grow ever shorter. Chosen by trial, tests/unit/fitting/test_fit.py holds it.
+_BOUND_MARGIN = 1e-6
 # Least size of a scaled parameter in the direction of a collinear group, so that one near 0 does not divide by it.
 _MIN_SIZE = 1e-3
 
@@ -240,7 +238,7 @@ def _fit_result(
         covariance=covariance,
         collinear_groups=tuple(groups),
         responses=tuple(end.responses),
-        noise_floor={c: max(difference_noise(r.residual(c)) for r in training) for c in problem.channels},
+        noise_floor={c: max(_noise_floor(r, c) for r in training) for c in problem.channels},
         cost=float(result.costs[best]),
         starts_at_best=int(np.sum(result.costs <= result.costs[best] * _SAME_COST)),
         starts=len(search.starts),
@@ -256,6 +254,11 @@ def _fit_result(
         step=step,
         discretisation_errors=end.discretisation_errors,
     )
+
+
+def _noise_floor(response: Response, channel: str) -> float:
+    """Noise of a channel: that of the residual's differences, and at least the rounding of the recorded channel."""
+    return max(difference_noise(response.residual(channel)), quantisation_noise(response.recording.channels[channel]))
 
 
 def _fitted_plants(
@@ -286,7 +289,7 @@ def _estimates(
     problem: Problem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
 ) -> tuple[list[Estimate], np.ndarray, list[CollinearGroup]]:
     """The estimates with their intervals, their covariance (p, p), and the groups of collinear parameters."""
-    at_bound = _at_bounds(problem, vector, jacobian.T @ residual)
+    at_bound = parameters_at_bounds(vector, *problem.bounds, residual, jacobian)
     free = np.flatnonzero(~at_bound)
     covariance, samples = _covariance(problem, free, residual, jacobian)
     half_widths = confidence_half_widths(covariance, samples, len(free))
@@ -320,9 +323,27 @@ def _covariance(
     return covariance, int(np.sum(measured))
 
 
-def _at_bounds(problem: Problem, vector: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Which parameters are at a bound with a cost that falls beyond it, shape ``(p,)``."""
-    lower, upper = problem.bounds
-    span = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
-    margin = _BOUND_MARGIN_OF_VALUE * (1.0 + np.abs(vector)) + _BOUND_MARGIN_OF_RANGE * span
-    return ((vector <= lower + margin) & (gradient >= 0)) | ((vector >= upper - margin) & (gradient <= 0))
+def parameters_at_bounds(
+    vector: np.ndarray, lower: np.ndarray, upper: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
+) -> np.ndarray:
+    """Find the parameters that a bound holds: the minimum of the cost along each lies at the bound or beyond it.
+
+    Along parameter i alone the minimum is at the distance |g_i| / H_ii in the direction of the falling cost, with the
+    gradient g = J' e and H = J' J. A parameter is held by a bound in that direction that is not farther away than this,
+    and not farther than a millionth of the parameter's scale. The other bound, and so the width of the bounds, does
+    not matter.
+
+    Args:
+        vector: Parameters over their scales, shape ``(p,)``.
+        lower: Lower bounds, shape ``(p,)``.
+        upper: Upper bounds, shape ``(p,)``.
+        residual: Residual e, shape ``(m,)``.
+        jacobian: Jacobian J of the residual, shape ``(m, p)``.
+
+    Returns:
+        Whether each parameter is held, shape ``(p,)``.
+    """
+    gradient, curvature = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
+    to_minimum = np.abs(gradient) / np.where(curvature > 0, curvature, 1.0)
+    reach = np.minimum(to_minimum, _BOUND_MARGIN)
+    return ((vector - lower <= reach) & (gradient >= 0)) | ((upper - vector <= reach) & (gradient <= 0))

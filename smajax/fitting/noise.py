@@ -1,4 +1,4 @@
-"""Estimates of a column's noise from its differences."""
+"""Estimates of a column's noise: from its differences, and from the resolution of its sensor."""
 
 import math
 
@@ -10,6 +10,15 @@ MEDIAN_TO_DEVIATION = 1.4826
 _SECOND_DIFFERENCE_GAIN = math.sqrt(6.0)
 # Least noise as a share of a column's range, so that noise-free columns have a finite weight; chosen by trial.
 _MIN_RELATIVE_NOISE = 1e-5
+# A column is quantised if all its levels are multiples of one step up to this share of the step: the rounding of its
+# numbers in a file and by a change of units is far smaller, and the levels of an unrounded column miss it at once.
+_STEP_TOLERANCE = 1e-3
+# Fewest levels that show a step: the gaps between two or three levels can be multiples of the smallest one by chance.
+_MIN_LEVELS = 4
+# Levels closer than this share of the range are one: rounding of numbers, far below the resolution of any converter.
+_MIN_LEVEL_GAP = 1e-9
+# The smallest gap between levels is at most this multiple of the step; more would need a column whose levels are rarer.
+_MAX_GAP = 10
 
 
 def difference_noise(values: np.ndarray) -> float:
@@ -40,3 +49,35 @@ def rounding_noise(values: np.ndarray) -> float:
     """
     steps = np.diff(np.unique(values[np.isfinite(values)]))
     return float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
+
+
+def quantisation_noise(values: np.ndarray) -> float:
+    """Compute the standard deviation of a quantised column's rounding: the step of its levels over the root of 12.
+
+    The rounding of a signal that changes slowly stays the same over many rows, so differences of neighbouring rows
+    do not show it.
+
+    Args:
+        values: The column (n,); NaN where not measured.
+
+    Returns:
+        The standard deviation in the column's unit; 0 for a column whose levels are not multiples of one step, for one
+        with less than four levels, and for an even ramp, which shows no step of a sensor.
+
+    Source: widrow1956 (variance of the rounding).
+    """
+    levels = np.unique(values[np.isfinite(values)])
+    # Levels that differ by rounding of numbers only are one level.
+    levels = levels[np.append(True, np.diff(levels) > _MIN_LEVEL_GAP * np.ptp(levels))] if len(levels) else levels
+    if len(levels) < _MIN_LEVELS:
+        return 0.0
+    gaps = np.diff(levels)
+    stays = np.any(np.diff(values[np.isfinite(values)]) == 0)
+    if not stays and np.ptp(gaps) <= _STEP_TOLERANCE * np.min(gaps):
+        return 0.0
+    for divisor in range(1, _MAX_GAP + 1):
+        step = float(np.min(gaps)) / divisor
+        multiples = (levels - levels[0]) / step
+        if np.max(np.abs(multiples - np.round(multiples))) <= _STEP_TOLERANCE:
+            return step / math.sqrt(12.0)
+    return 0.0

@@ -1,6 +1,7 @@
 """Responses of plants to the recordings of a fit, and the error of the time steps."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,7 +41,7 @@ def simulate_responses(
 
     Returns:
         The responses, and by channel the RMS change (SI) when the first half of the first recording is simulated with
-        half the step; 0 for recordings without a clock.
+        half the step; 0 where each row is one step, as for recordings without a clock.
     """
     inputs = [discretise(p, r, interpolation=interpolation, step=step) for p, r in zip(plants, recordings, strict=True)]
     grid, samples = max(len(i.time) for i in inputs), max(len(i.sample_indices) for i in inputs)
@@ -95,12 +96,13 @@ def _discretisation_errors(
     """
     recording = response.recording
     count = len(recording) // 2
-    if not recording.has_clock or count < 2:
+    longest = step or default_step(plant)
+    if not recording.has_clock or count < 2 or math.isinf(longest):
         return dict.fromkeys(channels, 0.0)
     half = dataclasses.replace(
         recording, time=recording.time[:count], channels={c: v[:count] for c, v in recording.channels.items()}
     )
-    pieces = np.maximum(1, np.ceil(np.diff(half.time) / (step or default_step(plant)) - _ROUNDING))
+    pieces = np.maximum(1, np.ceil(np.diff(half.time) / longest - _ROUNDING))
     fine_step = float(np.max(np.diff(half.time) / pieces)) / 2
     inputs = discretise(plant, half, interpolation=interpolation, step=fine_step)
     grid, samples = lengths

@@ -75,7 +75,7 @@ class FitResult:
         covariance: Covariance of the estimates (p, p), internal units; NaN for those at a bound.
         collinear_groups: Parameters whose effects the data cannot distinguish.
         responses: Responses to the training and then the holdout recordings.
-        noise_floor: Noise of the residual by channel, SI, from its second differences.
+        noise_floor: Noise of the residual by channel, SI: from its second differences, at least the channel's rounding.
         cost: Sum of squares of the weighted residual.
         starts_at_best: Number of starts that ended within a thousandth of the best cost.
         starts: Number of starts.

@@ -10,6 +10,7 @@ from smajax.files.documents import finite_or_none
 from smajax.files.fit_settings import FitSettings
 from smajax.files.rig_file import Rig
 from smajax.fitting.levenberg_marquardt import SolverStatus
+from smajax.fitting.noise import quantisation_noise
 from smajax.fitting.result import Estimate, FitResult
 from smajax.recordings.recording import Recording
 from smajax.report.document_entries import difference_unit, recording_entry
@@ -17,6 +18,7 @@ from smajax.report.documents.fit import FitDocument
 from smajax.simulation.status import SimulationStatus
 
 _NOISE_SOURCE = "residual differences"
+_ROUNDING_SOURCE = "rounding"
 
 
 def fit_document(
@@ -159,8 +161,10 @@ def _channel_entries(result: FitResult, settings: FitSettings) -> dict[str, Any]
     for channel, (unit, factor) in _channel_units(result, settings).items():
         errors = {role: result.rmse(channel, role) for role in ("train", "holdout")}
         rmse[channel] = {role: finite_or_none(value, factor) for role, value in errors.items()} | {"unit": unit}
-        noise = finite_or_none(result.noise_floor[channel], factor)
-        floor[channel] = {"value": noise, "unit": unit, "from": _NOISE_SOURCE}
+        noise = result.noise_floor[channel]
+        measured = [r.recording.channels[channel] for r in result.responses if r.role == "train"]
+        source = _ROUNDING_SOURCE if noise == max(map(quantisation_noise, measured)) else _NOISE_SOURCE
+        floor[channel] = {"value": finite_or_none(noise, factor), "unit": unit, "from": source}
     return {"rmse": rmse, "noise_floor": floor}
 
 

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from smajax.plant.effects.base import ThermalNode
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
 
 # degC. Temperature at which the time constant is taken: a usual one of a wire that cools through its transformations.
@@ -57,11 +58,15 @@ def resolving_step(plant: Plant) -> Float[Array, ""]:
         plant: The plant.
 
     Returns:
-        Step in s: a thirtieth of the time constant, at most 50 ms and at most the plant's ``longest_step``.
+        Step in s: a thirtieth of the time constant, at most 50 ms and at most the plant's ``longest_step``. A wire
+        whose temperature is prescribed has no time constant: only ``longest_step`` limits the step, which is infinite
+        for a path, so that each row is one step.
     """
+    if isinstance(plant.heat, PrescribedTemperature):
+        return jnp.asarray(plant.longest_step)
     return jnp.minimum(jnp.minimum(_MAX_STEP, time_constant(plant) / _STEPS_PER_TIME_CONSTANT), plant.longest_step)
 
 
 def default_step(plant: Plant) -> float:
-    """Return ``resolving_step`` as a Python float, in s."""
+    """Return ``resolving_step`` as a Python float, in s; infinite where each row is one step."""
     return float(resolving_step(plant))

@@ -18,6 +18,8 @@ from smajax.plant.plant import Plant
 from smajax.simulation.step_size import default_step
 
 _ELECTRICAL = ("current", "voltage", "power")
+# s. Longest step of a plant without a time constant, whose temperature is prescribed: any finite one is exact there.
+_LONGEST_STEP = 1.0
 
 
 def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
@@ -51,7 +53,7 @@ def plant_model(plant: Plant, name: str, step: float | None = None) -> Model:
         return [channels[n] for n in plant.observable]
 
     equations = equations_text(start, advance, outputs, len(values), len(plant.signals))
-    timing = {"longest": step or default_step(plant)}
+    timing = {"longest": step or min(default_step(plant), _LONGEST_STEP)}
     return Model(name, "plant", f"the plant {name}", tuple(_variables(plant, values)), equations, timing)
 
 

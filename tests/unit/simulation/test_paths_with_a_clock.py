@@ -1,0 +1,63 @@
+"""A path is led row by row, with a time column and without one."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from smajax.fitting.fit import fit
+from smajax.plant.effects.creep import Creep
+from smajax.recordings.recording import Recording
+from smajax.simulation.inputs import discretise
+from smajax.simulation.run import simulate
+from smajax.simulation.step_size import default_step
+from tests.support import plants
+from tests.unit.fitting.test_bounds_and_noise import Settings
+
+ROWS = 60
+
+
+def cycle(time=None) -> Recording:
+    """Return a thermal cycle under a constant stress, with the strain that the wire has."""
+    temperature = 25.0 + 80.0 * (1.0 - np.abs(np.linspace(-1.0, 1.0, ROWS)))
+    blank = plants.recording({"temperature": temperature, "stress": np.full(ROWS, 150e6)}, time)
+    plant = plants.stress_path()
+    strain = np.asarray(simulate(plant, discretise(plant, blank, step=1e9)).channels["strain"])
+    noisy = strain + 1e-5 * np.random.default_rng(0).standard_normal(ROWS)
+    return dataclasses.replace(blank, channels={**blank.channels, "strain": noisy})
+
+
+@pytest.mark.parametrize("plant", [plants.stress_path(), plants.strain_path()], ids=["stress", "strain"])
+@pytest.mark.parametrize("spacing", [1e-3, 5.0, 3600.0])
+def test_each_row_is_one_step_whatever_the_clock_says(plant, spacing):
+    recording = cycle(spacing * np.arange(ROWS))
+    assert np.isinf(default_step(plant))
+    assert len(discretise(plant, recording).time) == ROWS
+    assert len(discretise(plant, recording, step=spacing / 4).time) == 4 * (ROWS - 1) + 1
+
+
+def test_the_steps_of_a_heated_wire_still_resolve_its_cooling():
+    plant = plants.dead_weight()
+    recording = plants.recording({"current": np.zeros(3), "displacement": np.zeros(3)}, np.array([0.0, 5.0, 10.0]))
+    assert len(discretise(plant, recording).time) > 100 and default_step(plant) <= 0.05
+
+
+def test_a_clock_changes_no_fit_of_a_path():
+    time = np.cumsum(np.append(0.0, np.random.default_rng(0).uniform(0.1, 600.0, ROWS - 1)))
+    settings = Settings(free=("material.max_transformation_strain", "material.martensite_shift"), observe=("strain",))
+    start = plants.stress_path()
+    start = dataclasses.replace(start, material=dataclasses.replace(start.material, martensite_shift=jnp.asarray(3.0)))
+    timed, untimed = (fit(start, [recording], settings) for recording in (cycle(time), cycle()))
+    assert [e.estimate for e in timed.estimates] == [e.estimate for e in untimed.estimates]
+    assert [e.lower95 for e in timed.estimates] == [e.lower95 for e in untimed.estimates]
+    assert timed.discretisation_errors == untimed.discretisation_errors == {"strain": 0.0}
+
+
+def test_effects_with_rates_take_the_recorded_times():
+    """A wire that creeps has crept less after a fast cycle than after a slow one."""
+    plant = dataclasses.replace(
+        plants.stress_path(), effects=(Creep(strength=jnp.asarray(0.01), time_constant=jnp.asarray(20.0)),)
+    )
+    fast, slow = (simulate(plant, cycle(spacing * np.arange(ROWS))).channels["strain"] for spacing in (0.01, 100.0))
+    assert float(jnp.max(jnp.abs(fast - slow))) > 1e-4
