@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import CHANNELS
 from smajax.errors import InputError, suggestion
-from smajax.unit_parser import CACHED_UNITS, MAX_LENGTH, UnknownUnitError, parse_unit, same_kind, unit_names
+from smajax.unit_parser import CACHED_UNITS, MAX_LENGTH, UnitScale, UnknownUnitError, parse_unit, same_kind, unit_names
 
 Numbers = TypeVar("Numbers", float, NDArray[np.float64])
 
@@ -68,6 +68,10 @@ _MISSPELLINGS = {
     "Watt": "W",
     "Ohm": "ohm",
 }
+# Masses that are often written for their weights, as on a spring balance, with the unit of the weight.
+_WEIGHTS = {"g": "gf", "gram": "gf", "grams": "gf", "gr": "gf", "kg": "kgf", "mg": "mgf", "lb": "lbf", "oz": "ozf"}
+_MASSES = {"gf": "g", "kgf": "kg", "mgf": "mg", "lbf": "lb", "ozf": "oz"}
+_UNIT_NAME = re.compile(r"[A-Za-z]+", re.ASCII)
 # Most digits that are tried when a float is written: the longest text minus room for the unit.
 _MAX_DIGITS = MAX_LENGTH - 21
 # Magnitudes from this one ...
@@ -276,10 +280,20 @@ def conversion(unit: str, canonical: str) -> tuple[Fraction, Fraction]:
         raise InputError(f"the unit {name}: write one as in '{example_of(canonical)}'") from None
     absolute = canonical == "degC"
     if not same_kind(scale, target) or (absolute and scale.dimension != target.dimension):
-        hint = f" (did you mean '{_MISSPELLINGS[unit]}'?)" if absolute and unit in _MISSPELLINGS else ""
+        close = _MISSPELLINGS.get(unit) if absolute else _other_kind(unit, target)
+        hint = f" (did you mean '{close}'?)" if close else ""
         what = "a fraction or '%'" if canonical == "1" else f"a unit that converts to {canonical}"
         raise InputError(f"the unit '{unit}' does not fit{hint}: {what} is expected, as in '{example_of(canonical)}'")
     return scale.factor / target.factor, scale.offset - _ZERO_CELSIUS if absolute else Fraction(0)
+
+
+def _other_kind(unit: str, target: UnitScale) -> str | None:
+    """Return a unit with the weights of its masses, or the masses of its weights, if it is of the target's kind."""
+    for names in (_WEIGHTS, _MASSES):
+        other = _UNIT_NAME.sub(lambda word, names=names: names.get(word.group(), word.group()), unit)
+        if other != unit and same_kind(parse_unit(other), target):
+            return other
+    return None
 
 
 def _to_own_si(unit: str) -> tuple[Fraction, Fraction]:

@@ -19,6 +19,7 @@ from smajax.files.fit_settings import FitSettings
 from smajax.files.parameter_sets import Entry, parameters_text
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.fit import MAX_STEPS
 from smajax.fitting.fit import fit as fit_plant
 from smajax.fitting.fit_warnings import copied_holdout_warnings, fit_warnings
 from smajax.fitting.levenberg_marquardt import SolverStatus
@@ -91,6 +92,7 @@ def fit(
     start: str | Path | None = None,
     seed: int | None = None,
     starts: int | None = None,
+    max_steps: int = MAX_STEPS,
     profile: Sequence[str] = (),
     solver: Any = None,
     drop_bad_rows: bool = False,
@@ -105,14 +107,14 @@ def fit(
         start: Parameter set to start from, such as the fit.toml of an earlier fit.
         seed: Seed of the starting points; that of the rig by default.
         starts: Number of starting points; that of the rig by default.
+        max_steps: Most steps of the search from each start.
         profile: Parameters whose profile likelihood is computed.
         solver: Any optimistix least-squares solver; by default a bounded Levenberg-Marquardt method.
         drop_bad_rows: Whether to omit rows that cannot be read.
-        progress: Function that gets a ``ProgressEvent`` for each phase and step; one that raises ``StopIteration``
-            stops the fit with the best point so far.
+        progress: Function that gets a ``ProgressEvent`` for each phase and step; ``StopIteration`` stops the fit.
 
     Returns:
-        The study. A failure of the numerics does not raise: ``success`` is then false, and ``reason`` says why.
+        The study. Failed numerics do not raise: ``success`` is then false, and ``reason`` says why.
 
     Raises:
         InputError: If a file or an argument is not valid.
@@ -123,18 +125,15 @@ def fit(
     with clock.time("read"):
         options = {key: value for key, value in (("seed", seed), ("starts", starts)) if value is not None}
         inputs = _read_inputs(as_rig(rig), train, holdout, start, options, profile, drop_bad_rows)
-    search = _search(inputs, solver, reporter, clock)
+    search = _search(inputs, solver, max_steps, reporter, clock)
     reporter.finish("writing the report")
     document, responses = _evaluate(inputs, search)
-    failed = [
-        f"{r.recording.name}: {r.status.name}: {r.status.hint}"
-        for r in responses
-        if r.status is not SimulationStatus.done
-    ]
+    wrong = [r for r in responses if r.status is not SimulationStatus.done]
+    failed = [f"{r.recording.name}: {r.status.name}: {r.status.hint}" for r in wrong]
     failure = NumericsError.exit_code if failed or search.result is None else 0
     code = Cancelled.exit_code if search.interrupted else failure
     reason = search.reason or "; ".join(failed) or "interrupted with the best point so far"
-    ending = {key: document["solver"][key] for key in ("code", "text")}
+    ending = {"code": document["solver"]["code"], "text": document["solver"]["text"]}
     return FitStudy(
         document=document,
         series=tuple(_to_series(inputs.rig, response) for response in responses),
@@ -186,7 +185,7 @@ def _read_inputs(
     return _FitInputs(rig, text, settings, recordings, labels, warnings)
 
 
-def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -> _Search:
+def _search(inputs: _FitInputs, solver: Any, max_steps: int, reporter: Reporter, clock: Clock) -> _Search:
     """Fit and profile, until the end or an interruption."""
     train = inputs.with_role("train")
     settings: Any = inputs.settings  # frozen, and the protocol of ``fit`` has plain attributes
@@ -207,6 +206,7 @@ def _search(inputs: _FitInputs, solver: Any, reporter: Reporter, clock: Clock) -
                 settings,
                 holdout=inputs.with_role("holdout"),
                 interpolation=inputs.rig.interpolation,
+                max_steps=max_steps,
                 solver=solver,
                 progress=report,
             )

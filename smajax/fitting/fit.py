@@ -1,5 +1,6 @@
 """Fit a plant's free parameters to recordings."""
 
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -16,12 +17,24 @@ from smajax.fitting.abstract_problem import residual
 from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
-from smajax.fitting.multi_start import SEQUENTIAL_FROM, MultiStartResult, MultiStartSolver, screen_starts
+from smajax.fitting.multi_start import (
+    SEQUENTIAL_FROM,
+    MultiStartResult,
+    MultiStartSolver,
+    screen_displaced_starts,
+    screen_starts,
+)
 from smajax.fitting.noise import difference_noise, quantisation_noise
 from smajax.fitting.optimistix_search import OptimistixSearch
 from smajax.fitting.problem import Problem, build_problem
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import Estimate, FitResult, Response
+from smajax.fitting.transformation_check import (
+    TransformationGap,
+    displacement_direction,
+    needs_transformation,
+    transformation_gap,
+)
 from smajax.fitting.unknowns import Settings
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
@@ -30,11 +43,17 @@ from smajax.simulation.status import SimulationStatus
 
 Solver: TypeAlias = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.AbstractMinimiser[Any, Any, Any]
 
+# Most steps of a search unless more are asked for; fits of rigs that converge take 5 to 60.
+MAX_STEPS = 100
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
 # Largest distance from a bound, as a share of the parameter's scale, at which a parameter may be at that bound: steps
 # towards a bound grow ever shorter. Chosen by trial, tests/unit/fitting/test_fit.py holds it.
 _BOUND_MARGIN = 1e-6
+# Least number of starts where nothing transforms at the nominal values: transformation temperatures may have to change
+# by 100 K, and a search finds them from about 15 K away. Chosen by trial; tests/unit/fitting/test_transformation.py
+# holds it.
+_DISPLACED_STARTS = 7
 # Least size of a scaled parameter in the direction of a collinear group, so that one near 0 does not divide by it.
 _MIN_SIZE = 1e-3
 
@@ -47,7 +66,7 @@ def fit(
     holdout: Sequence[Recording] = (),
     interpolation: str = "hold",
     step: float | None = None,
-    max_steps: int = 100,
+    max_steps: int = MAX_STEPS,
     solver: Solver | None = None,
     progress: Callable[[int, float], object] = lambda step, cost: None,
 ) -> FitResult:
@@ -72,19 +91,27 @@ def fit(
         Estimates with 95 % intervals, the fitted plants, and the responses to all recordings.
 
     Raises:
-        InputError: A channel is missing, a parameter does not exist, nothing is free, or ``solver`` is no solver.
+        InputError: A channel is missing, a parameter does not exist, nothing is free, or ``solver`` is no
+            solver, or ``max_steps`` is not positive.
         NumericsError: The simulation fails at every start.
         Cancelled: The search was stopped in its first step; later, the best point is returned.
     """
     began = time.perf_counter()
     check_solver(solver)
+    if max_steps < 1:
+        raise InputError(f"max_steps = {max_steps}: give a positive number of steps")
     problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
-    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began)
+    simulation = {"holdout": holdout, "interpolation": interpolation, "step": step}
+    checked = needs_transformation((*settings.free, *settings.per_recording))
+    gap = transformation_gap([problem.plant] * len(recordings), recordings, **simulation) if checked else None
+    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began, gap)
     _check_starts(search, problem, plant)
     if not np.any(np.isfinite(search.result.costs)):
         raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
     best, end = _best_end(problem, plant, recordings, settings, holdout, interpolation, step, search.result)
-    return _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
+    result = _fit_result(problem, search, best, end, len(recordings), settings.seed, interpolation, step)
+    end_gap = transformation_gap(end.plants, recordings, **simulation) if checked else None
+    return dataclasses.replace(result, start_gap=gap, end_gap=end_gap)
 
 
 def check_solver(solver: Any) -> None:
@@ -126,9 +153,19 @@ def _search(
     solver: Solver | None,
     progress: Callable[[int, float], object],
     began: float,
+    gap: TransformationGap | None,
 ) -> _Search:
-    """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s."""
-    starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
+    """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s.
+
+    Where nothing transforms at the nominal values, starts are laid over values at which the wire transforms.
+    """
+    direction = np.zeros(len(problem.unknowns)) if gap is None else displacement_direction(problem)
+    if gap is not None and np.any(direction):
+        count = max(_DISPLACED_STARTS, settings.starts - 1)
+        arguments = (problem, count, settings.seed, direction, gap.displacements)
+        starts, screening_simulations = screen_displaced_starts(*arguments)
+    else:
+        starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
     screening_time = time.perf_counter() - began if screening_simulations else 0.0
     arguments = (residual, problem, starts, *problem.bounds)
     solver = BoundedLevenbergMarquardt() if solver is None else solver

@@ -1,4 +1,7 @@
-"""Warnings of a fit: noisy inputs, stresses beyond the law's range, and a holdout that is a copy."""
+"""Notices and warnings of a fit.
+
+No transformation, noisy inputs, stresses beyond the law's range, and a holdout that is a copy.
+"""
 
 from collections.abc import Sequence
 
@@ -29,6 +32,32 @@ def fit_warnings(result: FitResult, plant: Plant, recordings: Sequence[Recording
         *input_noise_warnings(result, plant, recordings, settings),
         *check_dissipation(result.plant, [{**r.recording.channels, **r.model} for r in result.responses]),
     ]
+
+
+def transformation_notices(result: FitResult) -> list[str]:
+    """Return sentences on start values and on estimates at which the wire does not transform.
+
+    Args:
+        result: The fit.
+
+    Returns:
+        Sentences; none where no parameter of the transformations is free, or the wire transforms.
+    """
+    recordings = [response.recording for response in result.responses if response.role == "train"]
+    sentences = []
+    if result.start_gap is not None:
+        sentences.append(result.start_gap.sentence(recordings, "the start values"))
+        if result.end_gap is None:
+            sentences.append(
+                f"The fit therefore began at {result.starts - 1} further points at which it does, and the wire "
+                "transforms at the estimates."
+            )
+    if result.end_gap is not None:
+        sentences.append(
+            result.end_gap.sentence(recordings, "the estimates")
+            + " The parameters of its transformations are not determined by this fit."
+        )
+    return sentences
 
 
 def copied_holdout_warnings(train: Sequence[Recording], holdout: Sequence[Recording]) -> list[str]:

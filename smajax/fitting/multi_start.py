@@ -52,6 +52,42 @@ def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[
     return np.vstack([problem.nominal, points[order[: starts - 1]]]), len(points) * problem.data.measured.shape[0]
 
 
+def screen_displaced_starts(
+    problem: AbstractFitProblem,
+    starts: int,
+    seed: int,
+    direction: np.ndarray,
+    displacements: tuple[float, float],
+) -> tuple[np.ndarray, int]:
+    """Choose starts among random points that are displaced along one direction, from the whole range of displacements.
+
+    The range is divided into as many parts as there are starts, and the best point of each part is a start, since the
+    costs of displaced points need not lead towards the minimum.
+
+    Args:
+        problem: The problem.
+        starts: Number of starts in addition to the nominal one.
+        seed: Seed of the random points.
+        direction: Change of the vector by a displacement of 1, shape ``(p,)``.
+        displacements: Least and largest displacement.
+
+    Returns:
+        The nominal point and ``starts`` others, shape ``(starts + 1, p)``, and the number of simulations.
+    """
+    per_start = max(_SCREENED_PER_START, -(-_MIN_SCREENED // starts))
+    lower, upper = problem.search_bounds()
+    random = np.random.default_rng(seed)
+    points = random.uniform(lower, upper, (starts * per_start, len(lower)))
+    part = np.repeat(np.arange(starts), per_start)
+    low, high = displacements
+    displacement = low + (high - low) * (part + random.uniform(size=len(part))) / starts
+    points = np.clip(points + displacement[:, None] * direction, *problem.bounds)
+    point_costs = np.asarray(costs(problem, jnp.asarray(points)))
+    order = np.where(np.isfinite(point_costs), point_costs, np.inf).reshape(starts, per_start)
+    best = points.reshape(starts, per_start, -1)[np.arange(starts), np.argmin(order, axis=1)]
+    return np.vstack([problem.nominal, best]), len(points) * problem.data.measured.shape[0]
+
+
 class MultiStartResult(NamedTuple):
     """The ends of ``s`` searches.
 

@@ -8,6 +8,7 @@ import numpy as np
 from smajax.fitting.collinearity import CollinearGroup
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.problem import Problem
+from smajax.fitting.transformation_check import TransformationGap
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.status import SimulationStatus
@@ -90,6 +91,9 @@ class FitResult:
         interpolation: Electrical inputs between samples.
         step: Longest time step in s; ``None`` for the plant's default.
         discretisation_errors: Error of the time steps by channel (RMS), SI.
+        start_gap: How far the wire is from transforming at the start values; ``None`` where it transforms, or where no
+            parameter of the transformations is free.
+        end_gap: The same at the estimates.
     """
 
     problem: Problem
@@ -114,6 +118,8 @@ class FitResult:
     interpolation: str
     step: float | None
     discretisation_errors: dict[str, float]
+    start_gap: TransformationGap | None = None
+    end_gap: TransformationGap | None = None
 
     @property
     def correlation(self) -> np.ndarray:

@@ -9,6 +9,7 @@ from smajax import __version__, parameters
 from smajax.files.documents import finite_or_none
 from smajax.files.fit_settings import FitSettings
 from smajax.files.rig_file import Rig
+from smajax.fitting.fit_warnings import transformation_notices
 from smajax.fitting.levenberg_marquardt import SolverStatus
 from smajax.fitting.noise import quantisation_noise
 from smajax.fitting.result import Estimate, FitResult
@@ -72,6 +73,7 @@ def fit_document(
             "starts_at_best": result.starts_at_best,
         },
         "recordings": [recording_entry(r.recording, r.role) for r in result.responses],
+        "notices": transformation_notices(result),
         "warnings": [*failed, *warnings],
         "seed": result.seed,
         "smajax": __version__,
@@ -118,6 +120,7 @@ def failed_document(
             "starts_at_best": 0,
         },
         "recordings": [recording_entry(recording, role) for recording, role in recordings],
+        "notices": [],
         "warnings": list(warnings),
         "seed": settings.seed,
         "smajax": __version__,

@@ -19,7 +19,8 @@ def _fit_sections(doc: Document) -> list[str]:
     if doc["solver"]["code"] == "failed":
         return [_paragraph(summary.headline(doc))]
     lead, verdicts = _paragraph(summary.headline(doc)), bullets(summary.verdicts(doc))
-    return [lead, rmse_table(doc), verdicts, parameter_table(doc), bullets(summary.remarks(doc))]
+    notices = [_paragraph(notice) for notice in doc.get("notices", ())]
+    return [lead, *notices, rmse_table(doc), verdicts, parameter_table(doc), bullets(summary.remarks(doc))]
 
 
 def _diagnosis_sections(doc: Document) -> list[str]:

@@ -36,7 +36,8 @@ def fit_page(doc: Mapping[str, Any], series: Sequence[Series], run: Mapping[str,
     """
     floor = {channel: entry["value"] for channel, entry in doc["noise_floor"].items()}
     pictures: list[Picture] = []
-    sections = [_verdict_section(doc), rmse_table(doc), "<h2>Parameters</h2>", parameter_table(doc)]
+    sections = [bullets(doc["notices"])] if doc.get("notices") else []
+    sections += [_verdict_section(doc), rmse_table(doc), "<h2>Parameters</h2>", parameter_table(doc)]
     sections.append(bullets(summary.remarks(doc)))
     sections.append("<h2>Measured against model</h2>")
     for recording in series:

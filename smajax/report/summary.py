@@ -76,6 +76,8 @@ def text(doc: Document, folder: str = "") -> str:
         folder: The result folder, which the last line names; empty for none.
     """
     lines = [*wrap(headline(doc), _WIDTH), ""]
+    for notice in doc.get("notices", ()):
+        lines += [*wrap(notice, _WIDTH), ""]
     if doc["solver"]["code"] != "failed":
         lines += table([("channel", "RMSE train", "holdout", "noise floor", "train / floor"), *rmse_rows(doc)])
         lines += [*(line for s in verdicts(doc) for line in wrap(s, _WIDTH)), ""]
@@ -299,7 +301,22 @@ def _undetermined_sentences(doc: Document) -> list[str]:
     if doc["solver"]["code"] == "failed":
         return []
     names = [name for name, entry in doc["parameters"].items() if is_undetermined(entry)]
-    return [f"{name} is not determined: these recordings fit about as well with any value of it." for name in names]
+    return [_undetermined_sentence(name, doc["parameters"][name], doc.get("profiles", {}).get(name)) for name in names]
+
+
+def _undetermined_sentence(name: str, entry: Document, profile: Document | None) -> str:
+    """Say that a parameter is not determined; only a profile has searched whether other values fit as well."""
+    if profile is not None and profile["lower95"] is None and profile["upper95"] is None:
+        return (
+            f"{name} is not determined: as its profile shows, these recordings fit about as well with any value of it."
+        )
+    reason = (
+        "small changes of it do not change the model"
+        if entry["lower95"] is None
+        else "its interval is wider than its bounds"
+    )
+    searched = "" if profile is not None else f"; --profile {name} shows whether other values fit as well"
+    return f"{name} is not determined at this estimate: {reason}{searched}."
 
 
 def _bound_sentences(doc: Document) -> list[str]:
@@ -318,6 +335,8 @@ def _bound_sentences(doc: Document) -> list[str]:
 def _start_sentences(doc: Document) -> list[str]:
     solver = doc["solver"]
     starts, best = solver["starts"], solver["starts_at_best"]
+    if solver["code"] == "steps":
+        return [f"The search took all of its {solver['steps']} steps: --max-steps {4 * solver['steps']} allows more."]
     if solver["code"] == "failed" or solver["code"] in _NOT_CONVERGED:
         return []
     if starts == 1:

@@ -237,3 +237,26 @@ def test_pint_is_loaded_at_the_first_conversion_only():
     code = "import sys, smajax.units as u; a = 'pint' in sys.modules; u.parse_quantity('1 mm', 'm'); print(a, 'pint' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert result.stdout.split() == ["False", "True"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "canonical", "suggested"),
+    [
+        ("g", "N", "gf"),
+        ("kg", "N", "kgf"),
+        ("kg/mm^2", "Pa", "kgf/mm^2"),
+        ("g cm", "N m", "gf cm"),
+        ("gf", "kg", "g"),
+        ("mm", "N", None),
+        ("g", "m", None),
+    ],
+)
+def test_a_mass_in_place_of_a_weight_is_suggested(unit, canonical, suggested):
+    with pytest.raises(InputError) as raised:
+        to_si(1.0, unit, canonical)
+    assert "does not fit" in str(raised.value)
+    assert (
+        (f"(did you mean '{suggested}'?)" in str(raised.value))
+        if suggested
+        else "did you mean" not in str(raised.value)
+    )

@@ -7,7 +7,9 @@ import typer
 from typer.core import TyperCommand
 
 from smajax.app.command_line.options import (
+    DEFAULT_MAX_STEPS,
     MAX_STARTS,
+    MAX_STEPS,
     DropBadRows,
     Json,
     Open,
@@ -75,6 +77,9 @@ def fit(
     starts: Annotated[
         int | None, typer.Option("--starts", min=1, max=MAX_STARTS, help="Points to start from (default: the rig's).")
     ] = None,
+    max_steps: Annotated[
+        int, typer.Option("--max-steps", min=1, max=MAX_STEPS, help="Most steps of the search from each start.")
+    ] = DEFAULT_MAX_STEPS,
     profile: Annotated[
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
     ] = None,
@@ -96,6 +101,7 @@ def fit(
             start=start,
             seed=seed,
             starts=starts,
+            max_steps=max_steps,
             profile=profile or (),
             drop_bad_rows=drop_bad_rows,
             progress=progress,

@@ -8,6 +8,10 @@ import typer
 # Largest seed of NumPy's and JAX's random generators, and largest number of starting points, as in a rig file.
 _MAX_SEED = 2**32 - 1
 MAX_STARTS = 10_000
+# ``smajax.fitting.fit.MAX_STEPS``, which ``smajax --help`` does not import.
+DEFAULT_MAX_STEPS = 100
+# Larger numbers are typing errors: fits of rigs that converge take 5 to 60 steps.
+MAX_STEPS = 100_000
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="The rig file (rig.toml).")]
 Out = Annotated[

@@ -143,6 +143,9 @@ class FitDocument(Document):
     profiles: dict[str, ProfileEntry] = Field(description="requested profile likelihoods by parameter")
     solver: SolverEntry = Field(description="how the search ended, and its effort")
     recordings: list[RecordingEntry] = Field(min_length=1, description="training and holdout recordings")
+    notices: list[str] = Field(
+        default_factory=list, description="sentences that come before all others, such as that nothing transforms"
+    )
     warnings: list[str] = Field(description="warnings as sentences")
     seed: int = Field(description="seed of all random numbers")
     smajax: str = Field(description="version of smajax that computed the result")
