@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from experiments.common.arm_log import Log
+from experiments.common.arm_effects import ARM_EFFECTS
+from experiments.common.arm_log import Log, reading_shift
 
 import jax
 import jax.numpy as jnp
@@ -54,8 +55,11 @@ preload = "5 N"
 stiffness = "6.7 N/mm"
 [environment]
 ambient = "22 degC"
+[initial]
+temperature = "22 degC"
 [fit]
-free = ["drive.supply", "heat.h0", "environment.ambient", "material.austenite_shift", "material.austenite_finish",
+free = ["drive.supply", "heat.h0", "environment.ambient", "initial.temperature",
+        "material.austenite_shift", "material.austenite_finish",
         "material.martensite_start", "material.detwinning_finish_stress", "material.max_transformation_strain",
         "sensor.displacement_offset"]
 observe = ["temperature", "displacement"]
@@ -65,6 +69,7 @@ starts = 1
 "drive.supply" = ["0.1 V", "10 V"]
 "heat.h0" = ["3 W/m^2/K", "400 W/m^2/K"]
 "environment.ambient" = ["15 degC", "30 degC"]
+"initial.temperature" = ["15 degC", "60 degC"]
 "material.austenite_shift" = ["-80 K", "100 K"]
 "material.austenite_finish" = ["62 degC", "200 degC"]
 "material.martensite_start" = ["0 degC", "150 degC"]
@@ -72,16 +77,14 @@ starts = 1
 "material.max_transformation_strain" = ["0.5 %", "10 %"]
 """
 
-
 SLOTS = 14  # most effects' parameters that a fit moves
-
-
 # Prior standard deviations about the rig's values (SI, K), from data sheets of such wires; drive and convection are
 # known to within a factor only.
 PRIOR_DEVIATION = {
     "drive.supply": 0.5,
     "heat.h0": 30.0,
     "environment.ambient": 2.0,
+    "initial.temperature": 0.3,  # about the first reading of the log; the body and its thermocouple are at rest then
     "material.austenite_shift": 10.0,
     "material.austenite_finish": 15.0,
     "material.martensite_start": 15.0,
@@ -89,44 +92,41 @@ PRIOR_DEVIATION = {
     "material.max_transformation_strain": 5e-3,
     "sensor.displacement_offset": 1e-4,
 }
-
-
 STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
 SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value
-
-
 BASE_STARTS = 8  # with 3 the base fit may stay where the wire never transforms, so that any effect improves it
-
-
 DENSE_SECONDS = 40.0  # s after the first pulse in which all rows are kept
 TAIL_SECONDS = 1.1  # s between rows after that
-
-
 BLOCK_SECONDS = 2.0  # s; every third block is the selection part
 
 
 def split_log(log: Log) -> dict[str, Recording]:
     """Split a log into recordings.
 
-    Each covers the whole log; its channels are NaN outside the rows of its role. Before the scored part, the slow tail
-    of
-    a pulse is thinned.
+    Each covers the whole log; its channels are NaN outside the rows of its role, and a temperature has a row of its own
+    at the time when it was taken. Before the scored part, the slow tail of a pulse is thinned.
 
     Returns:
-        Recordings by role: ``train`` and ``select`` together make ``fitted``, and ``held`` is scored.
+        Recordings by role: ``train`` and ``select`` together make ``fitted``, ``held`` is scored; ``whole`` has all.
     """
     kept_rows = [0]
     for k, now in enumerate(log.time):
         dense = now < log.pulses[0] + DENSE_SECONDS or now >= log.scored
         if k and (dense or (now - log.time[kept_rows[-1]] >= TAIL_SECONDS and np.isfinite(log.temperature[k]))):
             kept_rows.append(k)
-    time = log.time[kept_rows]
-    channels = {"temperature": log.temperature[kept_rows], "displacement": np.radians(log.bend[kept_rows]) * LEVER}
+    rows_of_readings = [k for k in kept_rows if np.isfinite(log.temperature[k])]
+    readings = log.time[rows_of_readings] + reading_shift(log)[rows_of_readings]
+    time, position = np.unique(np.concatenate([log.time[kept_rows], readings]), return_inverse=True)
+    temperature, bend = np.full((2, len(time)), np.nan)
+    temperature[position[len(kept_rows) :]] = log.temperature[rows_of_readings]
+    bend[position[: len(kept_rows)]] = log.bend[kept_rows]
+    channels = {"temperature": temperature, "displacement": np.radians(bend) * LEVER}
     units = {"duty": "1", "temperature": "degC", "displacement": "mm"}
     fitted = time < log.until
     chosen = np.floor((time - log.pulses[0]) / BLOCK_SECONDS) % 3 == 2
     rows = {"train": fitted & ~chosen, "select": fitted & chosen, "fitted": fitted, "held": time > log.scored}
-    duty = {"duty": log.duty[kept_rows]}
+    rows["whole"] = np.full(len(time), True)
+    duty = {"duty": log.duty[np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, None)]}
     return {
         role: Recording.from_arrays(
             log.name, time, duty | {c: np.where(own, v, np.nan) for c, v in channels.items()}, units
@@ -206,8 +206,10 @@ class LogFitter:
     def __init__(self, logs: Sequence[Log], candidates: Sequence[str]):
         rig = parse_rig(RIG, "softlimb.toml")
         capabilities = rig.plant.capabilities(tuple(rig.fit.observe))
-        self.kinds = {k: catalogue()[k] for k in candidates if not catalogue()[k].unavailable_reason(capabilities)}
+        known_effects = {**catalogue(), **ARM_EFFECTS}
+        self.kinds = {k: known_effects[k] for k in candidates if not known_effects[k].unavailable_reason(capabilities)}
         plant = dataclasses.replace(rig.plant, effects=tuple(kind() for kind in self.kinds.values()))
+        self.plant, self.settings = plant, rig.fit
         self.names = tuple(f"effects.{k}.{n}" for k, kind in self.kinds.items() for n in parameters.declarations(kind))
         self.declared = {n: parameters.declaration(plant, n) for n in self.names}
         self.nominal = np.array([float(parameters.get(plant, n)) for n in self.names])
@@ -220,6 +222,14 @@ class LogFitter:
             self.problems.append({role: dataclasses.replace(first, data=p.data) for role, p in built.items()})
         assert first is not None
         self.first, self.noise = first, rig.fit.noise
+        self.prior_means = [self._prior_mean(log) for log in logs]
+
+    def _prior_mean(self, log: Log) -> np.ndarray:
+        """Mean of the prior of the rig's vector: the rig's values, and the first reading as initial temperature."""
+        mean = np.array(self.first.nominal)
+        i = [unknown.name for unknown in self.first.unknowns].index("initial.temperature")
+        mean[i] = log.start_temperature / self.first.unknowns[i].scale
+        return mean
 
     def scale(self, name: str) -> float:
         """Return the unit of a slot that moves a parameter: its typical strength, or the size of its nominal value."""
@@ -253,7 +263,7 @@ class LogFitter:
             prior_mean[j], prior_deviation[j] = (
                 (0.0, STRENGTH_DEVIATION) if strength else (self.nominal[i] / self.scale(name), SHAPE_DEVIATION)
             )
-        prior_mean = np.append(self.first.nominal, prior_mean)
+        prior_mean = np.append(self.prior_means[log], prior_mean)
         prior_deviation = np.append([PRIOR_DEVIATION[u.name] / u.scale for u in self.first.unknowns], prior_deviation)
         return Model(
             self.problems[log][role],
@@ -342,6 +352,30 @@ class LogFitter:
             :, :count
         ]
         return residual[0], np.degrees(residual[1] / LEVER)
+
+    def predict(self, log: int, fitted: LogFit, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Predict the temperature (degC) and the displacement (m) of a wire at the rows of another recording.
+
+        The wire starts at the recording's first temperature, and the arm at its rest.
+
+        Args:
+            log: Index of the log to which the wire was fitted.
+            fitted: The fit of the log.
+            recording: Duty, temperature and displacement; only the duty and the first temperature are used.
+        """
+        effects = {
+            n: 0.0 if n in ("effects.initial-offset.strength", "effects.initial-set.strength") else v
+            for n, v in fitted.effects.items()
+        }
+        model, slots = self.model(log, "fitted", effects)
+        problem = build_problem(self.plant, [recording], self.settings, step=2.0, multiple=128)
+        base = np.array(fitted.base)
+        i = [unknown.name for unknown in self.first.unknowns].index("initial.temperature")
+        base[i] = recording.channels["temperature"][0] / self.first.unknowns[i].scale
+        model = dataclasses.replace(model, problem=problem)
+        predicted, _ = _predict(model, jnp.asarray(np.concatenate([base, slots])))
+        temperature, displacement = np.asarray(predicted[0])[:, : len(recording)]
+        return temperature, displacement
 
     def score(self, role: str, fits: Sequence[LogFit]) -> float:
         """Return the RMS of a part's residuals over their noise, pooled over logs and channels."""

@@ -16,6 +16,7 @@ import numpy as np
 
 GAP = 5.0  # s without duty that separate two pulses
 MARGIN = 10.0  # s before the second pulse that are not fitted
+READING_SHIFTS = np.linspace(-0.16, 0.16, 33)  # s; less than half of the shortest time between two readings
 REST = 30.0  # s before the second pulse in which the arm is at rest
 
 
@@ -32,7 +33,10 @@ class Log:
         pulses: Times at which heating begins, s.
         until: End of the fitted part, s.
         scored: Begin of the scored part, s.
-        columns: The columns that these are, in words.
+        path: The file.
+        duty_name: Column of the driven wire.
+        thermocouple: Column of its thermocouple.
+        tags: Tags between which the bend is measured.
     """
 
     name: str
@@ -43,7 +47,22 @@ class Log:
     pulses: np.ndarray
     until: float
     scored: float
-    columns: str
+    path: Path
+    duty_name: str
+    thermocouple: str
+    tags: tuple[int, int]
+
+    @property
+    def columns(self) -> str:
+        """The columns of the driven wire, in words."""
+        return f"{self.duty_name}, {self.thermocouple}, tags {self.tags[0]} to {self.tags[1]}"
+
+    @property
+    def start_temperature(self) -> float:
+        """Mean of the readings before the first pulse, or the first reading, degC."""
+        measured = np.isfinite(self.temperature)
+        before = self.temperature[measured & (self.time <= self.pulses[0])]
+        return float(np.mean(before) if len(before) else self.temperature[measured][0])
 
 
 def read_log(path: Path) -> Log:
@@ -76,12 +95,29 @@ def read_log(path: Path) -> Log:
     bend = bend * np.sign(bend[heated][np.argmax(np.abs(bend[heated]))])
     until = float(np.floor((pulses[1] - MARGIN) / 5.0) * 5.0)
     temperature = np.where(refreshed, thermocouples[thermocouple], np.nan)
-    columns = f"{duty_name}, {thermocouple}, tags {base} to {last}"
-    return Log(path.stem, time, duties[duty_name], temperature, bend, pulses, until, until + 5.0, columns)
+    return Log(
+        path.stem,
+        time,
+        duties[duty_name],
+        temperature,
+        bend,
+        pulses,
+        until,
+        until + 5.0,
+        path,
+        duty_name,
+        thermocouple,
+        (base, last),
+    )
 
 
-def read_table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Read the columns of a log by header, and its time in s; rows in which time does not advance are left out."""
+def read_table(path: Path, least: int = 50) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Read the columns of a log by header, and its time in s; rows in which time does not advance are left out.
+
+    Args:
+        path: The log.
+        least: Smallest number of rows.
+    """
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         lines = [row for row in csv.reader(file) if row]
     head = next((k for k, row in enumerate(lines) if any(c.strip().startswith("pwm_duty_") for c in row)), None)
@@ -92,8 +128,8 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
         values = np.array([[float(c) for c in row] for row in lines[head + 1 :] if len(row) == len(names)], float)
     except ValueError as error:
         refuse(f"{path}: a row holds something that is not a number ({error})")
-    if len(values) < 50:
-        refuse(f"{path}: {len(values)} whole rows are in it: two pulses need more")
+    if len(values) < least:
+        refuse(f"{path}: {len(values)} whole rows are in it: {least} are needed")
     stamp = (values[:, 0] - values[0, 0]) / 1e3
     advancing = np.append(True, stamp[1:] > np.maximum.accumulate(stamp)[:-1])
     return {n: values[advancing, i] for i, n in enumerate(names)}, stamp[advancing]
@@ -151,6 +187,30 @@ def repeat_first_pulse(log: Log) -> tuple[np.ndarray, np.ndarray]:
         measured = np.isfinite(series)
         residuals.append((series - np.interp(earlier, log.time[measured], series[measured]))[scored])
     return residuals[0], residuals[1]
+
+
+def reading_shift(log: Log) -> np.ndarray:
+    """Return for each row how much later than its stamp its temperature was taken, s.
+
+    The thermocouples are read about every 0.5 s and logged every 0.2 s, so that a reading that follows another soon is
+    newer than one that follows late, or older. The shift, of opposite sign for the two, is the one with which the
+    readings of the first pulse are smoothest: those beside a reading interpolate it best.
+    """
+    rows = np.flatnonzero(np.isfinite(log.temperature))
+    gaps = np.diff(log.time[rows], prepend=log.time[rows[0]])
+    signs = np.where(gaps < np.mean(gaps[1:]), 1.0, -1.0)
+    fitted = log.time[rows] < min(log.until, log.pulses[0] + REST)
+    time, values = log.time[rows][fitted], log.temperature[rows][fitted]
+
+    def roughness(shift: float) -> float:
+        t = time + shift * signs[fitted]
+        share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+        return float(np.sum((values[1:-1] - (1 - share) * values[:-2] - share * values[2:]) ** 2))
+
+    shift = min(READING_SHIFTS, key=roughness)
+    shifts = np.zeros(len(log.time))
+    shifts[rows] = shift * signs
+    return shifts
 
 
 def describe_pulses(log: Log) -> str:

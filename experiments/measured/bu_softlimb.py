@@ -1,6 +1,6 @@
 """A soft arm bent by one wire at a time, measured by others: fit a first heating pulse, predict the second.
 
-    python experiments/measured/bu_softlimb.py [--data DIR] [--quick] [--json FILE] [--out DIR]
+    python experiments/measured/bu_softlimb.py [--data DIR] [--predict LOG] [--quick] [--json FILE] [--out DIR]
 
 DIR holds one CSV file a log: a row of headers (``pwm_duty_...``, ``MCPtemp_...``, ``tagid_x_...``, ``tagid_y_...``; the
 first column is a stamp in ms) and rows of numbers below it. The driven wire, its thermocouple and the moving tags are
@@ -36,6 +36,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.arm_fit import BASE_STARTS, LEVER, SLOTS, LogFit, LogFitter, rms
 from experiments.common.arm_log import Log, describe_pulses, read_logs, repeat_first_pulse
+from experiments.common.arm_prediction import Course, predict_course
 from experiments.common.base import Row, arguments, finish, say
 from experiments.common.charts import Chart, Curve, draw
 
@@ -46,6 +47,8 @@ TARGET_WITH_EFFECTS_K, TARGET_WITH_EFFECTS_DEG = 1.6, 0.37  # of that model with
 CANDIDATES = (
     "thermocouple-embedding",
     "coating",
+    "heat-soak",
+    "initial-offset",
     "creep",
     "thermocouple-lag",
     "end-conduction",
@@ -58,6 +61,8 @@ CANDIDATES = (
     "minor-loop-shape",
     "sensor-lag",
 )
+# Accepted by the search on the logs bu-softlimb, in this order; a log of another course is predicted with them.
+EFFECTS = ("thermocouple-embedding", "coating", "creep", "initial-offset", "latent-heat")
 MIN_CUT = 0.05  # relative cut of the selection part's error that an effect must reach
 
 
@@ -142,6 +147,23 @@ def search(fitter: LogFitter, first: list[LogFit], rounds: int, finalists: int) 
             break
         fits, score = fits_by_effect[best], scores[best]
     return history
+
+
+def fit_effects(fitter: LogFitter, effects: Sequence[str], draws: int, steps: int) -> list[LogFit]:
+    """Fit all logs as a whole with given effects, which are added one by one to a fit of the first part.
+
+    Args:
+        fitter: The fits of the logs.
+        effects: Keys of the effects.
+        draws: Number of start points of the model without effects.
+        steps: Largest number of solver steps of the last fit.
+    """
+    fits = [fitter.fit_from_draws(i, "fitted", {}, draws, 60)[0] for i in range(len(fitter.parts))]
+    for key in effects:
+        trials = [fitter.fit_all("fitted", fits, start, 60) for start in start_values(fitter, key)]
+        fits = [min(log_fits, key=lambda f: f.cost) for log_fits in zip(*trials, strict=True)]
+        say(f"{key} added")
+    return fitter.fit_all("whole", fits, {}, steps)
 
 
 def error_row(what: str, errors: tuple[float, float], targets: tuple[float, float] | None, **numbers: float) -> Row:
@@ -307,8 +329,26 @@ def pictures(fitter: LogFitter, logs: Sequence[Log], final: list[LogFit], folder
 
 def main() -> None:
     """Print the table."""
-    args = arguments(__doc__, data="bu-softlimb", quick="the first log only, three candidates, one round")
+    args = arguments(
+        __doc__,
+        data="bu-softlimb",
+        quick="the first log only, three candidates, one round; with --predict one effect",
+        more={
+            "--predict": {
+                "type": Path,
+                "metavar": "LOG",
+                "help": "predict this log, of any course, by fits to the logs of DIR, one for each wire",
+            }
+        },
+    )
+    course = Course(args.predict) if args.predict else None
     logs = read_logs(args.data)
+    if course is not None:
+        fitter = LogFitter(logs, EFFECTS[:1] if args.quick else EFFECTS)
+        say(f"fitting {len(logs)} logs, pulse 1 and then both pulses")
+        fits = fit_effects(fitter, tuple(fitter.kinds), 1 if args.quick else BASE_STARTS, 20 if args.quick else 200)
+        finish(predict_course(fitter, logs, fits, course), args)
+        return
     has_targets = args.data.name == "bu-softlimb" and not args.quick
     logs = logs[:1] if args.quick else logs
     fitter = LogFitter(logs, CANDIDATES[:3] if args.quick else CANDIDATES)

@@ -1,6 +1,7 @@
 """Experiments with recordings by others: the files that they read, and messages for folders that they cannot use. Fits are not tested."""
 
 import ast
+import dataclasses
 import importlib
 import json
 import os
@@ -16,6 +17,8 @@ import numpy as np
 import pytest
 
 from smajax.fitting.result import Estimate
+from smajax.plant.effects import catalogue
+from smajax.plant.effects.class_check import effect_problems
 from tests.conftest import ROOT
 
 EXPERIMENTS = ROOT / "experiments"
@@ -233,6 +236,86 @@ def test_a_measured_arm_is_fitted_quickly(shared, tmp_path):
     rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
     assert "tags 101 to 109" in rows["test_c1_only: found"]["measured"]
     assert rows["held out: with effects"]["numbers"]["rmse_K"] < 0.7 * rows["held out: base model"]["numbers"]["rmse_K"]
+
+
+def test_readings_that_are_logged_late_are_moved_back(tmp_path, monkeypatch):
+    """The readings are taken 0.1 s later or earlier than their rows say, in turn, on a ramp."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_log as arm_logs
+
+    log = arm_logs.read_logs(arm_log(tmp_path))[0]
+    temperature = np.full(len(log.time), np.nan)
+    rows = np.sort(np.append(np.arange(0, len(log.time), 5), np.arange(3, len(log.time), 5)))
+    late = np.where(np.diff(rows, prepend=rows[0] - 2) == 2, 0.1, -0.1)
+    temperature[rows] = 22.0 + 5.0 * (log.time[rows] + late)
+    shift = arm_logs.reading_shift(dataclasses.replace(log, temperature=temperature))
+    np.testing.assert_allclose(shift[rows[1:]], late[1:], atol=0.011)
+    assert not np.any(shift[np.isnan(temperature)])
+
+
+def test_a_log_of_another_course_is_read(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_log as arm_logs
+    from experiments.common import arm_prediction
+
+    log = arm_logs.read_logs(arm_log(tmp_path))[0]
+    for pulses in ((1.0,), (1.0, 20.0, 40.0), ()):
+        course = arm_prediction.Course(arm_log(tmp_path, pulses=pulses) / "log.csv")
+        bend = course.bend((2, 3))
+        assert bend is not None and bend[0] == 0.0
+        assert np.any(course.duty(log) > 0) == bool(pulses)
+        assert len(course.recording(log)) == len(course.time)
+    course = arm_prediction.Course(arm_log(tmp_path, tags=()) / "log.csv")
+    assert course.bend((2, 3)) is None
+    with pytest.raises(SystemExit):
+        arm_prediction.Course(tmp_path / "nowhere.csv")
+    assert "--predict" in capsys.readouterr().err
+
+
+def test_a_prediction_is_compared_with_naive_forecasts(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common import arm_prediction
+
+    measured = np.array([1.0, np.nan, 3.0, 5.0])
+    row = arm_prediction.error_row("a channel", measured, np.array([1.0, 0.0, 3.0, 4.0]), "K")
+    assert row.met and row.numbers["rmse"] == pytest.approx(np.sqrt(1 / 3))
+    assert row.numbers["rmse_of_the_mean"] == pytest.approx(np.sqrt(8 / 3))
+    assert row.numbers["rmse_of_the_first_row"] == pytest.approx(np.sqrt(20 / 3))
+
+
+def test_effects_of_the_arm_are_absent_without_strength(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.common.arm_effects import ARM_EFFECTS, InitialOffset
+
+    for key, kind in ARM_EFFECTS.items():
+        assert not effect_problems(key, kind, catalogue())
+        assert float(kind().strength) == 0.0
+    motion, time = np.array([0.0, 4e-4, 0.0]), np.arange(3.0)
+    assert not np.any(InitialOffset().displacement(motion, {}, time))
+    effect = InitialOffset(strength=1e-4, stroke=4e-4)
+    np.testing.assert_allclose(effect.displacement(motion, {}, time), 1e-4 * np.exp([0.0, -1.0, -2.0]))
+
+
+def test_a_measured_log_of_another_course_is_predicted_quickly(shared, tmp_path):
+    """The first log is cut before its second pulse, so that it is a log of another course."""
+    lines = (shared / "data" / "bu-softlimb" / "test_c3_only.csv").read_text("utf-8").splitlines()
+    course, target = tmp_path / "course.csv", tmp_path / "table.json"
+    course.write_text("\n".join(lines[:303]) + "\n", "utf-8")
+    options = (
+        "--data",
+        str(shared / "data" / "bu-softlimb"),
+        "--predict",
+        str(course),
+        "--quick",
+        "--json",
+        str(target),
+    )
+    result = run_alone("measured/bu_softlimb", *options)
+    assert result.returncode == 0, result.stderr
+    rows = {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
+    driven = next(row for what, row in rows.items() if what.startswith("MCPtemp_3, pwm_duty_limb1_rev driven for 1.7"))
+    assert driven["met"] and rows["bend, tags 105 to 109"]["met"]
+    assert len(rows) == 6
 
 
 @pytest.mark.parametrize(("count", "least", "largest"), [(200, 0.91, 0.98), (40, 0.85, 1.0)])
