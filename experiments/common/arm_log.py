@@ -194,7 +194,7 @@ def reading_shift(log: Log) -> np.ndarray:
 
     The thermocouples are read about every 0.5 s and logged every 0.2 s, so that a reading that follows another soon is
     newer than one that follows late, or older. The shift, of opposite sign for the two, is the one with which the
-    readings of the first pulse are smoothest: those beside a reading interpolate it best.
+    readings of the first pulse are smoothest: the two around a reading interpolate it best.
     """
     rows = np.flatnonzero(np.isfinite(log.temperature))
     gaps = np.diff(log.time[rows], prepend=log.time[rows[0]])
