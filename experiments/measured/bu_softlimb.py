@@ -1,6 +1,6 @@
 """A soft arm bent by one wire at a time, measured by others: fit a first heating pulse, predict the second.
 
-    python experiments/measured/bu_softlimb.py [--data DIR] [--predict LOG] [--quick] [--json FILE] [--out DIR]
+    python experiments/measured/bu_softlimb.py [--data DIR] [--predict LOG] [--search] [--quick] [--json FILE]
 
 DIR holds one CSV file a log: a row of headers (``pwm_duty_...``, ``MCPtemp_...``, ``tagid_x_...``, ``tagid_y_...``; the
 first column is a stamp in ms) and rows of numbers below it. The driven wire, its thermocouple and the moving tags are
@@ -17,11 +17,15 @@ supply, resistance and heat capacity, which scale the same heat, the supply is f
 all logs have the same effects. One pulse leaves many directions undetermined, and implausible values along them give
 implausible predictions, so every fit has a prior from data sheets (``PRIOR_DEVIATION``).
 
-Most effects act in the first 40 s of the fitted pulse, so that the last third in time would be a selection part with a
-cold wire. Every third of the blocks of 2 s is the selection part instead. An effect is accepted if it lowers the error
-there, over the noise and pooled over the logs and both channels, by more than 5 %. Then everything is fitted again to
-the whole first part. In the fitted part the slow tail is thinned to about a row a second; the scored part keeps all
-rows.
+What the arm has (``EFFECTS``) was read off residuals, those of the scored part among them. These effects are fitted
+together from several start points, since a search that adds one at a time stays near its first one. ``--search`` is
+that search. Most effects act in the first 40 s of the fitted pulse, so that the last third in time would be a selection
+part with a cold wire. Every third of the blocks of 2 s is the selection part instead. An effect is accepted if it
+lowers the error there, pooled over the logs and both channels, by more than 5 %. In the fitted part the slow tail is
+thinned to about a row a second; the scored part keeps all rows. A reading of the thermocouples has a row of its own at
+the time when it was taken (``arm_log.reading_shift``).
+
+``--predict`` fits every log of DIR, both pulses, and predicts LOG without a fit to it: any wires in any course.
 """
 
 from __future__ import annotations
@@ -61,8 +65,22 @@ CANDIDATES = (
     "minor-loop-shape",
     "sensor-lag",
 )
-# Accepted by the search on the logs bu-softlimb, in this order; a log of another course is predicted with them.
-EFFECTS = ("thermocouple-embedding", "coating", "creep", "initial-offset", "latent-heat")
+# What the arm has, with start values: thermocouples that lag, silicone around a wire that warms within seconds and a body
+# within minutes, a rest shape that creeps, and a first pulse that begins where the last wire left the arm.
+EFFECTS = {
+    "effects.thermocouple-embedding.strength": 1.5,
+    "effects.coating.strength": 2.0,
+    "effects.coating.time_constant": 5.0,
+    "effects.latent-heat.strength": 5e7,
+    "effects.creep.strength": 0.003,
+    "effects.creep.time_constant": 10.0,
+    "effects.initial-offset.strength": 0.0,
+    "effects.initial-offset.stroke": 4e-4,
+    "effects.heat-soak.strength": 0.1,
+    "effects.heat-soak.time_constant": 200.0,
+}
+EFFECT_KEYS = tuple(dict.fromkeys(name.split(".")[1] for name in EFFECTS))
+JOINT_STARTS, JOINT_STEPS = 24, 250  # with 12 only one start of a log ends at its lowest cost
 MIN_CUT = 0.05  # relative cut of the selection part's error that an effect must reach
 
 
@@ -149,21 +167,30 @@ def search(fitter: LogFitter, first: list[LogFit], rounds: int, finalists: int) 
     return history
 
 
-def fit_effects(fitter: LogFitter, effects: Sequence[str], draws: int, steps: int) -> list[LogFit]:
-    """Fit all logs as a whole with given effects, which are added one by one to a fit of the first part.
+def start_effects(fitter: LogFitter, log: Log) -> dict[str, float]:
+    """Return the start values of the parameters of the effects that the arm has; the offset is that of the log."""
+    first_bend = float(log.bend[np.isfinite(log.bend)][1])  # the first one is still filtered by the tracker
+    start = EFFECTS | {"effects.initial-offset.strength": float(np.radians(first_bend)) * LEVER}
+    return {name: value for name, value in start.items() if name in fitter.names}
+
+
+def fit_jointly(fitter: LogFitter, logs: Sequence[Log], starts: int, steps: int) -> list[list[LogFit]]:
+    """Fit the first part of each log with all effects of the fitter from several start points.
 
     Args:
         fitter: The fits of the logs.
-        effects: Keys of the effects.
-        draws: Number of start points of the model without effects.
-        steps: Largest number of solver steps of the last fit.
+        logs: The logs.
+        starts: Number of start points a log.
+        steps: Largest number of solver steps.
+
+    Returns:
+        For each log its fits, the best first.
     """
-    fits = [fitter.fit_from_draws(i, "fitted", {}, draws, 60)[0] for i in range(len(fitter.parts))]
-    for key in effects:
-        trials = [fitter.fit_all("fitted", fits, start, 60) for start in start_values(fitter, key)]
-        fits = [min(log_fits, key=lambda f: f.cost) for log_fits in zip(*trials, strict=True)]
-        say(f"{key} added")
-    return fitter.fit_all("whole", fits, {}, steps)
+    fits = []
+    for i, log in enumerate(logs):
+        fits.append(fitter.fit_from_draws(i, "fitted", start_effects(fitter, log), starts, steps))
+        say(f"{log.name}: lowest cost {fits[-1][0].cost:.1f}")
+    return fits
 
 
 def error_row(what: str, errors: tuple[float, float], targets: tuple[float, float] | None, **numbers: float) -> Row:
@@ -213,10 +240,9 @@ def report_rows(
         for log in logs
     ]
     base_whole = fitter.fit_all("fitted", base, {}, 80)
-    for part in ("train", "select"):
-        with_effects = history[-1].fits if history else base
+    for part in ("train", "select") if history else ():
         rows.append(error_row(f"{part} part, before", fitter.errors(part, base), None))
-        rows.append(error_row(f"{part} part, with effects", fitter.errors(part, with_effects), None))
+        rows.append(error_row(f"{part} part, with effects", fitter.errors(part, history[-1].fits), None))
     rows += round_rows(history)
     forecasts = [repeat_first_pulse(log) for log in logs]
     repeated = rms([g[0] for g in forecasts]), rms([g[1] for g in forecasts])
@@ -230,7 +256,7 @@ def report_rows(
         temperature, bend = fitter.residuals(i, "held", fitted)
         rows.append(error_row(f"held out: {log.name}", (rms([temperature]), rms([bend])), None))
     text = f"{ours[0]:.2f} K, {ours[1]:.2f} deg against {repeated[0]:.2f} K, {repeated[1]:.2f} deg"
-    accepted = ", ".join(search_round.accepted for search_round in history if search_round.accepted) or "no effect"
+    accepted = ", ".join(dict.fromkeys(name.split(".")[1] for name in final[0].effects)) or "no effect"
     is_met = ours[0] < repeated[0] and ours[1] < repeated[1]
     rows.append(Row(f"held out: with {accepted}, against the naive forecast", "below it", text, is_met))
     return rows + parameter_rows(fitter, final)
@@ -265,20 +291,18 @@ def parameter_rows(fitter: LogFitter, final: list[LogFit]) -> list[Row]:
     return rows
 
 
-def agreement(fitter: LogFitter, final: list[LogFit], times: int) -> tuple[list[Row], list[LogFit]]:
+def agreement(fitter: LogFitter, fits_by_log: list[list[LogFit]]) -> tuple[list[Row], list[LogFit]]:
     """Count the start points that end at each log's lowest cost.
 
     Args:
         fitter: The fits of the logs.
-        final: The last fits, one a log.
-        times: Number of start points a log.
+        fits_by_log: For each log its fits from several start points.
 
     Returns:
         The rows, and the best fit of each log.
     """
     rows, best = [], []
-    for i, fitted in enumerate(final):
-        fits = [fitted, *fitter.fit_from_draws(i, "fitted", fitted.effects, times, 150, seed=1 + i)]
+    for i, fits in enumerate(fits_by_log):
         lowest = min(fits, key=lambda f: f.cost)
         matching = sum(f.cost <= 1.001 * lowest.cost for f in fits)
         close = sum(f.cost <= 1.05 * lowest.cost for f in fits)
@@ -332,32 +356,39 @@ def main() -> None:
     args = arguments(
         __doc__,
         data="bu-softlimb",
-        quick="the first log only, three candidates, one round; with --predict one effect",
+        quick="the first log only, one round of a search; few start points and steps",
         more={
+            "--search": {"action": "store_true", "help": "choose the effects by a search over the candidates"},
             "--predict": {
                 "type": Path,
                 "metavar": "LOG",
                 "help": "predict this log, of any course, by fits to the logs of DIR, one for each wire",
-            }
+            },
         },
     )
     course = Course(args.predict) if args.predict else None
     logs = read_logs(args.data)
+    starts, steps = (2, 40) if args.quick else (JOINT_STARTS, JOINT_STEPS)
     if course is not None:
-        fitter = LogFitter(logs, EFFECTS[:1] if args.quick else EFFECTS)
+        fitter = LogFitter(logs, EFFECT_KEYS)
         say(f"fitting {len(logs)} logs, pulse 1 and then both pulses")
-        fits = fit_effects(fitter, tuple(fitter.kinds), 1 if args.quick else BASE_STARTS, 20 if args.quick else 200)
-        finish(predict_course(fitter, logs, fits, course), args)
+        best = [fits[0] for fits in fit_jointly(fitter, logs, starts, steps)]
+        finish(predict_course(fitter, logs, fitter.fit_all("whole", best, {}, steps), course), args)
         return
     has_targets = args.data.name == "bu-softlimb" and not args.quick
     logs = logs[:1] if args.quick else logs
-    fitter = LogFitter(logs, CANDIDATES[:3] if args.quick else CANDIDATES)
+    fitter = LogFitter(logs, CANDIDATES if args.search else EFFECT_KEYS)
     say(f"fitting the base model to {len(logs)} logs from {BASE_STARTS} start points each")
     base = [fitter.fit_from_draws(i, "train", {}, BASE_STARTS, 60)[0] for i in range(len(logs))]
-    history = search(fitter, base, 1 if args.quick else 8, 1 if args.quick else 4)
-    say("fitting all once more to the whole of the first part")
-    final = fitter.fit_all("fitted", history[-1].fits if history else base, {}, 40 if args.quick else 200)
-    agreement_rows, final = agreement(fitter, final, 2 if args.quick else 10)
+    history = search(fitter, base, 1 if args.quick else 8, 1 if args.quick else 4) if args.search else []
+    say("fitting the whole of the first part with effects")
+    if args.search:
+        final = fitter.fit_all("fitted", history[-1].fits if history else base, {}, steps)
+        draws = enumerate(final)
+        fits_by_log = [[f, *fitter.fit_from_draws(i, "fitted", f.effects, starts, steps, seed=1 + i)] for i, f in draws]
+    else:
+        fits_by_log = fit_jointly(fitter, logs, starts, steps)
+    agreement_rows, final = agreement(fitter, fits_by_log)
     rows = [*report_rows(fitter, logs, base, history, final, has_targets), *agreement_rows]
     if args.out:
         pictures(fitter, logs, final, args.out)
