@@ -65,8 +65,8 @@ CANDIDATES = (
     "minor-loop-shape",
     "sensor-lag",
 )
-# What the arm has, with start values: thermocouples that lag, silicone around a wire that warms within seconds and a body
-# within minutes, a rest shape that creeps, and a first pulse that begins where the last wire left the arm.
+# What the arm has, with start values: thermocouples that lag, silicone around a wire that warms within seconds, a body
+# that warms within minutes, a rest shape that creeps, and a pulse that begins where the last wire left the arm.
 EFFECTS = {
     "effects.thermocouple-embedding.strength": 1.5,
     "effects.coating.strength": 2.0,
