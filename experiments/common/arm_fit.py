@@ -370,8 +370,11 @@ class LogFitter:
         model, slots = self.model(log, "fitted", effects)
         problem = build_problem(self.plant, [recording], self.settings, step=2.0, multiple=128)
         base = np.array(fitted.base)
-        i = [unknown.name for unknown in self.first.unknowns].index("initial.temperature")
-        base[i] = recording.channels["temperature"][0] / self.first.unknowns[i].scale
+        names, scales = zip(*((unknown.name, unknown.scale) for unknown in self.first.unknowns), strict=True)
+        start, ambient = names.index("initial.temperature"), names.index("environment.ambient")
+        base[start] = recording.channels["temperature"][0] / scales[start]
+        if not np.any(recording.channels["duty"]):  # the fitted ambient is that after a pulse, which warms the body
+            base[ambient] = min(base[ambient], base[start] * scales[start] / scales[ambient])
         model = dataclasses.replace(model, problem=problem)
         predicted, _ = _predict(model, jnp.asarray(np.concatenate([base, slots])))
         temperature, displacement = np.asarray(predicted[0])[:, : len(recording)]
