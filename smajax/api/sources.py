@@ -39,7 +39,7 @@ def rig_text(rig: Rig) -> str:
         return rig.to_toml()
     folder = rig.path.parent if rig.path is not None else None
     same = parse_rig(rig.text, rig.name, folder, drop_misplaced=True)
-    settings, given = ((r.fit, r.channels, r.interpolation) for r in (same, rig))
+    settings, given = ((r.fit, r.channels, r.interpolation, r.recording) for r in (same, rig))
     return rig.text if settings == given and bool(eqx.tree_equal(same.plant, rig.plant)) else rig.to_toml()
 
 

@@ -1,5 +1,6 @@
-"""The section ``[channels]`` of a rig file: the columns of the channels, and the layout of a text file."""
+"""The section ``[channels]`` of a rig file: the columns of the channels, with their scales and units."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -11,10 +12,11 @@ from smajax.errors import InputError
 from smajax.files.toml import STRICT, advice, show, validate
 from smajax.files.validators import one_of
 from smajax.recordings.column_mapping import ChannelMap
+from smajax.recordings.read_options import MAX_SKIPPED_ROWS
 from smajax.units import conversion
 
-# Rows before the header that may be skipped; chosen by trial.
-_MAX_SKIPPED_ROWS = 10_000_000
+# Names by which people call the raw numbers of a converter or timer, which are no units.
+_RAW_UNIT = re.compile(r"(adc |raw )?(counts?|ticks?|bits?|digits?|lsb|adc|raw|pwm|steps?)|1/\d+", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -24,28 +26,27 @@ class ChannelSettings:
     Attributes:
         columns: Column and unit of each mapped channel, by channel.
         ignore: Headers of columns that are not channels.
-        skip_rows: Rows before the header.
-        delimiter: Character between the cells of a text file.
-        decimal: Decimal sign of a text file.
-        sheet: Sheet of a workbook; the first by default.
     """
 
     columns: Mapping[str, ChannelMap]
     ignore: tuple[str, ...] = ()
-    skip_rows: int = 0
-    delimiter: str = ","
-    decimal: str = "."
-    sheet: str | None = None
 
     def table(self) -> dict[str, Any]:
         """Return the section as a table that ``channel_settings`` reads back to the same settings."""
-        default = ChannelSettings({})
-        layout = {key: getattr(self, key) for key in ("skip_rows", "delimiter", "decimal", "sheet")}
-        changed = {key: value for key, value in layout.items() if value != getattr(default, key)}
-        columns = {
-            c: {"column": s.column, "unit": s.unit, "any_scale": s.any_scale or None} for c, s in self.columns.items()
-        }
-        return {"ignore": list(self.ignore) or None, **changed, **columns}
+        columns = {}
+        for channel, source in self.columns.items():
+            scale = {key: getattr(source, key) for key in _SCALE}
+            columns[channel] = {
+                "column": source.column,
+                "unit": source.unit,
+                **{key: value for key, value in scale.items() if value != _SCALE[key]},
+                "any_scale": source.any_scale or None,
+            }
+        return {"ignore": list(self.ignore) or None, **columns}
+
+
+# Keys of a column that scale its numbers, with the values that leave them as they are.
+_SCALE = {"factor": 1.0, "offset": 0.0, "full_scale": 1.0}
 
 
 class _Column(BaseModel):
@@ -53,13 +54,18 @@ class _Column(BaseModel):
     column: str | None = Field(None, min_length=1, examples=['"Laser (um)"'])
     unit: str | None = Field(None, examples=['"um"'])
     any_scale: bool = Field(False, examples=["true"])
+    factor: float = Field(1.0, allow_inf_nan=False, examples=["-0.0087"])
+    offset: float = Field(0.0, allow_inf_nan=False, examples=["7.5"])
+    full_scale: float = Field(1.0, gt=0, allow_inf_nan=False, examples=["255"])
 
 
 class _Layout(BaseModel):
+    """The keys that are not channels; those of ``OLD_KEYS`` are read by ``recording_options``."""
+
     model_config = STRICT
     unit: Any = None
     ignore: list[str] = Field([], examples=['["Operator", "Remarks"]'])
-    skip_rows: int = Field(0, ge=0, le=_MAX_SKIPPED_ROWS, examples=["3"])
+    skip_rows: int = Field(0, ge=0, le=MAX_SKIPPED_ROWS, examples=["3"])
     delimiter: str = Field(",", min_length=1, max_length=1, examples=['";"'])
     decimal: Annotated[str, one_of([".", ","])] = "."
     sheet: str | None = Field(None, examples=['"Sheet1"'])
@@ -69,7 +75,8 @@ def channel_settings(data: Any) -> ChannelSettings:
     """Return the settings in the data of the section.
 
     The unit of a channel is given with its column (``displacement = {column = "Laser (um)", unit = "um"}``), under
-    ``[channels.unit]``, or as ``unit`` alone if only one channel is mapped.
+    ``[channels.unit]``, or as ``unit`` alone if only one channel is mapped. ``factor``, ``offset`` and ``full_scale``
+    make values of raw numbers (``force = {column = "ADC", factor = -0.0087, offset = 7.5, unit = "N"}``).
 
     Args:
         data: Content of ``[channels]`` as parsed from the file.
@@ -92,17 +99,29 @@ def channel_settings(data: Any) -> ChannelSettings:
         source = columns.get(channel)
         unit = (source and source.unit) or units.get(channel)
         if unit is not None:
-            try:
-                conversion(unit, channel_unit(channel))
-            except InputError as error:
-                raise InputError(f"channels.{channel}: {error}") from None
-        sources[channel] = ChannelMap((source and source.column) or channel, unit, bool(source and source.any_scale))
-    if layout.delimiter == layout.decimal:
-        problem = f'channels.delimiter and channels.decimal are both "{layout.decimal}"'
-        raise InputError(f'{problem}: set delimiter = ";" or "\\t"')
-    return ChannelSettings(
-        sources, tuple(layout.ignore), layout.skip_rows, layout.delimiter, layout.decimal, layout.sheet
-    )
+            _check_unit(channel, unit)
+        scale = {key: getattr(source, key) for key in _SCALE} if source else {}
+        column = (source and source.column) or channel
+        try:
+            sources[channel] = ChannelMap(column, unit, bool(source and source.any_scale), **scale)
+        except InputError as error:
+            raise InputError(f"channels.{channel}: {error}") from None
+    return ChannelSettings(sources, tuple(layout.ignore))
+
+
+def _check_unit(channel: str, unit: str) -> None:
+    """Refuse a unit that is not one of the channel; raw numbers need a scale in its place."""
+    try:
+        conversion(unit, channel_unit(channel))
+    except InputError as error:
+        if not _RAW_UNIT.fullmatch(unit.strip()):
+            raise InputError(f"channels.{channel}: {error}") from None
+        result = CHANNELS[channel_of(channel) or channel].units[0]
+        if channel_unit(channel) == "1":
+            cure = "give the number that stands for 1, as in full_scale = 255, and no unit"
+        else:
+            cure = f'give the scale and the unit of the result, as in factor = 0.01, offset = 0.0, unit = "{result}"'
+        raise InputError(f"channels.{channel}: '{unit}' is not a unit of {channel_of(channel)}: {cure}") from None
 
 
 def _read_column(channel: str, source: Any) -> _Column:

@@ -17,7 +17,7 @@ from smajax.plant.wire import AbstractWire, Wire
 from smajax.recordings.datasets import data_path
 from smajax.units import as_text, example_of
 
-OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "fit")
+OTHER_SECTIONS = ("rig", "effects", "sensor", "channels", "recording", "fit")
 # Excess of the sum of phase fractions over 1 that counts as rounding of decimals in the file.
 _FRACTION_ROUNDING = 1e-12
 

@@ -15,6 +15,7 @@ from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
 from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
 from smajax.files.mappings import plain_tables
+from smajax.files.recording_settings import recording_options
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
 from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
 from smajax.files.rig_kinds import DEFAULTS, choose_stages
@@ -37,7 +38,8 @@ from smajax.parameters import TIES, Declaration, by_leaf
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
-from smajax.recordings.read import read_recording
+from smajax.recordings.read import only_recording, read_recordings
+from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.recording import Recording
 from smajax.recordings.sources import RecordingSource
 
@@ -54,6 +56,7 @@ class Rig:
         interpolation: Interpolation of the inputs between samples.
         fit: The section ``[fit]``.
         channels: The section ``[channels]``.
+        recording: The section ``[recording]``.
         sources: Origin of each value by parameter name: a line of the rig file, a parameter set, or "default".
         notes: Sentences on entries that were read and are not used.
         misplaced: Effects that do not apply to this rig and were omitted, with the reason.
@@ -71,11 +74,26 @@ class Rig:
     notes: tuple[str, ...] = ()
     misplaced: Mapping[str, str] = field(default_factory=dict)
     text: str | None = None
+    recording: ReadOptions = field(default_factory=ReadOptions)
 
     def __repr__(self) -> str:
         return f"<Rig {self.name}: {self.kind}, {self.fit.model}>"
 
-    def read(
+    def read(self, source: RecordingSource, **arguments: Any) -> Recording:
+        """Read a recording of this rig.
+
+        Args:
+            source: A path, a DataFrame, a dictionary of columns, an array with ``headers``, or a ``Recording``, as in
+                ``read_recordings``; it must have the inputs of the plant.
+            **arguments: Arguments of ``read_all``.
+
+        Raises:
+            InputError: If it cannot be used, or has several recordings; the message names file or object, row and
+                column.
+        """
+        return only_recording(self.read_all(source, **arguments), "Rig.read_all")
+
+    def read_all(
         self,
         source: RecordingSource,
         *,
@@ -83,21 +101,22 @@ class Rig:
         headers: Sequence[str] | None = None,
         drop_bad_rows: bool = False,
         observed: bool = True,
-    ) -> Recording:
-        """Read a recording of this rig.
+        **changes: Any,
+    ) -> list[Recording]:
+        """Read the recordings of a file of this rig: one, or several sheets, or the parts between bad rows.
 
         Args:
-            source: A path, a DataFrame, a dictionary of columns, an array with ``headers``, or a ``Recording``, as in
-                ``read_recording``; it must have the inputs of the plant.
+            source: As in ``read``.
             name: Name of the recording; by default that of the file, or "recording".
             headers: Headers of an array, or of a text file without a header row.
             drop_bad_rows: Whether to omit rows that cannot be used.
             observed: Whether it must also have the channels that are fitted.
+            **changes: Options of ``ReadOptions`` in place of those of the rig, such as ``skip_rows=3``.
 
         Raises:
             InputError: If it cannot be used; the message names file or object, row and column.
         """
-        return read_recording(
+        return read_recordings(
             source,
             name=name,
             headers=headers,
@@ -106,12 +125,21 @@ class Rig:
             required=self.plant.signals,
             observed=self.fit.observe if observed else (),
             clock=self.kind != "path",
-            skip_rows=self.channels.skip_rows,
-            delimiter=self.channels.delimiter,
-            decimal=self.channels.decimal,
-            sheet=self.channels.sheet,
             drop_bad_rows=drop_bad_rows,
+            options=self.recording,
+            **changes,
         )
+
+    def with_read_options(self, **changes: Any) -> "Rig":
+        """Return the rig with other options of ``[recording]``.
+
+        Args:
+            **changes: New values of options of ``ReadOptions`` by name, such as ``skip_rows=3``.
+
+        Raises:
+            InputError: If a name or a value is not valid.
+        """
+        return replace(self, recording=self.recording.replace(**changes))
 
     def to_toml(self, values: Mapping[str, Any] | None = None) -> str:
         """Return the text of a rig file with the value of every parameter; reading it gives the same plant.
@@ -126,7 +154,7 @@ class Rig:
         for name in values or {}:
             parameters.declaration(self.plant, name)
         plant = parameters.replace(self.plant, values or {})
-        text = rig_toml(self.kind, self.interpolation, plant, self.channels, self.fit)
+        text = rig_toml(self.kind, self.interpolation, plant, self.channels, self.fit, self.recording)
         parse_rig(text, f"{self.name} with new values")
         return text
 
@@ -234,6 +262,7 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
         interpolation=cast(Literal["hold", "linear"], head.interpolation),
         fit=settings,
         channels=channel_settings(data.get("channels", {})),
+        recording=recording_options(data),
         sources=sources | {tie: sources[members[0]] for tie, members in TIES.items() if tie in table},
         notes=tuple(_notes(parameter_set, {*table, *sensor_table}, settings)),
         misplaced=misplaced,

@@ -10,10 +10,18 @@ from smajax.files.rig_plant import value_of
 from smajax.files.toml import render_toml
 from smajax.parameters import TIES, declarations
 from smajax.plant.plant import Plant
+from smajax.recordings.read_options import ReadOptions
 from smajax.units import as_text
 
 
-def rig_toml(kind: str, interpolation: str, plant: Plant, channels: ChannelSettings, fit: FitSettings) -> str:
+def rig_toml(
+    kind: str,
+    interpolation: str,
+    plant: Plant,
+    channels: ChannelSettings,
+    fit: FitSettings,
+    recording: ReadOptions,
+) -> str:
     """Return the text of a rig file with the value of every parameter; reading it gives the same plant.
 
     Args:
@@ -22,6 +30,7 @@ def rig_toml(kind: str, interpolation: str, plant: Plant, channels: ChannelSetti
         plant: The plant.
         channels: The section ``[channels]``.
         fit: The section ``[fit]``.
+        recording: The section ``[recording]``.
     """
     head = {"kind": kind, "control": plant.drive.control or None, "interpolation": interpolation}
     data: dict[str, Any] = {"schema": 1, "rig": head}
@@ -31,6 +40,7 @@ def rig_toml(kind: str, interpolation: str, plant: Plant, channels: ChannelSetti
         data |= {home: data.get(home, {}) | {key: table}} if key else {section: table}
     data["sensor"] = _section_table(plant, "sensor", list(plant.sensor.declarations()))
     data["channels"] = channels.table()
+    data["recording"] = recording.table()
     data["fit"] = _fit_table(fit, plant)
     return render_toml({key: value for key, value in data.items() if value != {}})
 

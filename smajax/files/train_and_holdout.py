@@ -30,7 +30,8 @@ def read_train_and_holdout(
         drop_bad_rows: Whether to omit rows that cannot be used.
 
     Returns:
-        Pairs of a recording, with a distinct name, and its role, "train" or "holdout".
+        Pairs of a recording, with a distinct name, and its role, "train" or "holdout"; a file with several sheets, or
+        that is split at bad rows, gives several.
 
     Raises:
         InputError: If a recording cannot be used or is given twice, or only some of them have a time.
@@ -40,16 +41,18 @@ def read_train_and_holdout(
     names = _names(sources)
     _refuse_repeated(sources, names)
     in_memory = sum(not isinstance(source, Path | Recording) for source in sources)
-    recordings = [
-        rig.read(source, name=name if in_memory > 1 else None, drop_bad_rows=drop_bad_rows)
-        for source, name in zip(sources, names, strict=True)
-    ]
-    if len({r.has_clock for r in recordings}) > 1:
-        name = next(r.name for r in recordings if not r.has_clock)
-        cure = "give it a time column, or fit it on its own"
+    recordings: list[tuple[Recording, str]] = []
+    for k, (source, name) in enumerate(zip(sources, names, strict=True)):
+        given_name = name if isinstance(source, Path) or in_memory > 1 else None
+        parts = rig.read_all(source, name=given_name, drop_bad_rows=drop_bad_rows)
+        if len(parts) == 1:
+            parts = [dataclasses.replace(parts[0], name=name)]
+        recordings += [(part, "train" if k < len(train) else "holdout") for part in parts]
+    if len({recording.has_clock for recording, _ in recordings}) > 1:
+        name = next(recording.name for recording, _ in recordings if not recording.has_clock)
+        cure = "give it a time column or a sample_period, or fit it on its own"
         raise InputError(f"{name}: this recording has no time and the others do: {cure}")
-    renamed = [dataclasses.replace(r, name=name) for r, name in zip(recordings, names, strict=True)]
-    return [(r, "train" if k < len(train) else "holdout") for k, r in enumerate(renamed)]
+    return recordings
 
 
 def _refuse_repeated(sources: Sequence[Any], names: Sequence[str]) -> None:

@@ -1,30 +1,73 @@
 """Mapping of columns to channels, by headers ``name [unit]`` or by ``[channels]`` in the rig file."""
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from smajax.channels import CHANNELS, channel_of, channel_suggestion, channel_unit
 from smajax.errors import InputError, suggestion
 from smajax.units import conversion
 
+# Headers of a first column that pandas writes for the row numbers.
+ROW_NUMBER_HEADERS = ("", "Unnamed: 0")
 _HEADER = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Column and unit of a channel, as in ``[channels]`` of a rig file.
+    """Column, scale and unit of a channel, as in ``[channels]`` of a rig file.
+
+    The value in ``unit`` is ``factor * number / full_scale + offset``: newton from counts of a converter, or a duty
+    from 0 to 1 where the file has 0 to 255.
 
     Attributes:
         column: Header of the column, with or without its unit.
-        unit: Unit of the column; ``None`` if it is in the header.
+        unit: Unit of the values; ``None`` if it is in the header.
         any_scale: Whether values outside the plausible range of the channel are accepted.
+        factor: Factor of the numbers in the file; negative where they fall as the value rises.
+        offset: Value where the number is 0, in ``unit``.
+        full_scale: Number in the file that stands for 1 before the factor.
     """
 
     column: str
     unit: str | None = None
     any_scale: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    full_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("factor", "full_scale"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value):
+                raise InputError(f"{name} = {value} of column '{self.column}' is not possible: give another than 0")
+        if not math.isfinite(self.offset):
+            raise InputError(f"offset = {self.offset} of column '{self.column}' is not possible: give a number")
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether the numbers in the file are not the values."""
+        return (self.factor, self.offset, self.full_scale) != (1.0, 0.0, 1.0)
+
+    def scaled(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of a column in ``unit``.
+
+        Args:
+            numbers: Numbers in the file, shape ``(rows,)``.
+        """
+        return numbers * (self.factor / self.full_scale) + self.offset if self.is_scaled else numbers
+
+    def scale_text(self) -> str:
+        """Return the scale as the right-hand side of an equation, for notes."""
+        divided = f" / {self.full_scale:.12g}" if self.full_scale != 1 else ""
+        factor = f"{self.factor:.12g} * " if self.factor != 1 else ""
+        sign = "-" if self.offset < 0 else "+"
+        return f"{factor}number{divided}" + (f" {sign} {abs(self.offset):.12g}" if self.offset else "")
 
 
 @dataclass(frozen=True)
@@ -39,6 +82,7 @@ class FileColumn:
         any_scale: Whether values outside the plausible range of the channel are accepted.
         mapped: Whether the rig file maps the column to the channel.
         note: Sentence on the column for the notes of the recording; empty if there is none.
+        source: Scale of the numbers in the file; ``None`` if they are the values.
     """
 
     index: int
@@ -48,10 +92,15 @@ class FileColumn:
     any_scale: bool = False
     mapped: bool = False
     note: str = ""
+    source: ChannelMap | None = None
 
 
 def assign_columns(
-    path: Path | str, headers: Sequence[str], mapping: Mapping[str, ChannelMap], ignore: Sequence[str]
+    path: Path | str,
+    headers: Sequence[str],
+    mapping: Mapping[str, ChannelMap],
+    ignore: Sequence[str],
+    stamps: Collection[int] = (),
 ) -> list[FileColumn]:
     """Return the columns that are channels, in the order of the file.
 
@@ -60,6 +109,7 @@ def assign_columns(
         headers: Headers of all columns.
         mapping: Column and unit by channel, as in the rig file.
         ignore: Headers (or names without unit) of columns that are not channels.
+        stamps: Numbers of the columns of time stamps, whose unit is s.
 
     Raises:
         InputError: If a header is neither a channel nor mapped nor ignored, a unit is not valid, or a channel has two
@@ -79,9 +129,14 @@ def assign_columns(
                 problem = f"column '{header}' is both ignored and mapped to {next(iter(sources))}"
                 raise InputError(f"{path}: {problem}: remove one of the two")
             continue
+        if not sources and index == 0 and header in ROW_NUMBER_HEADERS:
+            continue
         if not header:
-            cure = "write one like 'current [A]', or remove the column"
-            raise InputError(f"{path}: column {index + 1} has no header: {cure}")
+            cure = "write one like 'current [A]', or leave the column out with [channels] ignore = [\"\"] in the rig"
+            raise InputError(f"{path}: column {index + 1} has no header: {cure}", code="header-blank", cure=cure)
+        if index in stamps and "time" in (name, *sources):
+            columns.append(FileColumn(index, header, "time", "s", mapped="time" in sources))
+            continue
         for channel, source in sources.items():
             columns.append(_mapped_column(path, index, header, unit, channel, source))
         if not sources:
@@ -117,6 +172,8 @@ def require_channels(
             source = f", which the rig maps to column '{mapping[name].column}'," if name in mapping else ""
             problem = f"the channel {name}{source} is missing{suggestion(name, present)}"
             cure = f"add a column '{_example_header(name)}' or map one to {name} under [channels] in the rig"
+            if name == "time":
+                cure += ', or set sample_period = "20 ms" under [recording] if the file has none'
             message = f"{path}: {problem}: it has {', '.join(present)}, so {cure}"
             example = _example_header(name)
             raise InputError(message, code="channel-missing", cure=cure, channel=name, example=example)
@@ -128,7 +185,11 @@ def _mapped_column(
     mapped_unit = _column_unit(path, header, channel, source.unit or unit)
     differs = unit and unit.strip() != mapped_unit
     note = f"column '{header}' was read in {mapped_unit}, as the rig says" if differs else ""
-    return FileColumn(index, header, channel, mapped_unit, source.any_scale, True, note)
+    if source.is_scaled:
+        shown = "" if mapped_unit == "1" else f" {mapped_unit}"
+        note = f"{channel} was read as ({source.scale_text()}){shown} of column '{header}', as the rig says"
+    scale = source if source.is_scaled else None
+    return FileColumn(index, header, channel, mapped_unit, source.any_scale, True, note, scale)
 
 
 def _unknown_header(

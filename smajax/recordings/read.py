@@ -4,35 +4,80 @@ A recording file has one header row, ``name [unit]`` per column, and rows of num
 DataFrame, dictionary or array has the same columns.
 Reading makes all checks that do not need the rig, so that later code can rely on them: every channel is known and its
 unit can be converted, every number is finite, time increases. A bad file is refused in one sentence with file, row and
-column. Rows are dropped only on request, and then counted.
+column. Rows are dropped, and a file is split at them, only on request, and then counted.
 """
 
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smajax.channels import channel_unit
 from smajax.errors import InputError
-from smajax.recordings.column_mapping import ChannelMap, FileColumn, assign_columns, require_channels
-from smajax.recordings.readers import Table, open_table
+from smajax.recordings.bad_rows import good_rows, split_rows
+from smajax.recordings.column_mapping import (
+    ROW_NUMBER_HEADERS,
+    ChannelMap,
+    FileColumn,
+    assign_columns,
+    require_channels,
+)
+from smajax.recordings.read_options import ReadOptions
+from smajax.recordings.readers import Table, open_tables
 from smajax.recordings.readers.memory import open_memory_table
 from smajax.recordings.recording import Floats, Recording
 from smajax.recordings.recording_checks import check_recording
 from smajax.recordings.sources import DEFAULT_NAME, RecordingSource
 from smajax.recordings.value_checks import check_values
-from smajax.units import conversion, to_si
-
-# Dropped rows that a note lists by number, followed by the number of the others; chosen to keep the note on one line.
-_ROWS_LISTED = 5
-# Share of bad rows above which a file is refused instead of repaired: most of the recording would be lost.
-_MAX_BAD_SHARE = 0.5
+from smajax.units import as_text, conversion, to_si
 
 
-def read_recording(
+@dataclasses.dataclass(frozen=True)
+class _Request:
+    """What a recording is read for: the arguments of ``read_recordings``."""
+
+    mapping: Mapping[str, ChannelMap]
+    ignore: Sequence[str]
+    names: Sequence[str]
+    observed: Sequence[str]
+    options: ReadOptions
+
+
+def read_recording(source: RecordingSource, **arguments: Any) -> Recording:
+    """Read and check a recording: a file (.csv, .txt, .mat, .parquet, .xlsx) or a table in memory.
+
+    Args:
+        source: A path, a table in memory or a ``Recording``, as in ``read_recordings``.
+        **arguments: Arguments of ``read_recordings``.
+
+    Raises:
+        InputError: If the source cannot be used, or has several recordings; the message names file or object, row and
+            column.
+    """
+    return only_recording(read_recordings(source, **arguments), "read_recordings")
+
+
+def only_recording(recordings: Sequence[Recording], function: str) -> Recording:
+    """Return the only one of the recordings of a file.
+
+    Args:
+        recordings: The recordings.
+        function: Function that returns all of them, for the message.
+
+    Raises:
+        InputError: If there are several.
+    """
+    if len(recordings) > 1:
+        names = ", ".join(recording.name for recording in recordings)
+        raise InputError(f"{len(recordings)} recordings were read ({names}), and one is needed: use {function}")
+    return recordings[0]
+
+
+def read_recordings(
     source: RecordingSource,
     *,
     name: str | None = None,
@@ -41,14 +86,12 @@ def read_recording(
     required: Sequence[str] = (),
     observed: Sequence[str] = (),
     clock: bool = True,
-    skip_rows: int = 0,
-    delimiter: str = ",",
-    decimal: str = ".",
-    sheet: str | None = None,
     headers: Sequence[str] | None = None,
     drop_bad_rows: bool = False,
-) -> Recording:
-    """Read and check a recording: a file (.csv, .txt, .mat, .parquet, .xlsx) or a table in memory.
+    options: ReadOptions | None = None,
+    **changes: Any,
+) -> list[Recording]:
+    """Read and check the recordings of a file: one, or several if sheets are named or it is split at bad rows.
 
     Args:
         source: A path; a DataFrame or pyarrow table; a dictionary or structured array such as
@@ -61,76 +104,139 @@ def read_recording(
         required: Channels that must be in the file.
         observed: Channels that must be in the file and must change.
         clock: Whether the file must have a time; otherwise it may be a path without a clock.
-        skip_rows: Rows of a text file or sheet before the header.
-        delimiter: Character between the cells of a text file.
-        decimal: Decimal sign of a text file, ``.`` or ``,``.
-        sheet: Sheet of a workbook; the first by default.
-        headers: Headers of an array, or of a text file without a header row.
+        headers: Headers of an array, or of a text file without a header row, as ``columns`` of ``ReadOptions``.
         drop_bad_rows: Whether to omit rows with a wrong number of cells, rows with a blank or unreadable cell in a
-            column that is read, and rows in which time does not increase. ``Recording.notes`` has their numbers.
+            column that is read, and rows in which time does not increase (``on_bad_rows="drop"``).
+            ``Recording.notes`` has their numbers.
+        options: Layout of the file, its clock, and what is done with bad rows.
+        **changes: Single options of ``ReadOptions``, such as ``skip_rows=3`` or ``on_bad_rows="split"``.
 
     Raises:
         InputError: If the source cannot be used; the message names file or object, row and column.
     """
-    mapping = mapping or {}
-    names = [*required, *observed, *(["time"] if clock else [])]
+    is_file = isinstance(source, str | os.PathLike)
+    try:
+        changes |= {"on_bad_rows": "drop"} if drop_bad_rows else {}
+        changes |= {"columns": tuple(headers)} if headers is not None and is_file else {}
+        options = (options or ReadOptions()).replace(**changes)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from None if is_file else error
+    needs_time = clock and (options.sample_period is None or isinstance(source, Recording))
+    names = [*required, *observed, *(["time"] if needs_time else [])]
+    request = _Request(mapping or {}, ignore, names, observed, options)
     if isinstance(source, Recording):
-        if headers is not None:
-            raise InputError(f"{source.name}: a Recording has channels with names already: leave out headers")
-        recording = source if name is None else dataclasses.replace(source, name=name)
-        if drop_bad_rows:
-            recording = _without_bad_rows(recording, [n for n in names if n not in observed])
-        return check_recording(recording, names, observed, mapping)
-    if isinstance(source, str | os.PathLike):
+        return [_check_recording(source, name, headers, request)]
+    if is_file:
         path = Path(source)
-        layout = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal, "sheet": sheet}
-        table: Table = open_table(path, **layout, headers=headers)
-        origin, name = path, name or path.name
+        tables = [(table, path, _with_label(name or path.name, table.label)) for table in open_tables(path, options)]
     else:
-        table = open_memory_table(source, name, headers, "time" in mapping)
-        origin, name = table.origin, name or DEFAULT_NAME
-    columns = assign_columns(origin, table.headers, mapping, ignore)
-    require_channels(origin, columns, names, mapping)
-    return _read_table(table, origin, name, columns, observed, drop_bad_rows)
+        table = open_memory_table(source, name, headers, "time" in request.mapping)
+        tables = [(table, table.origin, name or DEFAULT_NAME)]
+    return [recording for table, origin, title in tables for recording in _read_table(table, origin, title, request)]
 
 
-def _read_table(
+def _with_label(name: str, label: str) -> str:
+    return f"{name} sheet '{label}'" if label else name
+
+
+def _check_recording(
+    source: Recording, name: str | None, headers: Sequence[str] | None, request: _Request
+) -> Recording:
+    """Return a recording that is already read, if it has the channels."""
+    if headers is not None:
+        raise InputError(f"{source.name}: a Recording has channels with names already: leave out headers")
+    recording = source if name is None else dataclasses.replace(source, name=name)
+    if request.options.on_bad_rows == "drop":
+        recording = _without_bad_rows(recording, [n for n in request.names if n not in request.observed])
+    return check_recording(recording, request.names, request.observed, request.mapping)
+
+
+def _read_table(table: Table, origin: Path | str, name: str, request: _Request) -> list[Recording]:
+    """Return the columns of a table as recordings, with all checks of their values."""
+    origin = f"{origin}: sheet '{table.label}'" if table.label else origin
+    columns = assign_columns(origin, table.headers, request.mapping, request.ignore, table.stamps)
+    require_channels(origin, columns, request.names, request.mapping)
+    has_time_column = any(column.name == "time" for column in columns)
+    period = request.options.sample_period
+    if period is not None and has_time_column:
+        cure = "remove sample_period, or leave the column out with [channels] ignore"
+        raise InputError(f"{origin}: there is a time column, and sample_period = {as_text(period, 's')}: {cure}")
+    table.stamps = {c.index: table.stamps[c.index] for c in columns if c.name == "time" and c.index in table.stamps}
+    values, notes = _load(origin, table, columns, request)
+    notes += tuple(column.note for column in columns if column.note)
+    parts: list[tuple[NDArray[np.intp] | None, tuple[str, ...]]] = [(None, ())]
+    if request.options.on_bad_rows == "drop":
+        parts = [good_rows(origin, values, table.first_row)]
+    elif request.options.on_bad_rows == "split":
+        parts = split_rows(origin, values, table.first_row)
+    recordings = []
+    for k, (rows, part_notes) in enumerate(parts, 1):
+        title = name if len(parts) == 1 else f"{name} part {k}"
+        recordings.append(_recording(table, origin, title, columns, values, rows, request))
+        recordings[-1] = dataclasses.replace(recordings[-1], notes=(*table.notes, *notes, *part_notes))
+    return recordings
+
+
+def _recording(
     table: Table,
     origin: Path | str,
     name: str,
     columns: Sequence[FileColumn],
-    observed: Sequence[str],
-    drop_bad_rows: bool,
+    table_values: Mapping[str, Floats],
+    rows: NDArray[np.intp] | None,
+    request: _Request,
 ) -> Recording:
-    """Return the columns of a table as a recording, with all checks of their values."""
-    values = _load(origin, table, columns, drop_bad_rows)
-    rows, notes = None, tuple(column.note for column in columns if column.note)
-    if drop_bad_rows:
-        rows, dropped = _good_rows(origin, values, table.first_row)
-        notes += dropped
-        if rows is not None:
-            values = {channel: column[rows] for channel, column in values.items()}
+    """Return some rows of a table as a recording."""
+    values = {c: v if rows is None else v[rows] for c, v in table_values.items()}
 
     def place(column: FileColumn, i: int) -> str:
         return f"{origin}: row {table.first_row + int(i if rows is None else rows[i])}, column '{column.header}'"
 
     with np.errstate(over="ignore", invalid="ignore"):
-        check_values(origin, columns, values, observed, place, table.drop_option)
+        check_values(origin, columns, values, request.observed, place, table.drop_option)
         _convert_to_si(origin, columns, values)
-    has_clock = "time" in values
-    time = values.pop("time") if has_clock else np.arange(len(next(iter(values.values()))), dtype=float)
     units = {column.name: column.unit for column in columns}
-    return Recording(name, time, values, units, table.sha256(), has_clock, notes)
+    if "time" in values:
+        return Recording(name, values.pop("time"), values, units, table.sha256(), True)
+    count = len(next(iter(values.values())))
+    period = request.options.sample_period
+    if period is None:
+        return Recording(name, np.arange(count, dtype=float), values, units, table.sha256(), False)
+    time = (np.arange(count) if rows is None else rows) * period
+    return Recording(name, time, values, {"time": "s"} | units, table.sha256(), True)
 
 
-def _load(origin: Path | str, table: Table, columns: Sequence[FileColumn], drop_bad_rows: bool) -> dict[str, Floats]:
-    """Return the values by channel, in the units of the table."""
+def _load(
+    origin: Path | str, table: Table, columns: Sequence[FileColumn], request: _Request
+) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """Return the values by channel, in the units of the table, and a note on a column of row numbers."""
+    has_row_numbers = (
+        table.headers[0] in ROW_NUMBER_HEADERS
+        and table.headers[0] not in request.ignore
+        and all(column.index for column in columns)
+    )
+    indices = [*([0] if has_row_numbers else []), *(column.index for column in columns)]
     try:
-        arrays = table.load([column.index for column in columns], drop_bad_rows)
+        arrays = table.load(indices, request.options.on_bad_rows != "refuse")
     except OSError as error:
         reason = error.strerror or error
         raise InputError(f"{origin}: the file cannot be read to its end ({reason}): copy it again") from None
-    return dict(zip((column.name for column in columns), arrays, strict=True))
+    notes: tuple[str, ...] = ()
+    if has_row_numbers:
+        _refuse_other_than_row_numbers(origin, arrays.pop(0))
+        notes = ("column 1, which has no header and counts the rows, was left out",)
+    scaled = [c.source.scaled(a) if c.source else a for c, a in zip(columns, arrays, strict=True)]
+    return dict(zip((column.name for column in columns), scaled, strict=True)), notes
+
+
+def _refuse_other_than_row_numbers(origin: Path | str, numbers: Floats) -> None:
+    """Refuse a first column without a header whose values do not rise by one from row to row."""
+    readable = np.flatnonzero(np.isfinite(numbers))
+    if np.array_equal(np.diff(numbers[readable]), np.diff(readable)):
+        return
+    cure = "write one like 'current [A]', or leave the column out with [channels] ignore = [\"\"] in the rig"
+    message = f"{origin}: column 1 has no header, and does not count the rows: {cure}"
+    raise InputError(message, code="header-blank", cure=cure)
 
 
 def _convert_to_si(origin: Path | str, columns: Sequence[FileColumn], values: dict[str, Floats]) -> None:
@@ -148,37 +254,9 @@ def _without_bad_rows(recording: Recording, names: Sequence[str]) -> Recording:
     """Return a recording without the rows in which a channel of ``names`` is not finite or time does not increase."""
     values = {n: recording.channels[n] for n in names if n in recording.channels}
     values |= {"time": recording.time} if recording.has_clock else {}
-    rows, notes = _good_rows(recording.name, values, first_row=0) if values else (None, ())
+    rows, notes = good_rows(recording.name, values, first_row=0) if values else (None, ())
     if rows is None:
         return recording
     channels = {n: column[rows] for n, column in recording.channels.items()}
     time = recording.time[rows] if recording.has_clock else np.arange(len(rows), dtype=float)
     return dataclasses.replace(recording, time=time, channels=channels, notes=(*recording.notes, *notes))
-
-
-def _good_rows(
-    origin: Path | str, values: Mapping[str, Floats], first_row: int
-) -> tuple[NDArray[np.intp] | None, tuple[str, ...]]:
-    """Return the indices of the rows to keep (``None`` for all) and notes on the others."""
-    readable = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    good = readable.copy()
-    if "time" in values:
-        time = np.where(readable, values["time"], -np.inf)
-        good[1:] &= time[1:] > np.maximum.accumulate(time)[:-1]
-    if good.all():
-        return None, ()
-    if np.count_nonzero(~good) > _MAX_BAD_SHARE * len(good):
-        bad_rows = f"{np.count_nonzero(~good)} of {len(good)} rows are bad"
-        first = f"the first of them row {first_row + int(np.argmin(good))}"
-        raise InputError(f"{origin}: {bad_rows}, {first}, too many to drop: correct them")
-    notes = []
-    for problem, bad in (
-        ("with a blank or unreadable cell", ~readable),
-        ("in which time does not increase", readable & ~good),
-    ):
-        if bad.any():
-            indices = np.flatnonzero(bad)
-            row_numbers = ", ".join(str(first_row + i) for i in indices[:_ROWS_LISTED])
-            rest = f" and {len(indices) - _ROWS_LISTED} more" if len(indices) > _ROWS_LISTED else ""
-            notes.append(f"{len(indices)} of {len(good)} rows {problem} dropped on request: row {row_numbers}{rest}")
-    return np.flatnonzero(good), tuple(notes)

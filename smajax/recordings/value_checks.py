@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import channel_of, channel_unit
 from smajax.errors import InputError
+from smajax.recordings.bad_rows import is_restart
 from smajax.recordings.column_mapping import FileColumn
 from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.unit_checks import check_scale
@@ -16,6 +17,9 @@ from smajax.units import to_si
 # Number of rows with decreasing time up to which they count as single errors, and not as unsorted rows. Chosen by
 # trial; tested in tests/unit/recordings/test_bad_recordings.py.
 _MAX_TIME_SLIPS = 2
+# Number of such rows up to which each may be a restart of the clock, of a logger that is switched on again. Chosen by
+# trial.
+_MAX_RESTARTS = 20
 
 Place = Callable[[FileColumn, int], str]
 
@@ -100,6 +104,8 @@ def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str]
         problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
         sort = f"sort the rows by time, or leave such rows out with {drop_option}"
         cure = sort if slips.size > _MAX_TIME_SLIPS else repair_hint(drop_option)
+        if time[i] < time[i - 1] and slips.size <= _MAX_RESTARTS and is_restart(time, i):
+            cure = 'the clock begins again there: split the recording with on_bad_rows = "split" under [recording]'
         message = f"{place(i)}: time {problem} {unit}: {cure}"
         raise InputError(message, code="time-order" if cure == sort else "bad-row", cure=cure)
 

@@ -3,34 +3,22 @@
 Each format has one module with a subclass of ``Table``; it is imported when a file of that format is opened.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from smajax.errors import InputError
 from smajax.recordings.paths import similar_name, unreadable
+from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table
 
 SUFFIXES = (".csv", ".txt", ".mat", ".parquet", ".xlsx")
 
 
-def open_table(
-    path: Path,
-    *,
-    skip_rows: int = 0,
-    delimiter: str = ",",
-    decimal: str = ".",
-    sheet: str | None = None,
-    headers: Sequence[str] | None = None,
-) -> Table:
-    """Open a file as a table: read its headers, but not yet its numbers.
+def open_tables(path: Path, options: ReadOptions) -> list[Table]:
+    """Open a file as tables, one for each sheet that is read: read the headers, but not yet the numbers.
 
     Args:
         path: The file.
-        skip_rows: Rows of a text file or sheet before the header.
-        delimiter: Character between the cells of a text file.
-        decimal: Decimal sign of a text file.
-        sheet: Sheet of a workbook; the first by default.
-        headers: Headers of a text file without a header row.
+        options: Options of reading.
 
     Raises:
         InputError: If the file is missing, or cannot be read as a table.
@@ -41,23 +29,23 @@ def open_table(
         if suffix in (".csv", ".txt"):
             from smajax.recordings.readers.csv import CsvTable
 
-            return CsvTable(path, skip_rows, delimiter, decimal, headers)
-        if headers is not None:
+            return [CsvTable(path, options)]
+        if suffix == ".xlsx":
+            from smajax.recordings.readers.xlsx import open_sheets
+
+            return [*open_sheets(path, options)]
+        if options.columns is not None:
             cure = "give the file headers like 'temperature [degC]'"
-            problem = "only columns of text files can be named"
+            problem = "only columns of text files and workbooks can be named"
             raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
         if suffix == ".mat":
             from smajax.recordings.readers.mat import MatTable
 
-            return MatTable(path)
+            return [MatTable(path)]
         if suffix == ".parquet":
             from smajax.recordings.readers.parquet import ParquetTable
 
-            return ParquetTable(path)
-        if suffix == ".xlsx":
-            from smajax.recordings.readers.xlsx import XlsxTable
-
-            return XlsxTable(path, skip_rows, decimal, sheet)
+            return [ParquetTable(path)]
     except OSError as error:
         raise unreadable(path, error) from None
     cure = f"save the recording as {', '.join(SUFFIXES)}"
@@ -76,4 +64,4 @@ def _refuse_other_than_file(path: Path) -> None:
         raise InputError(f"{path}: the file is empty: {cure}")
 
 
-__all__ = ["SUFFIXES", "Table", "open_table"]
+__all__ = ["SUFFIXES", "Table", "open_tables"]

@@ -7,12 +7,14 @@ that is not a finite number is an error with its row and column, or NaN if the c
 import abc
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from smajax.errors import InputError, shortened
+from smajax.recordings.readers.time_stamps import StampColumn, is_like_stamp
 
 # Bytes that reading a file may take; tests/unit/recordings/test_recording.py reads ten million rows within it.
 MEMORY_LIMIT = 2 * 2**30
@@ -43,11 +45,18 @@ class Table(abc.ABC):
         headers: Header of each column, without white space at its ends.
         first_row: Number of the first row of data, counted as in the program that the format belongs to.
         drop_option: The option that leaves bad rows out, for messages.
+        notes: Sentences on what was recognised or left out.
+        stamps: Readers of the columns of time stamps that were recognised, by the number of the column; the caller
+            removes those that are not the time.
+        label: Name of the sheet where there are several tables in a file, else empty.
     """
 
     drop_option = "--drop-bad-rows"
     headers: tuple[str, ...]
     first_row: int
+    notes: tuple[str, ...] = ()
+    stamps: Mapping[int, StampColumn] = MappingProxyType({})
+    label: str = ""
 
     @abc.abstractmethod
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
@@ -60,6 +69,16 @@ class Table(abc.ABC):
         Raises:
             InputError: If a cell is bad, or the columns do not fit into the memory limit.
         """
+
+    def unwrap_stamps(self, indices: Sequence[int], columns: list[np.ndarray]) -> list[np.ndarray]:
+        """Return columns in which times of day continue after midnight.
+
+        Args:
+            indices: Numbers of the columns.
+            columns: Their values, shape ``(rows,)``.
+        """
+        stamps = [self.stamps.get(index) for index in indices]
+        return [c if s is None else s.unwrapped(c) for s, c in zip(stamps, columns, strict=True)]
 
     @abc.abstractmethod
     def sha256(self) -> str:
@@ -114,13 +133,14 @@ def row_error(problem: str) -> InputError:
     return InputError(f"{problem}: {REPAIR_HINT}", code="bad-row", cure=REPAIR_HINT)
 
 
-def number_error(place: str, text: str, decimal: str) -> InputError:
+def number_error(place: str, text: str, decimal: str, *, first: bool = False) -> InputError:
     """Return the error of a cell that ``parse_number`` refuses.
 
     Args:
         place: The cell's place, with which the sentence begins.
         text: Text of the cell.
         decimal: Decimal sign, ``.`` or ``,``.
+        first: Whether the cell is in the first row of data, which may be one of units.
     """
     shown = shortened(text)
     if not text:
@@ -128,11 +148,17 @@ def number_error(place: str, text: str, decimal: str) -> InputError:
     if text.lower().strip("+-") in _NOT_FINITE:
         return row_error(f"{place}: '{shown}' is not a finite number")
     if decimal == "." and _COMMA_NUMBER.fullmatch(text):
-        cure = 'set decimal = "," under [channels] in the rig'
+        cure = 'set decimal = "," under [recording] in the rig'
         return InputError(f"{place}: '{shown}' has a decimal comma: {cure}", code="decimal", cure=cure)
     if decimal == "," and _PLAIN_NUMBER.fullmatch(text):
         problem = f"'{shown}' has a decimal point although decimal is \",\""
         return InputError(f"{place}: {problem}: write every number in the same way", code="mixed-decimals")
     if _PLAIN_NUMBER.fullmatch(text.replace(",", ".")):
         return row_error(f"{place}: '{shown}' is too large for a number")
+    if is_like_stamp(text):
+        cure = 'give its format, as in time_format = "%d.%m.%Y %H:%M:%S" under [recording] in the rig, or correct it'
+        return InputError(f"{place}: '{shown}' is a time stamp of another format: {cure}", code="stamp", cure=cure)
+    if first:
+        cure = f"set units_row = true under [recording] in the rig if the row has units, else {REPAIR_HINT}"
+        return InputError(f"{place}: '{shown}' is not a number: {cure}", code="bad-first-row", cure=cure)
     return row_error(f"{place}: '{shown}' is not a number")

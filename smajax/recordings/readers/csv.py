@@ -14,8 +14,19 @@ from typing import final
 
 import numpy as np
 
-from smajax.errors import InputError
-from smajax.recordings.readers.base import Table, number_error, parse_number, refuse_if_too_large, row_error
+from smajax.errors import InputError, shortened
+from smajax.recordings.read_options import ReadOptions, check_delimiter
+from smajax.recordings.readers.base import (
+    Table,
+    file_sha256,
+    number_error,
+    parse_number,
+    refuse_if_too_large,
+    row_error,
+)
+from smajax.recordings.readers.encoding import decode_row, open_as_utf8
+from smajax.recordings.readers.header_rows import has_header, is_value, read_header_rows
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, find_stamps
 
 # Bytes that are read at a time: no effect on the numbers; large enough that the overhead of a block is negligible.
 BLOCK = 4 * 2**20
@@ -23,50 +34,56 @@ BLOCK = 4 * 2**20
 _LONGEST_ROW = 2**20
 # Number of rows up to which a block with other cells than plain numbers is read cell by cell; chosen for speed.
 _ROWS_READ_SINGLY = 32
-# Bytes at the beginning of the file that are tested for UTF-16.
-_ENCODING_SAMPLE = 2000
-# Latin text in UTF-16 has a zero in every other byte, all in even or all in odd places. Half as many zeros are enough,
-# and this number has to be more than five times that of the zeros in the other places. Chosen by trial.
-_BYTES_PER_ZERO = 4
-_ZERO_RATIO = 5
-_UTF8_MARK = b"\xef\xbb\xbf"
+# Rows after the skipped ones that are looked at for headers, units, time stamps and the place of the header.
+_ROWS_LOOKED_AT = 30
 _DELIMITER_TEXTS = {";": '";"', "\t": '"\\t"', ",": '","', "|": '"|"'}
 
 
 @final
 class CsvTable(Table):
-    """A text file with one header row.
+    """A text file.
 
     Args:
         path: The file.
-        skip_rows: Rows before the header.
-        delimiter: One character.
-        decimal: Decimal sign, ``.`` or ``,``.
-        headers: Headers of a file without a header row.
+        options: Options of reading.
     """
 
-    def __init__(self, path: Path, skip_rows: int, delimiter: str, decimal: str, headers: Sequence[str] | None = None):
+    def __init__(self, path: Path, options: ReadOptions):
         self.path: Path = path
-        self.delimiter: str = delimiter
-        self.decimal = decimal
-        self._check_dialect(skip_rows)
-        self._digest = hashlib.sha256()
-        with path.open("rb") as file:
-            self._refuse_other_than_text(file.read(BLOCK))
-            file.seek(len(_UTF8_MARK) if self._marked else 0)
-            for skipped in range(skip_rows):
-                if not file.readline():
-                    problem = f"the file has only {skipped} rows, fewer than skip_rows = {skip_rows}"
-                    raise InputError(f"{path}: {problem}: lower skip_rows")
+        self.delimiter: str = options.delimiter
+        self.decimal = options.decimal
+        self._encoding = options.encoding
+        check_delimiter(options, path)
+        self._digest = ""
+        with open_as_utf8(path, options.encoding) as file:
             start = file.tell()
-            line = file.readline(_LONGEST_ROW)
-            self._data_start = file.tell() if headers is None else start
-            next_line = file.readline(_LONGEST_ROW)
-        self._header_row = skip_rows + 1
-        self.first_row: int = skip_rows + (2 if headers is None else 1)
-        self.headers: tuple[str, ...] = (
-            self._read_headers(line, next_line) if headers is None else self._check_headers(headers, line)
-        )
+            self._refuse_other_than_text(file.read(BLOCK))
+            file.seek(start)
+            for skipped in range(options.skip_rows):
+                if not file.readline():
+                    problem = f"the file has only {skipped} rows, fewer than skip_rows = {options.skip_rows}"
+                    raise InputError(f"{path}: {problem}: lower skip_rows")
+            self._data_start = file.tell()
+            lines = [file.readline(_LONGEST_ROW) for _ in range(_ROWS_LOOKED_AT)]
+        self._header_row = options.skip_rows + 1
+        self._read_header_rows([line for line in lines if line], options)
+
+    def _read_header_rows(self, lines: Sequence[bytes], options: ReadOptions) -> None:
+        """Read headers, units and the kinds of time stamps from the first rows that are not skipped."""
+        first = self._cells(lines[0], self._header_row) if lines else [""]
+        if len(lines) == 0 or len(lines[0]) >= _LONGEST_ROW or has_header(first, options):
+            first = self._check_header(lines[0] if lines else b"", lines[1] if len(lines) > 1 else b"", options)
+        else:
+            self._refuse_other_delimiter(f"{self.path}: row {self._header_row}", first, b"")
+        cells = [first, *(self._peek(line) for line in lines[1:])]
+        if options.columns is None or len(first) == 1:
+            self._refuse_title(first, cells)
+        result = read_header_rows(str(self.path), self._header_row, cells, options)
+        self.headers: tuple[str, ...] = result.headers
+        self.notes = result.notes
+        self.first_row: int = self._header_row + result.rows
+        self._data_start += sum(len(line) for line in lines[: result.rows])
+        self.stamps = find_stamps(cells[result.rows : result.rows + ROWS_WITH_STAMPS], options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers, which are read block by block."""
@@ -86,35 +103,14 @@ class CsvTable(Table):
         for part in parts:
             columns.append(np.concatenate(part))
             part.clear()
-        return columns
+        return self.unwrap_stamps(indices, columns)
 
     def sha256(self) -> str:
-        """Return the SHA-256 of the bytes that ``load`` read."""
-        return self._digest.hexdigest()
-
-    def _check_dialect(self, skip_rows: int) -> None:
-        if skip_rows < 0:
-            cure = "give the number of rows before the header"
-            raise InputError(f"{self.path}: skip_rows = {skip_rows} is negative: {cure}")
-        if self.decimal not in (".", ","):
-            raise InputError(f'{self.path}: decimal = "{self.decimal}" is not known: it is "." or ","')
-        single = len(self.delimiter) == 1 and self.delimiter.isascii()
-        if not single or self.delimiter.isalnum() or self.delimiter in '+-."\r\n':
-            cure = 'give one such as ",", ";" or "\\t"'
-            raise InputError(f"{self.path}: delimiter = {self.delimiter!r} is not possible: {cure}")
-        if self.delimiter == self.decimal:
-            problem = f'delimiter and decimal are both "{self.decimal}"'
-            cure = 'set delimiter = ";" or "\\t"'
-            raise InputError(f"{self.path}: {problem}: {cure}", code="delimiter-is-decimal", cure=cure)
+        """Return the SHA-256 of the file in hexadecimal."""
+        return file_sha256(self.path) if not self._digest else self._digest
 
     def _refuse_other_than_text(self, head: bytes) -> None:
-        """Check that the file begins as text in UTF-8, with or without a byte order mark, in rows with a line feed."""
-        self._marked = head.startswith(_UTF8_MARK)
-        sample = head[:_ENCODING_SAMPLE]
-        min_zeros = len(sample) // _BYTES_PER_ZERO
-        fewer, more = sorted((sample[0::2].count(0), sample[1::2].count(0)))
-        if head.startswith((b"\xff\xfe", b"\xfe\xff")) or more > min_zeros > _ZERO_RATIO * fewer:
-            raise InputError(f"{self.path}: row 1: the text is encoded in UTF-16: save the file as UTF-8")
+        """Check that the file begins as text in rows with a line feed."""
         if head.startswith(b"PK\x03\x04"):
             cure = "save it as CSV in UTF-8, or name it .xlsx"
             raise InputError(f"{self.path}: the file is a workbook or archive and not text: {cure}")
@@ -123,14 +119,15 @@ class CsvTable(Table):
             row = head[: head.index(control[:1])].count(b"\n") + 1
             problem = f"the file is binary (byte 0x{control[0]:02x}), not text"
             raise InputError(f"{self.path}: row {row}: {problem}: save it as CSV in UTF-8")
-        if not head[len(_UTF8_MARK) * self._marked :].strip():
+        if not head.strip():
             cure = "record a header like 'time [s],current [A]' and rows of numbers"
             raise InputError(f"{self.path}: the file is empty: {cure}")
         if b"\n" not in head and b"\r" in head:
             cure = "save the file as Unix or Windows text"
             raise InputError(f"{self.path}: row 1: rows end in a bare carriage return: {cure}")
 
-    def _read_headers(self, line: bytes, next_line: bytes) -> tuple[str, ...]:
+    def _check_header(self, line: bytes, next_line: bytes, options: ReadOptions) -> list[str]:
+        """Return the cells of the row of headers, if it is one."""
         place = f"{self.path}: row {self._header_row}"
         if len(line) >= _LONGEST_ROW:
             problem = f"the row is longer than {_LONGEST_ROW} bytes, so this is not a table"
@@ -140,24 +137,45 @@ class CsvTable(Table):
             cure = "give names and units, or set skip_rows"
             raise InputError(f"{place}: the row is blank where the header is expected: {cure}")
         filled = [cell for cell in cells if cell]
-        if all(parse_number(cell, self.decimal) is not None or cell.lower() == "nan" for cell in filled):
-            cure = "begin with a row like 'time [s],current [A]'"
-            problem = f"the header is missing ('{filled[0]}' is a number)"
+        if options.columns is None and all(is_value(cell, self.decimal) for cell in filled):
+            cure = "begin with a row like 'time [s],current [A]', or set columns under [recording] in the rig"
+            problem = f"the header is missing ('{filled[0]}' is a {'number' if ':' not in filled[0] else 'time'})"
             raise InputError(f"{place}: {problem}: {cure}", code="header-missing", cure=cure)
         self._refuse_other_delimiter(place, cells, next_line)
-        return tuple(cells)
+        return cells
+
+    def _refuse_title(self, first: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Refuse a line of a title that is not the header, since a row further down has more cells."""
+        if len([cell for cell in first if cell]) > 1:
+            return
+        widths = [len([cell for cell in cells if cell]) for cells in rows]
+        later = next((k for k, width in enumerate(widths) if width > 1 and width == max(widths)), 0)
+        if not later:
+            return
+        count = self._header_row - 1 + later
+        cure = f"set skip_rows = {count} under [recording] in the rig"
+        problem = f"the row has a single cell, '{shortened(first[0])}', and row {count + 1} has {widths[later]}"
+        message = f"{self.path}: row {self._header_row}: {problem}: {cure}"
+        raise InputError(message, code="title-rows", cure=cure, skip_rows=count)
+
+    def _peek(self, line: bytes) -> list[str]:
+        """Return the cells of one of the first rows; none if it cannot be divided into cells."""
+        try:
+            return self._cells(line, 0)
+        except InputError:
+            return []
 
     def _refuse_other_delimiter(self, place: str, cells: Sequence[str], next_line: bytes) -> None:
         """Refuse a header of one cell that another delimiter divides."""
         others = [other for other in _DELIMITER_TEXTS if other != self.delimiter and other in cells[0]]
         if len(cells) == 1 and not others and self.delimiter != " " and self._is_spaced(next_line):
-            cure = 'set delimiter = " " under [channels] in the rig'
+            cure = 'set delimiter = " " under [recording] in the rig'
             problem = "the columns are separated by spaces"
             raise InputError(f"{place}: {problem}: {cure}", code="delimiter", cure=cure, delimiter=" ")
         if len(cells) == 1 and others:
             comma = 'and decimal = "," ' if others[0] != "," and b"," in next_line and b"." not in next_line else ""
             name = _DELIMITER_TEXTS[others[0]]
-            cure = f"set delimiter = {name} {comma}under [channels] in the rig"
+            cure = f"set delimiter = {name} {comma}under [recording] in the rig"
             raise InputError(
                 f"{place}: the columns are separated by {name}: {cure}",
                 code="delimiter",
@@ -171,24 +189,9 @@ class CsvTable(Table):
         texts = [part.strip() for part in line.decode("utf-8", "replace").split(" ") if part.strip()]
         return len(texts) > 1 and all(parse_number(text, self.decimal) is not None for text in texts)
 
-    def _check_headers(self, headers: Sequence[str], line: bytes) -> tuple[str, ...]:
-        """Return the headers of the caller, if they fit the first row of data."""
-        place = f"{self.path}: row {self.first_row}"
-        cells = self._cells(line, self.first_row)
-        others = [text for c, text in _DELIMITER_TEXTS.items() if c != self.delimiter and c in cells[0]]
-        if len(cells) == 1 and others:
-            problem, cure = f"the columns are separated by {others[0]}", f"set delimiter = {others[0]}"
-            raise InputError(f"{place}: {problem}: {cure}", code="delimiter", cure=cure, delimiter=others[0])
-        if len(cells) != len(headers):
-            count = f"the row has {len(cells)} cells, and {len(headers)} columns are named"
-            raise InputError(f"{place}: {count}: name every column, with - for one to ignore")
-        if parse_number(cells[0], self.decimal) is None:
-            raise InputError(f"{place}: '{cells[0]}' is not a number: if this is a header, name no columns")
-        return tuple(headers)
-
     def _estimate_rows(self) -> float:
         """Return the number of rows, estimated from the first block."""
-        with self.path.open("rb") as file:
+        with open_as_utf8(self.path, self._encoding) as file:
             size = file.seek(0, io.SEEK_END) - self._data_start
             file.seek(self._data_start)
             sample = file.read(BLOCK)
@@ -196,11 +199,16 @@ class CsvTable(Table):
 
     def _blocks(self) -> Iterator[bytes]:
         """Yield whole rows, about BLOCK bytes at a time, without blank rows at the end of the file."""
-        with self.path.open("rb") as file:
-            self._digest.update(file.read(self._data_start))
+        with open_as_utf8(self.path, self._encoding) as file:
+            digest = hashlib.sha256() if not isinstance(file, io.BytesIO) else None
+            if digest:
+                file.seek(0)
+                digest.update(file.read(self._data_start))
+            file.seek(self._data_start)
             pending = b""
             while piece := file.read(BLOCK):
-                self._digest.update(piece)
+                if digest:
+                    digest.update(piece)
                 pending += piece
                 if len(pending) > 2 * BLOCK and b"\n" not in pending:
                     raise InputError(f"{self.path}: a row is longer than {BLOCK} bytes: end every row with a line feed")
@@ -212,10 +220,11 @@ class CsvTable(Table):
                 pending = pending[end:]
             if pending.strip():
                 yield pending.rstrip(b"\r\n").replace(b"\r\n", b"\n") + b"\n"
+            self._digest = digest.hexdigest() if digest else ""
 
     def _numbers(self, block: bytes, row: int, indices: Sequence[int], lenient: bool) -> np.ndarray:
         """Return an array (rows, len(indices)) of a block whose first row has the number ``row``."""
-        plain = self._plain_numbers(block)
+        plain = None if self.stamps else self._plain_numbers(block)
         if plain is not None:
             return plain[:, indices]
         rows = block.count(b"\n")
@@ -257,25 +266,31 @@ class CsvTable(Table):
             raise
         numbers = []
         for index in indices:
-            number = parse_number(cells[index], self.decimal)
+            number = self._number(cells[index], index)
             if number is None and not lenient:
-                raise number_error(f"{place}, column '{self.headers[index]}'", cells[index], self.decimal)
+                cell_place = f"{place}, column '{self.headers[index]}'"
+                raise number_error(cell_place, cells[index], self.decimal, first=row == self.first_row)
             numbers.append(np.nan if number is None else number)
         return numbers
+
+    def _number(self, text: str, index: int) -> float | None:
+        """Return the number in a cell, seconds for a time stamp, or ``None``."""
+        stamps = self.stamps.get(index)
+        return parse_number(text, self.decimal) if stamps is None else stamps.seconds(text)
 
     def _ragged_error(self, place: str, cells: list[str]) -> InputError:
         if not any(cells):
             return row_error(f"{place}: the row is blank")
         count = f"{place}: the row has {len(cells)} cells and the header {len(self.headers)}"
         if self.delimiter == "," and len(self.headers) < len(cells) <= 2 * len(self.headers):
-            cure = "save with another delimiter and set delimiter and decimal under [channels]"
+            cure = "save with another delimiter and set delimiter and decimal under [recording]"
             problem = f"{count}: if the commas are decimal commas"
             return InputError(f"{problem}, {cure}", code="decimal-commas", cure=cure)
         return row_error(count)
 
     def _cells(self, line: bytes, row: int) -> list[str]:
         try:
-            text = line.decode("utf-8").rstrip("\r\n")
+            text = decode_row(line, self._encoding).rstrip("\r\n")
             return [cell.strip() for cell in next(csv.reader([text], delimiter=self.delimiter), [""])]
         except UnicodeDecodeError as error:
             problem = f"the byte 0x{line[error.start]:02x} is not UTF-8 text"

@@ -14,6 +14,7 @@ from typing import Any, final
 import numpy as np
 
 from smajax.errors import InputError, first_line, suggestion
+from smajax.recordings.read_options import ALL_SHEETS, ReadOptions
 from smajax.recordings.readers.base import (
     MEMORY_LIMIT,
     Table,
@@ -22,6 +23,41 @@ from smajax.recordings.readers.base import (
     parse_number,
     refuse_if_too_large,
 )
+from smajax.recordings.readers.header_rows import read_header_rows
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, find_stamps
+
+# Rows that are looked at for headers, units and time stamps, and for whether a sheet is blank.
+_ROWS_LOOKED_AT = 30
+
+
+def open_sheets(path: Path, options: ReadOptions) -> list["XlsxTable"]:
+    """Open the sheets of a workbook that are read: those that are named, all of them, or the first.
+
+    Args:
+        path: The file.
+        options: Options of reading.
+
+    Raises:
+        InputError: If the file is not a workbook, or a sheet is missing or has no header.
+    """
+    book = _open_book(path)
+    filled = [sheet.title for sheet in book.worksheets if _has_rows(sheet)]
+    names = options.sheet
+    if names == (ALL_SHEETS,) and ALL_SHEETS not in book.sheetnames:
+        names = tuple(filled)
+    for name in names:
+        if name not in book.sheetnames:
+            hint = suggestion(name, book.sheetnames)
+            raise InputError(f"{path}: there is no sheet '{name}'{hint}: it has {', '.join(book.sheetnames)}")
+    names = names or (book.worksheets[0].title,)
+    others = [title for title in filled if title not in names]
+    left_out = f"sheet '{names[0]}' was read, and not {', '.join(others)}: name others, or all, by sheet"
+    tables = []
+    for name in names:
+        table = XlsxTable(path, options, book[name], several=len(names) > 1)
+        table.notes += (left_out,) if others and not options.sheet else ()
+        tables.append(table)
+    return tables
 
 
 @final
@@ -30,21 +66,25 @@ class XlsxTable(Table):
 
     Args:
         path: The file.
-        skip_rows: Rows before the header.
-        decimal: Decimal sign of cells that hold a number as text.
-        sheet: Name of the sheet; the first by default.
+        options: Options of reading.
+        sheet: The sheet.
+        several: Whether several sheets are read, so that messages name this one.
     """
 
-    def __init__(self, path: Path, skip_rows: int, decimal: str, sheet: str | None):
-        self.path: Path = path
-        self._decimal = decimal
-        book = self._open()
-        if sheet is not None and sheet not in book.sheetnames:
-            hint = suggestion(sheet, book.sheetnames)
-            raise InputError(f"{path}: there is no sheet '{sheet}'{hint}: it has {', '.join(book.sheetnames)}")
-        self._sheet = book[sheet] if sheet is not None else book.worksheets[0]
-        self.headers: tuple[str, ...] = self._read_headers(skip_rows + 1)
-        self.first_row: int = skip_rows + 2
+    def __init__(self, path: Path, options: ReadOptions, sheet: Any, *, several: bool = False):
+        self.path: str = f"{path}: sheet '{sheet.title}'" if several else str(path)
+        self._file = path
+        self._decimal = options.decimal
+        self._sheet = sheet
+        self.label = sheet.title if several else ""
+        number = options.skip_rows + 1
+        rows = [list(row) for row in self._rows(min_row=number, max_row=number + _ROWS_LOOKED_AT)]
+        texts = self._header_texts(rows, number, options)
+        result = read_header_rows(self.path, number, texts, options)
+        self.headers: tuple[str, ...] = result.headers
+        self.notes = result.notes
+        self.first_row: int = number + result.rows
+        self.stamps = find_stamps(rows[result.rows : result.rows + ROWS_WITH_STAMPS], options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
@@ -65,60 +105,32 @@ class XlsxTable(Table):
         if not rows:
             problem = f"the sheet ends after the header in row {self.first_row - 1}"
             raise InputError(f"{self.path}: {problem}: record at least two rows of data")
-        return [np.array(column) for column in columns]
+        return self.unwrap_stamps(indices, [np.array(column) for column in columns])
 
     def sha256(self) -> str:
         """Return the SHA-256 of the file in hexadecimal."""
-        return file_sha256(self.path)
+        return file_sha256(self._file)
 
-    def _open(self) -> Any:
-        """Return the workbook."""
-        path = self.path
-        try:
-            import openpyxl
-        except ImportError:
-            cure = 'run pip install "smajax[io]", or save the sheet as CSV'
-            raise InputError(f"{path}: Excel files need openpyxl: {cure}") from None
-        try:
-            with zipfile.ZipFile(path) as archive:
-                unpacked = sum(entry.file_size for entry in archive.infolist())
-            fits = unpacked <= MEMORY_LIMIT
-            # A copy in memory, since openpyxl does not close a file that it cannot read.
-            packed = io.BytesIO(path.read_bytes() if fits else b"")
-            with warnings.catch_warnings(action="ignore"):  # openpyxl warns about styles
-                book = openpyxl.load_workbook(packed, read_only=True, data_only=True) if fits else None
-        except Exception as error:  # damaged archives, XML and workbooks raise different types
-            raise self._unreadable(error) from None
-        if book is None:
-            size, limit = unpacked / 2**30, MEMORY_LIMIT / 2**30
-            problem = f"the workbook unpacks to {size:.1f} GiB, above the limit of {limit:.3g} GiB"
-            raise InputError(f"{path}: {problem}: save the sheet as CSV")
-        return book
-
-    def _read_headers(self, row: int) -> tuple[str, ...]:
-        """Return the headers in a row of the sheet, without blank cells at its end."""
-        header = next(self._rows(min_row=row, max_row=row), ())
-        texts = ["" if value is None else str(value).strip() for value in header]
-        while texts and not texts[-1]:
-            texts.pop()
-        place = f"{self.path}: row {row}"
-        if not texts:
+    def _header_texts(self, rows: Sequence[Sequence[Any]], number: int, options: ReadOptions) -> list[list[str]]:
+        """Return the first rows as texts of the width of the first one, without blank cells at its end."""
+        texts = [["" if value is None else str(value).strip() for value in row] for row in rows] or [[]]
+        width = max((k + 1 for k, text in enumerate(texts[0]) if text), default=0)
+        place = f"{self.path}: row {number}"
+        if not width:
             cure = "give names and units, or set skip_rows"
             raise InputError(f"{place}: the row is blank where the header is expected: {cure}")
-        if all(isinstance(value, int | float) for value in header if value is not None):
-            cure = "begin with cells like 'time [s]', 'current [A]'"
-            raise InputError(f"{place}: the header is missing ('{texts[0]}' is a number): {cure}")
-        return tuple(texts)
+        is_data = not isinstance(options.columns, tuple) and options.header is not True
+        if is_data and all(isinstance(value, int | float) for value in rows[0][:width] if value is not None):
+            cure = "begin with cells like 'time [s]', 'current [A]', or set columns under [recording] in the rig"
+            message = f"{place}: the header is missing ('{texts[0][0]}' is a number): {cure}"
+            raise InputError(message, code="header-missing", cure=cure)
+        return [row[:width] + [""] * (width - len(row)) for row in texts]
 
     def _rows(self, **limits: int) -> Iterator[tuple[Any, ...]]:
         try:
             yield from self._sheet.iter_rows(**limits, values_only=True)
         except Exception as error:  # as above: a sheet is unpacked and parsed while its rows are read
-            raise self._unreadable(error) from None
-
-    def _unreadable(self, error: Exception) -> InputError:
-        problem = f"the file is not readable as a workbook ({first_line(error)})"
-        return InputError(f"{self.path}: {problem}: save it again, or as CSV")
+            raise _unreadable(self.path, error) from None
 
     def _numbers(self, cells: Sequence[Any], row: int, indices: Sequence[int], lenient: bool) -> list[float]:
         numbers = []
@@ -126,9 +138,51 @@ class XlsxTable(Table):
             cell = cells[index] if index < len(cells) else None
             text = "" if cell is None else str(cell).strip()
             is_number = isinstance(cell, int | float) and not isinstance(cell, bool)
-            number = parse_number(repr(cell) if is_number else text, "." if is_number else self._decimal)
+            stamps = self.stamps.get(index)
+            if stamps is not None:
+                number = stamps.seconds(text if isinstance(cell, str) else cell)
+            else:
+                number = parse_number(repr(cell) if is_number else text, "." if is_number else self._decimal)
             if number is None and not lenient:
                 place = f"{self.path}: row {row}, column '{self.headers[index]}'"
-                raise number_error(place, text, self._decimal)
+                raise number_error(place, text, self._decimal, first=row == self.first_row)
             numbers.append(np.nan if number is None else number)
         return numbers
+
+
+def _open_book(path: Path) -> Any:
+    """Return the workbook."""
+    try:
+        import openpyxl
+    except ImportError:
+        cure = 'run pip install "smajax[io]", or save the sheet as CSV'
+        raise InputError(f"{path}: Excel files need openpyxl: {cure}") from None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        fits = unpacked <= MEMORY_LIMIT
+        # A copy in memory, since openpyxl does not close a file that it cannot read.
+        packed = io.BytesIO(path.read_bytes() if fits else b"")
+        with warnings.catch_warnings(action="ignore"):  # openpyxl warns about styles
+            book = openpyxl.load_workbook(packed, read_only=True, data_only=True) if fits else None
+    except Exception as error:  # damaged archives, XML and workbooks raise different types
+        raise _unreadable(path, error) from None
+    if book is None:
+        size, limit = unpacked / 2**30, MEMORY_LIMIT / 2**30
+        problem = f"the workbook unpacks to {size:.1f} GiB, above the limit of {limit:.3g} GiB"
+        raise InputError(f"{path}: {problem}: save the sheet as CSV")
+    return book
+
+
+def _has_rows(sheet: Any) -> bool:
+    """Return whether one of the first rows of a sheet has a cell that is not blank."""
+    try:
+        rows = sheet.iter_rows(max_row=_ROWS_LOOKED_AT, values_only=True)
+        return any(value not in (None, "") for row in rows for value in row)
+    except Exception:  # a damaged sheet is named when it is read
+        return True
+
+
+def _unreadable(path: Path | str, error: Exception) -> InputError:
+    problem = f"the file is not readable as a workbook ({first_line(error)})"
+    return InputError(f"{path}: {problem}: save it again, or as CSV")

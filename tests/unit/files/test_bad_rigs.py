@@ -21,7 +21,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
         DEAD,
         {"[load]": "[motor]"},
         "[motor] is not a section of a rig: the sections are rig, wire, environment, initial, drive, heat, material, load, spring, pulley, "
-        "link, limb, transmission, sheath, effects, sensor, channels, fit",
+        "link, limb, transmission, sheath, effects, sensor, channels, recording, fit",
     ),
     "key misspelt": (
         DEAD,

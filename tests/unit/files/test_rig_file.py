@@ -93,11 +93,11 @@ class TestTemplates:
             bare = line.removeprefix("# ")
             optional = bare.split(" = ")[0] if " = " in bare else bare
             is_accepted = (
-                line != bare and (optional.isidentifier() or bare.startswith("[channels]")) and optional != "parameters"
+                line != bare and (optional.isidentifier() or bare.startswith(("[channels]", "[recording]"))) and optional != "parameters"
             )
             uncommented.append(bare if is_accepted and optional != "decimal" else line)
         rig = parse_rig("\n".join(uncommented))
-        assert rig.channels.columns and rig.channels.delimiter == ";" and rig.channels.ignore == ("Remarks",)
+        assert rig.channels.columns and rig.recording.delimiter == ";" and rig.channels.ignore == ("Remarks",)
         assert rig.fit.noise and rig.fit.bounds and rig.fit.per_recording and rig.fit.initial
 
 

@@ -177,7 +177,7 @@ BAD: dict[str, tuple[Any, dict[str, Any], str]] = {
         {"current [A]": [0.1, 0.2]},
         {},
         "the dictionary: the channel time is missing: it has current, so add a column 'time [s]' or map one to time under "
-        "[channels] in the rig",
+        '[channels] in the rig, or set sample_period = "20 ms" under [recording] if the file has none',
     ),
     "no input": (
         pd.DataFrame({"time [s]": [0.0, 1.0]}),
@@ -480,7 +480,7 @@ def bad_recording(**changes: Any) -> Recording:
         (
             replace(bad_recording(), has_clock=False),
             "made: the channel time is missing: it has current, displacement, temperature, so add a column 'time [s]' or map "
-            "one to time under [channels] in the rig",
+            'one to time under [channels] in the rig, or set sample_period = "20 ms" under [recording] if the file has none',
         ),
         (
             bad_recording(displacement=np.ones(ROWS)),
