@@ -13,7 +13,7 @@ from smajax.progress import ProgressCallback, Reporter
 from smajax.properties.branch_properties import Tangent
 from smajax.properties.recording_analysis import CycleAnalysis, analyse_recordings
 from smajax.properties.start_values import assumed_values
-from smajax.recordings.read import read_recording
+from smajax.recordings.read import read_recordings
 from smajax.recordings.recording import Recording
 from smajax.recordings.sources import as_source_list, is_path
 from smajax.report.prediction import recording_series
@@ -84,10 +84,8 @@ def thermal_cycle_properties(
     smooth: int | None = None,
     tangent: Tangent = "lines",
     model: str | None = None,
-    columns: Sequence[str] | None = None,
-    delimiter: str = ",",
-    decimal: str = ".",
     progress: ProgressCallback | None = None,
+    **reading: Any,
 ) -> PropertiesStudy:
     """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals.
 
@@ -97,10 +95,9 @@ def thermal_cycle_properties(
         smooth: Rows of the running median of the temperatures, an odd number; by default as their noise requires.
         tangent: Line along the transformation: one of three fitted ``lines``, or the tangent where it is ``steepest``.
         model: Material law whose start values are saved as start-values.toml; ``None`` for none.
-        columns: Headers of text files without a header row ("temperature [degC]", or "-" for a column to ignore).
-        delimiter: Character between the columns of text files.
-        decimal: Decimal sign of text files and cells.
         progress: Function that gets a ``ProgressEvent`` for each cycle.
+        **reading: Options of ``ReadOptions``, such as ``columns`` ("temperature [degC]", or "-" for a column to
+            ignore), ``delimiter``, ``skip_rows`` or ``sheet="all"``.
 
     Raises:
         InputError: If no cycle of any recording can be analysed, or a recording is given twice or cannot be used.
@@ -109,8 +106,7 @@ def thermal_cycle_properties(
     clock, reporter = Clock(), Reporter(progress)
     reporter.phase("reading")
     with clock.time("read"):
-        options: dict[str, Any] = {"headers": columns, "delimiter": delimiter, "decimal": decimal}
-        read = _read(as_source_list(recordings), options)
+        read = _read(as_source_list(recordings), reading)
     with clock.time("analyse"):
         analysis = analyse_recordings(read, smooth=smooth, tangent=tangent, progress=reporter.phase)
     files: dict[str, FileContent] = {}
@@ -139,7 +135,9 @@ def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]
                 f"{sources[k]}: this file is given twice, so its cycles would count twice: give each file once"
             )
     return [
-        read_recording(
+        recording
+        for source in sources
+        for recording in read_recordings(
             source,
             required=("temperature",),
             observed=("strain",),
@@ -147,7 +145,6 @@ def _read(sources: Sequence[Any], options: Mapping[str, Any]) -> list[Recording]
             ignore=(IGNORED_COLUMN,),
             **options,
         )
-        for source in sources
     ]
 
 

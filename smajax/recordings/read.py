@@ -115,6 +115,8 @@ def read_recordings(
         InputError: If the source cannot be used; the message names file or object, row and column.
     """
     is_file = isinstance(source, str | os.PathLike)
+    if not is_file and headers is None:
+        headers = changes.get("columns")
     try:
         changes |= {"on_bad_rows": "drop"} if drop_bad_rows else {}
         changes |= {"columns": tuple(headers)} if headers is not None and is_file else {}

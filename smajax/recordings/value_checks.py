@@ -103,11 +103,12 @@ def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str]
         constant = f"does not increase at {time[i]:.15g}"
         problem = constant if time[i] == time[i - 1] else f"decreases from {time[i - 1]:.15g} to {time[i]:.15g}"
         sort = f"sort the rows by time, or leave such rows out with {drop_option}"
-        cure = sort if slips.size > _MAX_TIME_SLIPS else repair_hint(drop_option)
+        code, cure = ("time-order", sort) if slips.size > _MAX_TIME_SLIPS else ("bad-row", repair_hint(drop_option))
         if time[i] < time[i - 1] and slips.size <= _MAX_RESTARTS and is_restart(time, i):
-            cure = 'the clock begins again there: split the recording with on_bad_rows = "split" under [recording]'
-        message = f"{place(i)}: time {problem} {unit}: {cure}"
-        raise InputError(message, code="time-order" if cure == sort else "bad-row", cure=cure)
+            problem += f" {unit}, where the clock begins again"
+            code, cure = "clock-restart", 'split the recording there with on_bad_rows = "split" under [recording] in the rig'
+            raise InputError(f"{place(i)}: time {problem}: {cure}", code=code, cure=cure)
+        raise InputError(f"{place(i)}: time {problem} {unit}: {cure}", code=code, cure=cure)
 
 
 def _peaks(columns: Sequence[FileColumn], values: Mapping[str, NDArray[np.float64]]) -> dict[str | None, float]:

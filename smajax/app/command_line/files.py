@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from smajax.app.command_line.options import DropBadRows, Open, Quiet, RigFile
+from smajax.app.command_line.options import Open, Quiet, RigFile
+from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import finish_run, start_run
 from smajax.errors import InputError
 
@@ -84,17 +85,18 @@ def init(
             typer.echo(f"      smajax sweep {path} --out {out / 'swept'}")
 
 
+@with_reading
 def check(
     rig: RigFile,
     recordings: Annotated[
         list[Path] | None, typer.Argument(metavar="[RECORDING ...]", help="Recordings of this rig.")
     ] = None,
-    drop_bad_rows: DropBadRows = False,
+    reading: Reading = NO_CHANGES,
 ) -> None:
     """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
     from smajax.app.commands.check import describe
 
-    typer.echo(describe(rig, recordings or [], drop_bad_rows))
+    typer.echo(describe(rig, recordings or [], reading))
 
 
 def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A result folder.")]) -> None:

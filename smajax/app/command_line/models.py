@@ -10,7 +10,6 @@ from smajax.app.command_line.options import (
     DEFAULT_MAX_STEPS,
     MAX_STARTS,
     MAX_STEPS,
-    DropBadRows,
     Json,
     Open,
     Out,
@@ -20,6 +19,7 @@ from smajax.app.command_line.options import (
     Start,
     TrainFile,
 )
+from smajax.app.command_line.reading import NO_CHANGES, Reading, rig_with_reading, with_reading
 from smajax.app.command_line.run import argv, finish_run, start_run
 
 
@@ -45,11 +45,12 @@ class FitCommand(TyperCommand):
         return super().parse_args(ctx, spread)
 
 
+@with_reading
 def simulate(
     rig: RigFile,
     recording: Annotated[Path, typer.Argument(metavar="INPUT.csv", help="A recording with the rig's inputs.")],
     out: Out,
-    drop_bad_rows: DropBadRows = False,
+    reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
@@ -60,11 +61,12 @@ def simulate(
         from smajax.files.result_folder import check_output_folder
 
         check_output_folder(out)
-        study = predict(rig, recording, drop_bad_rows=drop_bad_rows, progress=progress)
+        study = predict(rig_with_reading(rig, reading), recording, progress=progress)
         study.save(out, argv=argv())
     finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+@with_reading
 def fit(
     rig: RigFile,
     train: Annotated[list[Path], typer.Argument(metavar="TRAIN.csv [MORE.csv ...]", help="The recordings to fit.")],
@@ -83,7 +85,7 @@ def fit(
     profile: Annotated[
         list[str] | None, typer.Option("--profile", help="Parameter to profile; may be repeated.")
     ] = None,
-    drop_bad_rows: DropBadRows = False,
+    reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
@@ -95,7 +97,7 @@ def fit(
 
         check_output_folder(out)
         study = fit_rig(
-            rig,
+            rig_with_reading(rig, reading),
             train,
             holdout=holdout,
             start=start,
@@ -103,13 +105,13 @@ def fit(
             starts=starts,
             max_steps=max_steps,
             profile=profile or (),
-            drop_bad_rows=drop_bad_rows,
             progress=progress,
         )
         study.save(out, argv=argv())
     finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+@with_reading
 def diagnose(
     rig: RigFile,
     train: TrainFile,
@@ -123,7 +125,7 @@ def diagnose(
     out: Out,
     start: Start = None,
     seed: Seed = None,
-    drop_bad_rows: DropBadRows = False,
+    reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
@@ -134,18 +136,18 @@ def diagnose(
 
         study = diagnose_into(
             out,
-            rig,
+            rig_with_reading(rig, reading),
             train,
             select=select,
             holdout=holdout,
             start=start,
             seed=seed,
-            drop_bad_rows=drop_bad_rows,
             progress=progress,
         )
     finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)
 
 
+@with_reading
 def compare(
     rig: RigFile,
     train: TrainFile,
@@ -155,7 +157,7 @@ def compare(
         str | None, typer.Option("--models", metavar="A,B,...", help="Models, with commas between (default: all).")
     ] = None,
     seed: Seed = None,
-    drop_bad_rows: DropBadRows = False,
+    reading: Reading = NO_CHANGES,
     quiet: Quiet = False,
     as_json: Json = False,
     open_report: Open = False,
@@ -168,7 +170,7 @@ def compare(
 
         check_output_folder(out)
         study = compare_models(
-            rig, train, holdout=holdout, models=names, seed=seed, drop_bad_rows=drop_bad_rows, progress=progress
+            rig_with_reading(rig, reading), train, holdout=holdout, models=names, seed=seed, progress=progress
         )
         study.save(out, argv=argv())
     finish_run(study, out, quiet=quiet, as_json=as_json, open_report=open_report)

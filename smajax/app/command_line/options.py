@@ -27,7 +27,4 @@ Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the report.")
 Start = Annotated[
     Path | None, typer.Option("--start", metavar="FIT.toml", help="Start from the parameters of an earlier fit.")
 ]
-DropBadRows = Annotated[
-    bool, typer.Option("--drop-bad-rows", help="Leave out rows that cannot be read; they are counted in the result.")
-]
 TrainFile = Annotated[Path, typer.Argument(metavar="TRAIN.csv", help="The recording to fit.")]

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smajax.app.command_line.options import Json
+from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 from smajax.app.command_line.run import start_run
 from smajax.errors import InputError
 
 if TYPE_CHECKING:
     from smajax.api.properties import PropertiesStudy
-
-# Delimiters that a shell cannot pass easily, by name.
-_DELIMITERS = {"tab": "\t", "\\t": "\t", "space": " "}
 
 
 class TangentLine(StrEnum):
@@ -24,6 +22,7 @@ class TangentLine(StrEnum):
     steepest = "steepest"
 
 
+@with_reading
 def properties(
     recordings: Annotated[
         list[Path], typer.Argument(metavar="CYCLES.csv [MORE.csv ...]", help="Thermal cycles: temperature and strain.")
@@ -51,28 +50,12 @@ def properties(
     model: Annotated[
         str, typer.Option("--model", metavar="LAW", help="The law that the set is for, as under [fit] of a rig.")
     ] = "brinson",
-    columns: Annotated[
-        str,
-        typer.Option(
-            "--columns",
-            metavar="A,B,...",
-            help=r"Headers of a file without a header row: 'temperature \[degC],strain [%],-'; - is left out.",
-        ),
-    ] = "",
-    delimiter: Annotated[
-        str,
-        typer.Option("--delimiter", metavar="CHARACTER", help="Character between columns; 'tab' and 'space' by name."),
-    ] = ",",
-    decimal: Annotated[
-        str, typer.Option("--decimal", metavar="SIGN", help="The decimal sign of text files and cells: '.' or ','.")
-    ] = ".",
+    reading: Reading = NO_CHANGES,
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False,
     as_json: Json = False,
 ) -> None:
     """Estimate the ASTM E3097 temperatures and strains of thermal cycles by tangents, with intervals."""
-    names = [name.strip() for name in columns.split(",")] if columns else None
-    separator = _DELIMITERS.get(delimiter, delimiter)
-    options = {"smooth": smooth, "tangent": tangent.value, "columns": names, "delimiter": separator, "decimal": decimal}
+    options = {"smooth": smooth, "tangent": tangent.value, **reading}
     study = _analyse(recordings, None if write_set is None else model, options, quiet)
     if write_set is not None:
         _write_set(write_set, study)

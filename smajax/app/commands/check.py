@@ -1,8 +1,10 @@
 """Job of ``smajax check``: describe a rig and its recordings, or an actuator, without a calculation."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -27,13 +29,13 @@ _EVEN = 1e-3
 _ROUNDING = 1e-9
 
 
-def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False) -> str:
+def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] = MappingProxyType({})) -> str:
     """Describe a rig file, or an actuator file, and recordings of the rig.
 
     Args:
         path: The rig or actuator file.
         recordings: Recordings of the rig.
-        drop_bad_rows: Whether to omit rows that cannot be read.
+        reading: Options of ``ReadOptions`` by name, in place of those of the rig.
 
     Returns:
         The text that the command prints.
@@ -45,8 +47,8 @@ def describe(path: Path, recordings: Sequence[Path], drop_bad_rows: bool = False
     if is_actuator(text):
         lines = _describe_actuator(parse_actuator(text, str(path)), path, recordings)
     else:
-        rig = read_rig(path)
-        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings, (), drop_bad_rows)])
+        rig = read_rig(path).with_read_options(**reading)
+        lines = _describe_rig(rig, [r for r, _ in read_train_and_holdout(rig, recordings)])
     return "\n".join(line.rstrip() for line in lines)
 
 

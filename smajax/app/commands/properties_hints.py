@@ -9,7 +9,7 @@ from typing import Any
 
 from smajax.errors import InputError
 
-_TEXT_ENDINGS = (".csv", ".txt")
+_TEXT_ENDINGS = (".csv", ".txt", ".xlsx")
 _COLUMNS_HINT = "--columns, as in --columns 'temperature [degC],strain [%]'"
 
 Fields = Mapping[str, Any]
@@ -32,13 +32,20 @@ _CURES: dict[str, Callable[[Fields], str]] = {
     "decimal": lambda fields: "give --decimal ,",
     "decimal-commas": lambda fields: "save with another delimiter and give --delimiter and --decimal",
     "header-missing": lambda fields: f"name the columns by {_COLUMNS_HINT}",
-    "bad-row": lambda fields: "correct it, or remove its row",
-    "time-order": lambda fields: "sort the rows by time",
+    "title-rows": lambda fields: f"give --skip-rows {fields['skip_rows']}",
+    "columns-count": lambda fields: "name every column, with - for one to ignore, or give --skip-rows",
+    "bad-first-row": lambda fields: (
+        "give --units-row if the row has units, else correct it, or leave such rows out with --drop-bad-rows"
+    ),
+    "stamp": lambda fields: "give its format, as in --time-format '%d.%m.%Y %H:%M:%S', or correct it",
+    "header-blank": lambda fields: f"write one, or name the columns with - for this one by {_COLUMNS_HINT}",
+    "encoding": lambda fields: "give another --encoding, such as cp1252, or save the file as UTF-8",
+    "clock-restart": lambda fields: "split the recording there with --on-bad-rows split",
     "constant-channel": lambda fields: "check the sensor",
     "implausible": lambda fields: "",
 }
 _CURES_OF_TEXT: dict[str, Callable[[Fields], str]] = {
-    "unknown-column": lambda fields: f"rename it, or name it by {_COLUMNS_HINT}",
+    "unknown-column": lambda fields: f"rename it, or name the columns by {_COLUMNS_HINT}",
     "unit-missing": lambda fields: f"write the header like '{fields['example']}', in the file or by --columns",
     "channel-missing": lambda fields: f"add a column '{fields['example']}' or name the columns by {_COLUMNS_HINT}",
 }
