@@ -92,6 +92,7 @@ def _group_entry(group: StressGroup) -> dict[str, Any]:
         "in_no_cycle": [
             {"rows": [first + 1, last + 1], "branch": _BRANCH_NAMES[cools]} for first, last, cools in group.unpaired
         ],
+        "notes": list(group.recording.notes),
     }
 
 
@@ -139,4 +140,4 @@ def left_out_sentences(entry: Mapping[str, Any]) -> list[str]:
     for branch in entry["in_no_cycle"]:
         (first, last), kind = branch["rows"], branch["branch"]
         lines.append(f"Left out: rows {first} to {last}, a {kind} without a {_MISSING_PARTNERS[kind]} it in the file.")
-    return lines
+    return lines + [f"Reading: {note}." for note in entry.get("notes", [])]  # absent in earlier documents

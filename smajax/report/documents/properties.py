@@ -47,6 +47,7 @@ class GroupEntry(Part):
     mean: dict[str, PropertyEntry] | None = Field(description="means over the cycles by name; null without any cycle")
     cycles: list[CycleEntry] = Field(description="the cycles")
     in_no_cycle: list[BranchEntry] = Field(description="branches without a partner, which are left out")
+    notes: list[str] = Field([], description="sentences on how the file was read, such as sheets that were left out")
 
     @model_validator(mode="after")
     def _check_mean(self) -> Self:

@@ -620,7 +620,7 @@ def test_spaces_between_columns_have_a_name(shared):
     [
         (("--columns", "temperature [degC],strain [%]"), "row 1: the row has 3 cells, and 2 columns are named"),
         (("--columns", "temperature,strain [%],-"), "'temperature' has no unit"),
-        (("--columns", "temperature [degC],elongation [%],-"), "rename it, or name it by --columns"),
+        (("--columns", "temperature [degC],elongation [%],-"), "rename it, or name the columns by --columns"),
         (("--columns", "temperature [degC],-,-"), "the channel strain is missing"),
         (
             ("--columns", "temperature [degC],strain [%],-", "--delimiter", ";"),
@@ -726,17 +726,16 @@ def test_compression_lowers_the_temperatures_at_no_stress_like_tension(tmp_path)
 
 @pytest.mark.parametrize(
     ("row", "value", "sentence"),
-    [(5, np.nan, "row 7, column 'strain [%]': 'nan' is not a finite number: correct it, or remove its row"), (slice(None), 0.01, "check the sensor")],
+    [(5, np.nan, "row 7, column 'strain [%]': 'nan' is not a finite number: correct it, or leave such rows out with --drop-bad-rows"), (slice(None), 0.01, "check the sensor")],
 )  # fmt: skip
 def test_cures_are_this_commands(tmp_path, row, value, sentence):
-    """It has neither --drop-bad-rows nor a rig."""
+    """It has no rig."""
     temperature, strain = made(1)
     strain[row] = value
     done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", temperature, strain))])
     assert (
         done.exit_code == 2
         and sentence in done.output
-        and "--drop-bad-rows" not in done.output
         and "[fit]" not in done.output
     )
 
@@ -943,7 +942,7 @@ def test_several_recordings_are_analysed_together():
     ("text", "code", "cure"),
     [
         ("temperature [degC];strain [%]\n1;2\n", "delimiter", 'give --delimiter ";"'),
-        ("temperature [degC],warm\n1,2\n", "unknown-column", "rename it, or name it by --columns"),
+        ("temperature [degC],warm\n1,2\n", "unknown-column", "rename it, or name the columns by --columns"),
         ("temperature [degC],strain\n1,x\n", "bad-row", "correct it, or remove its row"),
         ("temperature [degC]\n1\n2\n", "channel-missing", "add a column 'strain [1]' or name the columns by --columns"),
     ],
