@@ -106,7 +106,10 @@ def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str]
         code, cure = ("time-order", sort) if slips.size > _MAX_TIME_SLIPS else ("bad-row", repair_hint(drop_option))
         if time[i] < time[i - 1] and slips.size <= _MAX_RESTARTS and is_restart(time, i):
             problem += f" {unit}, where the clock begins again"
-            code, cure = "clock-restart", 'split the recording there with on_bad_rows = "split" under [recording] in the rig'
+            code, cure = (
+                "clock-restart",
+                'split the recording there with on_bad_rows = "split" under [recording] in the rig',
+            )
             raise InputError(f"{place(i)}: time {problem}: {cure}", code=code, cure=cure)
         raise InputError(f"{place(i)}: time {problem} {unit}: {cure}", code=code, cure=cure)
 

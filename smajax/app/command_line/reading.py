@@ -94,7 +94,7 @@ def with_reading(command: Command) -> Command:
     """Give a command the options of reading.
 
     Args:
-        command: The command; its argument ``reading`` gets the options that were given, by attribute of ``ReadOptions``.
+        command: The command; its argument ``reading`` gets the options that were given, by their names.
     """
     signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []

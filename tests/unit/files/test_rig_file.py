@@ -93,7 +93,9 @@ class TestTemplates:
             bare = line.removeprefix("# ")
             optional = bare.split(" = ")[0] if " = " in bare else bare
             is_accepted = (
-                line != bare and (optional.isidentifier() or bare.startswith(("[channels]", "[recording]"))) and optional != "parameters"
+                line != bare
+                and (optional.isidentifier() or bare.startswith(("[channels]", "[recording]")))
+                and optional != "parameters"
             )
             uncommented.append(bare if is_accepted and optional != "decimal" else line)
         rig = parse_rig("\n".join(uncommented))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import openpyxl
 import pytest
 import scipy.io
 from scipy.signal import lfilter
@@ -733,11 +734,7 @@ def test_cures_are_this_commands(tmp_path, row, value, sentence):
     temperature, strain = made(1)
     strain[row] = value
     done = CliRunner().invoke(app, ["properties", str(write(tmp_path / "a.csv", temperature, strain))])
-    assert (
-        done.exit_code == 2
-        and sentence in done.output
-        and "[fit]" not in done.output
-    )
+    assert done.exit_code == 2 and sentence in done.output and "[fit]" not in done.output
 
 
 def test_the_help_shows_a_header_with_its_unit():
@@ -955,3 +952,37 @@ def test_errors_of_a_reader_have_a_code_and_the_cure_of_the_front_end(tmp_path, 
     assert caught.value.code == code and caught.value.fields["cure"] in str(caught.value)
     output = CliRunner().invoke(app, ["properties", str(path)]).output
     assert cure in output and caught.value.fields["cure"] not in output
+
+
+def as_workbook(path: Path) -> Path:
+    """A workbook with a cycle on each of two sheets."""
+    book = openpyxl.Workbook()
+    for k, stress in enumerate((50, 100)):
+        sheet = book.active if k == 0 else book.create_sheet()
+        sheet.title = f"{stress} MPa"
+        temperature, strain = made(1, seed=k)
+        sheet.append(["temperature [degC]", "strain [%]", "stress [MPa]"])
+        for row in zip(temperature + stress / 6.0, 100 * strain, strict=True):
+            sheet.append([*map(float, row), stress])
+    book.save(path)
+    return path
+
+
+def test_sheets_are_stresses(tmp_path):
+    path = as_workbook(tmp_path / "cycles.xlsx")
+    first = thermal_cycle_properties(path)
+    assert "Reading: sheet '50 MPa' was read, and not 100 MPa" in first.summary()
+    both = CliRunner().invoke(app, ["properties", str(path), "--sheet", "all"])
+    assert both.exit_code == 0 and "at 50 MPa" in both.output and "at 100 MPa" in both.output
+
+
+@pytest.mark.parametrize("options", [("--skip-rows", "2"), ("--skip-rows", "2", "--columns", "temperature,strain")])
+def test_titles_units_and_other_names_are_read_by_options(tmp_path, options):
+    temperature, strain = made(1)
+    rows = "".join(f"{t:.9g},{100 * e:.9g}\n" for t, e in zip(temperature, strain, strict=True))
+    names = "temperature,strain" if len(options) == 2 else "Temp,Eps"
+    (tmp_path / "a.csv").write_bytes(f"Specimen: 3\nOperator: NN\n{names}\n°C,%\n{rows}".encode("cp1252"))
+    title = CliRunner().invoke(app, ["properties", str(tmp_path / "a.csv")])
+    assert title.exit_code == 2 and title.output.rstrip().endswith("give --skip-rows 2")
+    done = CliRunner().invoke(app, ["properties", str(tmp_path / "a.csv"), *options])
+    assert done.exit_code == 0 and "1 cycle" in done.output and "Reading: row 4 was read as units." in done.output

@@ -196,7 +196,9 @@ RESTART = ",".join(COLUMNS) + "\n0,30,4\n1,31,4.1\n2,32,4.2\n0,40,3\n1,41,3.1\n2
 def test_a_restart_of_the_clock_splits_the_recording_on_request(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("log.csv").write_text(RESTART)
-    with pytest.raises(InputError, match=r"row 5, column 'time \[s\]': time decreases from 2 to 0 s, where the clock beg"):
+    with pytest.raises(
+        InputError, match=r"row 5, column 'time \[s\]': time decreases from 2 to 0 s, where the clock beg"
+    ):
         read_recording("log.csv")
     parts = read_recordings("log.csv", on_bad_rows="split")
     assert [part.name for part in parts] == ["log.csv part 1", "log.csv part 2"]
@@ -211,7 +213,9 @@ def test_a_restart_of_the_clock_splits_the_recording_on_request(tmp_path, monkey
 
 def test_a_corrupt_row_and_a_repeated_stamp(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("log.csv").write_text(",".join(COLUMNS) + "\n0,30,4\n1,31,4.1\n2,\xff,4\n3,33,4\n4,34,4.2\n4,35,4\n5,36,4.5\n", "cp1252")
+    Path("log.csv").write_text(
+        ",".join(COLUMNS) + "\n0,30,4\n1,31,4.1\n2,\xff,4\n3,33,4\n4,34,4.2\n4,35,4\n5,36,4.5\n", "cp1252"
+    )
     with pytest.raises(InputError, match=r"row 4, column 'temperature \[degC\]': 'ÿ' is not a number"):
         read_recording("log.csv")
     dropped = read_recording("log.csv", on_bad_rows="drop")
