@@ -58,7 +58,8 @@ if TYPE_CHECKING:
     from smajax.plant.sensor import Sensor
     from smajax.plant.wire import Environment, Initial, Wire
     from smajax.progress import ProgressEvent
-    from smajax.recordings.read import read_recording
+    from smajax.recordings.read import read_recording, read_recordings
+    from smajax.recordings.read_options import ReadOptions
     from smajax.recordings.recording import Recording
     from smajax.simulation.inputs import Inputs, discretise
     from smajax.simulation.plant_functions import init, observe, step
@@ -115,6 +116,8 @@ _MODULES = {
     "parameter": "smajax.parameters",
     "predict": "smajax.api.predict",
     "read_recording": "smajax.recordings.read",
+    "read_recordings": "smajax.recordings.read",
+    "ReadOptions": "smajax.recordings.read_options",
     "read_rig": "smajax.files.rig_file",
     "register": "smajax.api.registration",
     "rollout": "smajax.control.loop.rollout",
@@ -158,6 +161,7 @@ __all__ = [
     "ProgressEvent",
     "PropertiesStudy",
     "Property",
+    "ReadOptions",
     "Recording",
     "Rig",
     "Rollout",
@@ -186,6 +190,7 @@ __all__ = [
     "parameter",
     "predict",
     "read_recording",
+    "read_recordings",
     "read_rig",
     "register",
     "rollout",

@@ -204,7 +204,7 @@ def _recording(
     period = request.options.sample_period
     if period is None:
         return Recording(name, np.arange(count, dtype=float), values, units, table.sha256(), False)
-    time = (np.arange(count) if rows is None else rows) * period
+    time = np.array((np.arange(count) if rows is None else rows) * period, float)
     return Recording(name, time, values, {"time": "s"} | units, table.sha256(), True)
 
 
