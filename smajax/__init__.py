@@ -10,8 +10,8 @@ The public names by task; each has its own help, such as ``help(smajax.fit)``::
   ``tune``. They return a ``Study``: ``FitStudy`` (of ``Parameter``), ``PredictionStudy``, ``DiagnosisStudy``,
   ``ComparisonStudy``, ``PropertiesStudy`` (of ``Property``), ``SweepStudy``, ``TuningStudy``. ``load`` reads a saved
   one. ``ProgressEvent`` is what their callback ``progress`` gets.
-- Files: ``read_rig`` returns a ``Rig``, ``Rig.read`` and ``read_recording`` a ``Recording``, ``read_recordings`` several
-  by ``ReadOptions``, ``load_material`` a material with the values of a parameter set.
+- Files: ``read_rig`` returns a ``Rig``, ``Rig.read`` and ``read_recording`` a ``Recording``, ``read_recordings``
+  several by ``ReadOptions``, ``load_material`` a material with the values of a parameter set.
 - Loops of your own: ``discretise`` returns ``Inputs``. Safe under ``jax.jit``, ``jax.vmap`` and ``jax.grad``:
   ``simulate`` returns a ``Simulation`` with a ``SimulationStatus``; ``init``, ``step`` and ``observe`` take single
   steps; ``rollout`` of a ``ClosedLoop`` over a ``Scenario`` returns a ``Rollout``.
