@@ -58,6 +58,14 @@ CHANNELS: Mapping[str, Channel] = MappingProxyType(
         ),
         "temperature": Channel("degC", "temperature of the wire", ("degC", "K", "mK", "degF"), (-200.0, 900.0)),
         "ambient": Channel("degC", "temperature of the surroundings", ("degC", "K", "mK", "degF"), (-200.0, 500.0)),
+        "fan": Channel(
+            "1",
+            "duty or relative speed of a fan that cools the wire, 0 to 1",
+            ("1", "%"),
+            (0.0, 1.0),
+            commanded=True,
+            usual=1.0,
+        ),
         "displacement": Channel(
             "m", "displacement of the load, positive when the wire shortens", ("m", "mm", "um", "nm"), (-1.0, 1.0)
         ),

@@ -75,6 +75,7 @@ def compare(
         sources = one_source(train, "train"), one_source(holdout, "holdout")
         recordings = [r for r, _ in read_train_and_holdout(rig, *sources, drop_bad_rows)]
         refuse_copies(recordings)
+    inputs = list(rig.plant.driving_channels(*(recording.channels for recording in recordings)))
     seed = rig.fit.seed if seed is None else seed
     with clock.time("fit"):
         report = partial(_report, reporter)
@@ -84,7 +85,7 @@ def compare(
     return ComparisonStudy(
         document=comparison_document(rig, results, recordings, seed),
         series=tuple(_series(rig.fit.observe[0], results, recordings)),
-        run=run_record("compare", rig.name, clock, seed, code) | {"inputs": list(rig.plant.signals)},
+        run=run_record("compare", rig.name, clock, seed, code) | {"inputs": inputs},
         files={"rig.toml": text.encode()},
         reason=f"interrupted: {', '.join(names[len(results) :])} not compared" if code else "",
         results=tuple(results),

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from smajax.errors import Cancelled, NumericsError
 from smajax.files.rig_file import Rig
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.progress import ProgressCallback, Reporter
+from smajax.recordings.recording import Recording
 from smajax.report.diagnosis import NEXT_INPUT, diagnosis_document
 from smajax.report.diagnosis_series import prediction_series
 
@@ -121,11 +122,15 @@ def diagnose(
     return DiagnosisStudy(
         document=document,
         series=tuple(prediction_series(recordings, result)),
-        run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": list(rig.plant.signals)},
+        run=run_record("diagnose", rig.name, clock, seed, code) | {"inputs": _inputs(rig, recordings)},
         files=_files(rig, text, setup, result),
         reason="interrupted with the effects so far" if code else "",
         result=result,
     )
+
+
+def _inputs(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+    return list(rig.plant.driving_channels(*(recording.channels for recording in recordings)))
 
 
 def _diagnose(rig: Rig, setup: DiagnosisSetup, seed: int, reporter: Reporter, clock: Clock) -> Diagnosis:

@@ -81,7 +81,7 @@ def predict(
     run = run_record("simulate", rig.name, clock, None, NumericsError.exit_code if failure else 0) | {
         "code": status.name,
         "text": failure or status.hint,
-        "inputs": list(rig.plant.signals),
+        "inputs": list(rig.plant.driving_channels(read.channels)),
         "observed": list(rig.fit.observe),
         "channels": {c: _range_entry(v, series.units[c]) for c, v in series.model.items()},
         "recordings": [recording_entry(read, "simulation")],
@@ -98,7 +98,7 @@ def _rows_before_failure(channels: Mapping[str, np.ndarray]) -> int:
 
 def _simulated_recording(rig: Rig, recording: Recording, channels: Mapping[str, np.ndarray], rows: int) -> Recording:
     """Return the first rows of the inputs and of the simulated channels as a recording."""
-    inputs = {c: recording.channels[c] for c in rig.plant.signals}
+    inputs = {c: recording.channels[c] for c in rig.plant.driving_channels(recording.channels)}
     columns = inputs | {c: v for c, v in channels.items() if c not in inputs}
     units = {c: recording.units.get(c) or prediction.usual_unit(c) for c in ("time", *columns)}
     time = recording.time[:rows] if recording.has_clock else None

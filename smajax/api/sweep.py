@@ -23,6 +23,7 @@ from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.files.result_folder import check_output_folder
 from smajax.progress import ProgressCallback, Reporter
 from smajax.recordings.readers.parquet import pyarrow_parquet
+from smajax.recordings.recording import Recording
 from smajax.report.documents import read_document, read_run
 from smajax.report.sweep_document import sweep_document
 from smajax.sweeps import dask as cluster
@@ -160,6 +161,12 @@ class _Designs(NamedTuple):
     count: int
 
 
+def _recording_note(sweep: SweepFile) -> str:
+    """Return what is to be said of the recording whose inputs drive the designs; empty without one."""
+    source = getattr(sweep.subject, "source", None)
+    return "; ".join(f"{source.name}: {note}" for note in source.notes) if isinstance(source, Recording) else ""
+
+
 def _sweep(
     file: Path, out: Path, save: bool, scheduler: str | None, resume: bool, reporter: Reporter, argv: Sequence[str]
 ) -> SweepStudy:
@@ -169,11 +176,11 @@ def _sweep(
     with clock.time("read"):
         sweep = read_sweep(file)
         header = sweep.header()
-    note = ""
+    note = _recording_note(sweep)
     if resume and not has_checkpoint(out):
         if (finished := _finished_study(out, header)) is not None:
             return finished
-        note = "there was nothing to resume, so all designs were simulated from the start"
+        note += "; " * bool(note) + "there was nothing to resume, so all designs were simulated from the start"
         if (out / "run.json").is_file():
             note += ", and the earlier result, of another sweep or incomplete, was replaced"
     reporter.phase("drawing designs")

@@ -213,7 +213,8 @@ class GriddedSplits:
             The problem; ``None`` if the inputs need a longer grid.
         """
         train = self.problems[TRAIN]
-        inputs = discretise(train.plant, recording, **self._grid_options)
+        surroundings = train.data.inputs.surroundings
+        inputs = discretise(train.plant, recording, **self._grid_options, surroundings=surroundings)
         if self._pieces > 1:
             inputs = inputs.coarsen(1, held=self._grid_options["interpolation"] == "hold", pieces=self._pieces)
         count, points = train.data.inputs.time.shape

@@ -52,7 +52,8 @@ def with_longer_steps(
         The problem; ``None`` if the steps would exceed four default steps of its plant, and for a path, of which each
         row is a step.
     """
-    grids = [discretise(problem.plant, r, interpolation=interpolation, step=step) for r in recordings]
+    options = {"interpolation": interpolation, "step": step, "surroundings": problem.data.inputs.surroundings}
+    grids = [discretise(problem.plant, r, **options) for r in recordings]
     usual = max(float(np.median(np.diff(grid.time))) for grid in grids)
     longest = default_step(problem.plant)
     if not math.isfinite(longest) or pieces * stride * usual > _LONGEST * longest:

@@ -15,6 +15,7 @@ from smajax.errors import InputError
 from smajax.files.channel_settings import ChannelSettings, channel_settings
 from smajax.files.fit_settings import FitSettings, channels_of_sensors, check_observed, fit_settings, observed_channels
 from smajax.files.mappings import plain_tables
+from smajax.files.recording_notes import with_notes
 from smajax.files.recording_settings import recording_options
 from smajax.files.renamed_keys import current_line_numbers, with_current_rig_keys
 from smajax.files.rig_checks import check_belongs, check_coil, check_order, check_sections, check_whole, require_values
@@ -105,6 +106,8 @@ class Rig:
     ) -> list[Recording]:
         """Read the recordings of a file of this rig: one, or several sheets, or the parts between bad rows.
 
+        Their notes name what is recorded and not used, and inputs that never change.
+
         Args:
             source: As in ``read``.
             name: Name of the recording; by default that of the file, or "recording".
@@ -116,7 +119,7 @@ class Rig:
         Raises:
             InputError: If it cannot be used; the message names file or object, row and column.
         """
-        return read_recordings(
+        recordings = read_recordings(
             source,
             name=name,
             headers=headers,
@@ -129,6 +132,7 @@ class Rig:
             options=self.recording,
             **changes,
         )
+        return [with_notes(self.plant, self.fit, self.kind, recording) for recording in recordings]
 
     def with_read_options(self, **changes: Any) -> "Rig":
         """Return the rig with other options of ``[recording]``.

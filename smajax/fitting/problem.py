@@ -27,7 +27,7 @@ from smajax.parameters import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation import run
-from smajax.simulation.inputs import Inputs, discretise
+from smajax.simulation.inputs import Inputs, discretise, recorded_surroundings
 from smajax.simulation.sensitivities import Trajectory
 from smajax.simulation.status import SimulationStatus
 
@@ -254,7 +254,9 @@ def build_problem(
     for name in own:  # a start value that the plant would derive becomes a leaf
         if name.startswith("initial."):
             plant = parameters.replace(plant, {name: next(u.nominal for u in unknowns if u.name == name)})
-    inputs = [discretise(plant, r, interpolation=interpolation, step=step) for r in recordings]
+    surroundings = recorded_surroundings(plant, recordings)
+    grid = {"interpolation": interpolation, "step": step, "surroundings": surroundings}
+    inputs = [discretise(plant, r, **grid) for r in recordings]
     return Problem(
         plant=plant,
         data=_fit_data(inputs, recordings, tuple(settings.observe), noise, multiple),

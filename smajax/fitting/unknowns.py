@@ -12,6 +12,7 @@ from smajax import parameters
 from smajax.parameters import ORDERED_PAIRS
 from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
+from smajax.simulation.inputs import recorded_surroundings
 
 # Least width of a transformation, relative to the value of its first end: enough to simulate a material law through it.
 # Chosen by trial; tests/unit/fitting/test_fit.py holds it on ends that cross.
@@ -142,7 +143,8 @@ def bounds_of(plant: Plant, name: str, settings: Settings, free: Collection[str]
 
 def _state_value(plant: Plant, name: str, sample: Recording) -> float:
     """Start value of a state that the plant derives from the first row of its inputs."""
-    first = jnp.asarray([sample.channels[c][0] for c in plant.signals])
+    names = (*plant.signals, *recorded_surroundings(plant, [sample]))
+    first = jnp.asarray([sample.channels[c][0] if c in sample.channels else math.nan for c in names])
     state = plant.init(first)
     values = {
         "temperature": state.temperature,

@@ -55,7 +55,8 @@ class Plant(StepSolver):
             The state; differentiable in the plant and in the signals.
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(signal)
-        resting = self.environment.ambient if self.initial.temperature is None else self.initial.temperature
+        ambient = prescribed.get("ambient", self.environment.ambient)
+        resting = ambient if self.initial.temperature is None else self.initial.temperature
         temperature = jnp.broadcast_to(prescribed.get("temperature", resting), (self.mechanism.wires,))
         fractions = self._initial_fractions(temperature, prescribed)
         unknown = self.mechanism.initial_unknowns(prescribed, context)
@@ -65,7 +66,15 @@ class Plant(StepSolver):
             unknown = jnp.append(unknown, 0.0)
         memory: dict[str, Any] = {}
         if self.all_effects:
-            strain, memory = self._initial_memory(temperature, fractions, stress, strain)
+            wire_state = WireState(
+                jnp.zeros(()),
+                temperature,
+                fractions,
+                stress,
+                self.mechanism.contraction(strain),
+                jnp.zeros_like(temperature),
+            )
+            strain, memory = self._initial_memory(self._in_surroundings(wire_state, prescribed))
         state = State(temperature, fractions, stress, unknown, self.mechanism.initial_motion(strain), memory)
         # Under a known load the state is in equilibrium already; a prescribed strain takes a step of zero duration.
         return _equilibrium(self, state, signal) if "strain" in prescribed else state
@@ -85,23 +94,9 @@ class Plant(StepSolver):
             twinned = jnp.broadcast_to(self.initial.twinned, temperature.shape)
         return Fractions(detwinned, twinned)
 
-    def _initial_memory(
-        self,
-        temperature: Float[Array, " wires"],
-        fractions: Fractions,
-        stress: Float[Array, " wires"],
-        strain: Float[Array, " wires"],
-    ) -> tuple[Float[Array, " wires"], dict[str, Any]]:
+    def _initial_memory(self, wire_state: WireState) -> tuple[Float[Array, " wires"], dict[str, Any]]:
         """Strains of the wires with the terms of the effects, and the memory of the effects at the start."""
-        context = self._stage_context()
-        wire_state = WireState(
-            jnp.zeros(()),
-            temperature,
-            fractions,
-            stress,
-            self.mechanism.contraction(strain),
-            jnp.zeros_like(temperature),
-        )
+        context = self._stage_context(wire_state.ambient)
         strain = self._strain(wire_state, {e.key: e.initial_memory(wire_state, context) for e in self.all_effects})
         wire_state = wire_state._replace(contraction=self.mechanism.contraction(strain))
         memory = {e.key: e.initial_memory(wire_state, context) for e in self.all_effects}

@@ -5,6 +5,7 @@ stage (``smajax.plant.effects``). Each equation is written once here, as the val
 effects.
 """
 
+from collections.abc import Collection
 from typing import Any
 
 import equinox as eqx
@@ -30,6 +31,9 @@ from smajax.plant.sensor import Sensor
 from smajax.plant.state import State
 from smajax.plant.wire import AbstractWire, Environment, Initial
 
+# Recorded channels of the surroundings. A ``signal`` may have the first or both of them after the channels of
+# ``PlantStages.signals``; NaN stands for one that is not recorded.
+SURROUNDINGS = ("ambient", "fan")
 # Key of the accumulated transformation in a state's memory. Its alphabetical position determines the layout of flat
 # states.
 _ACCUMULATED = "transformation"
@@ -62,12 +66,34 @@ class PlantStages(eqx.Module):
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Names of the recorded channels that drive the plant, in the order of the entries of a ``signal``."""
+        """Names of the recorded channels that drive the plant, in the order of the entries of a ``signal``.
+
+        A signal may have more entries, in the order of ``SURROUNDINGS``: a recorded ambient temperature, which replaces
+        ``environment.ambient`` in the heat balance, and the duty of a fan. The reference temperature of the thermal
+        strain and of a resistivity stays ``environment.ambient``.
+        """
         wires = self.mechanism.wires
         control = [self.drive.control] if self.drive.control else []
         control = [n for c in control for n in numbered(c, wires)]
         temperature = ["temperature"] if isinstance(self.heat, PrescribedTemperature) else []
         return (*control, *temperature, *self.mechanism.prescribed)
+
+    @property
+    def surroundings(self) -> tuple[str, ...]:
+        """Names of the recorded channels of the surroundings that the plant follows where a recording has them."""
+        if isinstance(self.heat, PrescribedTemperature):
+            return ()
+        used = {"ambient", *(name for e in self._effects_of(HeatEffect) for name in e.surroundings)}
+        return tuple(name for name in SURROUNDINGS if name in used)
+
+    def driving_channels(self, *recorded: Collection[str]) -> tuple[str, ...]:
+        """Return the channels that drive the plant: its signals, and the recorded surroundings that it follows.
+
+        Args:
+            *recorded: Names of the channels of each recording.
+        """
+        followed = (name for name in self.surroundings if any(name in names for names in recorded))
+        return (*self.signals, *followed)
 
     @property
     def all_effects(self) -> tuple[AbstractEffect, ...]:
@@ -89,8 +115,12 @@ class PlantStages(eqx.Module):
 
     # Parts and states of the plant that stages and effects use.
 
-    def _stage_context(self) -> StageContext:
-        return StageContext(self.wire, self.environment, self.effective_material, self.heat)
+    def _stage_context(self, ambient: Float[Array, ""] | None = None) -> StageContext:
+        """The parts of the plant that effects use, with a recorded ambient temperature if there is one."""
+        environment = self.environment
+        if ambient is not None:
+            environment = eqx.tree_at(lambda e: e.ambient, environment, ambient)
+        return StageContext(self.wire, environment, self.effective_material, self.heat)
 
     def _mechanism_context(self) -> MechanismContext:
         austenite = Fractions(jnp.zeros(()), jnp.zeros(()))
@@ -107,6 +137,10 @@ class PlantStages(eqx.Module):
             memory["contraction"],
             memory[_ACCUMULATED],
         )
+
+    def _in_surroundings(self, wire_state: WireState, channels: dict[str, Any]) -> WireState:
+        """The wires with the recorded surroundings among the channels of ``_prescribed_channels``."""
+        return wire_state._replace(**{name: channels[name] for name in SURROUNDINGS if name in channels})
 
     def _shared_memory(self, wire_state: WireState) -> dict[str, Array]:
         """The entries of a state's memory that all effects share."""
@@ -134,7 +168,7 @@ class PlantStages(eqx.Module):
         step: Float[Array, ""],
     ) -> dict[str, Any]:
         """Memory of the effects of some kinds after a step from ``first`` to ``last``, by their keys."""
-        context, updated = self._stage_context(), {}
+        context, updated = self._stage_context(last.ambient), {}
         for e in self._effects_of(kinds):
             at_end = e.update_memory(memory[e.key], first, last, step, context)
             updated[e.key] = checked_memory(e, "update_memory", at_end, memory[e.key])
@@ -143,9 +177,15 @@ class PlantStages(eqx.Module):
     # Drive.
 
     def _prescribed_channels(self, signal: Float[Array, " signals"]) -> dict[str, Float[Array, ""]]:
-        """Prescribed temperature, strain or stress by channel: the entries of a signal without the electrical input."""
+        """The entries of a signal without the electrical input: temperature, strain or stress, and the surroundings."""
+        names = self.signals
         skip = self.mechanism.wires if self.drive.control else 0
-        return {name: signal[skip + i] for i, name in enumerate(self.signals[skip:])}
+        channels = {name: signal[skip + i] for i, name in enumerate(names[skip:])}
+        recorded = dict(zip(SURROUNDINGS, signal[len(names) :], strict=False)) if signal.shape[0] > len(names) else {}
+        constants = {"ambient": self.environment.ambient, "fan": 0.0}
+        return channels | {
+            name: jnp.where(jnp.isnan(value), constants[name], value) for name, value in recorded.items()
+        }
 
     def _electrical_input(
         self, signal: Float[Array, " signals"], resistivity: Float[Array, " wires"]
@@ -210,9 +250,11 @@ class PlantStages(eqx.Module):
         self, wire_state: WireState, memory: dict[str, Any], signal: Float[Array, " signals"]
     ) -> Float[Array, " wires"]:
         """Net heat into each wire per volume in W/m^3: Joule heat less convection, plus the heat of the effects."""
-        resistivity, context = self._resistivity(wire_state), self._stage_context()
+        resistivity = self._resistivity(wire_state)
+        wire_state = self._in_surroundings(wire_state, self._prescribed_channels(signal))
+        context = self._stage_context(wire_state.ambient)
         joule = self.drive.joule(self._electrical_input(signal, resistivity), resistivity, self.wire)
-        rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, self.environment)
+        rate = self.heat.net_heat(joule, wire_state.temperature, self.wire, context.environment)
         return rate + sum(
             checked_result(e, "power", e.power(wire_state, memory[e.key], context), rate.shape, "wires")
             for e in self._effects_of(HeatEffect)

@@ -62,6 +62,7 @@ class StepEquations(PlantStages):
         """
         context, prescribed = self._mechanism_context(), self._prescribed_channels(after)
         first, wires = self._wire_state(state), self.mechanism.wires
+        first = self._in_surroundings(first, self._prescribed_channels(before))
         unknown = end[wires : wires + self.mechanism.unknowns]
         last, memory = self._end_of_step(state, first, unknown, prescribed, step, end)
         strain = self._strain(last, memory)
@@ -108,6 +109,7 @@ class StepEquations(PlantStages):
         last = WireState(
             first.time + step, temperature, fractions, stress, first.contraction, first.accumulated_transformation
         )
+        last = self._in_surroundings(last, prescribed)
         memory = dict(state.memory)
         if self.all_effects:
             transformed = jnp.abs(fractions.martensite - first.fractions.martensite)
@@ -166,6 +168,10 @@ class StepEquations(PlantStages):
     ) -> WireState:
         """The wires in the middle of a step, at a temperature and the mean stress of both ends."""
         stress = 0.5 * (first.stress + last.stress)
+        ambient, fan = (
+            None if end is None or start is None else 0.5 * (start + end)
+            for start, end in ((first.ambient, last.ambient), (first.fan, last.fan))
+        )
         return WireState(
             first.time + 0.5 * step,
             temperature,
@@ -173,4 +179,6 @@ class StepEquations(PlantStages):
             stress,
             0.5 * (first.contraction + last.contraction),
             0.5 * (first.accumulated_transformation + last.accumulated_transformation),
+            ambient,
+            fan,
         )

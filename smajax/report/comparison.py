@@ -71,8 +71,12 @@ def model_rows(doc: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def notes(doc: Mapping[str, Any]) -> list[str]:
-    """List remarks on single models: repairs of recordings, parameters at a bound, undetermined parameters."""
-    remarks = [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
+    """List remarks on recordings and single models.
+
+    They are repairs, channels that are not used, parameters at a bound, and undetermined parameters.
+    """
+    remarks = [f"{r['name']}: {note}" for r in doc.get("recordings", ()) for note in r["notes"]]
+    remarks += [f"{m['name']}: {m['note']}" for m in doc["models"] if m["note"]]
     offset, fitted = f"sensor.{doc['channel']}_offset", [m for m in doc["models"] if not m["why"]]
     without_offset = [m["name"] for m in fitted if m["kind"] == "law" and offset not in m["fitted"]]
     if without_offset and any(m["kind"] != "law" for m in fitted):

@@ -44,7 +44,7 @@ def fit_document(
         for r in result.responses
         if r.status is not SimulationStatus.done
     ]
-    document = _head(rig) | {
+    document = _head(rig, [r.recording for r in result.responses]) | {
         "parameters": {e.name: estimate_entry(e) for e in result.estimates},
         "fixed": _fixed_entries(rig, result.plant, result.problem.shared + result.problem.per_recording),
         **_channel_entries(result, settings),
@@ -100,7 +100,7 @@ def failed_document(
     """
     free = _start_entries(rig, settings)
     units = {c: difference_unit(recordings[0][0], c)[0] for c in settings.observe}
-    document = _head(rig) | {
+    document = _head(rig, [recording for recording, _ in recordings]) | {
         "parameters": free,
         "fixed": _fixed_entries(rig, rig.plant, tuple(free)),
         "rmse": {c: {"train": None, "holdout": None, "unit": unit} for c, unit in units.items()},
@@ -141,13 +141,13 @@ def estimate_entry(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _head(rig: Rig) -> dict[str, Any]:
+def _head(rig: Rig, recordings: Iterable[Recording]) -> dict[str, Any]:
     return {
         "schema": FitDocument.SCHEMA,
         "rig": rig.name,
         "model": rig.fit.model,
         "kind": rig.kind,
-        "inputs": list(rig.plant.signals),
+        "inputs": list(rig.plant.driving_channels(*(recording.channels for recording in recordings))),
         "observed": list(rig.fit.observe),
     }
 

@@ -6,6 +6,7 @@ control, and every design of a batch costs the same.
 """
 
 import itertools
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
@@ -14,7 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from smajax.errors import InputError, suggestion
+from smajax.plant.heat import PrescribedTemperature
 from smajax.plant.plant import Plant
+from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
 from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
 from smajax.simulation.step_size import default_step
@@ -44,6 +47,8 @@ class Inputs(eqx.Module):
             of the next step.
         sample_indices: Indices of the samples in the grid, shape ``(samples,)``.
         sample_signals: Signals at the samples, shape ``(samples, signals)``.
+        surroundings: Names of the last entries of the signals: recorded channels of the surroundings
+            (``smajax.plant.stages.SURROUNDINGS``), which are not among ``Plant.signals``.
     """
 
     time: Float[Array, " grid"]
@@ -51,6 +56,7 @@ class Inputs(eqx.Module):
     after: Float[Array, "steps signals"]
     sample_indices: Int[Array, " samples"]
     sample_signals: Float[Array, "samples signals"]
+    surroundings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def pad(self, grid: int, samples: int) -> "Inputs":
         """Extend the grid by steps of duration 0, in which nothing changes, and repeat the last sample.
@@ -68,17 +74,23 @@ class Inputs(eqx.Module):
             np.concatenate([after, np.repeat(last, more_steps, axis=0)]),
             np.append(indices, np.full(more_samples, indices[-1])),
             np.concatenate([signals, np.repeat(signals[-1:], more_samples, axis=0)]),
+            surroundings=self.surroundings,
         )
 
     def scale(self, factor: Float[Array, ""] | Float[Array, " signals"] | float) -> "Inputs":
-        """Multiply the signals by a factor, such as the amplitude of the current; differentiable in it.
+        """Multiply the plant's signals by a factor, such as the amplitude of the current; differentiable in it.
 
         Args:
             factor: One factor, or one for each signal in the order of ``Plant.signals``.
         """
-        signals = (self.before, self.after, self.sample_signals)
-        before, after, sample_signals = (jnp.asarray(factor) * signal for signal in signals)
-        return Inputs(self.time, before, after, self.sample_indices, sample_signals)
+        count = self.before.shape[-1] - len(self.surroundings)
+
+        def scaled(signals: jax.Array) -> jax.Array:
+            product = jnp.asarray(factor) * signals[..., :count]
+            return jnp.concatenate([product, signals[..., count:]], axis=-1) if self.surroundings else product
+
+        before, after, sample_signals = map(scaled, (self.before, self.after, self.sample_signals))
+        return Inputs(self.time, before, after, self.sample_indices, sample_signals, self.surroundings)
 
     def coarsen(self, stride: int, *, held: bool, pieces: int = 1) -> "Inputs":
         """Take every ``stride``-th sample, on fewer and longer steps.
@@ -107,9 +119,12 @@ class Inputs(eqx.Module):
         if held:
             weight = np.diff(time)[:, None]
             total, size = (np.add.reduceat(v[: ends[-1]], starts) for v in (weight * before**2, weight))
-            first = last = np.where(first == last, first, np.sign(first + last) * np.sqrt(total / size))
+            mean = np.where(first == last, first, np.sign(first + last) * np.sqrt(total / size))
+            electrical = np.arange(mean.shape[1]) < mean.shape[1] - len(self.surroundings)
+            first, last = (np.where(electrical, mean, linear) for linear in (first, last))
         grid = np.append(starts, ends[-1])
-        return _inputs(time[grid], first, last, np.searchsorted(grid, strided), signals[::stride])
+        indices = np.searchsorted(grid, strided)
+        return _inputs(time[grid], first, last, indices, signals[::stride], surroundings=self.surroundings)
 
     def halve(self) -> tuple["Inputs", int]:
         """Halve all steps, on a grid with the same number of points, which then ends earlier.
@@ -126,9 +141,10 @@ class Inputs(eqx.Module):
             for pair in ((before[:steps], middle), (middle, after[:steps]))
         )
         clock = np.stack([time[:steps], 0.5 * (time[:steps] + time[1 : steps + 1])], axis=1).ravel()
-        halved = _inputs(np.append(clock, time[steps]), first, last, np.minimum(2 * indices, 2 * steps), signals).pad(
-            len(time), len(indices)
-        )
+        at_end = np.minimum(2 * indices, 2 * steps)
+        halved = _inputs(
+            np.append(clock, time[steps]), first, last, at_end, signals, surroundings=self.surroundings
+        ).pad(len(time), len(indices))
         return halved, int(np.sum(indices <= steps))
 
     def _as_numpy(self) -> tuple[np.ndarray, ...]:
@@ -136,16 +152,43 @@ class Inputs(eqx.Module):
         return tuple(map(np.asarray, leaves))
 
 
-def _inputs(*arrays: np.ndarray) -> Inputs:
-    return Inputs(*map(jax.device_put, arrays))  # jnp.asarray would compile a program for each shape
+def _inputs(*arrays: np.ndarray, surroundings: tuple[str, ...]) -> Inputs:
+    # jnp.asarray would compile a program for each shape
+    return Inputs(*map(jax.device_put, arrays), surroundings=surroundings)
 
 
-def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> Inputs:
+def recorded_surroundings(plant: Plant, recordings: Iterable[Recording]) -> tuple[str, ...]:
+    """Return the channels of the surroundings that a plant follows and one of the recordings has.
+
+    Args:
+        plant: The plant; one with a prescribed temperature has no heat balance and follows none.
+        recordings: The recordings.
+
+    Returns:
+        The first names of ``SURROUNDINGS``, up to the last one that is recorded.
+    """
+    if isinstance(plant.heat, PrescribedTemperature):
+        return ()
+    names = {name for recording in recordings for name in recording.channels}
+    count = max((i + 1 for i, name in enumerate(SURROUNDINGS) if name in names), default=0)
+    return SURROUNDINGS[:count]
+
+
+def discretise(
+    plant: Plant,
+    recording: Recording,
+    *,
+    interpolation: str = "hold",
+    step: float | None = None,
+    surroundings: tuple[str, ...] | None = None,
+) -> Inputs:
     """Put a recording's inputs on a grid of time steps.
 
-    Prescribed strain, stress and temperature are linear between samples. For derivatives in the inputs, call it outside
-    of the traced function, and there scale them (``Inputs.scale``) or replace their ``before``, ``after`` and
-    ``sample_signals``, since a recording cannot be traced.
+    Prescribed strain, stress and temperature are linear between samples, as is a recorded ambient temperature, which
+    replaces ``environment.ambient`` in the heat balance; over rows without a value it is linear, too.
+
+    For derivatives in the inputs, call it outside of the traced function, and there scale them (``Inputs.scale``) or
+    replace their ``before``, ``after`` and ``sample_signals``, since a recording cannot be traced.
 
     Args:
         plant: The plant, which determines the signals.
@@ -154,6 +197,8 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
         interpolation: Electrical inputs between samples: ``hold`` or ``linear``. A rig's own is
             ``rig.interpolation``: pass it, since neither plant nor recording has it.
         step: Longest step in s; ``default_step`` if not given.
+        surroundings: Channels of the surroundings in the inputs (``recorded_surroundings``), so that inputs of several
+            recordings have one shape; by default those of the recording.
 
     Raises:
         InputError: If an argument is of another type, the recording lacks a channel, the interpolation is unknown, or
@@ -170,19 +215,28 @@ def discretise(plant: Plant, recording: Recording, *, interpolation: str = "hold
     within_sample = np.arange(indices[-1]) - np.repeat(indices[:-1], pieces)
     start = np.repeat(time[:-1], pieces) + within_sample * np.repeat(np.diff(time) / pieces, pieces)
     grid = np.append(start, time[-1])
-    signals = (
-        np.column_stack([recording.channels[name] for name in plant.signals])
-        if plant.signals
-        else np.zeros((len(time), 0))
-    )
-    before, after = np.empty((2, indices[-1], len(plant.signals)))
-    for i, name in enumerate(plant.signals):
-        if name.startswith(plant.drive.control or "\0") and interpolation == "hold":
+    if surroundings is None:
+        surroundings = recorded_surroundings(plant, [recording])
+    names = (*plant.signals, *surroundings)
+    columns = [recording.channels[name] for name in plant.signals]
+    columns += [_without_gaps(recording, name) for name in surroundings]
+    signals = np.column_stack(columns) if columns else np.zeros((len(time), 0))
+    before, after = np.empty((2, indices[-1], len(names)))
+    held = (plant.drive.control, "fan") if plant.drive.control else ("fan",)
+    for i, name in enumerate(names):
+        if name.startswith(held) and interpolation == "hold":
             before[:, i] = after[:, i] = np.repeat(signals[:-1, i], pieces)
         else:
             at_grid = np.interp(grid, time, signals[:, i])
             before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
-    return _inputs(grid, before, after, indices, signals)
+    return _inputs(grid, before, after, indices, signals, surroundings=surroundings)
+
+
+def _without_gaps(recording: Recording, name: str) -> np.ndarray:
+    """A channel that is linear over rows in which it is NaN; NaN everywhere if the recording does not have it."""
+    values = recording.channels.get(name, np.full(len(recording), np.nan))
+    measured = np.isfinite(values)
+    return np.interp(recording.time, recording.time[measured], values[measured]) if np.any(measured) else values
 
 
 def _check_channels(plant: Plant, recording: Recording) -> None:

@@ -7,6 +7,9 @@ state, the signals and the duration. A second derivative of a step does not exis
     state = init(plant, signal)
     state, info = step(plant, state, signal, dt)
     channels = observe(plant, state, signal)
+
+A signal has one entry for each of ``plant.signals``. It may have more: the ambient temperature in degC, in place of
+``environment.ambient`` in the heat balance, and then the duty of a fan.
 """
 
 import equinox as eqx
@@ -18,6 +21,7 @@ from jaxtyping import Array, Float, Int
 from smajax.errors import InputError
 from smajax.numerics.precision import require_double
 from smajax.plant.plant import Plant
+from smajax.plant.stages import SURROUNDINGS
 from smajax.plant.state import State
 from smajax.simulation.argument_checks import A_PLANT, A_STATE, check_type
 from smajax.simulation.time_stepping import simulation_status
@@ -107,7 +111,8 @@ def _signal(plant: Plant, signal: ArrayLike, function: str) -> Float[Array, " si
     """The signals as an array of double precision, after checks of plant and shape."""
     check_type(function, "plant", plant, Plant, A_PLANT)
     require_double(plant=plant, signal=signal)
-    if np.shape(signal) != (len(plant.signals),):
+    sizes = range(len(plant.signals), len(plant.signals) + len(SURROUNDINGS) + 1)
+    if np.shape(signal) not in [(size,) for size in sizes]:
         raise InputError(
             f"{function}: signal has shape {np.shape(signal)}: give one value for each of {', '.join(plant.signals)}, "
             f"shape ({len(plant.signals)},)"

@@ -248,9 +248,10 @@ def _on_a_grid(plant: Plant, inputs: Inputs | Recording, interpolation: str | No
     elif step is not None or interpolation is not None:
         raise InputError("simulate: the inputs are on a grid already: give step and interpolation to discretise")
     require_double(plant=plant, inputs=inputs)
-    if inputs.before.shape[-1:] != (len(plant.signals),):
+    signals = inputs.before.shape[-1] - len(inputs.surroundings)
+    if signals != len(plant.signals):
         raise InputError(
-            f"{name}: the inputs have {inputs.before.shape[-1]} signals and the plant is driven by "
+            f"{name}: the inputs have {signals} signals and the plant is driven by "
             f"{', '.join(plant.signals)}: call discretise with this plant"
         )
     return inputs

@@ -283,6 +283,7 @@ def _rate_residual(
         share: Shares of the rates of the fractions (``_at_the_surface``).
     """
     first, wires = plant._wire_state(state), plant.mechanism.wires
+    first = plant._in_surroundings(first, plant._prescribed_channels(signal))
     start = jnp.concatenate([state.temperature, state.unknown])
     (balance, stored, end) = jax.jvp(
         lambda h: _increment(plant, state, first, (signal + h * slope, start + h * rate), h, share),

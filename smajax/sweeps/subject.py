@@ -181,7 +181,8 @@ class RigSubject:
         """Return the recording as a JSON document, for ``rebuild_subject``; ``None`` under a periodic input."""
         if isinstance(self.source, Excitation):
             return None
-        channels = {n: self.source.channels[n].tolist() for n in self.rig.plant.signals}
+        names = self.rig.plant.driving_channels(self.source.channels)
+        channels = {n: self.source.channels[n].tolist() for n in names}
         units = {n: unit for n, unit in self.source.units.items() if n in channels or n == "time"}
         return {"name": self.source.name, "time": self.source.time.tolist(), "channels": channels, "units": units}
 

@@ -119,7 +119,9 @@ def _describe_recording(rig: Rig, recording: Recording) -> list[str]:
         if step < median * (1 - _ROUNDING):
             head += f" (simulated in steps of at most {step:.3g} s)"
     auxiliary = auxiliary_channels(rig.plant, rig.fit.observe, [recording])[0]
-    roles = {c: "input" for c in rig.plant.signals} | {c: "observed" for c in rig.fit.observe}
+    roles = {c: "input" for c in rig.plant.driving_channels(recording.channels)} | {
+        c: "observed" for c in rig.fit.observe
+    }
     roles |= {c: "auxiliary in a diagnosis" for c in auxiliary}
     channels = ", ".join(f"{c} [{recording.units[c]}] ({roles.get(c, 'not used')})" for c in recording.channels)
     return [head, f"  {channels}", *(f"  {note}" for note in recording.notes)]

@@ -9,7 +9,7 @@ The derivative with respect to the strength has to exist at 0, and to be finite 
 saturation is therefore written with the sign of the motion, not with a threshold.
 """
 
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -18,52 +18,11 @@ from jaxtyping import Array, Float
 
 from smajax.parameters import CheckedModule, declarations
 from smajax.plant.effects.memory import first_order_lag
-from smajax.plant.heat import AbstractHeat
+from smajax.plant.effects.stage_context import StageContext, WireState, ambient_at
 from smajax.plant.materials.base import AbstractMaterial, Fractions
-from smajax.plant.wire import AbstractWire, Environment
 
 # Names of declared fields, each with the values that a search tries.
 Shapes: TypeAlias = tuple[tuple[str, tuple[float, ...]], ...]
-
-
-class WireState(NamedTuple):
-    """State of the wires at one instant, as effects use it.
-
-    Attributes:
-        time: Time since the first row, s, a scalar.
-        temperature: Temperatures, shape ``(wires,)``, degC.
-        fractions: Martensite fractions, shape ``(wires,)`` each.
-        stress: Stresses, shape ``(wires,)``, Pa.
-        contraction: Minus the strain of the wire, a scalar, which grows as the wire shortens: 0 for austenite without
-            stress at ambient temperature, and so below 0 for a stretched wire, also at the first row. With two wires
-            half the strain of wire 2 less that of wire 1. An effect that needs the contraction since the first row
-            stores the initial one in its memory, as ``load_change`` does.
-        accumulated_transformation: Sum of the changes of the martensite fraction in both directions, shape
-            ``(wires,)``; a full cycle counts 2.
-    """
-
-    time: jax.Array
-    temperature: jax.Array
-    fractions: Fractions
-    stress: jax.Array
-    contraction: jax.Array
-    accumulated_transformation: jax.Array
-
-
-class StageContext(NamedTuple):
-    """Parts of the plant that an effect may use.
-
-    Attributes:
-        wire: The wire.
-        environment: Its surroundings.
-        material: The material law, with the moduli of the wire's geometry.
-        heat: The heat stage.
-    """
-
-    wire: AbstractWire
-    environment: Environment
-    material: AbstractMaterial
-    heat: AbstractHeat
 
 
 class AbstractEffect(CheckedModule):
@@ -196,9 +155,15 @@ class DriveEffect(AbstractEffect):
 
 
 class HeatEffect(AbstractEffect):
-    """Effect on the heat balance of a wire."""
+    """Effect on the heat balance of a wire.
+
+    Attributes:
+        surroundings: Recorded channels that it reads from the state, in addition to the ambient temperature:
+            ``("fan",)``. A recording without them has no such effect.
+    """
 
     stage = "heat"
+    surroundings: ClassVar[tuple[str, ...]] = ()
 
     def begin_step(self, memory: Any, time: Float[Array, ""], step: Float[Array, ""]) -> Any:
         """Return the memory that is constant during a step.
@@ -245,7 +210,9 @@ class ThermalNode(HeatEffect):
     temperature. The node's excess u over ambient follows ``steady_share`` of the wire's excess with ``time_constant``
     tau:
 
-        q = -s G (T - T_ambient - u)        tau du/dt = steady_share (T - T_ambient) - u
+        q = -s G (T - T_ambient - u)        tau du/dt = steady_share (T - T_ambient) - u - tau dT_ambient/dt
+
+    The last term is 0 unless a recorded ambient temperature changes: the temperature of the node is T_ambient + u.
     """
 
     steady_share: ClassVar[float] = 1.0
@@ -264,9 +231,14 @@ class ThermalNode(HeatEffect):
         context: StageContext,
     ) -> Float[Array, " wires"]:
         """Return the node's excess over ambient at the end of the step, K."""
-        ambient = context.environment.ambient
-        first, last = (self.steady_share * (state.temperature - ambient) for state in (before, after))
-        return first_order_lag(memory, first, last, step, self.time_constant)
+        ambient = [ambient_at(state, context) for state in (before, after)]
+        first, last = (
+            self.steady_share * (state.temperature - at) for state, at in zip((before, after), ambient, strict=True)
+        )
+        if after.ambient is None:
+            return first_order_lag(memory, first, last, step, self.time_constant)
+        ends = (memory + ambient[0], first + ambient[0], last + ambient[1])
+        return first_order_lag(*ends, step, self.time_constant) - ambient[1]
 
     def power(self, state: WireState, memory: Float[Array, " wires"], context: StageContext) -> Float[Array, " wires"]:
         """Compute the heat flow from the node into the wires, W/m^3."""

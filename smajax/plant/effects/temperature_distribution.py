@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from smajax.parameters import parameter
 from smajax.plant.effects.base import MaterialEffect, StageContext, WireState
+from smajax.plant.effects.stage_context import ambient_at
 from smajax.plant.materials.base import Fractions
 
 
@@ -27,8 +28,8 @@ class TemperatureDistribution(MaterialEffect):
         self, memory: Fractions, before: WireState, after: WireState, step: Float[Array, ""], context: StageContext
     ) -> Fractions:
         """Return the fractions of the ends at the end of the step."""
-        ambient = context.environment.ambient
-        ends = tuple(ambient + 0.5 * (at.temperature - ambient) for at in (before, after))
+        pairs = [(state.temperature, ambient_at(state, context)) for state in (before, after)]
+        ends = tuple(ambient + 0.5 * (temperature - ambient) for temperature, ambient in pairs)
         return context.material.evolve(memory, ends, (before.stress, after.stress))
 
     def strain(self, state: WireState, memory: Fractions, context: StageContext) -> Float[Array, " wires"]:
