@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from smajax.errors import InputError
+from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
 
 # Positions of the splits in ``DiagnosisProblem.splits``, and their names in documents.
@@ -54,3 +55,14 @@ def check_complete(splits: Sequence[DataSplit], observe: Sequence[str]) -> None:
             raise InputError(
                 f"{recording.name}: a diagnosis needs {gaps[0]} at every row: leave out the rows without a value"
             )
+
+
+def changing_surroundings(splits: Sequence[DataSplit]) -> tuple[str, ...]:
+    """Return the channels of the surroundings that every recording has and that change in a training recording.
+
+    Args:
+        splits: Training, selection and holdout split.
+    """
+    recordings = [r for split in splits for r in split.recordings]
+    names = [name for name in SURROUNDINGS if all(name in r.channels for r in recordings)]
+    return tuple(name for name in names if any(np.ptp(r.channels[name]) > 0.0 for r in splits[TRAIN].recordings))

@@ -16,7 +16,7 @@ import numpy as np
 from smajax import parameters
 from smajax.diagnosis.candidates import EffectSet, NonparametricTerm, Refit, RefitSearch
 from smajax.diagnosis.compiled_model import SLOTS, simulate, slot_count, start_solver
-from smajax.diagnosis.data_split import TRAIN, DataSplit, check_complete
+from smajax.diagnosis.data_split import TRAIN, DataSplit, changing_surroundings, check_complete
 from smajax.diagnosis.effect_parameters import EffectParameters, effect_kinds, possible_effects
 from smajax.diagnosis.nonparametric import zero_terms
 from smajax.diagnosis.problem_layout import GriddedSplits, with_weights
@@ -87,7 +87,8 @@ class DiagnosisProblem(GriddedSplits):
         check_complete(splits, settings.observe)
         train = splits[TRAIN].recordings
         without_clock = set() if all(r.has_clock for r in train) else {"clock"}
-        self.capabilities: frozenset[str] = plant.capabilities(tuple(settings.observe)) - without_clock
+        recorded = (*settings.observe, *changing_surroundings(splits))
+        self.capabilities: frozenset[str] = plant.capabilities(recorded) - without_clock
         self.duration: float = max(float(r.time[-1] - r.time[0]) for r in train)
         self.effect_kinds: dict[str, type[AbstractEffect]] = effect_kinds(plant)
         modelled, effects = possible_effects(plant, settings.free, train, self.capabilities)

@@ -39,6 +39,7 @@ from smajax.parameters import TIES, Declaration, by_leaf
 from smajax.plant.mechanisms.registry import MECHANISMS
 from smajax.plant.plant import Plant
 from smajax.plant.sensor import Sensor
+from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.read import only_recording, read_recordings
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.recording import Recording
@@ -125,7 +126,7 @@ class Rig:
             headers=headers,
             mapping=self.channels.columns,
             ignore=self.channels.ignore,
-            required=self.plant.signals,
+            required=(*self.plant.signals, *self.plant.required_surroundings),
             observed=self.fit.observe if observed else (),
             clock=self.kind != "path",
             drop_bad_rows=drop_bad_rows,
@@ -247,7 +248,7 @@ def _build_rig(data: dict[str, Any], name: str, rows: Mapping[str, int], folder:
     sensor_table = {f"sensor.{key}": d for key, d in Sensor.identity(plant.observable).declarations().items()}
     sensor_values = section_values("sensor", data.get("sensor", {}), sensor_table)
     sensor_entries = {n: e for n, e in parameter_set.entries.items() if n in sensor_table and n not in sensor_values}
-    effects, misplaced = build_effects(data.get("effects", {}), plant.capabilities(tuple(observe)))
+    effects, misplaced = build_effects(data.get("effects", {}), plant.capabilities((*observe, *SURROUNDINGS)))
     plant, fit = replace(plant, effects=effects), _without_effects(fit, misplaced)
     calibration = entry_values(sensor_entries) | sensor_values
     sensor = build_sensor([*observe, *channels_of_sensors([*calibration, *free])], plant, calibration)

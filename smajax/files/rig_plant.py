@@ -52,7 +52,8 @@ def build_effects(content: Any, capabilities: frozenset[str]) -> tuple[tuple[Abs
 
     Args:
         content: Content of ``[effects]``.
-        capabilities: Capabilities of the plant and its observed channels, as ``Plant.capabilities`` returns them.
+        capabilities: Capabilities of the plant, its observed channels and the surroundings that a recording may have,
+            as ``Plant.capabilities`` returns them.
 
     Returns:
         The effects, and the reasons, by key, why others do not apply to this rig.

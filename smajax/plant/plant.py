@@ -197,7 +197,8 @@ class Plant(StepSolver):
         stress can oppose the contraction (``MechanismEffect.drag``); ``prescribed strain or stress`` of a testing
         machine; the electrical input, such as ``current``; the coordinate of the mechanism, such as ``displacement``
         or ``angle``; and ``CHANNEL observed`` for each observed channel, such as ``temperature observed``.
-        ``smajax.effects.CAPABILITIES`` has all of them.
+        That of a recorded surrounding, such as ``fan observed``, counts likewise. ``smajax.effects.CAPABILITIES`` has
+        all of them.
 
         Args:
             observed: Names of the channels that the recordings contain.

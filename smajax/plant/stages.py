@@ -83,8 +83,12 @@ class PlantStages(eqx.Module):
         """Names of the recorded channels of the surroundings that the plant follows where a recording has them."""
         if isinstance(self.heat, PrescribedTemperature):
             return ()
-        used = {"ambient", *(name for e in self._effects_of(HeatEffect) for name in e.surroundings)}
-        return tuple(name for name in SURROUNDINGS if name in used)
+        return tuple(name for name in SURROUNDINGS if name == "ambient" or name in self.required_surroundings)
+
+    @property
+    def required_surroundings(self) -> tuple[str, ...]:
+        """Names of the recorded channels of the surroundings without which one of the effects is absent."""
+        return tuple(dict.fromkeys(name for e in self._effects_of(HeatEffect) for name in e.surroundings))
 
     def driving_channels(self, *recorded: Collection[str]) -> tuple[str, ...]:
         """Return the channels that drive the plant: its signals, and the recorded surroundings that it follows.

@@ -79,6 +79,7 @@ KEYS = [
     "temperature-distribution",
     "encoder-drift",
     "slip",
+    "fan-cooling",
 ]
 
 

@@ -18,6 +18,7 @@ from smajax.plant.convection import PolynomialConvection
 from smajax.plant.drive import PowerDrive
 from smajax.plant.effects.coating import Coating
 from smajax.plant.effects.end_conduction import EndConduction
+from smajax.plant.effects.fan_cooling import FanCooling
 from smajax.plant.effects.temperature_distribution import TemperatureDistribution
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import discretise, recorded_surroundings
@@ -41,22 +42,29 @@ def recording(ambient=RAMP, power=POWER, name="recording"):
     return Recording.from_arrays(name, TIME, {"power": power} | ({} if ambient is None else {"ambient": ambient}))
 
 
+FAN = np.where((TIME > 6.0) & (TIME < 20.0), 0.6, 0.0)
+
+
 def conductance(temperature):
     return 4.0 / DIAMETER * (H0 + H2 * temperature**2)
 
 
-def lumped_wire(ambient, strength=0.0, time_constant=1.0, share=1.0):
-    """Temperatures by SciPy, segment by segment: the wire, and a node that takes ``strength`` times its conductance."""
+def lumped_wire(ambient, strength=0.0, time_constant=1.0, share=1.0, rise=None):
+    """Temperatures by SciPy, segment by segment: the wire, and a node that takes ``strength`` times its conductance.
+
+    ``rise`` is the rise of the convection coefficient, as a factor, by segment.
+    """
+    rise = np.zeros(len(TIME)) if rise is None else rise
     volume = np.pi / 4 * DIAMETER**2 * LENGTH
     state, temperatures = np.array([ambient[0], ambient[0]]), [ambient[0]]
     for k in range(len(TIME) - 1):
         begin, end = TIME[k], TIME[k + 1]
         power, first, last = POWER[k], ambient[k], ambient[k + 1]
 
-        def rates(t, y, begin=begin, end=end, power=power, first=first, last=last):
+        def rates(t, y, begin=begin, end=end, power=power, first=first, last=last, forced=1.0 + rise[k]):
             around = first + (last - first) * (t - begin) / (end - begin)
             flow = strength * conductance(around) * (y[0] - y[1])
-            wire = (power / volume - conductance(y[0]) * (y[0] - around) - flow) / CAPACITY
+            wire = (power / volume - forced * conductance(y[0]) * (y[0] - around) - flow) / CAPACITY
             return [wire, (around + share * (y[0] - around) - y[1]) / time_constant]
 
         state = solve_ivp(rates, (begin, end), state, rtol=1e-10, atol=1e-10).y[:, -1]
@@ -77,6 +85,36 @@ def test_a_second_thermal_node_follows_the_ambient_temperature(effect, share):
     response = simulate(plant(node), recording(), step=0.02)
     exact = lumped_wire(RAMP, 0.4, 2.5, share)
     np.testing.assert_allclose(response.channels["temperature"], exact, atol=2e-3)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 0.8])
+@pytest.mark.parametrize("ambient", [RAMP, None])
+def test_a_recorded_fan_cools_the_wire(exponent, ambient):
+    fan = FanCooling(strength=jnp.asarray(2.0), exponent=jnp.asarray(exponent))
+    base = recording(ambient)
+    driven = dataclasses.replace(base, channels={**base.channels, "fan": FAN})
+    response = simulate(plant(fan), driven, step=0.05)
+    around = np.full(len(TIME), 20.0) if ambient is None else ambient
+    exact = lumped_wire(around, rise=2.0 * FAN**exponent)
+    np.testing.assert_allclose(response.channels["temperature"], exact, atol=5e-4)
+    without = simulate(plant(fan), base, step=0.05).channels["temperature"]
+    np.testing.assert_allclose(without, simulate(plant(), base, step=0.05).channels["temperature"], rtol=1e-12)
+
+
+def test_derivatives_of_the_fan_agree_with_finite_differences():
+    base = recording()
+    inputs = discretise(plant(), dataclasses.replace(base, channels={**base.channels, "fan": FAN}))
+    fan = FanCooling(strength=jnp.asarray(0.0))
+
+    def last(theta):
+        values = {"effects.fan-cooling.strength": theta[0], "effects.fan-cooling.exponent": theta[1]}
+        return simulate_channels(parameters.replace(plant(fan), values), inputs, ("temperature",))[0]["temperature"][58]
+
+    run, width = jax.jit(last), 1e-4
+    for point in (jnp.array([0.0, 0.7]), jnp.array([2.0, 0.7])):
+        finite = [(run(point.at[i].add(width)) - run(point.at[i].add(-width))) / (2 * width) for i in range(2)]
+        np.testing.assert_allclose(jax.jit(jax.jacfwd(last))(point), finite, rtol=1e-5, atol=1e-7)
+        assert abs(finite[0]) > 0.1
 
 
 def test_the_vector_field_follows_the_ambient_temperature():
