@@ -5,16 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from smajax.channels import channel_unit, numbered
+from smajax.channels import channel_of, channel_unit, numbered
 from smajax.files.fit_settings import FitSettings
 from smajax.files.rig_kinds import rig_phrase
 from smajax.plant.effects import catalogue
 from smajax.plant.plant import Plant
 from smajax.plant.stages import SURROUNDINGS
 from smajax.recordings.recording import Recording
-from smajax.units import from_si
+from smajax.units import as_text, from_si
 
 _AMBIENT = "environment.ambient"
+_PHASES = ("austenite", "martensite")
 
 
 def with_notes(plant: Plant, fit: FitSettings, kind: str, recording: Recording) -> Recording:
@@ -30,6 +31,7 @@ def with_notes(plant: Plant, fit: FitSettings, kind: str, recording: Recording) 
         *recording.notes,
         *_constant_inputs(plant, recording),
         *_surroundings(plant, fit, recording),
+        *_self_sensing(plant, fit),
         *_unused(plant, fit, kind, recording),
     )
     notes = tuple(dict.fromkeys(notes))  # a recording may be read twice
@@ -75,6 +77,24 @@ def _surroundings(plant: Plant, fit: FitSettings, recording: Recording) -> list[
         if name in recording.channels and name not in driving and effects:
             notes.append(f"{name} is recorded and not used: add [effects.{effects[0]}], whose strength can be fitted")
     return notes
+
+
+def _self_sensing(plant: Plant, fit: FitSettings) -> list[str]:
+    """A sentence on an observed resistance, whose sign depends on the order of the resistivities of the phases."""
+    if not any(channel_of(channel) == "resistance" for channel in fit.observe):
+        return []
+    austenite, martensite = (float(getattr(plant.material, f"resistivity_{phase}")) for phase in _PHASES)
+    values = f"{as_text(austenite, 'ohm m')} and {as_text(martensite, 'ohm m')}"
+    names = "material.resistivity_austenite and material.resistivity_martensite"
+    if austenite == martensite:
+        return [
+            f"{names} are both {as_text(austenite, 'ohm m')}, so that the resistance does not show the transformation"
+        ]
+    change = "rises" if austenite > martensite else "falls"
+    return [
+        f"with {names} of {values} the modelled resistance {change} as the wire transforms to austenite: where the "
+        "recorded one does the opposite, exchange the two, since a fit from this order may end at a wrong minimum"
+    ]
 
 
 def _unused(plant: Plant, fit: FitSettings, kind: str, recording: Recording) -> list[str]:

@@ -8,7 +8,7 @@ import equinox as eqx
 from smajax.errors import InputError
 from smajax.files.parameter_names import owners
 from smajax.files.rig_kinds import Stages, rig_phrase
-from smajax.files.rig_schema import FitSection, RigSection
+from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE, FitSection, RigSection
 from smajax.files.toml import advice, parse_toml
 from smajax.parameters import ORDERED_PAIRS, Declaration, declarations
 from smajax.plant.coil import Coil
@@ -68,6 +68,9 @@ def check_belongs(data: Mapping[str, Any], stages: Stages, control: str | None) 
             continue
         choices = {words: part for other, part, words in owners() if other == section}
         if section not in stages.parts:
+            if section in ("heat", "drive") and control == PRESCRIBED_TEMPERATURE:
+                cure = "remove it, since the recording has the temperature, or name the electrical input"
+                raise InputError(f'[{section}] does not apply with control = "{control}": {cure}')
             kinds = [
                 f'kind = "{kind}"' for kind, mechanism in MECHANISMS.items() if section in mechanism.rig_sections()
             ]

@@ -285,7 +285,7 @@ def _read_head_and_fit(data: Mapping[str, Any]) -> tuple[RigSection, FitSection]
     head = validate(RigSection, data["rig"], "rig")
     fit = validate(FitSection, data.get("fit", {}), "fit")
     if head.control is None and head.kind != "path":
-        cure = 'add the electrical input that is recorded, as in control = "current"'
+        cure = 'add the electrical input that is recorded, as in control = "current", or control = "temperature"'
         raise InputError(f"rig.control is missing: {cure}")
     return head, fit
 

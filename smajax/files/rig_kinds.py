@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping
 
 import equinox as eqx
 
+from smajax.errors import InputError
+from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.parameters import TIES, Declaration, declarations
 from smajax.plant.coil import Coil
 from smajax.plant.convection import PolynomialConvection, PowerLawConvection
@@ -88,15 +90,24 @@ def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[
     Args:
         kind: Kind of the rig, a key of ``MECHANISMS``; a path prescribes the recorded strain if its stress is observed,
             else the recorded stress.
-        control: Electrical input, a key of ``DRIVES``; not used for a path.
+        control: Electrical input, a key of ``DRIVES``, or ``PRESCRIBED_TEMPERATURE`` for a wire that follows its recorded
+            temperature; not used for a path.
         model: Material law, a key of ``MATERIALS``.
         observe: Channels that are fitted.
         exponent: Whether h(T) has an exponent.
+
+    Raises:
+        InputError: If a temperature is prescribed and the rig has several wires.
     """
     material = MATERIALS[model]
     if kind == "path":
         mechanism = TestingMachine if "stress" in observe else StressPath
         return Stages(kind, mechanism, NoDrive, PrescribedTemperature, material)
+    if control == PRESCRIBED_TEMPERATURE:
+        if MECHANISMS[kind].wires != 1:
+            problem = f'rig.control = "{control}" prescribes one temperature, and {rig_phrase(kind)} has several wires'
+            raise InputError(f'{problem}: name the electrical input, as in control = "current"')
+        return Stages(kind, MECHANISMS[kind], NoDrive, PrescribedTemperature, material)
     heat = PowerLawConvection if exponent else PolynomialConvection
     return Stages(kind, MECHANISMS[kind], DRIVES[control or ""], heat, material)
 

@@ -11,6 +11,8 @@ from smajax.plant.materials.registry import MATERIALS
 from smajax.plant.mechanisms.registry import MECHANISMS
 
 INTERPOLATIONS = ("hold", "linear")
+# The choice of ``rig.control`` for a wire that something else heats, such as water, an oven or a heat gun.
+PRESCRIBED_TEMPERATURE = "temperature"
 # Largest seed of NumPy's and JAX's random generators.
 _MAX_SEED = 2**32 - 1
 # Largest number of starting points; chosen by trial.
@@ -22,7 +24,7 @@ class RigSection(BaseModel):
 
     model_config = STRICT
     kind: Annotated[str, one_of(MECHANISMS)] = Field(examples=['"dead-weight"'])
-    control: Annotated[str, one_of(DRIVES)] | None = Field(None, examples=['"current"'])
+    control: Annotated[str, one_of((*DRIVES, PRESCRIBED_TEMPERATURE))] | None = Field(None, examples=['"current"'])
     interpolation: Annotated[str, one_of(INTERPOLATIONS)] = "hold"
     parameters: Any = Field(None, examples=['"my-wire.toml"'])
 

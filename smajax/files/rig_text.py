@@ -7,6 +7,7 @@ from smajax.channels import channel_unit
 from smajax.files.channel_settings import ChannelSettings
 from smajax.files.fit_settings import FitSettings
 from smajax.files.rig_plant import value_of
+from smajax.files.rig_schema import PRESCRIBED_TEMPERATURE
 from smajax.files.toml import render_toml
 from smajax.parameters import TIES, declarations
 from smajax.plant.plant import Plant
@@ -32,7 +33,8 @@ def rig_toml(
         fit: The section ``[fit]``.
         recording: The section ``[recording]``.
     """
-    head = {"kind": kind, "control": plant.drive.control or None, "interpolation": interpolation}
+    control = plant.drive.control or (None if kind == "path" else PRESCRIBED_TEMPERATURE)
+    head = {"kind": kind, "control": control, "interpolation": interpolation}
     data: dict[str, Any] = {"schema": 1, "rig": head}
     for section, part in parameters.sections(plant).items():
         home, _, key = section.partition(".")

@@ -310,11 +310,9 @@ def _rig_subject(rig: Rig, settings: _Input, recording: Recording | None) -> Rig
     if recording is not None:
         _check_recording(rig, settings, recording)
         return RigSubject(rig, recording, settings.cycles or 1, 0.0)
-    if rig.plant.mechanism.prescribed:
-        raise InputError(
-            f"[input] needs a recording, since this rig follows its {rig.plant.mechanism.prescribed[0]}: "
-            "add recording = ..."
-        )
+    control = rig.plant.drive.control
+    if followed := [name for name in rig.plant.signals if not control or name in rig.plant.mechanism.prescribed]:
+        raise InputError(f"[input] needs a recording, since this rig follows its {followed[0]}: add recording = ...")
     excitation = _read_excitation(rig, settings)
     max_frequency = 0.0
     if settings.highest is not None:

@@ -54,7 +54,8 @@ def describe(path: Path, recordings: Sequence[Path], reading: Mapping[str, Any] 
 
 def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     control = rig.plant.drive.control
-    drive = f", driven by {control} ({rig.interpolation} between samples)" if control else ""
+    heated = ", heated as its temperature is recorded" if rig.kind != "path" else ""
+    drive = f", driven by {control} ({rig.interpolation} between samples)" if control else heated
     lines = [f"{rig.name}: {rig.kind}{drive}, material {rig.fit.model}", ""]
     lines += _free_parameters(rig) or ["No parameter is free: name the parameters to fit under [fit] free."]
     noises = {c: as_text(noise, channel_unit(c, difference=True)) for c, noise in rig.fit.noise.items()}

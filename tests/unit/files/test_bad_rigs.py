@@ -58,7 +58,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "control missing": (
         DEAD,
         {"control": "# control"},
-        'rig.control is missing: add the electrical input that is recorded, as in control = "current"',
+        'rig.control is missing: add the electrical input that is recorded, as in control = "current", or control = "temperature"',
     ),
     "section missing": (
         DEAD,

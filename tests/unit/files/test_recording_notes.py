@@ -110,3 +110,12 @@ def test_a_recorded_fan_needs_its_effect_and_the_effect_its_column():
     assert parse_rig(cooled).plant.driving_channels(["fan"]) == ("power", "fan")
     with pytest.raises(InputError, match="fan"):
         notes(cooled, **channels)
+
+
+@pytest.mark.parametrize(("austenite", "change"), [(1.0, "rises"), (0.6, "falls"), (0.8, None)])
+def test_the_sign_of_an_observed_resistance_is_named(austenite, change):
+    law = f'[material]\nresistivity_austenite = "{austenite} uohm m"\nresistivity_martensite = "0.8 uohm m"\n'
+    text = RIG.replace('observe = ["temperature"]', 'observe = ["resistance"]') + law
+    (note,) = notes(text, power=ROWS, resistance=10.0 + ROWS)
+    expected = f"the modelled resistance {change} as the wire transforms to austenite"
+    assert (expected if change else "does not show the transformation") in note
