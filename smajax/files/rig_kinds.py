@@ -90,8 +90,8 @@ def choose_stages(kind: str, control: str | None, model: str, observe: Iterable[
     Args:
         kind: Kind of the rig, a key of ``MECHANISMS``; a path prescribes the recorded strain if its stress is observed,
             else the recorded stress.
-        control: Electrical input, a key of ``DRIVES``, or ``PRESCRIBED_TEMPERATURE`` for a wire that follows its recorded
-            temperature; not used for a path.
+        control: Electrical input, a key of ``DRIVES``, or ``PRESCRIBED_TEMPERATURE`` for a wire that follows its
+            recorded temperature; not used for a path.
         model: Material law, a key of ``MATERIALS``.
         observe: Channels that are fitted.
         exponent: Whether h(T) has an exponent.

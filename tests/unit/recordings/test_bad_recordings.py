@@ -239,7 +239,7 @@ TABLE = [
         "time [s],Load\n0,1\n1,2\n",
         {"mapping": {"forces": ChannelMap("Load", "N")}},
         "wire.csv: [channels] forces in the rig is not a known channel (did you mean 'force'?): choose one of time, current, "
-        "voltage, power, duty, temperature, ambient, displacement, angle, rate, force, torque, stress, strain, resistance",
+        "voltage, power, duty, temperature, ambient, fan, displacement, angle, rate, force, torque, stress, strain, resistance",
     ),
     (
         "mapped_and_ignored",
