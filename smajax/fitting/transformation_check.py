@@ -97,7 +97,7 @@ def transformation_gap(
     """
     grids = [
         discretise(plant, recording, interpolation=interpolation, step=step)
-        for plant, recording in zip([*plants, *(plants[:1] * len(holdout))], [*recordings, *holdout], strict=True)
+        for plant, recording in zip([*plants, *[plants[0]] * len(holdout)], [*recordings, *holdout], strict=True)
     ]
     grid, samples = max(len(g.time) for g in grids), max(len(g.sample_indices) for g in grids)
     gaps = []

@@ -26,10 +26,10 @@ from smajax.simulation.argument_checks import A_PLANT, A_RECORDING, check_type
 from smajax.simulation.compilation import flatten_state, state_unflattener
 from smajax.simulation.diagnostics import describe_parameters
 from smajax.simulation.inputs import Inputs, discretise
+from smajax.simulation.integration import integrate_vector_field
 from smajax.simulation.sensitivities import Trajectory, outputs_along, simulate_outputs
 from smajax.simulation.status import SimulationStatus
 from smajax.simulation.time_stepping import integrate
-from smajax.simulation.vector_field import integrate_vector_field
 
 # Wide vectors are faster in a batch; single simulations are slower with them.
 _BATCH_OPTIONS = {"xla_cpu_prefer_vector_width": 512}

@@ -23,12 +23,8 @@ NO_CHANGES: Reading = MappingProxyType({})
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-class OnBadRows(StrEnum):
-    """What is done with bad rows."""
-
-    refuse = "refuse"
-    drop = "drop"
-    split = "split"
+# What is done with bad rows; an enumeration, since Typer lists its values. By function, as str has a method ``split``.
+OnBadRows = StrEnum("OnBadRows", ["refuse", "drop", "split"])
 
 
 def _option(*names: str, **settings: Any) -> Any:
