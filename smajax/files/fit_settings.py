@@ -192,7 +192,9 @@ def _read_bounds(
             if not math.isnan(nominal) and not low <= nominal <= high:
                 value = as_text(nominal, table[name].unit)
                 problem = f"fit.bounds of {name}, {show(ends)}, exclude its nominal value {value}"
-                raise InputError(f"{problem}: widen them, or correct the value")
+                example = as_text(0.5 * (low + high), table[name].unit)
+                cure = f"widen them, or set {member} to a value within them, such as {example}"
+                raise InputError(f"{problem}: {cure}")
         spans[name] = (low, high)
     return spans
 

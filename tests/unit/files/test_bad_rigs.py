@@ -376,7 +376,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
         DEAD,
         {"": 'bounds = {"heat.h0" = ["150 W/m^2/K", "200 W/m^2/K"]}'},
         "fit.bounds of heat.h0, ['150 W/m^2/K', '200 W/m^2/K'], exclude its nominal value 100.6 W/m^2/K: widen them, "
-        "or correct the value",
+        "or set heat.h0 to a value within them, such as 175 W/m^2/K",
     ),
     "bounds beyond the model": (
         DEAD,
