@@ -12,6 +12,8 @@ from smajax.properties.stress_levels import StressGroup, analyse_recording
 from smajax.properties.thermal_cycles import Value, mean_properties
 from smajax.recordings.recording import Recording
 
+_CHANNELS = ("temperature", "strain", "stress")
+
 
 @dataclasses.dataclass(frozen=True)
 class CycleAnalysis:
@@ -90,10 +92,19 @@ def analyse_recordings(
             )
     groups = [
         group
-        for recording in recordings
+        for recording in map(_with_note, recordings)
         for group in analyse_recording(recording, smooth=smooth, tangent=tangent, progress=progress)
     ]
     analysis = CycleAnalysis(tuple(groups), tangent)
     if not any(group.cycles for group in groups):
         raise InputError("; ".join(merge_refusals(analysis.refused)))
     return analysis
+
+
+def _with_note(recording: Recording) -> Recording:
+    """The recording with a note on its channels that thermal cycles do not need."""
+    unused = [channel for channel in recording.channels if channel not in _CHANNELS]
+    if not unused:
+        return recording
+    note = f"recorded and not used, since thermal cycles have {', '.join(_CHANNELS)}: {', '.join(unused)}"
+    return dataclasses.replace(recording, notes=(*recording.notes, note))

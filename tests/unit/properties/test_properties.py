@@ -986,3 +986,11 @@ def test_titles_units_and_other_names_are_read_by_options(tmp_path, options):
     assert title.exit_code == 2 and title.output.rstrip().endswith("give --skip-rows 2")
     done = CliRunner().invoke(app, ["properties", str(tmp_path / "a.csv"), *options])
     assert done.exit_code == 0 and "1 cycle" in done.output and "Reading: row 4 was read as units." in done.output
+
+
+def test_columns_that_cycles_do_not_need_are_named():
+    temperature, strain = made(1)
+    data = {"temperature [degC]": temperature, "strain": strain, "force [N]": strain, "ambient [degC]": strain}
+    study = thermal_cycle_properties(data)
+    note = "recorded and not used, since thermal cycles have temperature, strain, stress: force, ambient"
+    assert f"Reading: {note}." in study.summary() and study.document["recordings"][0]["notes"] == [note]
