@@ -254,9 +254,14 @@ def test_warnings_and_start_values_of_a_fit(result):
     copies = [dataclasses.replace(recorded(TRUTH), sha256="1" * 64, name="copy.csv"), recorded(TRUTH, seed=7)]
     (sentence,) = copied_holdout_warnings(train, copies)
     assert sentence == "copy.csv has the same content as made.csv: it is not an independent test."
-    # The made recordings of the fit have one checksum.
+    arguments = (plants.dead_weight(), [recorded(TRUTH)], Settings(starts=3))
+    # The made recordings of the fit have one checksum, as two parts of a file have, and other rows.
+    assert fit_warnings(result, *arguments) == []
+    fitted, held = result.responses
+    same_rows = dataclasses.replace(held, recording=dataclasses.replace(fitted.recording, name="held.csv"))
+    copied = dataclasses.replace(result, responses=(fitted, same_rows))
     sentence = "held.csv has the same content as made.csv: it is not an independent test."
-    assert fit_warnings(result, plants.dead_weight(), [recorded(TRUTH)], Settings(starts=3)) == [sentence]
+    assert fit_warnings(copied, *arguments) == [sentence]
     train_response, held = start_responses(
         plants.dead_weight(), train, ("displacement",), holdout=copies[1:], step=0.04
     )
