@@ -188,7 +188,7 @@ CASES: dict[str, tuple[str, dict[str, str], str]] = {
     "control unknown": (
         DEAD,
         {'control = "current"': 'control = "amps"'},
-        "rig.control: 'amps' is not known: it is one of current, voltage, power, duty",
+        "rig.control: 'amps' is not known: it is one of current, voltage, power, duty, temperature",
     ),
     "interpolation unknown": (
         DEAD,

@@ -232,7 +232,8 @@ TABLE = [
         "mapped_with_wrong_unit",
         "time [s],Load\n0,1\n1,2\n",
         {"mapping": {"force": ChannelMap("Load", "kg")}},
-        "wire.csv: column 'Load': the unit 'kg' does not fit: a unit that converts to N is expected, as in '9.81 N'",
+        "wire.csv: column 'Load': the unit 'kg' does not fit (did you mean 'kgf'?): a unit that converts to N is "
+        "expected, as in '9.81 N'",
     ),
     (
         "mapped_to_unknown_channel",
