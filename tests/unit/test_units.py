@@ -217,6 +217,7 @@ def test_channels_are_known_with_and_without_a_number():
         "duty": "1",
         "temperature": "degC",
         "ambient": "degC",
+        "fan": "1",
     }
     expected |= {
         "displacement": "m",

@@ -112,7 +112,6 @@ def test_the_command_saves_what_python_returns(command, monkeypatch, tmp_path):
                 "holdout": Path("c.csv"),
                 "start": Path("fit.toml"),
                 "seed": 3,
-                "drop_bad_rows": False,
             },
         ),
         "tune": ((Path("rig.toml"), Path("controller.toml")), {"seed": 3}),

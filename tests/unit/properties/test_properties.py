@@ -940,7 +940,7 @@ def test_several_recordings_are_analysed_together():
     [
         ("temperature [degC];strain [%]\n1;2\n", "delimiter", 'give --delimiter ";"'),
         ("temperature [degC],warm\n1,2\n", "unknown-column", "rename it, or name the columns by --columns"),
-        ("temperature [degC],strain\n1,x\n", "bad-row", "correct it, or remove its row"),
+        ("temperature [degC],strain\n1,x\n", "bad-first-row", "give --units-row if the row has units, else correct it"),
         ("temperature [degC]\n1\n2\n", "channel-missing", "add a column 'strain [1]' or name the columns by --columns"),
     ],
 )
