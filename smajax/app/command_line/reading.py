@@ -24,7 +24,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 # What is done with bad rows; an enumeration, since Typer lists its values. By function, as str has a method ``split``.
-OnBadRows = StrEnum("OnBadRows", ["refuse", "drop", "split"])
+_OnBadRows: type[StrEnum] = StrEnum("_OnBadRows", ["refuse", "drop", "split"])
 
 
 def _option(*names: str, **settings: Any) -> Any:
@@ -77,7 +77,7 @@ _OPTIONS: dict[str, Any] = {
         _option("--sheet", metavar="NAME", help="Sheet of a workbook, or 'all'; may be repeated."),
     ],
     "on_bad_rows": Annotated[
-        OnBadRows | None,
+        _OnBadRows | None,
         _option("--on-bad-rows", help="What is done with rows that cannot be read, or whose time does not increase."),
     ],
     "drop_bad_rows": Annotated[

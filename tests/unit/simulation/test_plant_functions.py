@@ -167,8 +167,9 @@ def test_a_missing_channel_is_named_with_the_cure(plant, recording):
 def test_what_does_not_fit_is_named(plant, inputs):
     signal = jnp.asarray([1.5])
     state = init(plant, signal)
-    with pytest.raises(InputError, match=r"signal has shape \(2,\): give one value for each of voltage"):
-        step(plant, state, jnp.ones(2), DT)
+    # One value for the voltage, and at most two more for the surroundings.
+    with pytest.raises(InputError, match=r"signal has shape \(4,\): give one value for each of voltage"):
+        step(plant, state, jnp.ones(4), DT)
     with pytest.raises(InputError, match="signal is of float32"):
         step(plant, state, signal.astype(jnp.float32), DT)
     with pytest.raises(InputError, match=r"inputs\.before is of float32"):
