@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from smajax.errors import InputError
 from smajax.files.toml import STRICT, show, validate
 from smajax.files.validators import one_of
-from smajax.recordings.read_options import MAX_SKIPPED_ROWS, ON_BAD_ROWS, ReadOptions
+from smajax.recordings.read_options import MAX_SKIPPED_ROWS, ON_BAD_ROWS, TOPIC_INTERPOLATIONS, ReadOptions
 
 # Options that stood in [channels] before there was a section of their own; they are still read there.
 OLD_KEYS = ("skip_rows", "delimiter", "decimal", "sheet")
@@ -27,7 +27,11 @@ class RecordingSection(BaseModel):
     decimal: Annotated[str, one_of([".", ","])] = "."
     time_format: str | None = Field(None, min_length=1, examples=['"%d.%m.%Y %H:%M:%S"'])
     sample_period: str | None = Field(None, examples=['"20 ms"'])
+    date_column: str | None = Field(None, min_length=1, examples=['"Date"'])
     sheet: Any = Field(None, examples=['"Sheet1"'])
+    variable: str | None = Field(None, min_length=1, examples=['"data"'])
+    clock_topic: str | None = Field(None, min_length=1, examples=['"/load_cell"'])
+    topic_interpolation: Annotated[str, one_of(TOPIC_INTERPOLATIONS)] = "refuse"
     on_bad_rows: Annotated[str, one_of(ON_BAD_ROWS)] = "refuse"
 
 

@@ -43,7 +43,8 @@ def read_train_and_holdout(
     in_memory = sum(not isinstance(source, Path | Recording) for source in sources)
     recordings: list[tuple[Recording, str]] = []
     for k, (source, name) in enumerate(zip(sources, names, strict=True)):
-        given_name = name if isinstance(source, Path) or in_memory > 1 else None
+        renamed = isinstance(source, Recording) and name != source.name
+        given_name = name if isinstance(source, Path) or in_memory > 1 or renamed else None
         parts = rig.read_all(source, name=given_name, drop_bad_rows=drop_bad_rows)
         if len(parts) == 1:
             parts = [dataclasses.replace(parts[0], name=name)]

@@ -101,6 +101,7 @@ def assign_columns(
     mapping: Mapping[str, ChannelMap],
     ignore: Sequence[str],
     stamps: Collection[int] = (),
+    skipped: Collection[int] = (),
 ) -> list[FileColumn]:
     """Return the columns that are channels, in the order of the file.
 
@@ -110,6 +111,7 @@ def assign_columns(
         mapping: Column and unit by channel, as in the rig file.
         ignore: Headers (or names without unit) of columns that are not channels.
         stamps: Numbers of the columns of time stamps, whose unit is s.
+        skipped: Numbers of columns that are left out.
 
     Raises:
         InputError: If a header is neither a channel nor mapped nor ignored, a unit is not valid, or a channel has two
@@ -121,8 +123,9 @@ def assign_columns(
             raise InputError(f"{path}: {problem}: choose one of {', '.join(CHANNELS)}")
     columns: list[FileColumn] = []
     for index, header in enumerate(headers):
-        match = _HEADER.fullmatch(header)
-        name, unit = (match["name"], match["unit"]) if match else (header, None)
+        if index in skipped:
+            continue
+        name, unit = name_and_unit(header)
         sources = {channel: source for channel, source in mapping.items() if source.column in (header, name)}
         if header in ignore or name in ignore:
             if sources:
@@ -147,6 +150,16 @@ def assign_columns(
     if not columns:
         raise InputError(f"{path}: every column is ignored: keep at least one of {', '.join(headers)}")
     return columns
+
+
+def name_and_unit(header: str) -> tuple[str, str | None]:
+    """Return the name and the unit in a header ``name [unit]``.
+
+    Args:
+        header: The header; its unit is ``None`` if it has none.
+    """
+    match = _HEADER.fullmatch(header)
+    return (match["name"], match["unit"]) if match else (header, None)
 
 
 def require_channels(

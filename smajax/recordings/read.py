@@ -26,11 +26,12 @@ from smajax.recordings.column_mapping import (
     assign_columns,
     require_channels,
 )
+from smajax.recordings.column_selection import select_columns
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers import Table, open_tables
 from smajax.recordings.readers.memory import open_memory_table
 from smajax.recordings.recording import Floats, Recording
-from smajax.recordings.recording_checks import check_recording
+from smajax.recordings.recording_checks import check_recording, parts_without_bad_rows
 from smajax.recordings.sources import DEFAULT_NAME, RecordingSource
 from smajax.recordings.value_checks import check_values
 from smajax.units import as_text, conversion, to_si
@@ -127,36 +128,40 @@ def read_recordings(
     names = [*required, *observed, *(["time"] if needs_time else [])]
     request = _Request(mapping or {}, ignore, names, observed, options)
     if isinstance(source, Recording):
-        return [_check_recording(source, name, headers, request)]
+        return _check_recording(source, name, headers, request)
     if is_file:
         path = Path(source)
-        tables = [(table, path, _with_label(name or path.name, table.label)) for table in open_tables(path, options)]
+        tables = [(table, path, _with_label(name or path.name, table)) for table in open_tables(path, options)]
     else:
-        table = open_memory_table(source, name, headers, "time" in request.mapping)
+        table = open_memory_table(source, name, headers, "time" in request.mapping, options.time_format)
         tables = [(table, table.origin, name or DEFAULT_NAME)]
     return [recording for table, origin, title in tables for recording in _read_table(table, origin, title, request)]
 
 
-def _with_label(name: str, label: str) -> str:
-    return f"{name} sheet '{label}'" if label else name
+def _with_label(name: str, table: Table) -> str:
+    return f"{name} {table.label_kind} '{table.label}'" if table.label else name
 
 
 def _check_recording(
     source: Recording, name: str | None, headers: Sequence[str] | None, request: _Request
-) -> Recording:
-    """Return a recording that is already read, if it has the channels."""
+) -> list[Recording]:
+    """Return a recording that is already read, or its parts, if it has the channels."""
     if headers is not None:
         raise InputError(f"{source.name}: a Recording has channels with names already: leave out headers")
     recording = source if name is None else dataclasses.replace(source, name=name)
-    if request.options.on_bad_rows == "drop":
-        recording = _without_bad_rows(recording, [n for n in request.names if n not in request.observed])
-    return check_recording(recording, request.names, request.observed, request.mapping)
+    parts = [recording]
+    if request.options.on_bad_rows != "refuse":
+        parts = parts_without_bad_rows(
+            recording, [n for n in request.names if n not in request.observed], request.options.on_bad_rows
+        )
+    return [check_recording(part, request.names, request.observed, request.mapping) for part in parts]
 
 
 def _read_table(table: Table, origin: Path | str, name: str, request: _Request) -> list[Recording]:
     """Return the columns of a table as recordings, with all checks of their values."""
-    origin = f"{origin}: sheet '{table.label}'" if table.label else origin
-    columns = assign_columns(origin, table.headers, request.mapping, request.ignore, table.stamps)
+    origin = f"{origin}: {table.label_kind} '{table.label}'" if table.label else origin
+    skipped, selection_notes = select_columns(origin, table, request.mapping, request.ignore, request.options)
+    columns = assign_columns(origin, table.headers, request.mapping, request.ignore, table.stamps, skipped)
     require_channels(origin, columns, request.names, request.mapping)
     has_time_column = any(column.name == "time" for column in columns)
     period = request.options.sample_period
@@ -165,7 +170,7 @@ def _read_table(table: Table, origin: Path | str, name: str, request: _Request) 
         raise InputError(f"{origin}: there is a time column, and sample_period = {as_text(period, 's')}: {cure}")
     table.stamps = {c.index: table.stamps[c.index] for c in columns if c.name == "time" and c.index in table.stamps}
     values, notes = _load(origin, table, columns, request)
-    notes += tuple(column.note for column in columns if column.note)
+    notes += (*selection_notes, *(column.note for column in columns if column.note))
     parts: list[tuple[NDArray[np.intp] | None, tuple[str, ...]]] = [(None, ())]
     if request.options.on_bad_rows == "drop":
         parts = [good_rows(origin, values, table.first_row)]
@@ -250,15 +255,3 @@ def _convert_to_si(origin: Path | str, columns: Sequence[FileColumn], values: di
         if not np.isfinite(values[column.name]).all():
             problem = f"numbers too large for {canonical}"
             raise InputError(f"{origin}: column '{column.header}': {problem}: correct the unit")
-
-
-def _without_bad_rows(recording: Recording, names: Sequence[str]) -> Recording:
-    """Return a recording without the rows in which a channel of ``names`` is not finite or time does not increase."""
-    values = {n: recording.channels[n] for n in names if n in recording.channels}
-    values |= {"time": recording.time} if recording.has_clock else {}
-    rows, notes = good_rows(recording.name, values, first_row=0) if values else (None, ())
-    if rows is None:
-        return recording
-    channels = {n: column[rows] for n, column in recording.channels.items()}
-    time = recording.time[rows] if recording.has_clock else np.arange(len(rows), dtype=float)
-    return dataclasses.replace(recording, time=time, channels=channels, notes=(*recording.notes, *notes))

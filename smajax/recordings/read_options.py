@@ -7,7 +7,7 @@ arguments of ``read_recording``, ``Rig.read`` and ``thermal_cycle_properties``.
 import dataclasses
 import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 from smajax.errors import InputError, suggestion
@@ -15,6 +15,8 @@ from smajax.units import as_text, parse_quantity
 
 OnBadRows = Literal["refuse", "drop", "split"]
 ON_BAD_ROWS = ("refuse", "drop", "split")
+TopicInterpolation = Literal["refuse", "hold", "linear"]
+TOPIC_INTERPOLATIONS = ("refuse", "hold", "linear")
 # Name by which every sheet of a workbook is read.
 ALL_SHEETS = "all"
 # Rows before the header that may be skipped; chosen by trial.
@@ -40,7 +42,15 @@ class ReadOptions:
         time_format: Format of time stamps with the directives of ``datetime.strptime`` ("%d.%m.%Y %H:%M:%S"); by
             default dates of ISO 8601 and times of day are recognised.
         sample_period: Time between two rows of a file without a time column, in s.
-        sheet: Sheets of a workbook; ``("all",)`` for all of them, empty for the first.
+        date_column: Header of the column of dates where the time column has times of day; by default one named
+            "date" next to times of day.
+        sheet: Sheets of a workbook, or groups of a TDMS file; ``("all",)`` for all of them, empty for the first.
+        variable: Matrix or struct of a .mat file, or member of a .json file, that has the columns; a field of a struct
+            as in ``run.data``.
+        clock_topic: Topic of a ROS bag or MCAP file whose messages are the rows; needed where columns are of several
+            topics with different stamps.
+        topic_interpolation: What is done with other topics at the stamps of ``clock_topic``: ``refuse``, ``hold`` the
+            last message, or ``linear`` interpolation.
         on_bad_rows: What is done with rows that cannot be read or in which time does not increase: ``refuse`` the
             file, ``drop`` them, or ``split`` the recording there.
     """
@@ -54,7 +64,11 @@ class ReadOptions:
     decimal: str = "."
     time_format: str | None = None
     sample_period: float | None = None
+    date_column: str | None = None
     sheet: tuple[str, ...] = ()
+    variable: str | None = None
+    clock_topic: str | None = None
+    topic_interpolation: TopicInterpolation = "refuse"
     on_bad_rows: OnBadRows = "refuse"
 
     def __post_init__(self) -> None:
@@ -67,10 +81,8 @@ class ReadOptions:
             object.__setattr__(self, "sample_period", _period(self.sample_period))
         self._check_layout()
         self._check_clock()
-        if self.on_bad_rows not in ON_BAD_ROWS:
-            choices = ", ".join(f'"{word}"' for word in ON_BAD_ROWS)
-            hint = suggestion(str(self.on_bad_rows), ON_BAD_ROWS)
-            raise InputError(f'on_bad_rows = "{self.on_bad_rows}" is not known{hint}: it is one of {choices}')
+        _check_choice("on_bad_rows", self.on_bad_rows, ON_BAD_ROWS)
+        _check_choice("topic_interpolation", self.topic_interpolation, TOPIC_INTERPOLATIONS)
 
     def replace(self, **changes: Any) -> "ReadOptions":
         """Return the options with some changed.
@@ -136,6 +148,12 @@ class ReadOptions:
             raise InputError(f'time_format = "{self.time_format}" is not a format: {cure}')
         if period is not None:
             raise InputError("time_format is for a time column and sample_period for none: keep one of the two")
+
+
+def _check_choice(name: str, value: str, words: Sequence[str]) -> None:
+    if value not in words:
+        choices = ", ".join(f'"{word}"' for word in words)
+        raise InputError(f'{name} = "{value}" is not known{suggestion(str(value), words)}: it is one of {choices}')
 
 
 def check_delimiter(options: ReadOptions, path: Any) -> None:

@@ -2,11 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
 from smajax.channels import channel_unit
 from smajax.errors import InputError
+from smajax.recordings.bad_rows import good_rows, split_rows
 from smajax.recordings.column_mapping import ChannelMap, FileColumn, require_channels
 from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.readers.memory import MemoryTable, content_sha256
@@ -55,3 +57,36 @@ def check_recording(
         return recording
     headers = [column.header for column in columns.values()]
     return dataclasses.replace(recording, sha256=content_sha256(headers, list(values.values())))
+
+
+def parts_without_bad_rows(
+    recording: Recording, names: Sequence[str], on_bad_rows: Literal["drop", "split"]
+) -> list[Recording]:
+    """Return a recording without the rows in which a channel is not finite or time does not increase.
+
+    Args:
+        recording: The recording.
+        names: Channels that have to be finite.
+        on_bad_rows: Whether the other rows are dropped, or the recording is split there.
+
+    Raises:
+        InputError: If most rows are to be dropped, or no part has two rows.
+    """
+    values = {n: recording.channels[n] for n in names if n in recording.channels}
+    values |= {"time": recording.time} if recording.has_clock else {}
+    if not values:
+        return [recording]
+    if on_bad_rows == "drop":
+        parts = [good_rows(recording.name, values, first_row=0)]
+    else:
+        parts = split_rows(recording.name, values, first_row=0)
+    result = []
+    for k, (rows, notes) in enumerate(parts, 1):
+        if rows is None:
+            return [recording]
+        name = recording.name if len(parts) == 1 else f"{recording.name} part {k}"
+        channels = {n: column[rows] for n, column in recording.channels.items()}
+        time = recording.time[rows] if recording.has_clock else np.arange(len(rows), dtype=float)
+        notes = (*recording.notes, *notes)
+        result.append(dataclasses.replace(recording, name=name, time=time, channels=channels, notes=notes))
+    return result

@@ -25,6 +25,8 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 # What is done with bad rows; an enumeration, since Typer lists its values. By function, as str has a method ``split``.
 _OnBadRows: type[StrEnum] = StrEnum("_OnBadRows", ["refuse", "drop", "split"])
+# What is done with topics of other stamps than the clock's.
+_TopicInterpolation: type[StrEnum] = StrEnum("_TopicInterpolation", ["refuse", "hold", "linear"])
 
 
 def _option(*names: str, **settings: Any) -> Any:
@@ -72,9 +74,27 @@ _OPTIONS: dict[str, Any] = {
         str | None,
         _option("--sample-period", metavar="TIME", help="Time between two rows without a time column: '20 ms'."),
     ],
+    "date_column": Annotated[
+        str | None,
+        _option("--date-column", metavar="HEADER", help="Column of dates next to a time column with times of day."),
+    ],
     "sheet": Annotated[
         list[str] | None,
-        _option("--sheet", metavar="NAME", help="Sheet of a workbook, or 'all'; may be repeated."),
+        _option("--sheet", metavar="NAME", help="Sheet of a workbook or group of TDMS, or 'all'; may be repeated."),
+    ],
+    "variable": Annotated[
+        str | None,
+        _option(
+            "--variable", metavar="NAME", help="Matrix or struct of a .mat, or member of a .json, with the columns."
+        ),
+    ],
+    "clock_topic": Annotated[
+        str | None,
+        _option("--clock-topic", metavar="TOPIC", help="Topic of a ROS bag or MCAP file whose messages are the rows."),
+    ],
+    "topic_interpolation": Annotated[
+        _TopicInterpolation | None,
+        _option("--topic-interpolation", help="What is done with other topics at the stamps of --clock-topic."),
     ],
     "on_bad_rows": Annotated[
         _OnBadRows | None,
@@ -134,8 +154,9 @@ def _changes(values: dict[str, Any]) -> dict[str, Any]:
     changes = {name: value for name, value in values.items() if value not in (None, [], "")}
     if changes.pop("drop_bad_rows"):
         changes["on_bad_rows"] = "drop"
-    if "on_bad_rows" in changes:
-        changes["on_bad_rows"] = str(changes["on_bad_rows"])
+    for name in ("on_bad_rows", "topic_interpolation"):
+        if name in changes:
+            changes[name] = str(changes[name])
     if "columns" in changes:
         changes["columns"] = tuple(name.strip() for name in changes["columns"].split(","))
     if "delimiter" in changes:

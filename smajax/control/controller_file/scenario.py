@@ -109,7 +109,13 @@ class _ReferenceReader:
         """
         if self.section.file is None:
             raise InputError('reference.file is missing: name the recording, as in file = "reference.csv"')
-        recording = read_recording(folder / self.section.file, required=(self.channel,), mapping=rig.channels.columns)
+        recording = read_recording(
+            folder / self.section.file,
+            required=(self.channel,),
+            mapping=rig.channels.columns,
+            ignore=rig.channels.ignore,
+            options=rig.recording,
+        )
         duration = float(recording.time[-1] - recording.time[0]) + self.period
         time = _sample_times(duration, self.period, "file")
         values = references.recorded(time, recording.time, recording.channels[self.channel])

@@ -80,7 +80,13 @@ def read_feedforward(data: Any, path: Path, rig: Rig, head: ControllerSection, u
     control = rig.plant.drive.control
     if rig.plant.mechanism.wires != 1 or section.range is not None:
         raise InputError("feedforward.recording is for a rig of one wire, and without a range: take one of them out")
-    loop = read_recording(path.parent / section.recording, required=(control, channel), mapping=rig.channels.columns)
+    loop = read_recording(
+        path.parent / section.recording,
+        required=(control, channel),
+        mapping=rig.channels.columns,
+        ignore=rig.channels.ignore,
+        options=rig.recording,
+    )
     series = Series(section.recording, loop.time, loop.channels[control], loop.channels[channel])
     return Feedforward(section.operators, measured=series)
 

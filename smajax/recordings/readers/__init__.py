@@ -1,4 +1,6 @@
-"""Readers of files as tables of numbers, by file name extension: CSV and text, MATLAB .mat, Parquet, Excel .xlsx.
+"""Readers of files as tables of numbers, by file name extension.
+
+CSV and text, JSON, MATLAB .mat, Parquet, Excel .xlsx, TDMS, ROS bags and MCAP.
 
 Each format has one module with a subclass of ``Table``; it is imported when a file of that format is opened.
 """
@@ -10,7 +12,10 @@ from smajax.recordings.paths import similar_name, unreadable
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table
 
-SUFFIXES = (".csv", ".txt", ".mat", ".parquet", ".xlsx")
+TEXT_SUFFIXES = (".csv", ".txt")
+JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
+TOPIC_SUFFIXES = (".mcap", ".bag", ".db3")
+SUFFIXES = (*TEXT_SUFFIXES, ".mat", ".parquet", ".xlsx", *JSON_SUFFIXES, ".tdms", *TOPIC_SUFFIXES)
 
 
 def open_tables(path: Path, options: ReadOptions) -> list[Table]:
@@ -26,7 +31,7 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
     suffix = path.suffix.lower()
     try:
         _refuse_other_than_file(path)
-        if suffix in (".csv", ".txt"):
+        if suffix in TEXT_SUFFIXES:
             from smajax.recordings.readers.csv import CsvTable
 
             return [CsvTable(path, options)]
@@ -34,18 +39,30 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
             from smajax.recordings.readers.xlsx import open_sheets
 
             return [*open_sheets(path, options)]
-        if options.columns is not None:
-            cure = "give the file headers like 'temperature [degC]'"
-            problem = "only columns of text files and workbooks can be named"
-            raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
+        if suffix in JSON_SUFFIXES:
+            from smajax.recordings.readers.json import JsonTable
+
+            return [JsonTable(path, options)]
         if suffix == ".mat":
             from smajax.recordings.readers.mat import MatTable
 
-            return [MatTable(path)]
+            return [MatTable(path, options)]
+        if options.columns is not None and suffix in SUFFIXES:
+            cure = "leave columns out, and map headers to channels under [channels] in the rig"
+            problem = f"columns cannot be named in files ending in {suffix}, which have headers"
+            raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
         if suffix == ".parquet":
             from smajax.recordings.readers.parquet import ParquetTable
 
-            return [ParquetTable(path)]
+            return [ParquetTable(path, options)]
+        if suffix == ".tdms":
+            from smajax.recordings.readers.tdms import open_groups
+
+            return [*open_groups(path, options)]
+        if suffix in TOPIC_SUFFIXES:
+            from smajax.recordings.readers.topics import TopicTable
+
+            return [TopicTable(path, options)]
     except OSError as error:
         raise unreadable(path, error) from None
     cure = f"save the recording as {', '.join(SUFFIXES)}"

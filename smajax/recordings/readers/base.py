@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,12 @@ class Table(abc.ABC):
         stamps: Readers of the columns of time stamps that were recognised, by the number of the column; the caller
             removes those that are not the time.
         label: Name of the sheet where there are several tables in a file, else empty.
+        label_kind: What the label names.
+        implied_time: Number of a column of times that is not one of the file, such as those of message stamps; it is
+            left out where another column is the time.
+        leaves_out_unknown: Whether columns that are no channels are left out, and named in the notes, in place of an
+            error; for files of a whole machine, such as a ROS bag.
+        first_cells: Cells of the first rows of data of a text file or sheet, in which dates are looked for.
     """
 
     drop_option = "--drop-bad-rows"
@@ -57,6 +64,10 @@ class Table(abc.ABC):
     notes: tuple[str, ...] = ()
     stamps: Mapping[int, StampColumn] = MappingProxyType({})
     label: str = ""
+    label_kind: str = "sheet"
+    implied_time: int | None = None
+    leaves_out_unknown = False
+    first_cells: Sequence[Sequence[Any]] = ()
 
     @abc.abstractmethod
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:

@@ -83,7 +83,8 @@ class CsvTable(Table):
         self.notes = result.notes
         self.first_row: int = self._header_row + result.rows
         self._data_start += sum(len(line) for line in lines[: result.rows])
-        self.stamps = find_stamps(cells[result.rows : result.rows + ROWS_WITH_STAMPS], options.time_format)
+        self.first_cells = cells[result.rows : result.rows + ROWS_WITH_STAMPS]
+        self.stamps = find_stamps(self.first_cells, options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers, which are read block by block."""
@@ -266,17 +267,18 @@ class CsvTable(Table):
             raise
         numbers = []
         for index in indices:
-            number = self._number(cells[index], index)
+            number = self._number(cells, index)
             if number is None and not lenient:
                 cell_place = f"{place}, column '{self.headers[index]}'"
-                raise number_error(cell_place, cells[index], self.decimal, first=row == self.first_row)
+                text = self.stamps[index].text_in_row(cells, index) if index in self.stamps else cells[index]
+                raise number_error(cell_place, text, self.decimal, first=row == self.first_row)
             numbers.append(np.nan if number is None else number)
         return numbers
 
-    def _number(self, text: str, index: int) -> float | None:
-        """Return the number in a cell, seconds for a time stamp, or ``None``."""
+    def _number(self, cells: Sequence[str], index: int) -> float | None:
+        """Return the number in a cell of a row, seconds for a time stamp, or ``None``."""
         stamps = self.stamps.get(index)
-        return parse_number(text, self.decimal) if stamps is None else stamps.seconds(text)
+        return parse_number(cells[index], self.decimal) if stamps is None else stamps.seconds_in_row(cells, index)
 
     def _ragged_error(self, place: str, cells: list[str]) -> InputError:
         if not any(cells):

@@ -1,60 +1,66 @@
-"""Reader of MATLAB .mat files (up to version 7.2) with one vector per channel, named like the channel.
+"""Reader of MATLAB .mat files: vectors named like the channels, the fields of a struct, or the columns of a matrix.
 
 The units are those in the rig file, or in a struct ``units`` of the file with one text per channel:
-``units.current = 'A'``.
+``units.current = 'A'``. The columns of a matrix are named by the option ``columns``; ``variable`` says which matrix or
+struct is read where there are several.
 """
 
-import mmap
-import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 
-from smajax.errors import InputError, first_line
+from smajax.errors import InputError, suggestion
+from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
+from smajax.recordings.readers.mat5 import Mat5Variables
+from smajax.recordings.readers.mat73 import Mat73Variables, is_version_73
+from smajax.recordings.readers.mat_variables import MatVariable, MatVariables, object_error
 
-# Types of the data elements of a version 5 file (MATLAB's "MAT-File Format").
-_MATRIX = 14
-_COMPRESSED = 15
-_ELEMENTS = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, _MATRIX, _COMPRESSED, 16, 17, 18}
-# Bytes of the header of such a file, which ends with its version and byte order.
-_HEADER_BYTES = 128
+_UNITS = "units"
 
 
 @final
 class MatTable(Table):
-    """Vectors of a MATLAB file; the first sample is row 1."""
+    """Vectors, or the columns of a matrix, of a MATLAB file; the first sample is row 1.
+
+    Args:
+        path: The file.
+        options: Options of reading.
+    """
 
     first_row = 1
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, options: ReadOptions):
         self.path = path
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            intact = _is_intact(data)
-        if not intact:
-            raise InputError(
-                f"{path}: the file is not readable as MATLAB data (it is damaged): save it again with '-v7'"
-            )
-        shapes = self._call_scipy("whosmat")
-        self._names = [name for name, _, _ in shapes if name != "units" and not name.startswith("__")]
-        self._rows = {name: int(np.prod(shape, dtype=float)) for name, shape, _ in shapes}
-        if not self._names:
-            raise InputError(
-                f"{path}: the file has no variables: save one vector per channel, such as time and current"
-            )
-        units = self._units() if any(name == "units" for name, _, _ in shapes) else {}
-        self.headers: tuple[str, ...] = tuple(
-            f"{name} [{units[name]}]" if name in units else name for name in self._names
-        )
+        self._file: MatVariables = Mat73Variables(path) if is_version_73(path) else Mat5Variables(path)
+        self._matrix = ""
+        variables = self._without_units(self._file.children())
+        if not variables:
+            cure = "save one vector per channel, such as time and current"
+            raise InputError(f"{path}: the file has no variables: {cure}")
+        name, variable = self._chosen(variables, options)
+        if variable is not None and variable.kind == "numbers":
+            self._name_matrix(name, variable, options)
+            return
+        if options.columns is not None:
+            cure = 'leave columns out, or name a matrix, as in variable = "data"'
+            raise InputError(f"{path}: columns are those of a matrix, and there is none of its own: {cure}")
+        if name:
+            variables = self._without_units(self._file.children(name))
+        prefix = f"{name}." if name else ""
+        self._vectors = {f"{prefix}{key}": vector for key, vector in variables.items()}
+        units = self._units(prefix)
+        self.headers: tuple[str, ...] = tuple(f"{key} [{units[key]}]" if key in units else key for key in variables)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
-        """Return variables as columns."""
-        names = [self._names[index] for index in indices]
-        refuse_if_too_large(self.path, max((self._rows[name] for name in names), default=0), len(names))
-        variables = self._call_scipy("loadmat", variable_names=names, squeeze_me=True)
-        columns = [self._column(name, np.asarray(variables[name]), lenient) for name in names]
+        """Return vectors, or columns of the matrix."""
+        if self._matrix:
+            return self._load_matrix(indices, lenient)
+        names = [list(self._vectors)[index] for index in indices]
+        refuse_if_too_large(self.path, max((self._vectors[name].size for name in names), default=0), len(names))
+        columns = [self._column(name, lenient) for name in names]
         for name, column in zip(names, columns, strict=True):
             if len(column) != len(columns[0]):
                 raise InputError(
@@ -67,68 +73,126 @@ class MatTable(Table):
         """Return the SHA-256 of the file in hexadecimal."""
         return file_sha256(self.path)
 
-    def _call_scipy(self, function: str, **options: Any) -> Any:
-        import scipy.io
+    def _without_units(self, variables: dict[str, MatVariable]) -> dict[str, MatVariable]:
+        return {name: v for name, v in variables.items() if name != _UNITS and not name.startswith("__")}
 
-        try:
-            return getattr(scipy.io, function)(str(self.path), **options)
-        except NotImplementedError:
-            raise InputError(f"{self.path}: the file is of MATLAB version 7.3: save it with save(..., '-v7')") from None
-        except Exception as error:  # a damaged file raises one of a dozen types, from struct.error to zlib.error
-            problem = f"the file is not readable as MATLAB data ({first_line(error)})"
-            raise InputError(f"{self.path}: {problem}: save it again with '-v7'") from None
+    def _chosen(self, variables: dict[str, MatVariable], options: ReadOptions) -> tuple[str, MatVariable | None]:
+        """Return the matrix or struct whose columns or fields are read; none for the vectors of the file."""
+        if options.variable is not None:
+            return options.variable, self._by_name(variables, options.variable)
+        matrices = [name for name, v in variables.items() if v.is_matrix]
+        structs = [name for name, v in variables.items() if v.kind == "struct"]
+        numbers = [name for name, v in variables.items() if v.kind == "numbers"]
+        objects = [name for name, v in variables.items() if v.kind == "object"]
+        choice = ""
+        if len(variables) == 1 and (matrices or structs):
+            choice = next(iter(variables))
+        elif options.columns is not None and len(matrices) == 1:
+            choice = matrices[0]
+        elif options.columns is not None and matrices:
+            cure = f'name one of them, as in variable = "{matrices[0]}" under [recording] in the rig'
+            raise InputError(f"{self.path}: columns are named, and the matrices are {', '.join(matrices)}: {cure}")
+        elif not numbers and structs:
+            cure = f'name one of them, as in variable = "{structs[0]}" under [recording] in the rig'
+            raise InputError(f"{self.path}: there is no vector, and the structs are {', '.join(structs)}: {cure}")
+        elif not numbers and objects:
+            raise object_error(f"{self.path}: variable '{objects[0]}'", variables[objects[0]])
+        if choice:
+            self.notes = (f"the {'columns' if matrices else 'fields'} of variable '{choice}' were read",)
+        return choice, variables.get(choice)
 
-    def _units(self) -> dict[str, str]:
-        texts = np.asarray(self._call_scipy("loadmat", variable_names=["units"], squeeze_me=True)["units"])
-        names = texts.dtype.names
-        if names is None or texts.shape != ():
-            problem = "variable 'units' is not a struct with one text per channel"
-            raise InputError(f"{self.path}: {problem}: set units.time = 's' and so on")
-        return {name: str(texts[name]).strip() for name in names}
+    def _by_name(self, variables: dict[str, MatVariable], name: str) -> MatVariable:
+        """Return the variable of the option ``variable``, which may be a field of a struct."""
+        path: list[str] = []
+        variable = MatVariable("struct", (1, 1), "struct")
+        for part in name.split("."):
+            if path:
+                variables = self._file.children(".".join(path)) if variable.kind == "struct" else {}
+            if part not in variables:
+                where = f"variable '{'.'.join(path)}' has no field" if path else "there is no variable"
+                has = f"it has {', '.join(variables)}" if variables else "it is no struct"
+                hint = suggestion(part, variables)
+                raise InputError(f"{self.path}: {where} '{part}'{hint}: {has}, so correct variable")
+            variable = variables[part]
+            path.append(part)
+        if variable.kind == "object":
+            raise object_error(f"{self.path}: variable '{name}'", variable)
+        if variable.kind not in ("numbers", "struct"):
+            problem = f"its values are not real numbers (type {variable.class_name})"
+            raise InputError(f"{self.path}: variable '{name}': {problem}: name a matrix or a struct by variable")
+        if variable.kind == "struct" and variable.size != 1:
+            problem = f"it is an array of {variable.size} structs"
+            raise InputError(f"{self.path}: variable '{name}': {problem}: save one vector per field")
+        return variable
 
-    def _column(self, name: str, values: np.ndarray, lenient: bool) -> np.ndarray:
+    def _name_matrix(self, name: str, variable: MatVariable, options: ReadOptions) -> None:
+        """Name the columns of a matrix, or its rows where only their number is that of the names."""
         place = f"{self.path}: variable '{name}'"
-        if values.dtype.kind not in "iuf":
-            problem = f"the values are not real numbers (type {values.dtype.name})"
+        shape = variable.shape if len(variable.shape) != 1 else (variable.size, 1)
+        if len(shape) != 2:
+            problem = f"it is an array with {len(shape)} dimensions"
+            raise InputError(f"{place}: {problem}: save a matrix with one column per channel")
+        size = f"the matrix has {shape[0]} rows and {shape[1]} columns"
+        if options.columns is None:
+            cure = 'set columns = ["time [s]", "current [A]", ...] under [recording] in the rig'
+            raise InputError(f"{place}: {size} without names: {cure}", code="columns-missing", cure=cure)
+        count = len(options.columns)
+        if count not in shape:
+            cure = "name every column, with - for one to leave out"
+            message = f"{place}: {size}, and {count} columns are named: {cure}"
+            raise InputError(message, code="columns-count", cure=cure)
+        self._matrix, self._shape = name, shape
+        self._by_rows = shape[1] != count
+        if self._by_rows:
+            self.notes += (f"the rows of variable '{name}' were read as columns, since it has {shape[0]} of them",)
+        self.headers = options.columns
+
+    def _load_matrix(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
+        count = self._shape[1] if self._by_rows else self._shape[0]
+        refuse_if_too_large(self.path, count, len(self.headers))
+        values = self._file.values(self._matrix).reshape(self._shape)
+        columns = [np.array(values[index] if self._by_rows else values[:, index], float) for index in indices]
+        return [self._finite(c, self.headers[i], lenient) for i, c in zip(indices, columns, strict=True)]
+
+    def _units(self, prefix: str) -> dict[str, str]:
+        """Return the units by channel in the struct ``units`` next to the vectors, or in that of the file."""
+        names = [
+            n
+            for n in (f"{prefix}{_UNITS}", _UNITS)
+            if n.rpartition(".")[2] in self._file.children(n.rpartition(".")[0])
+        ]
+        if not names:
+            return {}
+        fields = self._file.children(names[0].rpartition(".")[0])
+        is_struct = fields[_UNITS].kind == "struct" and fields[_UNITS].size == 1
+        texts = self._file.children(names[0]) if is_struct else {}
+        if not is_struct or any(unit.kind != "text" for unit in texts.values()):
+            problem = f"variable '{names[0]}' is not a struct with one text per channel"
+            raise InputError(f"{self.path}: {problem}: set units.time = 's' and so on")
+        return {name: self._file.text(f"{names[0]}.{name}") for name in texts}
+
+    def _column(self, name: str, lenient: bool) -> np.ndarray:
+        place, variable = f"{self.path}: variable '{name}'", self._vectors[name]
+        if variable.kind == "object":
+            raise object_error(place, variable)
+        if variable.kind == "struct":
+            cure = f'name it by variable = "{name}" under [recording] in the rig, or save its fields as vectors'
+            raise InputError(f"{place}: this is a struct and not a vector: {cure}")
+        if variable.kind != "numbers":
+            problem = f"the values are not real numbers (type {variable.class_name})"
             raise InputError(f"{place}: {problem}: save a vector of doubles")
-        if values.ndim > 1:
-            problem = f"the array of shape {values.shape} is not a vector"
-            raise InputError(f"{place}: {problem}: save one vector per channel")
-        numbers = np.array(values, float, ndmin=1)
-        if not numbers.size:
+        if not variable.size:
             raise InputError(f"{place}: the vector is empty: record at least two samples")
+        if not variable.is_vector:
+            problem = f"the array of shape {variable.shape} is not a vector"
+            cure = f'save one vector per channel, or set variable = "{name}" and columns = ["time [s]", ...]'
+            raise InputError(f"{place}: {problem}: {cure} under [recording] in the rig")
+        return self._finite(np.array(self._file.values(name), float).ravel(), name, lenient)
+
+    def _finite(self, numbers: np.ndarray, name: str, lenient: bool) -> np.ndarray:
+        """Return numbers, with NaN for those that are not finite, or refuse these."""
         bad = np.flatnonzero(~np.isfinite(numbers))
         if bad.size and not lenient:
             raise row_error(f"{self.path}: row {bad[0] + 1}, column '{name}': the value is not finite")
         numbers[bad] = np.nan
         return numbers
-
-
-def _is_intact(data: bytes | mmap.mmap) -> bool:
-    """Return whether the data elements of a version 5 file have valid types and nest; scipy's reader may crash if not.
-
-    A data element has 4 + 4 bytes for type and length, or 2 + 2 for a small one, and is padded to a multiple of 8 bytes
-    (MATLAB's "MAT-File Format", level 5).
-    """
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    if order is None or data[124:126] not in (b"\0\1", b"\1\0"):
-        return True  # another version: scipy refuses it, or reads it in another way
-    spans = [(_HEADER_BYTES, len(data))]
-    while spans:
-        at, end = spans.pop()
-        while at < end:
-            if at + 8 > end:
-                return False
-            kind, length = struct.unpack_from(order + "II", data, at)
-            if kind >> 16:
-                kind, length, begin = kind & 0xFFFF, kind >> 16, at + 4
-                following = at + 8
-            else:
-                begin = at + 8
-                following = begin + length + (-length % 8 if kind != _COMPRESSED else 0)
-            if kind not in _ELEMENTS or begin + length > end or (begin == at + 4 and length > 4):
-                return False
-            if kind == _MATRIX:
-                spans.append((begin, begin + length))
-            at = following
-    return True

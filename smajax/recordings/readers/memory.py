@@ -3,7 +3,9 @@
 A DataFrame is recognised by its attributes, so that pandas is never imported here. Rows count from 0, as in Python.
 """
 
+import datetime
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, cast, final
 
@@ -11,6 +13,7 @@ import numpy as np
 
 from smajax.errors import InputError, first_line, shortened
 from smajax.recordings.readers.base import Table, refuse_if_too_large, repair_hint
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps, seconds_of_times
 from smajax.recordings.traced_values import is_tracing_error, traced_values_error
 
 # Header of the times that an index of dates or durations has.
@@ -26,12 +29,13 @@ class MemoryTable(Table):
     Args:
         origin: Name of the object in messages, such as "the DataFrame".
         columns: Pairs of a header and its values, which are converted to arrays when they are loaded.
+        time_format: Format of time stamps that are texts.
     """
 
     first_row = 0
     drop_option = "drop_bad_rows=True"
 
-    def __init__(self, origin: str, columns: Sequence[tuple[Any, Any]]):
+    def __init__(self, origin: str, columns: Sequence[tuple[Any, Any]], time_format: str | None = None):
         self.origin = origin
         if not columns:
             cure = "give it columns such as 'time [s]' and 'current [A]'"
@@ -39,6 +43,7 @@ class MemoryTable(Table):
         self.headers: tuple[str, ...] = tuple(str(header).strip() for header, _ in columns)
         self._values = [values for _, values in columns]
         self._digest = ""
+        self.stamps = {k: stamp for k, values in enumerate(self._values) if (stamp := _stamps(values, time_format))}
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return copies of the columns, so that later changes of the object do not change the recording."""
@@ -54,6 +59,7 @@ class MemoryTable(Table):
                 raise InputError(f"{self.origin}: {lengths}: give every column one value per row")
         if not len(columns[0]):
             raise InputError(f"{self.origin}: there are columns and no rows: record at least two rows of data")
+        columns = self.unwrap_stamps(indices, columns)
         self._digest = content_sha256(headers, columns)
         return columns
 
@@ -68,6 +74,8 @@ class MemoryTable(Table):
         if values.ndim != 1:
             shape = "a single value" if values.ndim == 0 else f"an array of shape {values.shape}"
             raise InputError(f"{place}: this is {shape} and not a vector: give one value per row")
+        if index in self.stamps and len(values):
+            values = self._seconds(index, values, lenient)
         if values.dtype.kind not in "iuf" and len(values):
             raise InputError(self._type_error(header, values))
         numbers = np.array(values, float)
@@ -78,6 +86,23 @@ class MemoryTable(Table):
             raise InputError(f"{self.origin}: {cell}: {problem}: {repair_hint(self.drop_option)}")
         numbers[bad] = np.nan
         return numbers
+
+    def _seconds(self, index: int, values: np.ndarray, lenient: bool) -> np.ndarray:
+        """Return time stamps as seconds since the first; NaN where there is none."""
+        kind = getattr(getattr(self._values[index], "dtype", None), "kind", "")
+        if values.dtype.kind == "O" and kind == "M":  # dates of pandas with a time zone
+            values = np.asarray(self._values[index], dtype="datetime64[ns]")
+        if values.dtype.kind in "mM":
+            return seconds_of_times(values)
+        stamps = self.stamps[index]
+        cells = [str(cell).strip() if isinstance(cell, str | np.str_) else cell for cell in values.tolist()]
+        seconds = [stamps.seconds(cell) for cell in cells]
+        if None in seconds and not lenient:
+            row = seconds.index(None)
+            cell = f"row {row}, column '{self.headers[index]}'"
+            problem = f"{shortened(repr(cells[row]))} is not a time stamp like the first"
+            raise InputError(f"{self.origin}: {cell}: {problem}: {repair_hint(self.drop_option)}")
+        return np.array([np.nan if second is None else second for second in seconds])
 
     def _type_error(self, header: str, values: np.ndarray) -> str:
         """Return the sentence for a column that does not hold real numbers, with its first such value if it has one."""
@@ -94,7 +119,11 @@ class MemoryTable(Table):
 
 
 def open_memory_table(
-    source: Any, name: str | None = None, headers: Sequence[str] | None = None, has_time: bool = False
+    source: Any,
+    name: str | None = None,
+    headers: Sequence[str] | None = None,
+    has_time: bool = False,
+    time_format: str | None = None,
 ) -> MemoryTable:
     """Return an object in memory as a table.
 
@@ -105,12 +134,30 @@ def open_memory_table(
         name: Name of the recording, for messages.
         headers: Headers of the columns of an array.
         has_time: Whether a column of another header is the time, so that the index is not needed.
+        time_format: Format of time stamps that are texts.
 
     Raises:
         InputError: If the object is not a table.
     """
     kind, columns = _columns(source, headers, has_time)
-    return MemoryTable(f"the {kind}" if name is None else f"{name} ({kind})", columns)
+    return MemoryTable(f"the {kind}" if name is None else f"{name} ({kind})", columns, time_format)
+
+
+def _stamps(values: Any, time_format: str | None) -> StampColumn | None:
+    """Return the reader of a column of dates, durations or time stamps; ``None`` for another column."""
+    kind = getattr(getattr(values, "dtype", None), "kind", "")
+    if kind and kind in "mM":
+        return StampColumn(None, datetime.date.min)
+    if kind and kind in "iufbc":
+        return None
+    try:
+        cells = list(itertools.islice(values, ROWS_WITH_STAMPS))
+    except TypeError:  # a single value
+        return None
+    cells = [cell.as_py() if hasattr(cell, "as_py") else cell for cell in cells]
+    if any(isinstance(cell, np.datetime64 | np.timedelta64 | datetime.timedelta) for cell in cells):
+        return StampColumn(None, datetime.date.min)
+    return find_stamps([[str(c).strip() if isinstance(c, str | np.str_) else c] for c in cells], time_format).get(0)
 
 
 def content_sha256(headers: Sequence[str], columns: Sequence[np.ndarray]) -> str:

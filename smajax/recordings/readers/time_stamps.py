@@ -29,11 +29,15 @@ class StampColumn:
     Args:
         time_format: Format with the directives of ``strptime``; ``None`` for ISO 8601 and times of day.
         first: Text of the first stamp, from which the seconds are counted.
+        date_index: Number of the column that has the dates, where the cells are times of day; ``first`` is then the
+            date of ``join``.
     """
 
-    def __init__(self, time_format: str | None, first: Any):
+    def __init__(self, time_format: str | None, first: Any, date_index: int | None = None):
         self._parse: Callable[[Any], datetime.datetime | None] = _parser(time_format)
-        self.is_time_of_day: bool = (
+        self._time_format = time_format
+        self._date_index = date_index
+        self.is_time_of_day: bool = date_index is None and (
             isinstance(first, datetime.time)
             or (isinstance(first, str) and time_format is None and bool(_TIME_OF_DAY.fullmatch(first)))
             or (time_format is not None and not any(word in time_format for word in DATE_DIRECTIVES))
@@ -53,6 +57,30 @@ class StampColumn:
         if stamp is None or (stamp.tzinfo is None) != (self._start.tzinfo is None):
             return None
         return (stamp - self._start).total_seconds()
+
+    def seconds_in_row(self, cells: Sequence[Any], index: int) -> float | None:
+        """Return the seconds since the first stamp, with the date of another column where there is one.
+
+        Args:
+            cells: Cells of the row.
+            index: Number of the column.
+        """
+        cell = cells[index] if index < len(cells) else None
+        if self._date_index is None:
+            return self.seconds(cell)
+        date = cells[self._date_index] if self._date_index < len(cells) else None
+        stamp = join(date, cell, self._time_format)
+        return None if stamp is None else self.seconds(stamp)
+
+    def text_in_row(self, cells: Sequence[Any], index: int) -> str:
+        """Return the text of a stamp for messages, with the date of another column where there is one.
+
+        Args:
+            cells: Cells of the row.
+            index: Number of the column.
+        """
+        indices = [index] if self._date_index is None else [self._date_index, index]
+        return " ".join(str(cells[k]) for k in indices if k < len(cells) and cells[k] is not None)
 
     def unwrapped(self, seconds: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return times of day that continue after midnight.
@@ -85,6 +113,37 @@ def find_stamps(rows: Sequence[Sequence[Any]], time_format: str | None) -> dict[
     return columns
 
 
+def join(date: Any, time: Any, time_format: str | None) -> datetime.datetime | None:
+    """Return the date and time of two cells, or ``None``.
+
+    Args:
+        date: Text of a date, or a date of a workbook.
+        time: Text of a time of day, or a time of a workbook.
+        time_format: Format of both texts with a space between; ``None`` for ISO 8601 and times of day.
+    """
+    if time_format is not None and isinstance(date, str) and isinstance(time, str):
+        return _parser(time_format)(f"{date} {time}")
+    parse = _parser(None)
+    day, time_of_day = parse(date), parse(time)
+    is_day = not (isinstance(date, datetime.time) or (isinstance(date, str) and _TIME_OF_DAY.fullmatch(date)))
+    if day is None or time_of_day is None or not is_day:
+        return None
+    return datetime.datetime.combine(day.date(), time_of_day.time())
+
+
+def seconds_of_times(times: NDArray[Any]) -> NDArray[np.float64]:
+    """Return dates as seconds since the first, and durations as seconds; NaN where there is none.
+
+    Args:
+        times: Array of ``datetime64`` or ``timedelta64``, shape ``(rows,)``.
+    """
+    valid = np.flatnonzero(~np.isnat(times))
+    if times.dtype.kind == "M" and valid.size:
+        times = times - times[valid[0]]
+    times = times.astype("timedelta64[ns]")
+    return np.where(np.isnat(times), np.nan, times / np.timedelta64(1, "s"))
+
+
 def is_like_stamp(text: str) -> bool:
     """Return whether a text is probably a time stamp, in whatever format.
 
@@ -100,6 +159,8 @@ def _parser(time_format: str | None) -> Callable[[Any], datetime.datetime | None
     def parse(cell: Any) -> datetime.datetime | None:
         if isinstance(cell, datetime.datetime):
             return cell
+        if isinstance(cell, datetime.date):
+            return datetime.datetime.combine(cell, datetime.time())
         if isinstance(cell, datetime.time):
             return datetime.datetime.combine(datetime.date.min, cell)
         if not isinstance(cell, str):

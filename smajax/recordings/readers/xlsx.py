@@ -13,8 +13,8 @@ from typing import Any, final
 
 import numpy as np
 
-from smajax.errors import InputError, first_line, suggestion
-from smajax.recordings.read_options import ALL_SHEETS, ReadOptions
+from smajax.errors import InputError, first_line
+from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import (
     MEMORY_LIMIT,
     Table,
@@ -24,6 +24,7 @@ from smajax.recordings.readers.base import (
     refuse_if_too_large,
 )
 from smajax.recordings.readers.header_rows import read_header_rows
+from smajax.recordings.readers.sheets import choose_sheets
 from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, find_stamps
 
 # Rows that are looked at for headers, units and time stamps, and for whether a sheet is blank.
@@ -42,20 +43,11 @@ def open_sheets(path: Path, options: ReadOptions) -> list["XlsxTable"]:
     """
     book = _open_book(path)
     filled = [sheet.title for sheet in book.worksheets if _has_rows(sheet)]
-    names = options.sheet
-    if names == (ALL_SHEETS,) and ALL_SHEETS not in book.sheetnames:
-        names = tuple(filled)
-    for name in names:
-        if name not in book.sheetnames:
-            hint = suggestion(name, book.sheetnames)
-            raise InputError(f"{path}: there is no sheet '{name}'{hint}: it has {', '.join(book.sheetnames)}")
-    names = names or (book.worksheets[0].title,)
-    others = [title for title in filled if title not in names]
-    left_out = f"sheet '{names[0]}' was read, and not {', '.join(others)}: name others, or all, by sheet"
+    names, notes = choose_sheets(path, options, book.sheetnames, filled, "sheet")
     tables = []
     for name in names:
         table = XlsxTable(path, options, book[name], several=len(names) > 1)
-        table.notes += (left_out,) if others and not options.sheet else ()
+        table.notes += notes
         tables.append(table)
     return tables
 
@@ -84,7 +76,8 @@ class XlsxTable(Table):
         self.headers: tuple[str, ...] = result.headers
         self.notes = result.notes
         self.first_row: int = number + result.rows
-        self.stamps = find_stamps(rows[result.rows : result.rows + ROWS_WITH_STAMPS], options.time_format)
+        self.first_cells = rows[result.rows : result.rows + ROWS_WITH_STAMPS]
+        self.stamps = find_stamps(self.first_cells, options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
@@ -134,13 +127,14 @@ class XlsxTable(Table):
 
     def _numbers(self, cells: Sequence[Any], row: int, indices: Sequence[int], lenient: bool) -> list[float]:
         numbers = []
+        stripped = [cell.strip() if isinstance(cell, str) else cell for cell in cells] if self.stamps else ()
         for index in indices:
             cell = cells[index] if index < len(cells) else None
             text = "" if cell is None else str(cell).strip()
             is_number = isinstance(cell, int | float) and not isinstance(cell, bool)
             stamps = self.stamps.get(index)
             if stamps is not None:
-                number = stamps.seconds(text if isinstance(cell, str) else cell)
+                number, text = stamps.seconds_in_row(stripped, index), stamps.text_in_row(stripped, index)
             else:
                 number = parse_number(repr(cell) if is_number else text, "." if is_number else self._decimal)
             if number is None and not lenient:

@@ -710,7 +710,7 @@ OTHERS = [
     (
         "wire.mat",
         raw(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(384)),
-        "wire.mat: the file is of MATLAB version 7.3: save it",
+        "wire.mat: the file is not readable as MATLAB data of version 7.3 (",
     ),
     (
         "wire.mat",

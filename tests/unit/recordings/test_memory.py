@@ -319,9 +319,9 @@ BAD: dict[str, tuple[Any, dict[str, Any], str]] = {
         f"the dictionary: column 'duty': the values are of type bool and not real numbers: {FLOATS}",
     ),
     "dates": (
-        pd.DataFrame(changed("time [s]", pd.date_range("2026-01-01", periods=ROWS, unit="ns"))),
+        pd.DataFrame(changed("current [A]", pd.date_range("2026-01-01", periods=ROWS, unit="ns"))),
         {},
-        f"the DataFrame: column 'time [s]': the values are of type datetime64[ns] and not real numbers: {FLOATS}",
+        f"the DataFrame: column 'current [A]': the values are of type datetime64[ns] and not real numbers: {FLOATS}",
     ),
     "a matrix": (
         changed("current [A]", np.zeros((ROWS, 1))),

@@ -1,0 +1,228 @@
+"""Reader of JSON: lines with an object each (.jsonl, .ndjson), and .json files with a list of rows or with columns.
+
+A key is the header of a column; keys of nested objects are joined by points (``imu.angle``), and elements of lists are
+numbered from 0 (``force.0``). The number of a row is that of its line, or of its place in a list, from 1.
+"""
+
+import itertools
+import json
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from smajax.errors import InputError, first_line, shortened, suggestion
+from smajax.recordings.read_options import ReadOptions
+from smajax.recordings.readers.base import (
+    MEMORY_LIMIT,
+    Table,
+    file_sha256,
+    number_error,
+    parse_number,
+    refuse_if_too_large,
+    row_error,
+)
+from smajax.recordings.readers.encoding import decode_row, open_as_utf8
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
+
+LINE_SUFFIXES = (".jsonl", ".ndjson")
+# Bytes in memory per byte of a .json file, which is parsed as a whole: chosen from lists of small objects.
+_COPIES = 12
+# Rows after which the memory of the columns is checked.
+_ROWS_PER_CHECK = 10_000
+_MISSING = object()
+
+
+@final
+class JsonTable(Table):
+    """Columns of a JSON file; the row of a line has its number.
+
+    Args:
+        path: The file.
+        options: Options of reading.
+    """
+
+    def __init__(self, path: Path, options: ReadOptions):
+        self.path = path
+        self._options = options
+        self.first_row: int = options.skip_rows + 1
+        self._columns: dict[str, array[float]] = {}
+        # First bad row, and first bad cell of each column, with its row.
+        self._bad_row: tuple[int, InputError] | None = None
+        self._bad_cells: dict[str, tuple[int, InputError]] = {}
+        self._first_stamps: dict[str, tuple[StampColumn, int, str]] = {}
+        rows = self._lines() if path.suffix.lower() in LINE_SUFFIXES else self._items()
+        for row, value in enumerate(itertools.islice(rows, options.skip_rows, None), self.first_row):
+            self._add(row, value)
+            if row % _ROWS_PER_CHECK == 0:
+                refuse_if_too_large(path, row, len(self._columns))
+        if not self._columns:
+            error = self._bad_row[1] if self._bad_row else InputError(f"{path}: there are no rows: record at least two")
+            raise error
+        self.headers: tuple[str, ...] = tuple(self._columns)
+        self.stamps = {k: self._first_stamps[h][0] for k, h in enumerate(self.headers) if h in self._first_stamps}
+
+    def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
+        """Return columns of numbers."""
+        headers = [self.headers[index] for index in indices]
+        for index, header in zip(indices, headers, strict=True):
+            if header in self._first_stamps and index not in self.stamps:
+                _, row, text = self._first_stamps[header]
+                raise number_error(f"{self.path}: row {row}, column '{header}'", text, self._options.decimal)
+        errors = [self._bad_row] if self._bad_row else []
+        errors += [self._bad_cells[header] for header in headers if header in self._bad_cells]
+        if errors and not lenient:
+            raise min(errors, key=lambda pair: pair[0])[1]
+        return self.unwrap_stamps(indices, [np.array(self._columns[header]) for header in headers])
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the file in hexadecimal."""
+        return file_sha256(self.path)
+
+    def _lines(self) -> Iterator[Any]:
+        """Yield the value of each line, or the error of one that is none; blank lines at the end are left out."""
+        blank = 0
+        with open_as_utf8(self.path, self._options.encoding) as file:
+            for number, line in enumerate(file, 1):
+                if not line.strip():
+                    blank += 1
+                    continue
+                for row in range(number - blank, number):
+                    yield row_error(f"{self.path}: row {row}: the row is blank")
+                blank = 0
+                try:
+                    yield json.loads(decode_row(line, self._options.encoding))
+                except (ValueError, RecursionError) as error:
+                    yield row_error(f"{self.path}: row {number}: the line is not JSON ({_reason(error)})")
+
+    def _items(self) -> Iterator[Any]:
+        """Yield the rows of a .json file."""
+        if self.path.stat().st_size * _COPIES > MEMORY_LIMIT:
+            cure = "save the rows as JSON lines, one object a line, in a file ending in .jsonl"
+            raise InputError(
+                f"{self.path}: a .json file above {MEMORY_LIMIT / _COPIES / 2**20:.0f} MiB is not read: {cure}"
+            )
+        with open_as_utf8(self.path, self._options.encoding) as file:
+            text = file.read()
+        try:
+            data = json.loads(decode_row(text, self._options.encoding))
+        except (ValueError, RecursionError) as error:
+            line = f" line {error.lineno}:" if isinstance(error, json.JSONDecodeError) else ""
+            cure = "save it again, or name it .jsonl if each line is an object"
+            raise InputError(f"{self.path}:{line} the file is not JSON ({_reason(error)}): {cure}") from None
+        for key in (self._options.variable or "").split(".") if self._options.variable else ():
+            data = self._member(data, key)
+        yield from self._rows_of(data)
+
+    def _member(self, data: Any, key: str) -> Any:
+        members = list(data) if isinstance(data, dict) else []
+        if key not in members:
+            hint = suggestion(key, members)
+            members_text = f"it has {', '.join(members)}" if members else "its value is no object"
+            problem = f"there is no member '{key}' for variable = \"{self._options.variable}\"{hint}"
+            raise InputError(f"{self.path}: {problem}: {members_text}, so correct variable")
+        return data[key]
+
+    def _rows_of(self, data: Any) -> Iterator[Any]:
+        """Yield the rows of a list of rows, of columns, or of a table as pandas writes it."""
+        if isinstance(data, list):
+            yield from data
+            return
+        if isinstance(data, dict) and isinstance(data.get("columns"), list) and isinstance(data.get("data"), list):
+            names = [str(name) for name in data["columns"]]
+            for number, row in enumerate(data["data"], 1):
+                yield _named(f"{self.path}: row {number}", row, names)
+            return
+        columns = _columns(data)
+        if not columns:
+            lists = (
+                [key for key, value in data.items() if isinstance(value, list | dict)] if isinstance(data, dict) else []
+            )
+            cure = "save a list of objects, or an object with a list for each column"
+            cure += f', or name its member with the rows, as in variable = "{lists[0]}"' if lists else ""
+            raise InputError(f"{self.path}: the file has neither rows nor columns of one length: {cure}")
+        for values in zip(*columns.values(), strict=True):
+            yield dict(zip(columns, values, strict=True))
+
+    def _add(self, row: int, value: Any) -> None:
+        """Append a row to the columns."""
+        place = f"{self.path}: row {row}"
+        if isinstance(value, list) and self._options.columns is not None:
+            value = _named(place, value, self._options.columns)
+        elif isinstance(value, dict) and self._options.columns is not None:
+            cure = 'leave columns out, and map keys under [channels], as in force = {column = "F", unit = "N"}'
+            raise InputError(f"{place}: columns are for rows that are lists, and this one has keys: {cure}")
+        if not isinstance(value, dict | InputError):
+            kind = "a list" if isinstance(value, list) else f"'{shortened(json.dumps(value))}'"
+            hint = ", or columns are named" if isinstance(value, list) else ""
+            value = row_error(f'{place}: the row is {kind} and not an object such as {{"time [s]": 0.0, ...}}{hint}')
+        if isinstance(value, InputError):
+            self._bad_row = self._bad_row or (row, value)
+            value = {}
+        cells = dict(_leaves(value))
+        for key in [key for key in cells if key not in self._columns]:
+            self._columns[key] = array("d", [np.nan]) * (row - self.first_row)
+            if row > self.first_row:
+                self._bad_cells[key] = (self.first_row, self._key_error(self.first_row, key))
+        for key, column in self._columns.items():
+            column.append(self._number(row, key, cells.get(key, _MISSING)))
+
+    def _number(self, row: int, key: str, cell: Any) -> float:
+        """Return the number in a cell, seconds for a time stamp, or NaN; the first bad one of a column is stored."""
+        number = None
+        text = cell.strip() if isinstance(cell, str) else "" if cell is None else json.dumps(cell, default=str)
+        if isinstance(cell, str):
+            if row < self.first_row + ROWS_WITH_STAMPS and key not in self._first_stamps:
+                stamp = find_stamps([[text]], self._options.time_format).get(0)
+                self._first_stamps |= {key: (stamp, row, text)} if stamp else {}
+            is_stamp = key in self._first_stamps
+            number = self._first_stamps[key][0].seconds(text) if is_stamp else parse_number(text, self._options.decimal)
+        elif isinstance(cell, int | float) and not isinstance(cell, bool) and abs(cell) < float("inf"):
+            number = float(cell) if abs(cell) <= np.finfo(float).max else None
+        if number is not None:
+            return number
+        if key not in self._bad_cells and cell is not _MISSING:
+            error = number_error(f"{self.path}: row {row}, column '{key}'", text, self._options.decimal)
+            self._bad_cells[key] = (row, error)
+        elif key not in self._bad_cells and self._bad_row is None:
+            self._bad_cells[key] = (row, self._key_error(row, key))
+        return np.nan
+
+    def _key_error(self, row: int, key: str) -> InputError:
+        return row_error(f"{self.path}: row {row}, column '{key}': the row has no such key")
+
+
+def _named(place: str, row: Any, names: Sequence[str]) -> Any:
+    """Return a list as an object with the names of its columns, or the error of another row."""
+    if not isinstance(row, list) or len(row) != len(names):
+        count = len(row) if isinstance(row, list) else 0
+        return row_error(f"{place}: the row has {count} cells, and {len(names)} columns are named")
+    return {name: value for name, value in zip(names, row, strict=True) if name != "-"}
+
+
+def _columns(data: Any) -> Mapping[str, Sequence[Any]]:
+    """Return the columns of an object with a list for each, or with an object of rows for each; none if it has none."""
+    values = list(data.values()) if isinstance(data, dict) else []
+    if values and all(isinstance(value, list) and len(value) == len(values[0]) for value in values):
+        return data
+    if values and all(isinstance(value, dict) and value.keys() == values[0].keys() for value in values):
+        return {key: list(value.values()) for key, value in data.items()}
+    return {}
+
+
+def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the name and value of each cell of a row."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, part in items:
+            yield from _leaves(part, f"{name}.{key}" if name else str(key).strip())
+    else:
+        yield name, value
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f"{error.msg} at character {error.colno}"
+    return "it is nested too deeply" if isinstance(error, RecursionError) else first_line(error)

@@ -1,0 +1,91 @@
+"""Variables of MATLAB files of version 7.3, which are HDF5; needs h5py, the extra ``io``."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from smajax.errors import InputError, first_line
+from smajax.recordings.readers.mat_variables import Kind, MatVariable, MatVariables
+
+# Bytes with which a file of version 7.3 begins, and those of HDF5, which come first or after MATLAB's 512.
+_MARK = b"MATLAB 7.3 MAT-file"
+_HDF5_MARK = b"\x89HDF\r\n\x1a\n"
+_USER_BLOCK = 512
+_KINDS: dict[str, Kind] = {"char": "text", "struct": "struct", "cell": "other"}
+_CLASS_OF_TYPE = {"f": "double", "i": "int64", "u": "uint64"}
+
+
+def is_version_73(path: Path) -> bool:
+    """Return whether a file is a MATLAB file of version 7.3, or HDF5.
+
+    Args:
+        path: The file.
+    """
+    with path.open("rb") as file:
+        head = file.read(_USER_BLOCK + len(_HDF5_MARK))
+    return head.startswith((_MARK, _HDF5_MARK)) or head[_USER_BLOCK:] == _HDF5_MARK
+
+
+@final
+class Mat73Variables(MatVariables):
+    """Variables of a file of version 7.3; its arrays have the order of dimensions reversed.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        with self._open():
+            pass
+
+    def children(self, name: str = "") -> dict[str, MatVariable]:
+        """Return the variables of the file, or the fields of a struct."""
+        with self._open() as file:
+            group = file[name.replace(".", "/")] if name else file
+            return {key: _described(item) for key, item in group.items() if not key.startswith("#")}
+
+    def values(self, name: str) -> np.ndarray:
+        """Return the values of a variable with real numbers."""
+        with self._open() as file:
+            return np.asarray(file[name.replace(".", "/")][()]).T
+
+    def text(self, name: str) -> str:
+        """Return the value of a variable with a text, which is stored as numbers of characters."""
+        return "".join(chr(number) for number in np.ravel(self.values(name))).strip()
+
+    @contextmanager
+    def _open(self) -> Iterator[Any]:
+        try:
+            import h5py
+        except ImportError:
+            cure = "run pip install \"smajax[io]\", or save it with save(..., '-v7')"
+            raise InputError(f"{self._path}: MATLAB files of version 7.3 need h5py: {cure}") from None
+        try:
+            with h5py.File(self._path, "r") as file:
+                yield file
+        except (OSError, RuntimeError, KeyError, ValueError) as error:  # what h5py raises for damaged files
+            if isinstance(error, InputError):
+                raise
+            problem = f"the file is not readable as MATLAB data of version 7.3 ({first_line(error)})"
+            raise InputError(f"{self._path}: {problem}: save it again, or with '-v7'") from None
+
+
+def _described(item: Any) -> MatVariable:
+    """Return what a dataset or group is."""
+    class_name = item.attrs.get("MATLAB_class", b"")
+    class_name = class_name.decode() if isinstance(class_name, bytes) else str(class_name)
+    if not hasattr(item, "dtype"):
+        return MatVariable("struct", (1, 1), class_name or "struct")
+    shape = tuple(reversed(item.shape))
+    if "MATLAB_object_decode" in item.attrs:
+        return MatVariable("object", shape, class_name)
+    if "MATLAB_empty" in item.attrs:  # the values are the shape
+        return MatVariable(_KINDS.get(class_name, "numbers"), (0, 0), class_name)
+    if item.dtype.names is not None:
+        return MatVariable("other", shape, "complex")
+    kind = _KINDS.get(class_name, "numbers" if item.dtype.kind in _CLASS_OF_TYPE else "other")
+    return MatVariable(kind, shape, class_name or _CLASS_OF_TYPE.get(item.dtype.kind, item.dtype.name))

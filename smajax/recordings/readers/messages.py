@@ -1,0 +1,111 @@
+"""Messages of ROS bags and MCAP files: files of messages by topic, their numeric fields, and their stamps."""
+
+import abc
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+# Elements up to which a list in a message is columns: joints of a robot, but no image or scan.
+_MAX_ELEMENTS = 64
+# Fields of a message that have its stamp, and the names of their parts in ROS 1, ROS 2 and the schemas of Foxglove.
+_STAMPS = ("stamp", "timestamp")
+_SECONDS = ("sec", "secs")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs")
+_NANOSECONDS_PER_SECOND = 1_000_000_000
+
+Path = tuple[str | int, ...]
+
+
+class MessageFile(abc.ABC):
+    """A file of messages.
+
+    Attributes:
+        topics: Names of the topics whose messages can be decoded.
+        undecoded: Reasons why the messages of other topics cannot, by topic.
+    """
+
+    topics: Sequence[str]
+    undecoded: Mapping[str, str]
+
+    @abc.abstractmethod
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, time at which it was recorded in ns, and content of each message, in the order of these times.
+
+        Args:
+            topics: Names of the topics.
+        """
+
+
+def numeric_fields(message: Any) -> Iterator[tuple[str, Path]]:
+    """Yield name and path of each number in a message, such as ``position.0``, without its stamp.
+
+    Args:
+        message: Content: an object of JSON, or a message of ROS.
+    """
+    for key, value in _items(message):
+        is_stamp = key == "header" or (key in _STAMPS and _nanoseconds(value) is not None)
+        if not is_stamp:
+            yield from _numbers(value, (key,))
+
+
+def number_at(message: Any, path: Path) -> float:
+    """Return a number in a message; NaN where there is none.
+
+    Args:
+        message: Content of the message.
+        path: Its place.
+    """
+    for key in path:
+        message = message.get(key) if isinstance(message, dict) else _part(message, key)
+    if isinstance(message, int | float | np.number | np.bool_):
+        return float(message)
+    return np.nan
+
+
+def header_stamp(message: Any) -> int | None:
+    """Return the stamp in a message in ns: that of its header, or a field ``stamp`` or ``timestamp``; none if unset.
+
+    Args:
+        message: Content of the message.
+    """
+    fields = dict(_items(message))
+    for holder in (dict(_items(fields.get("header"))), fields):
+        for key in _STAMPS:
+            nanoseconds = _nanoseconds(holder.get(key))
+            if nanoseconds:
+                return nanoseconds
+    return None
+
+
+def _nanoseconds(stamp: Any) -> int | None:
+    parts = dict(_items(stamp))
+    seconds = next((parts[key] for key in _SECONDS if key in parts), None)
+    nanoseconds = next((parts[key] for key in _NANOSECONDS if key in parts), None)
+    if isinstance(seconds, int) and isinstance(nanoseconds, int):
+        return seconds * _NANOSECONDS_PER_SECOND + nanoseconds
+    return None
+
+
+def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
+    """Yield the parts of an object, a message, or a short list."""
+    if isinstance(value, dict):
+        yield from value.items()
+    elif dataclasses.is_dataclass(value):
+        yield from ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
+    elif isinstance(value, list | tuple | np.ndarray) and len(value) <= _MAX_ELEMENTS:
+        yield from enumerate(value)
+
+
+def _part(value: Any, key: str | int) -> Any:
+    if isinstance(key, str):
+        return getattr(value, key, None)
+    return value[key] if isinstance(value, list | tuple | np.ndarray) and key < len(value) else None
+
+
+def _numbers(value: Any, path: Path) -> Iterator[tuple[str, Path]]:
+    if value is None or isinstance(value, int | float | np.number | np.bool_):
+        yield ".".join(str(key) for key in path), path
+    for key, part in _items(value):
+        yield from _numbers(part, (*path, key))
