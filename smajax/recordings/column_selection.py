@@ -54,7 +54,8 @@ def select_columns(
         names = _listed([table.headers[index] for index in unknown])
         example = table.headers[unknown[0]]
         cure = f'map one to a channel, as in force = {{column = "{example}", unit = "N"}} under [channels] in the rig'
-        raise InputError(f"{origin}: no field is mapped to a channel: it has {names}: {cure}", code="no-column-mapped")
+        message = f"{origin}: no field is mapped to a channel: it has {names}: {cure}"
+        raise InputError(message, code="no-column-mapped", cure=cure)
     if unknown:
         names = _listed([table.headers[index] for index in unknown])
         notes += (f"{len(unknown)} fields that are not mapped to channels were left out: {names}",)

@@ -38,6 +38,13 @@ _CURES: dict[str, Callable[[Fields], str]] = {
         "give --units-row if the row has units, else correct it, or leave such rows out with --drop-bad-rows"
     ),
     "stamp": lambda fields: "give its format, as in --time-format '%d.%m.%Y %H:%M:%S', or correct it",
+    "date-format": lambda fields: "give the format of both with a space between: --time-format '%d.%m.%Y %H:%M:%S'",
+    "columns-missing": lambda fields: f"name its columns by {_COLUMNS_HINT}",
+    "columns-named": lambda fields: "leave --columns out, and give the file headers like 'temperature [degC]'",
+    "mat-variable": lambda fields: f"name it by --variable, as in --variable {fields['variable']}",
+    "mat-matrix": lambda fields: f"save one vector per channel, or give --variable {fields['variable']} and --columns",
+    "topic-stamps": lambda fields: f"give --clock-topic {fields['topic']} and --topic-interpolation hold or linear",
+    "no-column-mapped": lambda fields: "export its fields as CSV, with headers like 'temperature [degC]'",
     "header-blank": lambda fields: f"write one, or name the columns with - for this one by {_COLUMNS_HINT}",
     "encoding": lambda fields: "give another --encoding, such as cp1252, or save the file as UTF-8",
     "clock-restart": lambda fields: "split the recording there with --on-bad-rows split",

@@ -48,7 +48,7 @@ def open_tables(path: Path, options: ReadOptions) -> list[Table]:
 
             return [MatTable(path, options)]
         if options.columns is not None and suffix in SUFFIXES:
-            cure = "leave columns out, and map headers to channels under [channels] in the rig"
+            cure = "give the file headers like 'temperature [degC]', or map its own under [channels] in the rig"
             problem = f"columns cannot be named in files ending in {suffix}, which have headers"
             raise InputError(f"{path}: {problem}: {cure}", code="columns-named", cure=cure)
         if suffix == ".parquet":

@@ -46,7 +46,8 @@ class MatTable(Table):
             return
         if options.columns is not None:
             cure = 'leave columns out, or name a matrix, as in variable = "data"'
-            raise InputError(f"{path}: columns are those of a matrix, and there is none of its own: {cure}")
+            message = f"{path}: columns are those of a matrix, and there is none of its own: {cure}"
+            raise InputError(message, code="columns-named", cure=cure)
         if name:
             variables = self._without_units(self._file.children(name))
         prefix = f"{name}." if name else ""
@@ -91,10 +92,12 @@ class MatTable(Table):
             choice = matrices[0]
         elif options.columns is not None and matrices:
             cure = f'name one of them, as in variable = "{matrices[0]}" under [recording] in the rig'
-            raise InputError(f"{self.path}: columns are named, and the matrices are {', '.join(matrices)}: {cure}")
+            message = f"{self.path}: columns are named, and the matrices are {', '.join(matrices)}: {cure}"
+            raise InputError(message, code="mat-variable", cure=cure, variable=matrices[0])
         elif not numbers and structs:
             cure = f'name one of them, as in variable = "{structs[0]}" under [recording] in the rig'
-            raise InputError(f"{self.path}: there is no vector, and the structs are {', '.join(structs)}: {cure}")
+            message = f"{self.path}: there is no vector, and the structs are {', '.join(structs)}: {cure}"
+            raise InputError(message, code="mat-variable", cure=cure, variable=structs[0])
         elif not numbers and objects:
             raise object_error(f"{self.path}: variable '{objects[0]}'", variables[objects[0]])
         if choice:
@@ -177,7 +180,8 @@ class MatTable(Table):
             raise object_error(place, variable)
         if variable.kind == "struct":
             cure = f'name it by variable = "{name}" under [recording] in the rig, or save its fields as vectors'
-            raise InputError(f"{place}: this is a struct and not a vector: {cure}")
+            message = f"{place}: this is a struct and not a vector: {cure}"
+            raise InputError(message, code="mat-variable", cure=cure, variable=name)
         if variable.kind != "numbers":
             problem = f"the values are not real numbers (type {variable.class_name})"
             raise InputError(f"{place}: {problem}: save a vector of doubles")
@@ -186,7 +190,8 @@ class MatTable(Table):
         if not variable.is_vector:
             problem = f"the array of shape {variable.shape} is not a vector"
             cure = f'save one vector per channel, or set variable = "{name}" and columns = ["time [s]", ...]'
-            raise InputError(f"{place}: {problem}: {cure} under [recording] in the rig")
+            cure += " under [recording] in the rig"
+            raise InputError(f"{place}: {problem}: {cure}", code="mat-matrix", cure=cure, variable=name)
         return self._finite(np.array(self._file.values(name), float).ravel(), name, lenient)
 
     def _finite(self, numbers: np.ndarray, name: str, lenient: bool) -> np.ndarray:

@@ -141,7 +141,7 @@ class TopicTable(Table):
             options = f'clock_topic = "{clock}" and topic_interpolation = "hold" or "linear" under [recording]'
             cure = f"set {options} in the rig, or map fields of one topic only"
             message = f"{self.path}: columns are of topics {counts} with different stamps: {cure}"
-            raise InputError(message, code="topic-stamps", cure=cure)
+            raise InputError(message, code="topic-stamps", cure=cure, topic=clock)
         for name in others:
             back = np.flatnonzero(np.diff(stamps[name]) < 0)
             if back.size:

@@ -1,11 +1,16 @@
 """Controller files with section and key names from before version 0.2, and the example file with current names."""
 
+import dataclasses
+
 import equinox as eqx
+import numpy as np
 import pytest
 
 from smajax.control.controller_file.read import read_controller
 from smajax.errors import InputError
+from smajax.files.channel_settings import ChannelSettings
 from smajax.files.rig_file import read_rig
+from smajax.recordings.column_mapping import ChannelMap
 from tests.conftest import ROOT
 
 CURRENT = """[controller]
@@ -123,3 +128,36 @@ def test_the_commented_example_uses_current_names_only():
     text = (ROOT / "data" / "controllers" / "dead-weight.toml").read_text("utf-8")
     assert not any(f"[{old}]" in text for old in ("guard", "observer", "meters"))
     assert all(f"# [{name}]" in text for name in ("temperature_limiter", "estimator", "instruments"))
+
+
+LOG = """logged on the bench
+Clock;Laser;current [A];note
+0,0;0,0;0,0;a
+0,5;1000,0;0,2;b
+1,0;2500,0;0,4;c
+1,5;1500,0;0,3;d
+"""
+RECORDED = """[controller]
+period = "0.5 s"
+output = ["0 A", "0.5 A"]
+[gains]
+kp = "30 A/m"
+[reference]
+kind = "recorded"
+file = "log.csv"
+[feedforward]
+operators = 3
+recording = "log.csv"
+"""
+
+
+def test_recordings_of_a_controller_are_read_with_the_options_of_the_rig(rig, tmp_path):
+    """A title, semicolons, decimal commas, other headers and a column to ignore, as ``[recording]`` and ``[channels]`` say."""
+    channels = ChannelSettings({"time": ChannelMap("Clock", "s"), "displacement": ChannelMap("Laser", "um")}, ("note",))
+    bench = dataclasses.replace(rig, channels=channels).with_read_options(skip_rows=1, delimiter=";", decimal=",")
+    (tmp_path / "log.csv").write_text(LOG)
+    (tmp_path / "controller.toml").write_text(RECORDED)
+    content = read_controller(tmp_path / "controller.toml", bench)
+    np.testing.assert_allclose(np.asarray(content.scenario.reference)[:4], [0.0, 1e-3, 2.5e-3, 1.5e-3], rtol=1e-12)
+    with pytest.raises(InputError, match="log.csv: row 1"):
+        read_controller(tmp_path / "controller.toml", rig)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import openpyxl
 import pandas as pd
-import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -43,7 +42,6 @@ TABLES: dict[str, tuple[Any, dict[str, Any]]] = {
     "pandas texts of a format": (frame([f"{s:%d.%m.%Y %H:%M:%S.%f}" for s in STAMPS]), {"time_format": "%d.%m.%Y %H:%M:%S.%f"}),
     "pandas times of day": (frame([stamp.time() for stamp in STAMPS]), {}),
     "pandas dates of another name": (frame(DATES, "Stamp"), {"mapping": {"time": ChannelMap("Stamp")}}),
-    "polars dates": (pl.DataFrame({"time": STAMPS, "current [A]": CURRENT}), {}),
     "pyarrow dates": (pa.table({"time": STAMPS, "current [A]": CURRENT}), {}),
     "pyarrow durations": (pa.table({"time": [s - START for s in STAMPS], "current [A]": CURRENT}), {}),
     "dictionary of datetime64": ({"time": np.array(STAMPS, "datetime64[us]"), "current [A]": CURRENT}, {}),

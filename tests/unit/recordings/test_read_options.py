@@ -1,18 +1,25 @@
 """Options of the one reader: layout, clock, scales of columns, sheets and bad rows."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import openpyxl
+import pandas as pd
 import pytest
+import scipy.io
+from typer.testing import CliRunner
 
+from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files.rig_file import parse_rig
 from smajax.recordings.column_mapping import ChannelMap
 from smajax.recordings.read import read_recording, read_recordings
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.recording import Recording
+from tests.conftest import ROOT
 
 COLUMNS = ("time [s]", "temperature [degC]", "strain [%]")
 TABLE = "0,30,4\n5,60,2\n10,90,0.5\n"
@@ -245,3 +252,95 @@ def test_sheets_are_named_or_all_and_those_left_out_are_named(workbook):
     assert read_recording(workbook, sheet="100 MPa").channels["temperature"][0] == 31.0
     with pytest.raises(InputError, match="there is no sheet '200 MPa'"):
         read_recordings(workbook, sheet=["50 MPa", "200 MPa"])
+
+
+RESTARTED = {"time": [0.0, 1.0, 2.0, 0.0, 1.0, 2.0], "current": [0.0, 0.1, np.nan, 0.3, 0.4, 0.5]}
+
+
+def test_a_recording_and_a_table_in_memory_are_split(tmp_path):
+    table = pd.DataFrame({"time [s]": RESTARTED["time"], "current [A]": RESTARTED["current"]})
+    recording = Recording.from_arrays("run", np.array(RESTARTED["time"]), {"current": np.array(RESTARTED["current"])})
+    for source, name in ((table, "recording"), (recording, "run")):
+        parts = read_recordings(source, required=("current",), on_bad_rows="split")
+        assert [part.name for part in parts] == [f"{name} part 1", f"{name} part 2"]
+        assert [part.time.tolist() for part in parts] == [[0.0, 1.0], [0.0, 1.0, 2.0]]
+        assert parts[1].channels["current"].tolist() == [0.3, 0.4, 0.5]
+        assert parts[1].notes[0] == "part 2 of 2: rows 3 to 5" and "1 of 6 rows with a blank" in parts[1].notes[1]
+    with pytest.raises(InputError, match=r"^run: row 2, column 'current \[A\]'"):
+        read_recordings(recording, required=("current",))
+    with pytest.raises(InputError, match="^run: no two rows follow each other without a bad one"):
+        still = Recording.from_arrays("run", np.zeros(3), {"current": np.ones(3)})
+        read_recordings(still, required=("current",), on_bad_rows="split")
+
+
+def test_an_observed_channel_may_be_missing_in_rows_where_a_recording_is_split():
+    channels = {"current": np.full(4, 0.2), "force": np.array([1.0, np.nan, 2.0, 3.0])}
+    recording = Recording.from_arrays("run", np.array([0.0, 1.0, 0.0, 1.0]), channels)
+    parts = read_recordings(recording, required=("current",), on_bad_rows="split")
+    assert [len(part) for part in parts] == [2, 2]
+
+
+NEW_OPTIONS = """
+[recording]
+date_column = "Date"
+sheet = ["run 1", "run 2"]
+variable = "run.data"
+clock_topic = "/cell"
+topic_interpolation = "linear"
+"""
+
+
+def test_options_of_formats_are_read_from_the_rig_and_written():
+    rig = parse_rig(RIG + NEW_OPTIONS)
+    expected = ReadOptions(
+        date_column="Date",
+        sheet=("run 1", "run 2"),
+        variable="run.data",
+        clock_topic="/cell",
+        topic_interpolation="linear",
+    )
+    assert rig.recording == parse_rig(rig.to_toml()).recording == expected
+    with pytest.raises(InputError, match="recording.topic_interpolation"):
+        parse_rig(RIG + '[recording]\ntopic_interpolation = "cubic"\n')
+
+
+def test_the_same_options_are_on_the_command_line(tmp_path):
+    cycle = np.concatenate([np.linspace(20.0, 110.0, 200), np.linspace(110.0, 20.0, 200)])
+    lag = np.concatenate([np.full(200, 75.0), np.full(200, 50.0)])
+    strain = 2.0 - 1.5 * np.tanh((cycle - lag) / 8.0)
+    scipy.io.savemat(tmp_path / "cycles.mat", {"raw": np.ones((3, 3)), "data": np.column_stack([cycle, strain])})
+    command = ["properties", str(tmp_path / "cycles.mat")]
+    names = ["--columns", "temperature [degC],strain [%]"]
+    done = CliRunner().invoke(app, [*command, "--variable", "data", *names])
+    assert done.exit_code == 0, done.output
+    refused = CliRunner().invoke(app, [*command, *names])
+    assert refused.exit_code == 2 and "name it by --variable, as in --variable raw" in " ".join(refused.output.split())
+    options = ["--date-column", "D", "--clock-topic", "/a", "--topic-interpolation", "hold", "--sheet", "all"]
+    changed = CliRunner().invoke(app, [*command, "--variable", "data", *names, *options])
+    assert changed.exit_code == 2 and "date_column is for text files and workbooks" in " ".join(changed.output.split())
+
+
+BAD_FILES = {
+    "log.jsonl": b"{}",
+    "log.json": b"{",
+    "log.tdms": b"x",
+    "log.mcap": b"x",
+    "log.bag": b"x",
+    "log.mat": b"MATLAB 7.3 MAT-file",
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_bad_files_are_refused_before_jax_is_loaded(tmp_path, name):
+    (tmp_path / name).write_bytes(BAD_FILES[name])
+    code = (
+        "import sys, smajax.recordings as r\n"
+        "try:\n"
+        f"    r.read_recording({str(tmp_path / name)!r})\n"
+        "except ValueError as error:\n"
+        "    print(error)\n"
+        "print('jax' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
+    sentence, loaded = done.stdout.splitlines()
+    assert loaded == "False" and sentence.startswith(str(tmp_path / name))

@@ -509,6 +509,17 @@ def test_derivatives_of_every_metric(folder):
             assert np.mean(np.abs(slope - difference) <= 1e-4 * (np.abs(difference) + scale)) >= 0.9, (name, axis)
 
 
+def test_the_recording_of_a_sweep_is_read_with_the_options_of_the_rig(folder):
+    options = '[recording]\nskip_rows = 1\ndelimiter = ";"\ndecimal = ","\nsample_period = "20 ms"\n'
+    (folder / "rig.toml").write_text(RIG.read_text("utf-8") + options, "utf-8")
+    (folder / "in.csv").write_text("a title\ncurrent [A]\n0,1\n0,3\n0,2\n", "utf-8")
+    text = SWEEP[: SWEEP.index("[input]")].replace("input.amplitude", "drive.gain")
+    text = text.replace('["0.2 A", "0.4 A"]', '["0.9", "1.1"]').replace(', "time_to_cool"', "")
+    (folder / "sweep.toml").write_text(text + '[input]\nrecording = "in.csv"\n', "utf-8")
+    source = read_sweep(folder / "sweep.toml").subject.source
+    assert source.time.tolist() == [0.0, 0.02, 0.04] and source.channels["current"].tolist() == [0.1, 0.3, 0.2]
+
+
 def test_frequency_as_an_axis_and_a_recording_as_input(folder):
     text = SWEEP.replace('input.amplitude = ["0.2 A", "0.4 A"]', 'input.frequency = ["0.2 Hz", "1 Hz"]').replace(
         "cycles = 2", 'cycles = 2\nhighest = "4 Hz"'
