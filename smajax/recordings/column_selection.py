@@ -77,14 +77,17 @@ def _join_date(
 ) -> int | None:
     """Return the number of the column of dates whose dates were joined to the times of day, if there is one."""
     name = options.date_column
-    if name is not None and not table.first_cells:
-        raise InputError(f"{origin}: date_column is for text files and workbooks: leave it out")
     dates = [
         index
         for index, header in enumerate(table.headers)
         if header not in ignore
         and (header.lower() == _DATE_HEADER if name is None else name in (header, name_and_unit(header)[0]))
     ]
+    if name is not None and not table.first_cells:
+        if dates:
+            cure = "join the dates to the times of day in one column, and leave date_column out"
+            raise InputError(f"{origin}: date_column is for text files and workbooks: {cure}")
+        return None
     if name is not None and not dates:
         hint = suggestion(name, table.headers)
         raise InputError(

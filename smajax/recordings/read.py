@@ -49,7 +49,7 @@ class _Request:
 
 
 def read_recording(source: RecordingSource, **arguments: Any) -> Recording:
-    """Read and check a recording: a file (.csv, .txt, .mat, .parquet, .xlsx) or a table in memory.
+    """Read and check a recording: a file of one of the formats of ``readers``, or a table in memory.
 
     Args:
         source: A path, a table in memory or a ``Recording``, as in ``read_recordings``.

@@ -1,6 +1,8 @@
 """Messages of ROS bags: .bag of ROS 1, and .db3 of ROS 2; needs rosbags, the extra ``ros``."""
 
+import itertools
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, final
 
@@ -37,24 +39,33 @@ class BagFile(MessageFile):
     def __init__(self, path: Path):
         self._path = path
         self._rosbags = import_rosbags(path)
-        self.undecoded = {}
-        for _ in self._read(()):
-            break
+        self.undecoded: dict[str, str] = {}
+        topics: dict[str, None] = {}
+        with self._open() as reader:
+            for connection in reader.connections:
+                for _, _, data in itertools.islice(reader.messages([connection]), 1):
+                    try:
+                        reader.deserialize(data, connection.msgtype)
+                    except Exception:  # a type that the bag does not define raises one of several
+                        self.undecoded[connection.topic] = f"{connection.msgtype}, which the bag does not define"
+                topics[connection.topic] = None
+        self.topics = tuple(topic for topic in topics if topic not in self.undecoded)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Yield topic, time in ns and content of each message."""
-        yield from self._read(topics)
+        with self._open() as reader:
+            connections = [connection for connection in reader.connections if connection.topic in topics]
+            for connection, time, data in reader.messages(connections) if connections else ():
+                yield connection.topic, time, reader.deserialize(data, connection.msgtype)
 
-    def _read(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-        """Open the bag, list its topics, and yield the messages of some."""
+    @contextmanager
+    def _open(self) -> Iterator[Any]:
+        """Open the bag."""
         typesys, highlevel = self._rosbags.typesys, self._rosbags.highlevel
         try:
             default = typesys.get_typestore(typesys.Stores.LATEST)
             with highlevel.AnyReader([self._path], default_typestore=default) as reader:
-                self.topics = tuple(dict.fromkeys(connection.topic for connection in reader.connections))
-                connections = [connection for connection in reader.connections if connection.topic in topics]
-                for connection, time, data in reader.messages(connections) if connections else ():
-                    yield connection.topic, time, reader.deserialize(data, connection.msgtype)
+                yield reader
         except InputError:
             raise
         except Exception as error:  # damaged bags raise different types, of SQLite as well

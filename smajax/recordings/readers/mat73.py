@@ -88,4 +88,4 @@ def _described(item: Any) -> MatVariable:
     if item.dtype.names is not None:
         return MatVariable("other", shape, "complex")
     kind = _KINDS.get(class_name, "numbers" if item.dtype.kind in _CLASS_OF_TYPE else "other")
-    return MatVariable(kind, shape, class_name or _CLASS_OF_TYPE.get(item.dtype.kind, item.dtype.name))
+    return MatVariable(kind, shape, class_name or _CLASS_OF_TYPE.get(item.dtype.kind, str(item.dtype)))

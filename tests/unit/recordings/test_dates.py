@@ -155,5 +155,7 @@ def test_what_does_not_fit_is_refused_with_the_option(tmp_path, monkeypatch, fau
 
 
 def test_dates_of_a_table_in_memory_are_not_joined():
-    with pytest.raises(InputError, match="the DataFrame: date_column is for text files and workbooks: leave it out"):
-        read_recording(frame(DATES), date_column="Date")
+    table = pd.DataFrame({"Date": DATES.date, "Time": DATES.time, "current [A]": CURRENT})
+    with pytest.raises(InputError, match="the DataFrame: date_column is for text files and workbooks: join the dates"):
+        read_recording(table, mapping=MAPPING, date_column="Date")
+    assert_is_the_recording(read_recording(frame(DATES), date_column="Date"))

@@ -1,6 +1,7 @@
 """ROS bags and MCAP files, written by rosbags and mcap: fields of topics, stamps, and topics of other stamps."""
 
 import json
+import sqlite3
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -204,3 +205,17 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch, name, package):
         InputError, match=rf'need {package}: run pip install "smajax\[ros\]", or export the topics as CSV'
     ):
         read_recording(name)
+
+
+def test_topics_of_types_that_a_bag_does_not_define_are_left_out(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = write_ros("bench.db3")
+    database = sqlite3.connect(path)
+    with database:
+        database.execute(
+            "insert into topics select id + 1, '/own', 'bench_msgs/msg/Own', serialization_format, offered_qos_profiles, type_description_hash from topics"
+        )
+        database.execute("insert into messages select id + 100, topic_id + 1, timestamp, data from messages")
+    database.close()
+    notes = read_recording(path, mapping=JOINTS).notes
+    assert notes[0] == "topic /own was left out: its messages are in bench_msgs/msg/Own, which the bag does not define"
