@@ -6,8 +6,10 @@ numbered from 0 (``force.0``). The number of a row is that of its line, or of it
 
 import itertools
 import json
+import math
+import sys
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -33,6 +35,9 @@ _COPIES = 12
 # Rows after which the memory of the columns is checked.
 _ROWS_PER_CHECK = 10_000
 _MISSING = object()
+# Types of cells that are numbers, and the largest of them.
+_NUMBERS = frozenset((int, float))
+_LARGEST = sys.float_info.max
 
 
 @final
@@ -161,6 +166,10 @@ class JsonTable(Table):
         if isinstance(value, InputError):
             self._bad_row = self._bad_row or (row, value)
             value = {}
+        if value.keys() == self._columns.keys() and _are_finite(value.values()):  # the same, but fast
+            for key, number in value.items():
+                self._columns[key].append(number)
+            return
         cells = dict(_leaves(value))
         for key in [key for key in cells if key not in self._columns]:
             self._columns[key] = array("d", [np.nan]) * (row - self.first_row)
@@ -172,18 +181,19 @@ class JsonTable(Table):
     def _number(self, row: int, key: str, cell: Any) -> float:
         """Return the number in a cell, seconds for a time stamp, or NaN; the first bad one of a column is stored."""
         number = None
-        text = cell.strip() if isinstance(cell, str) else "" if cell is None else json.dumps(cell, default=str)
+        text = cell.strip() if isinstance(cell, str) else ""
         if isinstance(cell, str):
             if row < self.first_row + ROWS_WITH_STAMPS and key not in self._first_stamps:
                 stamp = find_stamps([[text]], self._options.time_format).get(0)
                 self._first_stamps |= {key: (stamp, row, text)} if stamp else {}
             is_stamp = key in self._first_stamps
             number = self._first_stamps[key][0].seconds(text) if is_stamp else parse_number(text, self._options.decimal)
-        elif isinstance(cell, int | float) and not isinstance(cell, bool) and abs(cell) < float("inf"):
-            number = float(cell) if abs(cell) <= np.finfo(float).max else None
+        elif isinstance(cell, int | float) and not isinstance(cell, bool) and abs(cell) <= _LARGEST:
+            number = float(cell)
         if number is not None:
             return number
         if key not in self._bad_cells and cell is not _MISSING:
+            text = text if isinstance(cell, str) or cell is None else json.dumps(cell)
             error = number_error(f"{self.path}: row {row}, column '{key}'", text, self._options.decimal)
             self._bad_cells[key] = (row, error)
         elif key not in self._bad_cells and self._bad_row is None:
@@ -192,6 +202,14 @@ class JsonTable(Table):
 
     def _key_error(self, row: int, key: str) -> InputError:
         return row_error(f"{self.path}: row {row}, column '{key}': the row has no such key")
+
+
+def _are_finite(cells: Collection[Any]) -> bool:
+    """Return whether all cells are finite numbers."""
+    try:
+        return _NUMBERS.issuperset(map(type, cells)) and all(map(math.isfinite, cells))
+    except OverflowError:  # an integer that is too large
+        return False
 
 
 def _named(place: str, row: Any, names: Sequence[str]) -> Any:

@@ -15,7 +15,8 @@ _SECONDS = ("sec", "secs")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs")
 _NANOSECONDS_PER_SECOND = 1_000_000_000
 
-Path = tuple[str | int, ...]
+# Keys of the nested parts of a message that lead to a number.
+FieldPath = tuple[str | int, ...]
 
 
 class MessageFile(abc.ABC):
@@ -38,7 +39,7 @@ class MessageFile(abc.ABC):
         """
 
 
-def numeric_fields(message: Any) -> Iterator[tuple[str, Path]]:
+def numeric_fields(message: Any) -> Iterator[tuple[str, FieldPath]]:
     """Yield name and path of each number in a message, such as ``position.0``, without its stamp.
 
     Args:
@@ -50,7 +51,7 @@ def numeric_fields(message: Any) -> Iterator[tuple[str, Path]]:
             yield from _numbers(value, (key,))
 
 
-def number_at(message: Any, path: Path) -> float:
+def number_at(message: Any, path: FieldPath) -> float:
     """Return a number in a message; NaN where there is none.
 
     Args:
@@ -58,7 +59,7 @@ def number_at(message: Any, path: Path) -> float:
         path: Its place.
     """
     for key in path:
-        message = message.get(key) if isinstance(message, dict) else _part(message, key)
+        message = _part(message, key)
     if isinstance(message, int | float | np.number | np.bool_):
         return float(message)
     return np.nan
@@ -70,19 +71,21 @@ def header_stamp(message: Any) -> int | None:
     Args:
         message: Content of the message.
     """
-    fields = dict(_items(message))
-    for holder in (dict(_items(fields.get("header"))), fields):
+    for holder in (_part(message, "header"), message):
         for key in _STAMPS:
-            nanoseconds = _nanoseconds(holder.get(key))
+            nanoseconds = _nanoseconds(_part(holder, key))
             if nanoseconds:
                 return nanoseconds
     return None
 
 
 def _nanoseconds(stamp: Any) -> int | None:
-    parts = dict(_items(stamp))
-    seconds = next((parts[key] for key in _SECONDS if key in parts), None)
-    nanoseconds = next((parts[key] for key in _NANOSECONDS if key in parts), None)
+    if stamp is None or isinstance(stamp, int | float | str):
+        return None
+    seconds, nanoseconds = (
+        next((part for key in keys if (part := _part(stamp, key)) is not None), None)
+        for keys in (_SECONDS, _NANOSECONDS)
+    )
     if isinstance(seconds, int) and isinstance(nanoseconds, int):
         return seconds * _NANOSECONDS_PER_SECOND + nanoseconds
     return None
@@ -99,12 +102,15 @@ def _items(value: Any) -> Iterator[tuple[str | int, Any]]:
 
 
 def _part(value: Any, key: str | int) -> Any:
+    """Return a part of an object, a message or a list; ``None`` if there is none."""
+    if isinstance(value, dict):
+        return value.get(key)
     if isinstance(key, str):
         return getattr(value, key, None)
     return value[key] if isinstance(value, list | tuple | np.ndarray) and key < len(value) else None
 
 
-def _numbers(value: Any, path: Path) -> Iterator[tuple[str, Path]]:
+def _numbers(value: Any, path: FieldPath) -> Iterator[tuple[str, FieldPath]]:
     if value is None or isinstance(value, int | float | np.number | np.bool_):
         yield ".".join(str(key) for key in path), path
     for key, part in _items(value):

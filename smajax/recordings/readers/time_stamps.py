@@ -121,10 +121,15 @@ def join(date: Any, time: Any, time_format: str | None) -> datetime.datetime | N
         time: Text of a time of day, or a time of a workbook.
         time_format: Format of both texts with a space between; ``None`` for ISO 8601 and times of day.
     """
-    if time_format is not None and isinstance(date, str) and isinstance(time, str):
-        return _parser(time_format)(f"{date} {time}")
-    parse = _parser(None)
-    day, time_of_day = parse(date), parse(time)
+    if isinstance(date, str) and isinstance(time, str):
+        if time_format is not None:
+            return _parser(time_format)(f"{date} {time}")
+        if _DATE.fullmatch(date) and _TIME_OF_DAY.fullmatch(time):
+            try:
+                return datetime.datetime.fromisoformat(f"{date} {'0' if time[1] == ':' else ''}{time}")
+            except ValueError:
+                return None
+    day, time_of_day = _parse_plain(date), _parse_plain(time)
     is_day = not (isinstance(date, datetime.time) or (isinstance(date, str) and _TIME_OF_DAY.fullmatch(date)))
     if day is None or time_of_day is None or not is_day:
         return None
@@ -178,3 +183,6 @@ def _parser(time_format: str | None) -> Callable[[Any], datetime.datetime | None
             return None
 
     return parse
+
+
+_parse_plain = _parser(None)

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from smajax.errors import InputError, suggestion
 from smajax.recordings.read_options import ReadOptions
-from smajax.recordings.readers import messages as fields
 from smajax.recordings.readers.base import Table, file_sha256, refuse_if_too_large, row_error
-from smajax.recordings.readers.messages import MessageFile, header_stamp, number_at, numeric_fields
+from smajax.recordings.readers.messages import FieldPath, MessageFile, header_stamp, number_at, numeric_fields
 
 _TIME_HEADER = "time [s]"
 _NANOSECONDS_PER_SECOND = 1e9
@@ -65,7 +64,7 @@ class TopicTable(Table):
         if clock is None and options.topic_interpolation != "refuse":
             cure = f'name it, as in clock_topic = "{self._file.topics[0]}"'
             raise InputError(f"{path}: topic_interpolation needs the topic whose messages are the rows: {cure}")
-        places: dict[str, tuple[str, fields.Path]] = {}
+        places: dict[str, tuple[str, FieldPath]] = {}
         for topic in self._file.topics:
             for _, _, message in itertools.islice(self._file.messages([topic]), 1):
                 places |= {f"{topic}.{name}": (topic, place) for name, place in numeric_fields(message)}

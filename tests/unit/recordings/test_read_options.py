@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from smajax.app.cli import app
 from smajax.errors import InputError
 from smajax.files.rig_file import parse_rig
+from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.recordings.column_mapping import ChannelMap
 from smajax.recordings.read import read_recording, read_recordings
 from smajax.recordings.read_options import ReadOptions
@@ -278,6 +279,13 @@ def test_an_observed_channel_may_be_missing_in_rows_where_a_recording_is_split()
     recording = Recording.from_arrays("run", np.array([0.0, 1.0, 0.0, 1.0]), channels)
     parts = read_recordings(recording, required=("current",), on_bad_rows="split")
     assert [len(part) for part in parts] == [2, 2]
+
+
+def test_parts_of_recordings_with_one_name_have_distinct_names():
+    channels = {"duty": np.array([0.0, 1.0, 0.0, 1.0]), "force": np.array([1.0, 2.0, 3.0, 4.0])}
+    runs = [Recording.from_arrays("run", np.array([0.0, 1.0, 0.0, 1.0]), channels) for _ in range(2)]
+    pairs = read_train_and_holdout(parse_rig(RIG + '[recording]\non_bad_rows = "split"\n'), runs, [])
+    assert [part.name for part, _ in pairs] == ["run part 1", "run part 2", "run 2 part 1", "run 2 part 2"]
 
 
 NEW_OPTIONS = """
