@@ -17,6 +17,7 @@ from smajax.fitting.abstract_problem import residual
 from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
+from smajax.fitting.memory import fit_memory, search_in_parts
 from smajax.fitting.multi_start import (
     SEQUENTIAL_FROM,
     MultiStartResult,
@@ -26,7 +27,7 @@ from smajax.fitting.multi_start import (
 )
 from smajax.fitting.noise import difference_noise, quantisation_noise
 from smajax.fitting.optimistix_search import OptimistixSearch
-from smajax.fitting.problem import Problem, build_problem
+from smajax.fitting.problem import Problem, build_problem, require_channels
 from smajax.fitting.responses import simulate_responses
 from smajax.fitting.result import Estimate, FitResult, Response
 from smajax.fitting.transformation_check import (
@@ -100,11 +101,13 @@ def fit(
     check_solver(solver)
     if max_steps < 1:
         raise InputError(f"max_steps = {max_steps}: give a positive number of steps")
-    problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
     simulation = {"holdout": holdout, "interpolation": interpolation, "step": step}
+    require_channels(plant, recordings, settings.observe)
+    parts = search_in_parts(fit_memory(plant, recordings, settings, **simulation), recordings[0].name)
+    problem = build_problem(plant, recordings, settings, interpolation=interpolation, step=step)
     checked = needs_transformation((*settings.free, *settings.per_recording))
     gap = transformation_gap([problem.plant] * len(recordings), recordings, **simulation) if checked else None
-    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began, gap)
+    search = _search(problem, settings, len(recordings), max_steps, solver, progress, began, gap, parts)
     _check_starts(search, problem, plant)
     if not np.any(np.isfinite(search.result.costs)):
         raise Cancelled("the fit was cancelled before its first step had ended: there is no estimate")
@@ -154,6 +157,7 @@ def _search(
     progress: Callable[[int, float], object],
     began: float,
     gap: TransformationGap | None,
+    parts: tuple[bool, int],
 ) -> _Search:
     """Choose the starts and search from all of them; ``began`` is the time at which the fit began, s.
 
@@ -162,15 +166,15 @@ def _search(
     direction = np.zeros(len(problem.unknowns)) if gap is None else displacement_direction(problem)
     if gap is not None and np.any(direction):
         count = max(_DISPLACED_STARTS, settings.starts - 1)
-        arguments = (problem, count, settings.seed, direction, gap.displacements)
+        arguments = (problem, count, settings.seed, direction, gap.displacements, parts[1])
         starts, screening_simulations = screen_displaced_starts(*arguments)
     else:
-        starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed)
+        starts, screening_simulations = screen_starts(problem, settings.starts, settings.seed, parts[1])
     screening_time = time.perf_counter() - began if screening_simulations else 0.0
     arguments = (residual, problem, starts, *problem.bounds)
     solver = BoundedLevenbergMarquardt() if solver is None else solver
     if isinstance(solver, BoundedLevenbergMarquardt):
-        sequential = recordings >= SEQUENTIAL_FROM
+        sequential = recordings >= SEQUENTIAL_FROM or parts[0]
         rtol = float(solver.rtol)
         searches = MultiStartSolver(*arguments, size=problem.size, rtol=rtol, sequential=sequential)
     else:

@@ -29,7 +29,9 @@ _SCREENED_PER_START = 4
 SEQUENTIAL_FROM = 4
 
 
-def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[np.ndarray, int]:
+def screen_starts(
+    problem: AbstractFitProblem, starts: int, seed: int, at_once: int | None = None
+) -> tuple[np.ndarray, int]:
     """Choose the best of many random points, simulated as one batch, as starts in addition to the nominal one.
 
     At most random points the wire never transforms, and the gradient does not lead to a transformation.
@@ -38,6 +40,7 @@ def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[
         problem: The problem.
         starts: Number of starts.
         seed: Seed of the random points.
+        at_once: Most points that are simulated as one batch; all if not given.
 
     Returns:
         The nominal point and ``starts - 1`` others, shape ``(starts, p)``, and the number of simulations.
@@ -47,7 +50,7 @@ def screen_starts(problem: AbstractFitProblem, starts: int, seed: int) -> tuple[
     lower, upper = problem.search_bounds()
     count = max(_MIN_SCREENED, _SCREENED_PER_START * starts)
     points = np.random.default_rng(seed).uniform(lower, upper, (count, len(lower)))
-    point_costs = np.asarray(costs(problem, jnp.asarray(points)))
+    point_costs = _costs_in_parts(problem, points, at_once)
     order = np.argsort(np.where(np.isfinite(point_costs), point_costs, np.inf))
     return np.vstack([problem.nominal, points[order[: starts - 1]]]), len(points) * problem.data.measured.shape[0]
 
@@ -58,6 +61,7 @@ def screen_displaced_starts(
     seed: int,
     direction: np.ndarray,
     displacements: tuple[float, float],
+    at_once: int | None = None,
 ) -> tuple[np.ndarray, int]:
     """Choose starts among random points that are displaced along one direction, from the whole range of displacements.
 
@@ -70,6 +74,7 @@ def screen_displaced_starts(
         seed: Seed of the random points.
         direction: Change of the vector by a displacement of 1, shape ``(p,)``.
         displacements: Least and largest displacement.
+        at_once: Most points that are simulated as one batch; all if not given.
 
     Returns:
         The nominal point and ``starts`` others, shape ``(starts + 1, p)``, and the number of simulations.
@@ -82,10 +87,20 @@ def screen_displaced_starts(
     low, high = displacements
     displacement = low + (high - low) * (part + random.uniform(size=len(part))) / starts
     points = np.clip(points + displacement[:, None] * direction, *problem.bounds)
-    point_costs = np.asarray(costs(problem, jnp.asarray(points)))
+    point_costs = _costs_in_parts(problem, points, at_once)
     order = np.where(np.isfinite(point_costs), point_costs, np.inf).reshape(starts, per_start)
     best = points.reshape(starts, per_start, -1)[np.arange(starts), np.argmin(order, axis=1)]
     return np.vstack([problem.nominal, best]), len(points) * problem.data.measured.shape[0]
+
+
+def _costs_in_parts(problem: AbstractFitProblem, points: np.ndarray, at_once: int | None) -> np.ndarray:
+    """Costs (m,) of points (m, p), in batches of equal size, so that one program serves all of them."""
+    count = len(points)
+    size = min(at_once or count, count)
+    # The last batch is filled up with copies of the last point.
+    filled = np.concatenate([points, np.repeat(points[-1:], -count % size, axis=0)])
+    parts = [np.asarray(costs(problem, jnp.asarray(part))) for part in np.split(filled, len(filled) // size)]
+    return np.concatenate(parts)[:count]
 
 
 class MultiStartResult(NamedTuple):

@@ -211,6 +211,23 @@ def _order_ends(values: dict[str, jax.Array]) -> dict[str, jax.Array]:
     return values
 
 
+def require_channels(plant: Plant, recordings: Sequence[Recording], observe: Sequence[str]) -> None:
+    """Check that recordings have the channels that drive a plant and those that are observed.
+
+    Args:
+        plant: The plant.
+        recordings: The recordings.
+        observe: Names of the observed channels.
+
+    Raises:
+        InputError: A channel is missing.
+    """
+    for recording in recordings:
+        missing = [c for c in (*plant.signals, *observe) if c not in recording.channels]
+        if missing:
+            raise InputError(f"{recording.name} has no channel '{missing[0]}'; it has {', '.join(recording.channels)}")
+
+
 def build_problem(
     plant: Plant,
     recordings: Sequence[Recording],
@@ -237,10 +254,7 @@ def build_problem(
     Raises:
         InputError: A channel is missing, a parameter does not exist, or nothing is free.
     """
-    for recording in recordings:
-        missing = [c for c in (*plant.signals, *settings.observe) if c not in recording.channels]
-        if missing:
-            raise InputError(f"{recording.name} has no channel '{missing[0]}'; it has {', '.join(recording.channels)}")
+    require_channels(plant, recordings, settings.observe)
     own = tuple(dict.fromkeys((*settings.per_recording, *(f"initial.{name}" for name in settings.initial))))
     shared = tuple(name for name in settings.free if name not in own)
     if not shared and not own:

@@ -239,6 +239,19 @@ def _without_gaps(recording: Recording, name: str) -> np.ndarray:
     return np.interp(recording.time, recording.time[measured], values[measured]) if np.any(measured) else values
 
 
+def count_steps(plant: Plant, recording: Recording, *, interpolation: str = "hold", step: float | None = None) -> int:
+    """Count the steps in which ``discretise`` puts a recording, without making them.
+
+    Args:
+        plant: The plant.
+        recording: The recording.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        step: Longest step in s; ``default_step`` if not given.
+    """
+    _check_channels(plant, recording)
+    return int(np.sum(_steps_per_sample(plant, recording, interpolation, step)))
+
+
 def _check_channels(plant: Plant, recording: Recording) -> None:
     """Check that a recording has a channel for each signal of a plant."""
     for name in plant.signals:

@@ -17,6 +17,7 @@ from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
 from smajax.files.rig_file import Rig, read_rig
 from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
+from smajax.fitting.memory import fit_memory
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.recordings.recording import Recording
 from smajax.report.summary import table
@@ -66,6 +67,11 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     lines += [f"Note: {note}" for note in check_dissipation(rig.plant, [r.channels for r in recordings])]
     for recording in recordings:
         lines += ["", *_describe_recording(rig, recording)]
+    fits = all(c in r.channels for r in recordings for c in (*rig.plant.signals, *rig.fit.observe))
+    if recordings and rig.fit.names and fits:
+        settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
+        memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
+        lines += ["", memory.sentence()]
     return lines
 
 
