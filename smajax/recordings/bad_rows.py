@@ -22,7 +22,7 @@ Rows = NDArray[np.intp]
 
 
 def good_rows(
-    origin: Path | str, values: Mapping[str, NDArray[np.float64]], first_row: int
+    origin: Path | str, values: Mapping[str, NDArray[np.float64]], first_row: int, may_repeat: bool = False
 ) -> tuple[Rows | None, tuple[str, ...]]:
     """Return the rows to keep (``None`` for all) and notes on the others.
 
@@ -30,6 +30,7 @@ def good_rows(
         origin: The file, or the name of the object, for messages.
         values: Arrays, shape ``(rows,)``, by channel; NaN where a cell cannot be read.
         first_row: Number of the first row.
+        may_repeat: Whether a time may be that of the row before, as in a path.
 
     Raises:
         InputError: If most rows are bad.
@@ -38,7 +39,8 @@ def good_rows(
     good = readable.copy()
     if "time" in values:
         time = np.where(readable, values["time"], -np.inf)
-        good[1:] &= time[1:] > np.maximum.accumulate(time)[:-1]
+        latest = np.maximum.accumulate(time)[:-1]
+        good[1:] &= (time[1:] >= latest) if may_repeat else (time[1:] > latest)
     if good.all():
         return None, ()
     if np.count_nonzero(~good) > _MAX_BAD_SHARE * len(good):
@@ -59,7 +61,7 @@ def good_rows(
 
 
 def split_rows(
-    origin: Path | str, values: Mapping[str, NDArray[np.float64]], first_row: int
+    origin: Path | str, values: Mapping[str, NDArray[np.float64]], first_row: int, may_repeat: bool = False
 ) -> list[tuple[Rows | None, tuple[str, ...]]]:
     """Return the rows of each part of a recording, split where a row cannot be read or time does not increase.
 
@@ -67,6 +69,7 @@ def split_rows(
         origin: The file, or the name of the object, for messages.
         values: Arrays, shape ``(rows,)``, by channel; NaN where a cell cannot be read.
         first_row: Number of the first row.
+        may_repeat: Whether a time may be that of the row before, as in a path.
 
     Returns:
         Pairs of rows (``None`` for all) and notes; a row that does not increase in time begins the next part.
@@ -79,7 +82,7 @@ def split_rows(
     begins[1:] = ~readable[:-1]
     restarts = np.zeros(len(readable), bool)
     if "time" in values:
-        restarts[1:] = readable[1:] & readable[:-1] & (values["time"][1:] <= values["time"][:-1])
+        restarts[1:] = readable[1:] & readable[:-1] & time_slips(values["time"], may_repeat)
     rows = np.flatnonzero(readable)
     parts = [part for part in np.split(rows, np.flatnonzero((begins | restarts)[rows][1:]) + 1) if len(part)]
     long = [part for part in parts if len(part) >= _MIN_PART_ROWS]
@@ -102,6 +105,16 @@ def split_rows(
         (part, (f"part {k} of {len(long)}: rows {first_row + part[0]} to {first_row + part[-1]}", *counts))
         for k, part in enumerate(long, 1)
     ]
+
+
+def time_slips(time: NDArray[np.float64], may_repeat: bool) -> NDArray[np.bool_]:
+    """Return whether each row but the first is not later than the one before, shape ``(rows - 1,)``.
+
+    Args:
+        time: Times, shape ``(rows,)``.
+        may_repeat: Whether the same time twice is no slip.
+    """
+    return time[1:] < time[:-1] if may_repeat else time[1:] <= time[:-1]
 
 
 def is_restart(time: NDArray[np.float64], row: int) -> bool:

@@ -46,6 +46,12 @@ class _Request:
     names: Sequence[str]
     observed: Sequence[str]
     options: ReadOptions
+    clock: bool
+
+    @property
+    def times_may_repeat(self) -> bool:
+        """Whether rows may have the same time: those of a path, which needs no clock."""
+        return not self.clock
 
 
 def read_recording(source: RecordingSource, **arguments: Any) -> Recording:
@@ -104,7 +110,7 @@ def read_recordings(
         ignore: Headers of columns that are not read; every other column must be a known channel.
         required: Channels that must be in the file.
         observed: Channels that must be in the file and must change.
-        clock: Whether the file must have a time; otherwise it may be a path without a clock.
+        clock: Whether the file must have a time; otherwise it may be a path without a clock, and its time may repeat.
         headers: Headers of an array, or of a text file without a header row, as ``columns`` of ``ReadOptions``.
         drop_bad_rows: Whether to omit rows with a wrong number of cells, rows with a blank or unreadable cell in a
             column that is read, and rows in which time does not increase (``on_bad_rows="drop"``).
@@ -126,7 +132,7 @@ def read_recordings(
         raise InputError(f"{source}: {error}") from None if is_file else error
     needs_time = clock and (options.sample_period is None or isinstance(source, Recording))
     names = [*required, *observed, *(["time"] if needs_time else [])]
-    request = _Request(mapping or {}, ignore, names, observed, options)
+    request = _Request(mapping or {}, ignore, names, observed, options, clock)
     if isinstance(source, Recording):
         return _check_recording(source, name, headers, request)
     if is_file:
@@ -152,7 +158,7 @@ def _check_recording(
     parts = [recording]
     if request.options.on_bad_rows != "refuse":
         parts = parts_without_bad_rows(
-            recording, [n for n in request.names if n not in request.observed], request.options.on_bad_rows
+            recording, [n for n in request.names if n not in request.observed], request.options.on_bad_rows, request.times_may_repeat
         )
     return [check_recording(part, request.names, request.observed, request.mapping) for part in parts]
 
@@ -173,14 +179,16 @@ def _read_table(table: Table, origin: Path | str, name: str, request: _Request) 
     notes += (*selection_notes, *(column.note for column in columns if column.note))
     parts: list[tuple[NDArray[np.intp] | None, tuple[str, ...]]] = [(None, ())]
     if request.options.on_bad_rows == "drop":
-        parts = [good_rows(origin, values, table.first_row)]
+        parts = [good_rows(origin, values, table.first_row, request.times_may_repeat)]
     elif request.options.on_bad_rows == "split":
-        parts = split_rows(origin, values, table.first_row)
+        parts = split_rows(origin, values, table.first_row, request.times_may_repeat)
     recordings = []
     for k, (rows, part_notes) in enumerate(parts, 1):
         title = name if len(parts) == 1 else f"{name} part {k}"
         recordings.append(_recording(table, origin, title, columns, values, rows, request))
-        recordings[-1] = dataclasses.replace(recordings[-1], notes=(*table.notes, *notes, *part_notes))
+        recordings[-1] = dataclasses.replace(
+            recordings[-1], notes=(*table.notes, *notes, *part_notes, *recordings[-1].notes)
+        )
     return recordings
 
 
@@ -200,17 +208,26 @@ def _recording(
         return f"{origin}: row {table.first_row + int(i if rows is None else rows[i])}, column '{column.header}'"
 
     with np.errstate(over="ignore", invalid="ignore"):
-        check_values(origin, columns, values, request.observed, place, table.drop_option)
+        drop_option, may_repeat = table.drop_option, request.times_may_repeat
+        check_values(origin, columns, values, request.observed, place, drop_option, may_repeat)
         _convert_to_si(origin, columns, values)
     units = {column.name: column.unit for column in columns}
     if "time" in values:
-        return Recording(name, values.pop("time"), values, units, table.sha256(), True)
+        time = values.pop("time")
+        return Recording(name, time, values, units, table.sha256(), True, _repeats_note(time))
     count = len(next(iter(values.values())))
     period = request.options.sample_period
     if period is None:
         return Recording(name, np.arange(count, dtype=float), values, units, table.sha256(), False)
     time = np.array((np.arange(count) if rows is None else rows) * period, float)
     return Recording(name, time, values, {"time": "s"} | units, table.sha256(), True)
+
+
+def _repeats_note(time: Floats) -> tuple[str, ...]:
+    """Return a note with the number of rows at the time of the row before."""
+    repeats = int(np.count_nonzero(time[1:] == time[:-1]))
+    plural = "s have" if repeats > 1 else " has"
+    return (f"{repeats} row{plural} the time of the row before, which is allowed here",) if repeats else ()
 
 
 def _load(

@@ -23,7 +23,7 @@ def check_recording(
 
     Args:
         recording: The recording.
-        names: Required channels, with ``time`` if it must have a clock.
+        names: Required channels, with ``time`` if it must have a clock, which then increases from row to row.
         observed: Channels that must change; they may be NaN in rows in which they were not measured.
         mapping: Column and unit by channel, as in the rig file, for messages.
 
@@ -52,7 +52,11 @@ def check_recording(
             raise InputError(f"{recording.name}: column '{header}': no value is a finite number: correct them")
         if name in observed:
             check_changes(recording.name, columns[name], values[name][np.isfinite(values[name])])
-    check_time(recording.time, "s", lambda i: f"{recording.name}: row {i}, column 'time [s]'", MemoryTable.drop_option)
+
+    def time_place(row: int) -> str:
+        return f"{recording.name}: row {row}, column 'time [s]'"
+
+    check_time(recording.time, "s", time_place, MemoryTable.drop_option, may_repeat="time" not in names)
     if recording.sha256:
         return recording
     headers = [column.header for column in columns.values()]
@@ -60,7 +64,7 @@ def check_recording(
 
 
 def parts_without_bad_rows(
-    recording: Recording, names: Sequence[str], on_bad_rows: Literal["drop", "split"]
+    recording: Recording, names: Sequence[str], on_bad_rows: Literal["drop", "split"], may_repeat: bool = False
 ) -> list[Recording]:
     """Return a recording without the rows in which a channel is not finite or time does not increase.
 
@@ -68,6 +72,7 @@ def parts_without_bad_rows(
         recording: The recording.
         names: Channels that have to be finite.
         on_bad_rows: Whether the other rows are dropped, or the recording is split there.
+        may_repeat: Whether a time may be that of the row before, as in a path.
 
     Raises:
         InputError: If most rows are to be dropped, or no part has two rows.
@@ -77,9 +82,9 @@ def parts_without_bad_rows(
     if not values:
         return [recording]
     if on_bad_rows == "drop":
-        parts = [good_rows(recording.name, values, first_row=0)]
+        parts = [good_rows(recording.name, values, 0, may_repeat)]
     else:
-        parts = split_rows(recording.name, values, first_row=0)
+        parts = split_rows(recording.name, values, 0, may_repeat)
     result = []
     for k, (rows, notes) in enumerate(parts, 1):
         if rows is None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import channel_of, channel_unit
 from smajax.errors import InputError
-from smajax.recordings.bad_rows import is_restart
+from smajax.recordings.bad_rows import is_restart, time_slips
 from smajax.recordings.column_mapping import FileColumn
 from smajax.recordings.readers.base import repair_hint
 from smajax.recordings.unit_checks import check_scale
@@ -31,6 +31,7 @@ def check_values(
     observed: Sequence[str],
     place: Place,
     drop_option: str,
+    may_repeat: bool = False,
 ) -> None:
     """Check the values of a recording.
 
@@ -41,6 +42,7 @@ def check_values(
         observed: Channels that must change.
         place: Returns a text such as "file: row 5, column 'x'" for a column and an index.
         drop_option: The option that leaves bad rows out, for messages.
+        may_repeat: Whether a time may be that of the row before, as in a path.
 
     Raises:
         InputError: If there is a single row, time does not increase, a value is not plausible, or an observed channel
@@ -51,7 +53,7 @@ def check_values(
     for column in columns:
         numbers = values[column.name]
         if column.name == "time":
-            check_time(numbers, column.unit, lambda i, column=column: place(column, i), drop_option)
+            check_time(numbers, column.unit, lambda i, column=column: place(column, i), drop_option, may_repeat)
         if not column.any_scale:
             mapping = f"[channels] {column.name} to unit = " + '"{unit}"'
             unit_place = mapping if column.mapped else f"the header to '{column.name} [{{unit}}]'"
@@ -85,7 +87,9 @@ def check_changes(path: Path | str, column: FileColumn, values: NDArray[np.float
         raise InputError(message, code="constant-channel", cure=cure)
 
 
-def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str], drop_option: str) -> None:
+def check_time(
+    time: NDArray[np.float64], unit: str, place: Callable[[int], str], drop_option: str, may_repeat: bool = False
+) -> None:
     """Refuse time that does not increase.
 
     Args:
@@ -93,11 +97,12 @@ def check_time(time: NDArray[np.float64], unit: str, place: Callable[[int], str]
         unit: Their unit.
         place: Returns a text such as "file: row 5, column 'x'" for an index.
         drop_option: The option that leaves bad rows out, for messages.
+        may_repeat: Whether a time may be that of the row before, as in a path.
 
     Raises:
         InputError: If a time is not above the one before.
     """
-    slips = np.flatnonzero(time[1:] <= time[:-1])
+    slips = np.flatnonzero(time_slips(time, may_repeat))
     if slips.size:
         i = int(slips[0]) + 1
         constant = f"does not increase at {time[i]:.15g}"

@@ -229,6 +229,8 @@ def discretise(
         else:
             at_grid = np.interp(grid, time, signals[:, i])
             before[:, i], after[:, i] = at_grid[:-1], at_grid[1:]
+            # Interpolation cannot tell rows of one time apart, which a path may have.
+            before[indices[:-1], i], after[indices[1:] - 1, i] = signals[:-1, i], signals[1:, i]
     return _inputs(grid, before, after, indices, signals, surroundings=surroundings)
 
 
