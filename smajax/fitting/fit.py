@@ -14,6 +14,7 @@ import optimistix as optx
 from smajax import parameters
 from smajax.errors import Cancelled, InputError, NumericsError
 from smajax.fitting.abstract_problem import residual
+from smajax.fitting.bounds import parameters_at_bounds
 from smajax.fitting.collinearity import CollinearGroup, find_collinear_groups
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.levenberg_marquardt import BoundedLevenbergMarquardt, SolverStatus
@@ -48,9 +49,6 @@ Solver: TypeAlias = optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | optx.A
 MAX_STEPS = 100
 # Searches that end within this factor of the best cost count as ended at the best one. Chosen by trial.
 _SAME_COST = 1.001
-# Largest distance from a bound, as a share of the parameter's scale, at which a parameter may be at that bound: steps
-# towards a bound grow ever shorter. Chosen by trial, tests/unit/fitting/test_fit.py holds it.
-_BOUND_MARGIN = 1e-6
 # Least number of starts where nothing transforms at the nominal values: transformation temperatures may have to change
 # by 100 K, and a search finds them from about 15 K away. Chosen by trial; tests/unit/fitting/test_transformation.py
 # holds it.
@@ -362,29 +360,3 @@ def _covariance(
     covariance = np.full((len(problem.unknowns),) * 2, np.nan)
     covariance[np.ix_(free, free)] = scaled * np.outer(scales, scales)
     return covariance, int(np.sum(measured))
-
-
-def parameters_at_bounds(
-    vector: np.ndarray, lower: np.ndarray, upper: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
-) -> np.ndarray:
-    """Find the parameters that a bound holds: the minimum of the cost along each lies at the bound or beyond it.
-
-    Along parameter i alone the minimum is at the distance |g_i| / H_ii in the direction of the falling cost, with the
-    gradient g = J' e and H = J' J. A parameter is held by a bound in that direction that is not farther away than this,
-    and not farther than a millionth of the parameter's scale. The other bound, and so the width of the bounds, does
-    not matter.
-
-    Args:
-        vector: Parameters over their scales, shape ``(p,)``.
-        lower: Lower bounds, shape ``(p,)``.
-        upper: Upper bounds, shape ``(p,)``.
-        residual: Residual e, shape ``(m,)``.
-        jacobian: Jacobian J of the residual, shape ``(m, p)``.
-
-    Returns:
-        Whether each parameter is held, shape ``(p,)``.
-    """
-    gradient, curvature = jacobian.T @ residual, np.sum(jacobian**2, axis=0)
-    to_minimum = np.abs(gradient) / np.where(curvature > 0, curvature, 1.0)
-    reach = np.minimum(to_minimum, _BOUND_MARGIN)
-    return ((vector - lower <= reach) & (gradient >= 0)) | ((upper - vector <= reach) & (gradient <= 0))

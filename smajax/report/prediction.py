@@ -8,7 +8,8 @@ channel. A cell is empty if a recording lacks the channel, or if the simulation 
 import csv
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +28,8 @@ _HEADER = re.compile(r"(?P<name>[^\[\]]+?) \[(?P<unit>[^\[\]]*)\]")
 _LABEL = re.compile(r"(?P<recording>.*) \((?P<variant>[^()]*)\)")
 # Channels of the model that are in the table even if they were not recorded.
 _INTERNAL_CHANNELS = ("temperature", "stress", "strain")
+# Rows whose cells are made at a time: as text a row takes a kilobyte, so that a million of them would take a gigabyte.
+_BLOCK = 10_000
 _USUAL_UNITS = {"strain": "%", "displacement": "mm", "angle": "deg", "temperature": "degC"}
 
 
@@ -173,15 +176,12 @@ def read_predictions(path: Path) -> list[Series]:
         with path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
             head = next(rows)
-            body = list(rows)
+            names, starts, numbers = _read_rows(rows, len(head))
         matches = [_HEADER.fullmatch(text) for text in head[3:]]
-        if head[:2] != ["recording", "role"] or not all(matches) or not body:
+        if head[:2] != ["recording", "role"] or not all(matches) or not names:
             raise ValueError
         columns = [(m["name"], m["unit"]) for m in matches if m]
         clock = _HEADER.fullmatch(head[2])
-        names = [(row[0], row[1]) for row in body]
-        starts = [0, *(i for i in range(1, len(names)) if names[i] != names[i - 1]), len(names)]
-        numbers = np.array([[float(cell) if cell else np.nan for cell in row[2:]] for row in body])
     except OSError as error:
         raise InputError(
             f"{path}: the file cannot be read ({error.strerror or error}): check the result folder"
@@ -189,7 +189,26 @@ def read_predictions(path: Path) -> list[Series]:
     except (ValueError, StopIteration, IndexError, csv.Error):
         raise InputError(f"{path}: this is not a table of predictions as smajax writes it: run the fit again") from None
     units = {"time": clock["unit"]} if clock else {}
-    return [_series_of(names[first], numbers[first:last], columns, units) for first, last in pairwise(starts)]
+    return [
+        _series_of(name, numbers[first:last], columns, units)
+        for name, (first, last) in zip(names, pairwise(starts), strict=True)
+    ]
+
+
+def _read_rows(rows: Iterator[list[str]], width: int) -> tuple[list[tuple[str, str]], list[int], Floats]:
+    """Name and role of each series, the row at which each starts, with the end, and all numbers (rows, columns)."""
+    names: list[tuple[str, str]] = []
+    starts: list[int] = []
+    numbers, count = array("d"), 0
+    for row in rows:
+        if len(row) != width:
+            raise ValueError
+        if not names or (row[0], row[1]) != names[-1]:
+            names.append((row[0], row[1]))
+            starts.append(count)
+        numbers.extend([float(cell) if cell else np.nan for cell in row[2:]])
+        count += 1
+    return names, [*starts, count], np.frombuffer(numbers).reshape(count, width - 2)
 
 
 def _columns(channels: Sequence[str], series: Sequence[Series]) -> list[tuple[str, bool]]:
@@ -203,19 +222,22 @@ def _columns(channels: Sequence[str], series: Sequence[Series]) -> list[tuple[st
     return columns
 
 
-def _rows(series: Series, columns: Sequence[tuple[str, bool]], units: Mapping[str, str]) -> Iterable[str]:
+def _rows(series: Series, columns: Sequence[tuple[str, bool]], units: Mapping[str, str]) -> Iterator[str]:
     """Lines of the table for one recording."""
     prefix = io.StringIO()
     csv.writer(prefix, lineterminator="").writerow([series.name, series.role])
-    rows = len(series.time)
-    cells = [list(map(repr, series.time.tolist())) if series.has_clock else list(map(str, range(rows)))]
-    for channel, of_model in columns:
-        values = (series.model if of_model else series.measured).get(channel)
-        if values is None:
-            cells.append([""] * rows)
-        else:
-            cells.append(_format_cells(values, series.units[channel], units[channel], channel, of_model))
-    return (f"{prefix.getvalue()},{','.join(row)}\n" for row in zip(*cells, strict=True))
+    for first in range(0, len(series.time), _BLOCK):
+        block = slice(first, min(first + _BLOCK, len(series.time)))
+        rows = range(block.start, block.stop)
+        cells = [list(map(repr, series.time[block].tolist())) if series.has_clock else list(map(str, rows))]
+        for channel, of_model in columns:
+            values = (series.model if of_model else series.measured).get(channel)
+            if values is None:
+                cells.append([""] * len(rows))
+            else:
+                cells.append(_format_cells(values[block], series.units[channel], units[channel], channel, of_model))
+        for row in zip(*cells, strict=True):
+            yield f"{prefix.getvalue()},{','.join(row)}\n"
 
 
 def _series_of(

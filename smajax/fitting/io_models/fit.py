@@ -18,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 
 from smajax.errors import Cancelled, NumericsError
 from smajax.fitting.abstract_problem import costs, residual
+from smajax.fitting.bounds import parameters_at_bounds, parameters_near_bounds
 from smajax.fitting.intervals import confidence_half_widths, covariance_under_autocorrelation
 from smajax.fitting.io_models.networks import fit_network
 from smajax.fitting.io_models.problem import (
@@ -50,8 +51,6 @@ _POINTS_PER_ROUND = 3
 _ROUND_SPREAD = 0.01
 # The last round is the first that lowers the cost by less than this share.
 _MIN_DECREASE = 1e-3
-# A parameter at most this share of the distance between its bounds away from one is at the bound.
-_BOUND_MARGIN = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +71,7 @@ class IOModelFit:
         half_widths: Half-widths of the parameters' 95 % intervals, a pytree: infinite where the recording does not
             determine the parameter, NaN for fixed parameters and for those at a bound. ``None`` for networks, whose
             weights have no intervals.
+        held: Whether a bound holds each parameter, a pytree of the structure of ``parameters``.
         interrupted: Whether the fit was stopped before its end.
     """
 
@@ -86,6 +86,7 @@ class IOModelFit:
     ridge: float = 0.0
     divergence_rate: float = 0.0
     half_widths: Any = None
+    held: Any = None
     interrupted: bool = False
 
     def _leaves(self) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
@@ -132,8 +133,7 @@ class IOModelFit:
     def at_bound(self) -> tuple[str, ...]:
         """The free parameters that ended at a bound, with that bound; for an array, with the number of entries."""
         names = []
-        for name, value, low, high, _ in self._leaves():
-            mask = _at_bound(value, low, high)
+        for (name, value, low, high, _), mask in zip(self._leaves(), jax.tree.leaves(self.held), strict=True):
             if np.any(mask):
                 end = low if np.all(value - low < high - value) else high
                 names.append(f"{name} ({f'{np.sum(mask)} of {mask.size}' if mask.ndim else f'{float(end):.4g}'})")
@@ -157,11 +157,6 @@ class IOModelFit:
 
 _respond = eqx.filter_jit(response.compute_response)
 _weighted_residual = eqx.filter_jit(residual)
-
-
-def _at_bound(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Mask of the free parameters that are at a bound."""
-    return np.asarray((np.minimum(value - low, high - value) <= _BOUND_MARGIN * (high - low)) & (low < high))
 
 
 class _SearchEnd(NamedTuple):
@@ -272,9 +267,9 @@ def _fit_at(
     weighted = np.asarray(_weighted_residual(jnp.asarray(vector), problem)) / float(jnp.max(problem.data.weight))
     flat = problem.lower + jnp.asarray(vector) * problem.width
     maker: Any = problem.make
-    half_widths = None
+    half_widths, held = None, _held_parameters(problem, end)
     if end.residual is not None and end.jacobian is not None:
-        half_widths = maker.unravel(jnp.asarray(_half_widths(problem, vector, end.residual, end.jacobian)))
+        half_widths = maker.unravel(jnp.asarray(_half_widths(problem, held, end.residual, end.jacobian)))
     return IOModelFit(
         spec=spec,
         model=problem.make(flat),
@@ -287,13 +282,30 @@ def _fit_at(
         ridge=end.ridge,
         divergence_rate=end.divergence_rate,
         half_widths=half_widths,
+        held=jax.tree.map(lambda leaf: np.asarray(leaf) > 0.0, maker.unravel(jnp.asarray(held, float))),
     )
 
 
-def _half_widths(problem: IOModelProblem, vector: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+def _held_parameters(problem: IOModelProblem, end: _SearchEnd) -> np.ndarray:
+    """Mask (p,) of the free parameters that a bound holds.
+
+    The scale of a parameter is its value, or its first guess if that is larger, whatever the distance of the bounds.
+    """
+    vector: Any = end.vector
+    (low, high), width, bottom = problem.bounds, np.asarray(problem.width), np.asarray(problem.lower)
+    sizes = [np.abs(bottom + width * position) for position in (vector, problem.nominal)]
+    scales = np.maximum(*sizes) / np.where(width > 0.0, width, 1.0)
+    if end.residual is None or end.jacobian is None:
+        held = parameters_near_bounds(vector, low, high, scales)
+    else:
+        held = parameters_at_bounds(vector, low, high, end.residual, end.jacobian, scales)
+    return held & (low < high)
+
+
+def _half_widths(problem: IOModelProblem, held: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     """Half-widths (p,) of the parameters' 95 % intervals at the end of a fit, as in ``IOModelFit``."""
     low, high = problem.bounds
-    free = np.flatnonzero((low < high) & ~_at_bound(vector, low, high))
+    free = np.flatnonzero((low < high) & ~held)
     measured = np.asarray(problem.data.weight) > 0
     residuals, columns = (v.reshape(*measured.shape, *v.shape[1:]) for v in (residual, jacobian))
     covariance = covariance_under_autocorrelation(
@@ -301,7 +313,7 @@ def _half_widths(problem: IOModelProblem, vector: np.ndarray, residual: np.ndarr
         [residuals[k][rows] for k, rows in enumerate(measured)],
         len(free),
     )
-    half = np.full(len(vector), np.nan)
+    half = np.full(len(held), np.nan)
     half[free] = confidence_half_widths(covariance, int(np.sum(measured)), len(free))
     return half * np.asarray(problem.width)
 

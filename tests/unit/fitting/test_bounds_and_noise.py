@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smajax.fitting.fit import fit, parameters_at_bounds
+from smajax.fitting.bounds import parameters_at_bounds
+from smajax.fitting.fit import fit
 from smajax.fitting.noise import quantisation_noise
 from smajax.plant.drive import DutyDrive, PowerDrive
 from smajax.simulation.inputs import discretise
