@@ -14,6 +14,7 @@ from smajax.diagnosis.auxiliary_channels import (
     without_channels,
 )
 from smajax.diagnosis.data_split import TRAIN
+from smajax.diagnosis.memory import require_diagnosis_memory
 from smajax.diagnosis.problem import DiagnosisProblem
 from smajax.errors import InputError
 from smajax.files.rig_file import Rig
@@ -50,8 +51,8 @@ def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetu
         recordings: Recordings for training, selection and holdout.
 
     Raises:
-        InputError: If a recording cannot be used (``check_recordings``), every observed channel is saturated, or the
-            rig has parameters for each recording or free start values.
+        InputError: If a recording cannot be used (``check_recordings``), the memory is not enough, every observed
+            channel is saturated, or the rig has parameters for each recording or free start values.
     """
     if rig.fit.per_recording:
         raise InputError(
@@ -59,6 +60,7 @@ def set_up_diagnosis(rig: Rig, recordings: Sequence[Recording]) -> DiagnosisSetu
             "move fit.per_recording to fit.free"
         )
     check_recordings(recordings, rig.plant.signals)
+    require_diagnosis_memory(rig.plant, recordings, interpolation=rig.interpolation)
     saturated = _saturated_channels(rig.fit.observe, recordings)
     auxiliary, unusable = auxiliary_channels(rig.plant, rig.fit.observe, recordings)
     plant, settings = with_auxiliary_channels(rig.plant, without_channels(rig.fit, list(saturated)), auxiliary)

@@ -13,17 +13,27 @@ from smajax.simulation.inputs import count_steps
 
 # Bytes of a number of double precision.
 _NUMBER = 8
-# Numbers for each step of a search: the trajectory and its tangents. Measured 15 to 17 by XLA's memory analysis of one
-# step of the search of a dead-weight rig; a rig with two wires has twice the states.
-_PER_STEP = 17
-# Numbers for each step of a simulation that chooses starts; measured 2 in the same way.
+# The following were measured by experiments/fitting/fit_memory.py as peaks of ``smajax fit`` in its own process, with
+# an empty cache of compiled programs, from 100 to 200,000 rows, with 1 to 4 starts and 2 to 6 free parameters.
+# Bytes of Python, JAX, and compiling the programs of one wire: 590 MB with 100 rows.
+_PROGRAMS = 590_000_000
+# Bytes by which a further wire makes that larger: 731 MB for a rotary rig with two wires and 100 rows.
+_PROGRAMS_PER_WIRE = 140_000_000
+# Numbers for each recorded value and each value of the model in a row: reading, responses and report. 1058 MB with
+# 100,000 rows of a rotary rig, which have 3 recorded channels and 18 of the model; 852 MB with 200,000 rows of a
+# dead-weight rig, which have 2 and 9.
+_PER_VALUE = 10
+# Numbers for each step and wire, whatever the number of starts: inputs, and the states of the responses at the end.
+# 640 MB with 20,000 rows of 9 steps each.
+_PER_STEP = 21
+# Numbers for each step and wire of each start: the trajectory; there are as many again as free parameters, for the
+# tangents. 698 MB with the same rows and 4 starts.
+_PER_SEARCHED_STEP = 8
+# Residuals and Jacobians of each start: before and after a step, at the trial, and while they are copied. 665 MB with
+# 50,000 rows and 4 starts, 598 MB with 1.
+_COPIES = 5
+# Numbers for each step of a simulation that chooses starts: 2 by XLA's memory analysis of that program.
 _PER_SCREENED_STEP = 2
-# Numbers for each step of the responses at the end, which have all states and channels of one recording at a time.
-_PER_RESPONSE_STEP = 60
-# Residual and Jacobian of a search are there before and after a step, and once more while they are copied.
-_COPIES = 3
-# Bytes of Python, JAX and the compiled programs. Measured 0.5 to 0.7 GB.
-_PROGRAMS = 700_000_000
 # Share of the free memory that a fit may take; the rest is for other programs and for what the estimate leaves out.
 _FREE_SHARE = 0.8
 _GIGABYTE = 1e9
@@ -36,35 +46,53 @@ class FitMemory(NamedTuple):
 
     Attributes:
         steps: Steps of one simulation of all training recordings, which are filled up to one length.
-        search: Bytes of the search from one start.
-        others: Bytes of everything else: programs, inputs, and the responses at the end.
+        evaluation: Bytes of one evaluation of residual and Jacobian: trajectory and tangents.
+        ends: Bytes of the residual and the Jacobian of one start, with their copies.
+        others: Bytes of everything else: programs, recordings, inputs, and the responses at the end.
         screened: Bytes of one simulation that chooses starts.
         starts: Number of starts.
     """
 
     steps: int
-    search: int
+    evaluation: int
+    ends: int
     others: int
     screened: int
     starts: int
 
     @property
-    def least(self) -> int:
+    def sequential(self) -> int:
         """Bytes of the fit with one start after another."""
-        # The residuals and Jacobians of all starts are kept; they are a third to a half of a search.
-        return self.others + self.search + (self.starts - 1) * self.search // 2
+        return self.others + self.starts * self.ends + self.evaluation
 
     @property
-    def most(self) -> int:
+    def batch(self) -> int:
         """Bytes of the fit with all starts as one batch."""
-        return self.others + self.starts * self.search
+        return self.others + self.starts * (self.ends + self.evaluation)
 
-    def sentence(self) -> str:
-        """Say how many steps and how much memory the fit takes."""
-        return (
-            f"A simulation of these recordings takes {self.steps:,} steps, and a fit about "
-            f"{self.most / _GIGABYTE:.1f} GB of memory."
-        )
+    def sentence(self, free: float | None = None) -> str:
+        """Say how many steps and how much memory the fit takes, and what happens if that is not free.
+
+        Args:
+            free: Memory in bytes that this process can have; ``free_memory()`` if not given.
+        """
+        free = free_memory() if free is None else free
+        text = f"A simulation of these recordings takes {self.steps:,} steps, and a fit about {_in_gb(self.batch)}"
+        if self.sequential > _FREE_SHARE * free:
+            return f"{text}; {_in_gb(free)} are free: {_CURE}."
+        if self.batch > _FREE_SHARE * free:
+            return (
+                f"{text}; {_in_gb(free)} are free: it searches one start after another, in {_in_gb(self.sequential)}."
+            )
+        return f"{text}."
+
+
+# The cure where a fit does not fit into the memory.
+_CURE = "cut the recordings into parts, sample them more coarsely, or lower the number of starts"
+
+
+def _in_gb(size: float) -> str:
+    return f"{size / _GIGABYTE:.1f} GB of memory"
 
 
 def fit_memory(
@@ -89,16 +117,21 @@ def fit_memory(
     counts = [count_steps(plant, r, interpolation=interpolation, step=step) for r in (*recordings, *holdout)]
     steps = len(recordings) * max(counts[: len(recordings)])
     samples = len(recordings) * max(map(len, recordings)) * len(settings.observe)
-    own = len(recordings) * len({*settings.per_recording, *settings.initial})
-    unknowns = len(settings.free) + own
+    values = sum(len(r) * (1 + len(r.channels) + len(plant.observable)) for r in (*recordings, *holdout))
+    own = len(recordings) * len({*settings.per_recording, *(f"initial.{name}" for name in settings.initial)})
+    unknowns = len({*settings.free} - {*settings.per_recording}) + own
     wires = plant.mechanism.wires
-    signals = 2 * (len(plant.signals) + 1)
+    # All responses are simulated at once, on grids of one length.
+    responses = max(steps, len(counts) * max(counts))
     return FitMemory(
-        steps,
-        _NUMBER * (wires * _PER_STEP * steps + _COPIES * (unknowns + 1) * samples),
-        _PROGRAMS + _NUMBER * (2 * signals * steps + wires * _PER_RESPONSE_STEP * max(counts)),
-        _NUMBER * wires * _PER_SCREENED_STEP * steps,
-        settings.starts,
+        steps=steps,
+        evaluation=_NUMBER * wires * (_PER_SEARCHED_STEP + unknowns) * steps,
+        ends=_NUMBER * _COPIES * (unknowns + 1) * samples,
+        others=_PROGRAMS
+        + (wires - 1) * _PROGRAMS_PER_WIRE
+        + _NUMBER * (_PER_VALUE * values + wires * _PER_STEP * responses),
+        screened=_NUMBER * wires * _PER_SCREENED_STEP * steps,
+        starts=settings.starts,
     )
 
 
@@ -108,7 +141,7 @@ def search_in_parts(memory: FitMemory, name: str, free: float | None = None) -> 
     Args:
         memory: Memory of the fit.
         name: Name of the recordings in the message.
-        free: Free memory in bytes; ``free_memory()`` if not given.
+        free: Memory in bytes that this process can have; ``free_memory()`` if not given.
 
     Returns:
         Whether the starts are searched one after another, and how many simulations that choose starts fit into the
@@ -118,21 +151,41 @@ def search_in_parts(memory: FitMemory, name: str, free: float | None = None) -> 
         InputError: If the fit does not fit even so.
     """
     free = free_memory() if free is None else free
-    allowed = _FREE_SHARE * free
-    if memory.least > allowed:
-        raise InputError(
-            f"{name}: this fit takes {memory.steps:,} steps and about {memory.least / _GIGABYTE:.1f} GB of memory, and "
-            f"{free / _GIGABYTE:.1f} GB are free: cut the recordings into parts, sample them more coarsely, or lower "
-            "the number of starts"
-        )
-    screened = int((allowed - memory.others) // max(memory.screened, 1))
-    return memory.most > allowed, max(screened, 1)
+    require_memory(f"{name}: this fit", memory.steps, memory.sequential, free, _CURE)
+    screened = int((_FREE_SHARE * free - memory.others) // max(memory.screened, 1))
+    return memory.batch > _FREE_SHARE * free, max(screened, 1)
+
+
+def require_memory(task: str, steps: int, size: float, free: float, cure: str) -> None:
+    """Refuse a task that does not fit into the free memory.
+
+    Args:
+        task: The task in words, with the names of its recordings.
+        steps: Steps of one simulation.
+        size: Memory of the task, bytes.
+        free: Memory in bytes that this process can have.
+        cure: What the user can do.
+
+    Raises:
+        InputError: If it does not fit.
+    """
+    if size > _FREE_SHARE * free:
+        raise InputError(f"{task} takes {steps:,} steps and about {_in_gb(size)}, and {_in_gb(free)} are free: {cure}")
 
 
 def free_memory() -> float:
-    """Return the free memory in bytes: the least of that of the machine, of its control group and of the process."""
+    """Return the memory in bytes that this process can have: what it has, and what is free.
+
+    What is free is the least of that of the machine, of its control group, and of the limit of the process.
+    """
     limits = [_machine_memory(), _group_memory(), _process_memory()]
-    return min((limit for limit in limits if limit is not None), default=math.inf)
+    return _resident_memory() + min((limit for limit in limits if limit is not None), default=math.inf)
+
+
+def _resident_memory() -> float:
+    """Memory that this process has, bytes; 0 where that is not known."""
+    lines = _lines(_PROCESSES / "self" / "status")
+    return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith("VmRSS")), 0.0)
 
 
 def _machine_memory() -> float | None:

@@ -94,6 +94,9 @@ def check(
     reading: Reading = NO_CHANGES,
 ) -> None:
     """Read and validate a rig and its recordings, and say what would be fitted; runs nothing."""
+    from smajax.numerics.process import prepare_jax
+
+    prepare_jax()  # the program that looks for a transformation is cached for the fit
     from smajax.app.commands.check import describe
 
     typer.echo(describe(rig, recordings or [], reading))

@@ -1,4 +1,4 @@
-"""Job of ``smajax check``: describe a rig and its recordings, or an actuator, without a calculation."""
+"""Job of ``smajax check``: describe a rig and its recordings, or an actuator, without a fit."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,6 +18,7 @@ from smajax.files.rig_file import Rig, read_rig
 from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
 from smajax.fitting.memory import fit_memory
+from smajax.fitting.transformation_check import needs_transformation, transformation_gap
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.recordings.recording import Recording
 from smajax.report.summary import table
@@ -67,11 +68,20 @@ def _describe_rig(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     lines += [f"Note: {note}" for note in check_dissipation(rig.plant, [r.channels for r in recordings])]
     for recording in recordings:
         lines += ["", *_describe_recording(rig, recording)]
-    fits = all(c in r.channels for r in recordings for c in (*rig.plant.signals, *rig.fit.observe))
-    if recordings and rig.fit.names and fits:
-        settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
-        memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
-        lines += ["", memory.sentence()]
+    if recordings and rig.fit.names:
+        lines += ["", *_describe_fit(rig, recordings)]
+    return lines
+
+
+def _describe_fit(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+    """Return the steps and the memory of a fit, and a notice where the rig's own values transform nothing."""
+    settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
+    memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
+    lines = [memory.sentence()]
+    if needs_transformation(rig.fit.names):
+        plants = [rig.plant] * len(recordings)
+        gap = transformation_gap(plants, recordings, interpolation=rig.interpolation)
+        lines += [] if gap is None else [f"Note: {gap.sentence(recordings, 'the values of this rig')}"]
     return lines
 
 

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from smajax.diagnosis import memory as memory_module
+from smajax.diagnosis.memory import diagnosis_memory
 from smajax.diagnosis.setup import check_recordings, set_up_diagnosis
 from smajax.errors import InputError
 from smajax.files.rig_file import read_rig
@@ -42,3 +44,15 @@ def test_own_parameters_of_recordings_are_refused(folder):
     rig = dataclasses.replace(rig, fit=dataclasses.replace(rig.fit, per_recording=("heat.h0",)))
     with pytest.raises(InputError, match=r"rig.toml: a diagnosis takes one set of parameters .*fit.per_recording"):
         set_up_diagnosis(rig, [recording(name) for name in ("train", "select", "holdout")])
+
+
+def test_a_diagnosis_that_does_not_fit_into_the_memory_is_refused_before_anything_is_compiled(folder, monkeypatch):
+    rig = read_rig(folder / "rig.toml")
+    recordings = [recording(name, 1000, seed=k) for k, name in enumerate(("train", "select", "holdout"))]
+    steps, size = diagnosis_memory(rig.plant, recordings, interpolation=rig.interpolation)
+    assert steps > 20_000 and size > 1e9
+    monkeypatch.setattr(memory_module, "free_memory", lambda: size / 2)
+    with pytest.raises(
+        InputError, match=rf"train: this diagnosis takes {steps:,} steps and about .* GB of memory, and"
+    ):
+        set_up_diagnosis(rig, recordings)

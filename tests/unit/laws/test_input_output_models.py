@@ -183,6 +183,18 @@ def test_a_parameter_that_ends_at_its_bound_is_named():
         assert result.at_bound == at_bound
 
 
+@pytest.mark.parametrize("upper", [1e3, 1e9])
+def test_the_width_of_the_bounds_decides_no_bound_of_a_model(upper):
+    """A delay of 2 s is far from its bound of 0, also where the other bound is very far away."""
+    _, prompt, _ = scipy.signal.lsim(([3.0], DENOMINATORS["one-pole"]), INPUT, TIME, interp=False)
+    series = [Series("a", TIME, INPUT, 0.5 + np.append(np.zeros(20), prompt[:-20]))]
+    spec = transfer_function_spec(series, "one-pole")
+    wide = dataclasses.replace(spec, upper=spec.upper | {"gain": jnp.asarray(upper)})
+    result = fit_io_model(wide, series, starts=2, max_steps=60)
+    assert not any(name.startswith("gain") for name in result.at_bound)
+    assert result.values["gain"]["lower95"] is not None
+
+
 def test_the_hip_papers_flexion():
     """Open-loop unit step of 648.2 / (348.8 s^2 + 37.35 s + 1) e^(-6.46 s)."""
     tau = np.sqrt(348.8)

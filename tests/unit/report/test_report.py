@@ -325,6 +325,17 @@ def test_predictions_round_trip(tmp_path):
     assert np.isnan(second.model["displacement"][2])
 
 
+def test_long_predictions_are_written_in_blocks(tmp_path, monkeypatch):
+    whole = series(25)
+    prediction.write_predictions(tmp_path / "whole.csv", [whole])
+    monkeypatch.setattr(prediction, "_BLOCK", 7)
+    prediction.write_predictions(tmp_path / "blocks.csv", [whole])
+    assert (tmp_path / "blocks.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+    (tmp_path / "blocks.csv").write_text((tmp_path / "whole.csv").read_text() + "a,train,1.0\n")
+    with pytest.raises(InputError, match="not a table of predictions"):
+        prediction.read_predictions(tmp_path / "blocks.csv")
+
+
 def test_a_path_has_rows_instead_of_time(tmp_path):
     path = make_series(
         "p.csv",

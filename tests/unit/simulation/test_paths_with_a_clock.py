@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from smajax.errors import InputError
 from smajax.fitting.fit import fit
 from smajax.plant.effects.creep import Creep
+from smajax.recordings.read import read_recording
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import discretise
 from smajax.simulation.run import simulate
@@ -52,6 +54,41 @@ def test_a_clock_changes_no_fit_of_a_path():
     assert [e.estimate for e in timed.estimates] == [e.estimate for e in untimed.estimates]
     assert [e.lower95 for e in timed.estimates] == [e.lower95 for e in untimed.estimates]
     assert timed.discretisation_errors == untimed.discretisation_errors == {"strain": 0.0}
+
+
+def test_rows_of_one_time_are_a_path_of_their_own():
+    """A jump of stress within one time, and a clock that stands still: the response is that of the rows."""
+    plant, untimed = plants.stress_path(), cycle()
+    expected = simulate(plant, untimed).channels["strain"]
+    coarse = np.floor(np.arange(ROWS) / 7.0)
+    for time in (coarse, np.zeros(ROWS), 1e-6 * np.arange(ROWS)):
+        recording = dataclasses.replace(untimed, time=time, has_clock=True)
+        np.testing.assert_array_equal(simulate(plant, recording).channels["strain"], expected)
+    finer = discretise(plant, dataclasses.replace(untimed, time=coarse, has_clock=True), step=0.25)
+    jumps = np.flatnonzero(np.diff(coarse) == 0.0) + 1
+    ends = finer.sample_indices[jumps] - 1
+    np.testing.assert_array_equal(finer.after[ends], finer.sample_signals[jumps])
+
+
+@pytest.mark.parametrize("policy", ["refuse", "drop", "split"])
+def test_times_of_a_path_may_repeat_and_are_counted(policy, tmp_path):
+    times = [0.0, 0.0, 1.0, 1.0, 1.0, 2.0]
+    lines = ["time [s],temperature [degC],stress [MPa]", *(f"{t},{20 + k},{100 + k}" for k, t in enumerate(times))]
+    (tmp_path / "path.csv").write_text("\n".join(lines))
+    options = {"required": ("temperature", "stress"), "on_bad_rows": policy}
+    recording = read_recording(tmp_path / "path.csv", clock=False, **options)
+    assert recording.time.tolist() == times and recording.has_clock
+    assert recording.notes == ("3 rows have the time of the row before: a path is led in the order of its rows",)
+    assert len(read_recording(recording, clock=False, **options)) == len(times)
+    lines[-1] = "0.5,25,105"
+    (tmp_path / "path.csv").write_text("\n".join(lines))
+    if policy == "refuse":
+        with pytest.raises(InputError, match=r"row 7, column 'time \[s\]': time decreases from 1 to 0\.5"):
+            read_recording(tmp_path / "path.csv", clock=False, **options)
+    (tmp_path / "path.csv").write_text("\n".join(lines[:-1]))
+    if policy == "refuse":
+        with pytest.raises(InputError, match="time does not increase at 0"):
+            read_recording(tmp_path / "path.csv", **options)
 
 
 def test_effects_with_rates_take_the_recorded_times():

@@ -1,0 +1,53 @@
+"""Memory of a diagnosis, which is known before it begins."""
+
+from collections.abc import Sequence
+
+from smajax.fitting.memory import free_memory, require_memory
+from smajax.plant.plant import Plant
+from smajax.recordings.recording import Recording
+from smajax.simulation.inputs import count_steps
+
+# Bytes of Python, JAX, and compiling the two programs of one wire with all effects: 1.25 GB with 2,000 rows, measured
+# by experiments/fitting/fit_memory.py as the peak of ``smajax diagnose`` in its own process, with an empty cache.
+_PROGRAMS = 1_250_000_000
+# Bytes for each step of the longest recording and wire: trajectories with the states of all effects, their tangents,
+# two searches at a time, and the Jacobians of all candidates. 1.47 GB with 20,000 rows of one step each.
+_PER_STEP = 16_000
+_CURE = "cut the recordings into parts, or sample them more coarsely"
+
+
+def diagnosis_memory(
+    plant: Plant, recordings: Sequence[Recording], *, interpolation: str = "hold", step: float | None = None
+) -> tuple[int, int]:
+    """Compute the steps and the memory of a diagnosis; nothing is simulated.
+
+    Args:
+        plant: The plant.
+        recordings: Recordings for training, selection and holdout, which are filled up to one length.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        step: Longest step in s; the plant's default if not given.
+
+    Returns:
+        The steps of a simulation of the longest recording, and the memory in bytes.
+    """
+    steps = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
+    return steps, _PROGRAMS + plant.mechanism.wires * _PER_STEP * steps
+
+
+def require_diagnosis_memory(
+    plant: Plant, recordings: Sequence[Recording], *, interpolation: str = "hold", free: float | None = None
+) -> None:
+    """Refuse a diagnosis that does not fit into the free memory.
+
+    Args:
+        plant: The plant.
+        recordings: Recordings for training, selection and holdout.
+        interpolation: Electrical inputs between samples: ``hold`` or ``linear``.
+        free: Memory in bytes that this process can have; ``free_memory()`` if not given.
+
+    Raises:
+        InputError: If it does not fit.
+    """
+    steps, size = diagnosis_memory(plant, recordings, interpolation=interpolation)
+    longest = max(recordings, key=len).name
+    require_memory(f"{longest}: this diagnosis", steps, size, free_memory() if free is None else free, _CURE)
