@@ -18,7 +18,7 @@ _CURE = "cut the recordings into parts, or sample them more coarsely"
 
 def diagnosis_memory(
     plant: Plant, recordings: Sequence[Recording], *, interpolation: str = "hold", step: float | None = None
-) -> tuple[int, int]:
+) -> tuple[int, float]:
     """Compute the steps and the memory of a diagnosis; nothing is simulated.
 
     Args:
@@ -31,7 +31,7 @@ def diagnosis_memory(
         The steps of a simulation of the longest recording, and the memory in bytes.
     """
     steps = max(count_steps(plant, r, interpolation=interpolation, step=step) for r in recordings)
-    return steps, _PROGRAMS + plant.mechanism.wires * _PER_STEP * steps
+    return steps, float(_PROGRAMS + plant.mechanism.wires * _PER_STEP * steps)
 
 
 def require_diagnosis_memory(

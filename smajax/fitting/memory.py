@@ -61,14 +61,14 @@ class FitMemory(NamedTuple):
     starts: int
 
     @property
-    def sequential(self) -> int:
+    def sequential(self) -> float:
         """Bytes of the fit with one start after another."""
-        return self.others + self.starts * self.ends + self.evaluation
+        return float(self.others + self.starts * self.ends + self.evaluation)
 
     @property
-    def batch(self) -> int:
+    def batch(self) -> float:
         """Bytes of the fit with all starts as one batch."""
-        return self.others + self.starts * (self.ends + self.evaluation)
+        return float(self.others + self.starts * (self.ends + self.evaluation))
 
     def sentence(self, free: float | None = None) -> str:
         """Say how many steps and how much memory the fit takes, and what happens if that is not free.

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from smajax import parameters
+from smajax.app.commands.check import describe
 from smajax.fitting.fit import fit
 from smajax.fitting.fit_warnings import transformation_notices
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
+from smajax.recordings.datasets import data_path
 from smajax.report import summary
 from smajax.simulation.inputs import discretise
 from smajax.simulation.run import simulate
@@ -73,6 +75,19 @@ def test_the_distance_is_from_the_row_that_is_nearest_to_the_transformation():
     assert low < -gap.kelvin < high
     assert transformation_gap([plant], [cycle(60.0)]) is None
     assert transformation_gap([plant] * 2, [recording, cycle(60.0)]) is None
+
+
+def test_check_says_that_nothing_transforms_and_what_a_fit_takes(tmp_path):
+    path = data_path("recordings", "isobaric", "rig.toml")
+    for middle in (-40.0, 60.0):
+        recording = cycle(middle)
+        strain = {"strain": 1e-3 * np.random.default_rng(0).standard_normal(len(recording))}
+        dataclasses.replace(recording, channels={**recording.channels, **strain}).write(tmp_path / f"{middle:.0f}.csv")
+    cold, warm = (describe(path, [tmp_path / f"{middle}.csv"]) for middle in (-40, 60))
+    assert "Note: At the values of this rig this wire does not transform on -40.csv and stays martensite" in cold
+    assert "does not transform" not in warm
+    for text in (cold, warm):
+        assert "A simulation of these recordings takes 119 steps, and a fit about 0.6 GB of memory." in text
 
 
 def test_loops_of_a_superelastic_wire_are_fitted_from_values_of_an_actuator():
