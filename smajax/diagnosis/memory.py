@@ -13,7 +13,7 @@ _PROGRAMS = 1_250_000_000
 # Bytes for each step of the longest recording and wire: trajectories with the states of all effects, their tangents,
 # two searches at a time, and the Jacobians of all candidates. 1.47 GB with 20,000 rows of one step each.
 _PER_STEP = 16_000
-_CURE = "cut the recordings into parts, or sample them more coarsely"
+_REMEDY = "cut the recordings into parts, or sample them more coarsely"
 
 
 def diagnosis_memory(
@@ -50,4 +50,4 @@ def require_diagnosis_memory(
     """
     steps, size = diagnosis_memory(plant, recordings, interpolation=interpolation)
     longest = max(recordings, key=len).name
-    require_memory(f"{longest}: this diagnosis", steps, size, free_memory() if free is None else free, _CURE)
+    require_memory(f"{longest}: this diagnosis", steps, size, free_memory() if free is None else free, _REMEDY)

@@ -19,10 +19,10 @@ _NUMBER = 8
 _PROGRAMS = 590_000_000
 # Bytes by which a further wire makes that larger: 731 MB for a rotary rig with two wires and 100 rows.
 _PROGRAMS_PER_WIRE = 140_000_000
-# Numbers for each recorded value and each value of the model in a row: reading, responses and report. 1058 MB with
-# 100,000 rows of a rotary rig, which have 3 recorded channels and 18 of the model; 852 MB with 200,000 rows of a
-# dead-weight rig, which have 2 and 9.
-_PER_VALUE = 10
+# Numbers for each recorded value and each value of the model in a row: reading, responses and report. 1056 MB with
+# 100,000 rows of a rotary rig, which have 3 recorded channels and 18 of the model; 816 MB with 200,000 rows of a
+# dead-weight rig, which have 2 and 9, and 4 starts.
+_PER_VALUE = 8
 # Numbers for each step and wire, whatever the number of starts: inputs, and the states of the responses at the end.
 # 640 MB with 20,000 rows of 9 steps each.
 _PER_STEP = 21
@@ -79,7 +79,7 @@ class FitMemory(NamedTuple):
         free = free_memory() if free is None else free
         text = f"A simulation of these recordings takes {self.steps:,} steps, and a fit about {_in_gb(self.batch)}"
         if self.sequential > _FREE_SHARE * free:
-            return f"{text}; {_in_gb(free)} are free: {_CURE}."
+            return f"{text}; {_in_gb(free)} are free: {_REMEDY}."
         if self.batch > _FREE_SHARE * free:
             return (
                 f"{text}; {_in_gb(free)} are free: it searches one start after another, in {_in_gb(self.sequential)}."
@@ -87,8 +87,8 @@ class FitMemory(NamedTuple):
         return f"{text}."
 
 
-# The cure where a fit does not fit into the memory.
-_CURE = "cut the recordings into parts, sample them more coarsely, or lower the number of starts"
+# What the user can do where a fit does not fit into the memory.
+_REMEDY = "cut the recordings into parts, sample them more coarsely, or lower the number of starts"
 
 
 def _in_gb(size: float) -> str:
@@ -151,12 +151,12 @@ def search_in_parts(memory: FitMemory, name: str, free: float | None = None) -> 
         InputError: If the fit does not fit even so.
     """
     free = free_memory() if free is None else free
-    require_memory(f"{name}: this fit", memory.steps, memory.sequential, free, _CURE)
+    require_memory(f"{name}: this fit", memory.steps, memory.sequential, free, _REMEDY)
     screened = int((_FREE_SHARE * free - memory.others) // max(memory.screened, 1))
     return memory.batch > _FREE_SHARE * free, max(screened, 1)
 
 
-def require_memory(task: str, steps: int, size: float, free: float, cure: str) -> None:
+def require_memory(task: str, steps: int, size: float, free: float, remedy: str) -> None:
     """Refuse a task that does not fit into the free memory.
 
     Args:
@@ -164,13 +164,15 @@ def require_memory(task: str, steps: int, size: float, free: float, cure: str) -
         steps: Steps of one simulation.
         size: Memory of the task, bytes.
         free: Memory in bytes that this process can have.
-        cure: What the user can do.
+        remedy: What the user can do.
 
     Raises:
         InputError: If it does not fit.
     """
     if size > _FREE_SHARE * free:
-        raise InputError(f"{task} takes {steps:,} steps and about {_in_gb(size)}, and {_in_gb(free)} are free: {cure}")
+        raise InputError(
+            f"{task} takes {steps:,} steps and about {_in_gb(size)}, and {_in_gb(free)} are free: {remedy}"
+        )
 
 
 def free_memory() -> float:
