@@ -211,14 +211,17 @@ def _recording(
         drop_option, may_repeat = table.drop_option, request.times_may_repeat
         check_values(origin, columns, values, request.observed, place, drop_option, may_repeat)
         _convert_to_si(origin, columns, values)
-    units = {column.name: column.unit for column in columns}
+    units, notes = {column.name: column.unit for column in columns}, ()
     if "time" in values:
         time = values.pop("time")
-        return Recording(name, time, values, units, table.sha256(), True, _repeats_note(time))
+        if np.any(time != time[0]):
+            return Recording(name, time, values, units, table.sha256(), True, _repeats_note(time))
+        del units["time"]
+        notes = ("the time is the same in all rows, and was left out: a path is led in the order of its rows",)
     count = len(next(iter(values.values())))
     period = request.options.sample_period
     if period is None:
-        return Recording(name, np.arange(count, dtype=float), values, units, table.sha256(), False)
+        return Recording(name, np.arange(count, dtype=float), values, units, table.sha256(), False, notes)
     time = np.array((np.arange(count) if rows is None else rows) * period, float)
     return Recording(name, time, values, {"time": "s"} | units, table.sha256(), True)
 

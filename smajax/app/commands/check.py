@@ -17,7 +17,7 @@ from smajax.files.actuator_file import is_actuator, kind_of, parse_actuator
 from smajax.files.rig_file import Rig, read_rig
 from smajax.files.toml import read_text
 from smajax.files.train_and_holdout import read_train_and_holdout
-from smajax.fitting.memory import fit_memory
+from smajax.fitting.memory import fit_memory, free_memory
 from smajax.fitting.transformation_check import needs_transformation, transformation_gap
 from smajax.plant.materials.dissipation import check_dissipation
 from smajax.recordings.recording import Recording
@@ -78,7 +78,7 @@ def _describe_fit(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     settings: Any = rig.fit  # frozen, and the protocol of ``fit_memory`` has plain attributes
     memory = fit_memory(rig.plant, recordings, settings, interpolation=rig.interpolation)
     lines = [memory.sentence()]
-    if needs_transformation(rig.fit.names):
+    if needs_transformation(rig.fit.names) and memory.others < free_memory():
         plants = [rig.plant] * len(recordings)
         gap = transformation_gap(plants, recordings, interpolation=rig.interpolation)
         lines += [] if gap is None else [f"Note: {gap.sentence(recordings, 'the values of this rig')}"]

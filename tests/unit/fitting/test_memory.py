@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from smajax.errors import InputError
+from smajax.fitting import autoregression
 from smajax.fitting import fit as fit_module
 from smajax.fitting import memory as memory_module
+from smajax.fitting.autoregression import autoregressive_spectrum
 from smajax.fitting.fit import fit
 from smajax.fitting.memory import FitMemory, fit_memory, free_memory, search_in_parts
 from smajax.fitting.multi_start import screen_starts
@@ -118,6 +120,13 @@ def test_a_fit_in_parts_has_the_result_of_one_as_a_whole(monkeypatch):
     monkeypatch.setattr(fit_module, "search_in_parts", lambda memory, name: (True, 5))
     parts = fit(plant, [recording], settings)
     assert parts.estimates[0].estimate == pytest.approx(whole.estimates[0].estimate, rel=1e-6)
+
+
+def test_a_spectrum_in_blocks_is_that_of_all_frequencies(monkeypatch):
+    coefficients, frequencies = np.array([1.2, -0.4, 0.05]), np.fft.rfftfreq(200)
+    whole = autoregressive_spectrum(coefficients, 0.3, frequencies)
+    monkeypatch.setattr(autoregression, "_BLOCK", 7)
+    np.testing.assert_allclose(autoregressive_spectrum(coefficients, 0.3, frequencies), whole, rtol=1e-12)
 
 
 def test_free_memory_is_that_of_the_tightest_limit(monkeypatch, tmp_path):

@@ -80,6 +80,10 @@ def test_times_of_a_path_may_repeat_and_are_counted(policy, tmp_path):
     assert recording.time.tolist() == times and recording.has_clock
     assert recording.notes == ("3 rows have the time of the row before: a path is led in the order of its rows",)
     assert len(read_recording(recording, clock=False, **options)) == len(times)
+    (tmp_path / "still.csv").write_text("\n".join([lines[0], "7,20,100", "7,21,101"]))
+    still = read_recording(tmp_path / "still.csv", clock=False, **options)
+    assert not still.has_clock and still.time.tolist() == [0.0, 1.0] and "time" not in still.units
+    assert still.notes[0].startswith("the time is the same in all rows, and was left out")
     lines[-1] = "0.5,25,105"
     (tmp_path / "path.csv").write_text("\n".join(lines))
     if policy == "refuse":
