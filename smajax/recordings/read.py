@@ -158,7 +158,10 @@ def _check_recording(
     parts = [recording]
     if request.options.on_bad_rows != "refuse":
         parts = parts_without_bad_rows(
-            recording, [n for n in request.names if n not in request.observed], request.options.on_bad_rows, request.times_may_repeat
+            recording,
+            [n for n in request.names if n not in request.observed],
+            request.options.on_bad_rows,
+            request.times_may_repeat,
         )
     return [check_recording(part, request.names, request.observed, request.mapping) for part in parts]
 
