@@ -11,7 +11,8 @@ The public names by task; each has its own help, such as ``help(smajax.fit)``::
   ``ComparisonStudy``, ``PropertiesStudy`` (of ``Property``), ``SweepStudy``, ``TuningStudy``. ``load`` reads a saved
   one. ``ProgressEvent`` is what their callback ``progress`` gets.
 - Files: ``read_rig`` returns a ``Rig``, ``Rig.read`` and ``read_recording`` a ``Recording``, ``read_recordings``
-  several by ``ReadOptions``, ``load_material`` a material with the values of a parameter set.
+  several by ``ReadOptions``, ``import_recording`` a ``RecordingImport`` of a file whose columns it recognises,
+  ``load_material`` a material with the values of a parameter set.
 - Loops of your own: ``discretise`` returns ``Inputs``. Safe under ``jax.jit``, ``jax.vmap`` and ``jax.grad``:
   ``simulate`` returns a ``Simulation`` with a ``SimulationStatus``; ``init``, ``step`` and ``observe`` take single
   steps; ``rollout`` of a ``ClosedLoop`` over a ``Scenario`` returns a ``Rollout``.
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from smajax.api.load import load
     from smajax.api.predict import PredictionStudy, predict
     from smajax.api.properties import PropertiesStudy, Property, thermal_cycle_properties
+    from smajax.api.recording_import import RecordingImport, import_recording
     from smajax.api.registration import register
     from smajax.api.study import Study
     from smajax.api.sweep import SweepStudy, sweep
@@ -94,6 +96,7 @@ _MODULES = {
     "PropertiesStudy": "smajax.api.properties",
     "Property": "smajax.api.properties",
     "Recording": "smajax.recordings.recording",
+    "RecordingImport": "smajax.api.recording_import",
     "Rig": "smajax.files.rig_file",
     "Rollout": "smajax.control.loop.rollout",
     "Scenario": "smajax.control.loop.rollout",
@@ -109,6 +112,7 @@ _MODULES = {
     "diagnose": "smajax.api.diagnose",
     "discretise": "smajax.simulation.inputs",
     "fit": "smajax.api.fit",
+    "import_recording": "smajax.api.recording_import",
     "init": "smajax.simulation.plant_functions",
     "load": "smajax.api.load",
     "load_material": "smajax.files.parameter_sets",
@@ -163,6 +167,7 @@ __all__ = [
     "Property",
     "ReadOptions",
     "Recording",
+    "RecordingImport",
     "Rig",
     "Rollout",
     "Scenario",
@@ -181,6 +186,7 @@ __all__ = [
     "discretise",
     "effects",
     "fit",
+    "import_recording",
     "init",
     "load",
     "load_material",

@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from smajax import __version__
-from smajax.app.command_line import designs, files, models, properties
+from smajax.app.command_line import designs, files, importing, models, properties
 from smajax.errors import Cancelled
 
 # Packages whose exceptions are usage errors and exits, which typer handles.
@@ -63,6 +63,7 @@ app.command()(designs.sweep)
 app.command()(properties.properties)
 app.command()(files.demo)
 app.command()(files.init)
+app.command("import")(importing.import_file)
 app.command()(files.check)
 app.command()(files.report)
 app.command()(files.datasets)

@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from smajax.channels import channel_of
 from smajax.errors import InputError
+from smajax.recordings.unit_checks import BOUND_ROUNDING
+from smajax.units import to_si
 
 # Rows that a note lists by number, followed by the number of the others; chosen to keep the note on one line.
 _ROWS_LISTED = 5
@@ -115,6 +118,20 @@ def time_slips(time: NDArray[np.float64], may_repeat: bool) -> NDArray[np.bool_]
         may_repeat: Whether the same time twice is no slip.
     """
     return time[1:] < time[:-1] if may_repeat else time[1:] <= time[:-1]
+
+
+def impossible_values(channel: str, values: NDArray[np.float64], unit: str | None) -> NDArray[np.bool_]:
+    """Return which values cannot be, whatever the rig: a duty or a fan outside 0 to 1, as in a corrupt packet.
+
+    Args:
+        channel: The channel.
+        values: Values, shape ``(rows,)``.
+        unit: Their unit.
+    """
+    if channel_of(channel) not in ("duty", "fan"):
+        return np.zeros(len(values), bool)
+    numbers = to_si(values, unit or "1", "1")
+    return (numbers < 0) | (numbers > 1 + BOUND_ROUNDING)
 
 
 def is_restart(time: NDArray[np.float64], row: int) -> bool:

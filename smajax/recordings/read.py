@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from smajax.channels import channel_unit
 from smajax.errors import InputError
-from smajax.recordings.bad_rows import good_rows, split_rows
+from smajax.recordings.bad_rows import good_rows, impossible_values, split_rows
 from smajax.recordings.column_mapping import (
     ROW_NUMBER_HEADERS,
     ChannelMap,
@@ -256,7 +256,19 @@ def _load(
         _refuse_other_than_row_numbers(origin, arrays.pop(0))
         notes = ("column 1, which has no header and counts the rows, was left out",)
     scaled = [c.source.scaled(a) if c.source else a for c, a in zip(columns, arrays, strict=True)]
-    return dict(zip((column.name for column in columns), scaled, strict=True)), notes
+    values = dict(zip((column.name for column in columns), scaled, strict=True))
+    return values, notes + (_blank_impossible(columns, values) if request.options.on_bad_rows != "refuse" else ())
+
+
+def _blank_impossible(columns: Sequence[FileColumn], values: dict[str, Floats]) -> tuple[str, ...]:
+    """Make NaN of values that cannot be, in place, so that their rows are bad ones; return notes on them."""
+    notes = []
+    for column in columns:
+        bad = impossible_values(column.name, values[column.name], column.unit)
+        if bad.any() and not column.any_scale:
+            values[column.name] = np.where(bad, np.nan, values[column.name])
+            notes.append(f"{column.name} is outside 0 to 1 in {np.count_nonzero(bad)} rows, which count as unreadable")
+    return tuple(notes)
 
 
 def _refuse_other_than_row_numbers(origin: Path | str, numbers: Floats) -> None:

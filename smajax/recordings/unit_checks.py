@@ -42,7 +42,7 @@ _ROOM_KELVIN_TO = 308.0
 _LOWEST_KELVIN = 270.0
 _HIGHEST_KELVIN = 700.0
 # Relative tolerance of the bounds of the plausible range, for rounding in the conversion.
-_BOUND_ROUNDING = 1e-9
+BOUND_ROUNDING = 1e-9
 
 
 def check_scale(
@@ -73,7 +73,7 @@ def check_scale(
     channel = CHANNELS[kind]
     low, high = channel.plausible_range
     si = to_si(values, unit, channel.unit)
-    outside = np.flatnonzero((si < low - _BOUND_ROUNDING * abs(low)) | (si > high + _BOUND_ROUNDING * abs(high)))
+    outside = np.flatnonzero((si < low - BOUND_ROUNDING * abs(low)) | (si > high + BOUND_ROUNDING * abs(high)))
     if outside.size:
         bound = low if si[outside[0]] < low else high
         limit = f"{'below' if bound == low else 'above'} {_bound_text(bound, unit, kind)}"
@@ -85,13 +85,17 @@ def check_scale(
             peak = f"the largest {kind}, {_text(values[row], unit)}"
             problem = f"{peak}, is below {_bound_text(channel.faint, unit, kind)}"
             _refuse(place(row), problem, _likely_unit(values, kind, unit), name, unit_place)
-    if kind in ("temperature", "ambient") and conversion(unit, "degC") == (1, 0) and _looks_like_kelvin(values):
+    if kind in ("temperature", "ambient") and conversion(unit, "degC") == (1, 0) and looks_like_kelvin(values):
         start = f"a {kind} that starts at {_text(values[0], unit)} and is never below {_text(values.min(), unit)}"
         _refuse(place(0), f"{start} is not one in degC", "K", name, unit_place)
 
 
-def _looks_like_kelvin(values: NDArray[np.float64]) -> bool:
-    """Return whether temperatures begin at room temperature in K and stay above freezing, unlike any in degC."""
+def looks_like_kelvin(values: NDArray[np.float64]) -> bool:
+    """Return whether temperatures begin at room temperature in K and stay above freezing, unlike any in degC.
+
+    Args:
+        values: Temperatures, shape ``(rows,)``.
+    """
     at_room = _ROOM_KELVIN_FROM <= values[0] <= _ROOM_KELVIN_TO
     return bool(at_room and values.min() >= _LOWEST_KELVIN and values.max() < _HIGHEST_KELVIN)
 

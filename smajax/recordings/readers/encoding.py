@@ -38,7 +38,7 @@ def open_as_utf8(path: Path, encoding: str | None) -> BinaryIO:
     with path.open("rb") as file:
         head = file.read(_SAMPLE)
     if encoding is None:
-        encoding = _utf16_of(head)
+        encoding = utf16_of(head)
     if encoding is None or encoding.lower().replace("_", "-") in _READ_BY_ROW:
         stream = path.open("rb")
         stream.seek(len(UTF8_MARK) if head.startswith(UTF8_MARK) else 0)
@@ -73,8 +73,12 @@ def decode_row(line: bytes, encoding: str | None) -> str:
         return line.decode("cp1252")
 
 
-def _utf16_of(head: bytes) -> str | None:
-    """Return the encoding of a file that begins like UTF-16, with or without a mark, else ``None``."""
+def utf16_of(head: bytes) -> str | None:
+    """Return the encoding of a file that begins like UTF-16, with or without a mark, else ``None``.
+
+    Args:
+        head: First bytes of the file.
+    """
     if head.startswith(_UTF16_MARKS):
         return "utf-16"
     even, odd = head[0::2].count(0), head[1::2].count(0)

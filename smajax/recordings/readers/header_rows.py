@@ -67,7 +67,7 @@ def read_header_rows(place: str, row: int, rows: Sequence[Sequence[str]], option
     count = int(has_header(first, options))
     headers = _named(place, row, first, options) if options.columns is not None else tuple(first)
     next_row = rows[count] if len(rows) > count else ()
-    if options.units_row is False or (options.units_row is None and not _is_units_row(next_row, len(headers))):
+    if options.units_row is False or (options.units_row is None and not is_units_row(next_row, len(headers))):
         return HeaderRows(headers, count)
     number = row + count
     if len(next_row) != len(headers):
@@ -95,8 +95,13 @@ def _named(place: str, row: int, cells: Sequence[str], options: ReadOptions) -> 
     )
 
 
-def _is_units_row(cells: Sequence[str], width: int) -> bool:
-    """Return whether a row has a unit in each cell that is not blank."""
+def is_units_row(cells: Sequence[str], width: int) -> bool:
+    """Return whether a row has a unit in each cell that is not blank.
+
+    Args:
+        cells: Texts of the cells.
+        width: Number of columns.
+    """
     texts = [cell.strip(_BRACKETS + " ") for cell in cells]
     filled = [text for text in texts if text not in ("", "-")]
     return len(cells) == width and bool(filled) and all(_is_unit(text) for text in filled)

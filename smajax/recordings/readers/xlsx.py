@@ -52,6 +52,25 @@ def open_sheets(path: Path, options: ReadOptions) -> list["XlsxTable"]:
     return tables
 
 
+def first_rows(path: Path, count: int) -> dict[str, list[list[str]]]:
+    """Return the first rows of each sheet that is not blank, as texts, by the name of the sheet.
+
+    Args:
+        path: The workbook.
+        count: Number of rows.
+
+    Raises:
+        InputError: If the file is not a workbook.
+    """
+    book = _open_book(path)
+    rows = {}
+    for sheet in book.worksheets:
+        if _has_rows(sheet):
+            cells = sheet.iter_rows(max_row=count, values_only=True)
+            rows[sheet.title] = [["" if cell is None else str(cell).strip() for cell in row] for row in cells]
+    return rows
+
+
 @final
 class XlsxTable(Table):
     """One sheet of a workbook.

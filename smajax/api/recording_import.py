@@ -1,0 +1,159 @@
+"""Import of a file whose layout and columns are not known: look at it, say what it is taken for, write a recording."""
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from smajax.errors import InputError
+from smajax.files.channel_settings import ChannelSettings
+from smajax.files.recording_sections import sections_text
+from smajax.files.toml import write_text
+from smajax.recordings.read import read_recordings
+from smajax.recordings.read_options import ReadOptions
+from smajax.recordings.recognition.findings import Question
+from smajax.recordings.recognition.recognise import Recognition, recognise, unrecognised
+from smajax.recordings.recording import Recording
+from smajax.report.recording_import import import_summary
+
+# What decides a doubt: it gets the question and returns an answer, or None for the choice of the question.
+Ask = Callable[[Question], str | None]
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class RecordingImport:
+    """A file that was looked at, and the recordings in it.
+
+    Attributes:
+        recognition: What the file was taken for, and why.
+        recordings: The recordings: one, or several of a workbook or of a clock that begins again.
+        questions: Doubts that nobody has decided, with the choices that were made.
+    """
+
+    recognition: Recognition
+    recordings: tuple[Recording, ...]
+    questions: tuple[Question, ...]
+
+    @property
+    def options(self) -> ReadOptions:
+        """Options with which the file is read."""
+        return self.recognition.options
+
+    @property
+    def channels(self) -> ChannelSettings:
+        """The section ``[channels]`` of a rig that reads the file."""
+        return ChannelSettings(self.recognition.mapping(), self.recognition.ignored())
+
+    def sections(self) -> str:
+        """Return the sections ``[recording]`` and ``[channels]`` of a rig that reads the file as it is."""
+        return sections_text(self.options, self.channels)
+
+    def summary(self) -> str:
+        """Return what each column was taken for and why, what is doubtful, and the sections of a rig."""
+        return import_summary(self.recognition, self.recordings, self.questions, self.sections())
+
+    def __repr__(self) -> str:
+        return self.summary()
+
+    def paths(self, folder: str | Path = "") -> list[Path]:
+        """Return the files that ``save`` writes: one for each recording, and the sections.
+
+        Args:
+            folder: The folder.
+        """
+        folder, stem = Path(folder), self.recognition.path.stem
+        several = len(self.recordings) > 1
+        names = [f"{stem}-recording{f'-{k}' if several else ''}.csv" for k in range(1, len(self.recordings) + 1)]
+        return [*(folder / name for name in names), folder / f"{stem}-sections.toml"]
+
+    def save(self, folder: str | Path = "", *, overwrite: bool = False) -> list[Path]:
+        """Write the recordings as CSV with units in the headers, and the sections of a rig.
+
+        Args:
+            folder: The folder; made if it is not there.
+            overwrite: Whether files that exist are replaced.
+
+        Returns:
+            The files.
+
+        Raises:
+            InputError: If a file exists (then none is written), or cannot be written.
+        """
+        folder, paths = Path(folder), self.paths(folder)
+        for path in paths:
+            if path.exists() and not overwrite:
+                cure = "name another folder with --out, or overwrite=True in Python"
+                raise InputError(f"{path}: this file exists and is not overwritten: {cure}")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(f"{folder}: the folder cannot be made ({reason}): name another one with --out") from None
+        for recording, path in zip(self.recordings, paths, strict=False):
+            recording.write(path)
+        write_text(paths[-1], self._sections_file())
+        return paths
+
+    def _sections_file(self) -> str:
+        """Return the sections with a comment that says what they are for."""
+        name = self.recognition.path.name
+        head = f"# Sections for a rig.toml that reads {name} as it is; the CSV written next to this file needs none.\n"
+        return head + (self.sections() or "# None are needed.\n")
+
+
+def import_recording(
+    path: str | os.PathLike[str],
+    *,
+    channels: Mapping[str, str] | None = None,
+    ask: Ask | None = None,
+    **reading: Any,
+) -> RecordingImport:
+    """Look at a file, and return what its layout and columns are taken for, with the recordings.
+
+    Args:
+        path: The file.
+        channels: What columns are, by header: ``{"Force sensor": "force [N] factor=-0.0087 offset=7.5"}``, or ``"-"``
+            for one to leave out; the others are recognised.
+        ask: Function that decides a doubt: it gets a ``Question`` and returns an answer, or ``None`` for its choice.
+        **reading: Options of ``ReadOptions``, such as ``sample_period="20 ms"``, which stay as they are.
+
+    Raises:
+        InputError: If the file cannot be read, no column is recognised, or an answer or option is wrong.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="openpyxl")  # of styles and extensions of the sheet
+        recognition, questions = _decide(Path(path), dict(channels or {}), dict(reading), ask)
+        if not any(column.channel not in (None, "time") for column in recognition.columns):
+            raise unrecognised(recognition)
+        recordings = read_recordings(
+            recognition.path,
+            mapping=recognition.mapping(),
+            ignore=recognition.ignored(),
+            clock=recognition.has_clock,
+            options=recognition.options,
+        )
+    return RecordingImport(recognition, tuple(recordings), questions)
+
+
+def _decide(
+    path: Path, answers: dict[str, str], changes: dict[str, Any], ask: Ask | None
+) -> tuple[Recognition, tuple[Question, ...]]:
+    """Return what a file is taken for after all questions, and the questions that nobody has answered."""
+    recognition = recognise(path, answers, changes)
+    asked: set[str] = set()
+    while ask is not None:
+        question = next((q for q in recognition.questions if q.key not in asked), None)
+        if question is None:
+            break
+        asked.add(question.key)
+        answer = ask(question)
+        if answer is None or answer == question.choice:
+            continue
+        if question.is_column:
+            answers[question.key] = answer
+        else:
+            changes[question.key] = answer
+        recognition = recognise(path, answers, changes)
+    return recognition, tuple(q for q in recognition.questions if q.key not in asked)

@@ -1,0 +1,97 @@
+"""Header, units and data among the first rows of a table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from smajax.recordings.read_options import ReadOptions
+from smajax.recordings.readers.base import parse_number
+from smajax.recordings.readers.header_rows import is_units_row
+from smajax.recordings.readers.time_stamps import find_stamps
+
+# Share of the usual number of values that a row of data has: others of its cells may be blank.
+_DATA_SHARE = 0.5
+# Texts that programs write in cells without a value.
+_MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
+
+
+@dataclass(frozen=True)
+class RowRoles:
+    """Where header, units and data are, among the rows of a table.
+
+    Attributes:
+        data: Index of the first row of data.
+        width: Number of cells of a row of data.
+        header: Index of the row of headers; ``None`` without any.
+        units: Index of the row of units; ``None`` without any.
+    """
+
+    data: int
+    width: int
+    header: int | None
+    units: int | None
+
+    def is_adjacent(self) -> bool:
+        """Return whether header, units and data follow each other without a row between."""
+        rows = [row for row in (self.header, self.units, self.data) if row is not None]
+        return rows == list(range(rows[0], rows[0] + len(rows)))
+
+
+def count_values(cells: Sequence[str], decimal: str, time_format: str | None = None) -> int:
+    """Return the number of cells of a row that are numbers or time stamps.
+
+    Args:
+        cells: Texts of the cells.
+        decimal: Decimal sign.
+        time_format: Format of time stamps; ``None`` for ISO 8601 and times of day.
+    """
+    numbers = [parse_number(cell, decimal) is not None for cell in cells]
+    stamps = find_stamps([["" if number else cell for cell, number in zip(cells, numbers, strict=True)]], time_format)
+    return sum(numbers) + len(stamps)
+
+
+def find_rows(rows: Sequence[Sequence[str]], options: ReadOptions) -> RowRoles | None:
+    """Return where header, units and data are; ``None`` if there is no row of data.
+
+    Args:
+        rows: Texts of the cells of the first rows.
+        options: Decimal sign and format of time stamps.
+    """
+    counts = [count_values(cells, options.decimal, options.time_format) for cells in rows]
+    if not any(counts):
+        return None
+    width = usual_width(rows, counts)
+    usual = max(c for c, cells in zip(counts, rows, strict=True) if len(cells) == width)
+    is_data = [len(cells) == width and count >= _DATA_SHARE * usual for cells, count in zip(rows, counts, strict=True)]
+    data = is_data.index(True)
+    header = next((k for k in range(data - 1, -1, -1) if _is_header(rows[k], width, counts[k])), None)
+    units = None
+    if header is not None and is_units_row(rows[header], len(rows[header])):
+        above = next((k for k in range(header - 1, -1, -1) if _is_header(rows[k], width, counts[k])), None)
+        header, units = (above, header) if above is not None else (header, None)
+    return RowRoles(data, width, header, units)
+
+
+def usual_width(rows: Sequence[Sequence[str]], counts: Sequence[int]) -> int:
+    """Return the number of cells of most rows with values.
+
+    Args:
+        rows: Texts of the cells.
+        counts: Number of values in each row.
+    """
+    widths = [len(cells) for cells, count in zip(rows, counts, strict=True) if count]
+    return max(sorted(set(widths), reverse=True), key=widths.count)
+
+
+def is_missing(cell: str) -> bool:
+    """Return whether a cell has no value: blank, or a text that says so.
+
+    Args:
+        cell: Text of the cell.
+    """
+    return cell.strip().lower() in _MISSING
+
+
+def _is_header(cells: Sequence[str], width: int, values: int) -> bool:
+    """Return whether a row above the data may be one of names: as many texts as half of the columns, and few values."""
+    texts = [cell for cell in cells if cell.strip()]
+    return len(texts) - values >= max(_DATA_SHARE * width, 1) and len(cells) <= width + 1

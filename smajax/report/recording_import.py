@@ -1,0 +1,100 @@
+"""Summary of an import: what a file was taken for and why, what is doubtful, and the sections of a rig."""
+
+from collections.abc import Sequence
+from textwrap import wrap
+
+from smajax.recordings.recognition.answers import LEFT_OUT
+from smajax.recordings.recognition.findings import Question
+from smajax.recordings.recognition.recognise import Recognition
+from smajax.recordings.recording import Recording
+from smajax.report.summary import table
+
+# Width of the text in columns of a terminal, and least width of the last column of a table.
+_WIDTH = 118
+_LEAST_WIDTH = 40
+# Width of the other columns of a table, beyond which their texts go on in the next line.
+_CELL_WIDTH = 36
+# Ends of notes on a column that the table has.
+_OF_RIG, _OF_ROW_NUMBERS = "as the rig says", "which has no header and counts the rows, was left out"
+# Columns that are left out for the same reason, from which on they share a row of the table.
+_SHARED_FROM = 3
+
+
+def import_summary(
+    recognition: Recognition, recordings: Sequence[Recording], questions: Sequence[Question], sections: str
+) -> str:
+    """Return the summary as text for a terminal.
+
+    Args:
+        recognition: What the file was taken for.
+        recordings: The recordings that were read.
+        questions: Doubts that nobody has decided.
+        sections: The sections of a rig that read the file.
+    """
+    rows = " + ".join(f"{count:,}" for count in recognition.rows)
+    lines = [f"{recognition.path.name}: {rows} rows of {len(recognition.columns)} columns", ""]
+    layout = [(f.subject, f.choice, f.reason) for f in recognition.findings]
+    if layout:
+        lines += [*_wrapped([("layout", "taken as", "because"), *layout]), ""]
+    lines += [*_wrapped([("column", "taken as", "because"), *_column_rows(recognition)]), ""]
+    for k, question in enumerate(questions, 1):
+        lines += ["Doubts:"] if k == 1 else []
+        lines += _doubt(k, question)
+    lines += [""] if questions else []
+    for recording in recordings:
+        # The notes of the reader that repeat the table are left out.
+        notes = [note for note in recording.notes if not note.endswith((_OF_RIG, _OF_ROW_NUMBERS))]
+        lines += wrap(repr(recording).strip("<>"), _WIDTH, subsequent_indent="  ")
+        lines += [line for note in notes for line in wrap(f"  {note}", _WIDTH, subsequent_indent="  ")]
+    if sections:
+        lines += ["", f"Sections of a rig.toml that read {recognition.path.name} as it is:", "", sections.rstrip()]
+    elif recordings:
+        lines += ["", f"A rig needs no section to read {recognition.path.name}."]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _column_rows(recognition: Recognition) -> list[tuple[str, str, str]]:
+    """Return the rows of the table of columns; neighbours that are left out for the same reason share one."""
+    rows: list[tuple[str, str, str]] = []
+    groups: list[list[tuple[str, str, str]]] = []
+    for column in recognition.columns:
+        text = "left out" if column.text == LEFT_OUT else column.text
+        reason = column.reason.partition(" (")[0] if text == "left out" else column.reason
+        row = (column.header or "(no name)", text, column.reason)
+        same = groups and groups[-1][-1][1] == text == "left out"
+        if same and groups[-1][-1][2].partition(" (")[0] == reason:
+            groups[-1].append(row)
+        else:
+            groups.append([row])
+    for group in groups:
+        if len(group) < _SHARED_FROM:
+            rows += group
+        else:
+            names = f"{group[0][0]} to {group[-1][0]}"
+            rows.append((names, f"left out ({len(group)})", group[0][2].partition(" (")[0]))
+    return rows
+
+
+def _doubt(number: int, question: Question) -> list[str]:
+    """Return the lines on a doubt, with the choice that was made and the option for another one."""
+    if question.is_column:
+        subject = question.key or "(no name)"
+        choice = "it is left out" if question.choice == LEFT_OUT else f"taken as {question.choice}"
+    else:
+        subject = question.key.replace("_", " ")
+        choice = f"{question.key} = {question.choice}" if question.choice else "the recording has no time"
+    text = f"{number}. {subject}: {question.text}; {choice}. Otherwise give for example {question.option}"
+    return wrap(text, _WIDTH, subsequent_indent="   ", break_long_words=False, break_on_hyphens=False)
+
+
+def _wrapped(rows: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Return a table of three columns whose texts go on in further lines where they are long."""
+    widths = [min(max(len(row[k]) for row in rows), _CELL_WIDTH) for k in (0, 1)]
+    last = max(_WIDTH - sum(widths) - 6, _LEAST_WIDTH)
+    lines: list[tuple[str, str, str]] = []
+    for row in rows:
+        cells = [wrap(text, width) or [""] for text, width in zip(row, (*widths, last), strict=True)]
+        for k in range(max(len(cell) for cell in cells)):
+            first, second, third = (cell[k] if k < len(cell) else "" for cell in cells)
+            lines.append((first, second, third))
+    return table(lines)
