@@ -34,7 +34,10 @@ def ask_in_terminal(question: Question) -> str | None:
         else "a value"
     )
     while True:
-        text = input(f"Number, or {example}: ").strip()
+        try:
+            text = input(f"Number, or {example}: ").strip()
+        except EOFError:  # the end of the input: nobody answers
+            return None
         answer = answers[int(text) - 1] if text.isdigit() and 1 <= int(text) <= len(answers) else text
         if not answer or answer == question.choice:
             return None

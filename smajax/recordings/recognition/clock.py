@@ -72,7 +72,7 @@ def period_question(choices: Sequence[ColumnChoice], values: Mapping[int, Floats
     for choice in choices:
         step = _usual_step(values[choice.index])
         if choice.channel is None and step is not None and step != 1:
-            hint = f"column '{choice.header}' rises by {step:.6g} in most rows, which may be the sample period in s"
+            hint = f"column '{choice.header}' changes by {step:.6g} from row to row, which may be the sample period in s"
             example = f"{step * 1000:.6g} ms"
             return Question("sample_period", f"{text}; {hint}", "", (example,), False, f"--sample-period '{example}'")
     return Question("sample_period", text, "", ("20 ms",), False, "--sample-period '20 ms'")
@@ -140,9 +140,9 @@ def _rises(values: Floats) -> bool:
 
 
 def _usual_step(values: Floats) -> float | None:
-    """Return the step by which values rise in most rows; ``None`` without one."""
+    """Return the step by which values rise or fall in most rows; ``None`` without one."""
     numbers = values[np.isfinite(values)]
-    steps = np.diff(numbers)
+    steps = abs(np.diff(numbers))
     if not len(steps):
         return None
     step = float(np.median(steps))

@@ -89,7 +89,7 @@ def recognise(path: Path, answers: Mapping[str, str], changes: Mapping[str, Any]
     choices = choose_clock(choices, values, stamps, layout.options.sample_period is not None)
     choices = choose_channels(choices, values)
     findings, questions = list(layout.findings), []
-    if not any(c.channel not in (None, "time") for c in choices):
+    if not layout.named or not any(c.channel not in (None, "time") and not c.is_answer for c in choices):
         choices = _asked(choices, values, layout.named)
     questions += [c.question for c in choices if c.question and c.header not in answers]
     if not any(c.channel == "time" for c in choices) and "sample_period" not in changes:
