@@ -14,6 +14,8 @@ _WIDTH = 118
 _LEAST_WIDTH = 40
 # Width of the other columns of a table, beyond which their texts go on in the next line.
 _CELL_WIDTH = 36
+# Recordings of a file that are listed.
+_MOST_RECORDINGS = 8
 # Ends of notes on a column that the table has.
 _OF_RIG, _OF_ROW_NUMBERS = "as the rig says", "which has no header and counts the rows, was left out"
 # Columns that are left out for the same reason, from which on they share a row of the table.
@@ -41,16 +43,26 @@ def import_summary(
         lines += ["Doubts:"] if k == 1 else []
         lines += _doubt(k, question)
     lines += [""] if questions else []
-    for recording in recordings:
-        # The notes of the reader that repeat the table are left out.
-        notes = [note for note in recording.notes if not note.endswith((_OF_RIG, _OF_ROW_NUMBERS))]
-        lines += wrap(repr(recording).strip("<>"), _WIDTH, subsequent_indent="  ")
-        lines += [line for note in notes for line in wrap(f"  {note}", _WIDTH, subsequent_indent="  ")]
+    lines += _recording_lines(recordings)
     if sections:
         lines += ["", f"Sections of a rig.toml that read {recognition.path.name} as it is:", "", sections.rstrip()]
     elif recordings:
         lines += ["", f"A rig needs no section to read {recognition.path.name}."]
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _recording_lines(recordings: Sequence[Recording]) -> list[str]:
+    """Return the channels of the recordings and their notes, each note once, and without those that the table has."""
+    lines: list[str] = []
+    shown: set[str] = set()
+    for recording in recordings[:_MOST_RECORDINGS]:
+        lines += wrap(repr(recording).strip("<>"), _WIDTH, subsequent_indent="  ")
+        for note in recording.notes:
+            if note not in shown and not note.endswith((_OF_RIG, _OF_ROW_NUMBERS)):
+                lines += wrap(f"  {note}", _WIDTH, subsequent_indent="  ")
+                shown.add(note)
+    others = len(recordings) - _MOST_RECORDINGS
+    return [*lines, f"and {others} more recordings"] if others > 0 else lines
 
 
 def _column_rows(recognition: Recognition) -> list[tuple[str, str, str]]:

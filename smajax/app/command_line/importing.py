@@ -7,6 +7,9 @@ import typer
 
 from smajax.app.command_line.reading import NO_CHANGES, Reading, with_reading
 
+# Files that are named one by one.
+_MOST_NAMES = 5
+
 
 @with_reading
 def import_file(
@@ -33,7 +36,9 @@ def import_file(
     result = import_recording(file, channels=answers_by_header(channel or []), ask=ask, **reading)
     typer.echo(result.summary())
     paths = result.save(out, overwrite=may_overwrite(result.paths(out)))
-    typer.echo(f"\nWrote {', '.join(str(path) for path in paths)}.")
+    between = f"... (as many as {len(paths) - 1} recordings)"
+    names = [str(path) for path in (paths if len(paths) <= _MOST_NAMES else (paths[0], between, *paths[-2:]))]
+    typer.echo(f"\nWrote {', '.join(names)}.")
     typer.echo(
         "Next: add the sections to a rig.toml ('smajax init KIND' writes one), then smajax check rig.toml " + f"{file}"
     )

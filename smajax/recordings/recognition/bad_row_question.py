@@ -51,7 +51,21 @@ def bad_row_question(choices: Sequence[ColumnChoice], values: Mapping[int, Float
     split = restarts > 0 and others <= _FEW
     choice, other = ("split", "drop") if split else ("drop", "split")
     text = "; ".join(sentences)
+    if reset.any():
+        text += (
+            f"; drop would leave out {_drop_count(time, unreadable | impossible)} rows, split begins a recording there"
+        )
     return Question("on_bad_rows", text, choice, (other, "refuse"), False, f"--on-bad-rows {other}")
+
+
+def _drop_count(time: Floats | None, bad: NDArray[np.bool_]) -> int:
+    """Return the number of rows that are left out where every time has to be above all earlier ones."""
+    if time is None:
+        return int(np.count_nonzero(bad))
+    highest = np.maximum.accumulate(np.where(bad, -np.inf, time))
+    late = np.zeros(len(bad), bool)
+    late[1:] = time[1:] <= highest[:-1]
+    return int(np.count_nonzero(bad | late))
 
 
 def _time_slips(time: Floats | None, bad: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:

@@ -12,8 +12,10 @@ from smajax.recordings.recognition.findings import Question
 from smajax.recordings.recognition.unit_names import unit_for
 from smajax.recordings.recognition.value_ranges import Floats, Scale, are_whole
 
-# Share of the steps that have to be positive in a column of times.
-_RISING_SHARE = 0.5
+# Least share of the steps that are positive in a column of times, since loggers repeat stamps, and largest ratio of
+# negative steps to positive ones, since clocks begin again. Chosen by the public recordings.
+_RISING_SHARE = 0.1
+_FALLING_RATIO = 0.5
 # Longest step (s) that may be a sample period.
 _LONGEST_STEP = 10.0
 # Share of the steps that are equal in a column that counts a sample period.
@@ -72,7 +74,9 @@ def period_question(choices: Sequence[ColumnChoice], values: Mapping[int, Floats
     for choice in choices:
         step = _usual_step(values[choice.index])
         if choice.channel is None and step is not None and step != 1:
-            hint = f"column '{choice.header}' changes by {step:.6g} from row to row, which may be the sample period in s"
+            hint = (
+                f"column '{choice.header}' changes by {step:.6g} from row to row, which may be the sample period in s"
+            )
             example = f"{step * 1000:.6g} ms"
             return Question("sample_period", f"{text}; {hint}", "", (example,), False, f"--sample-period '{example}'")
     return Question("sample_period", text, "", ("20 ms",), False, "--sample-period '20 ms'")
@@ -135,8 +139,9 @@ def _step_count(values: Floats) -> int:
 
 
 def _rises(values: Floats) -> bool:
-    numbers = values[np.isfinite(values)]
-    return len(numbers) > 1 and _step_count(values) > _RISING_SHARE * (len(numbers) - 1)
+    steps = np.diff(values[np.isfinite(values)])
+    rises, falls = np.count_nonzero(steps > 0), np.count_nonzero(steps < 0)
+    return bool(rises > _RISING_SHARE * len(steps) and falls < _FALLING_RATIO * rises)
 
 
 def _usual_step(values: Floats) -> float | None:

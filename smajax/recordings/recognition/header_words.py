@@ -22,8 +22,8 @@ _WORDS = {
     "temperature": "temperature temp temperatur température temperatura thermocouple thermo chamber twire",
     "ambient": "ambient ambiente amb tamb room troom environment umgebung raum air tair",
     "fan": "fan lüfter ventilator",
-    "displacement": "displacement disp displ position pos stroke weg lvdt laser travel deflection contraction crosshead "
-    "desplazamiento déplacement extension elongation extensometer",
+    "displacement": "displacement disp displ position pos stroke weg lvdt laser travel deflection contraction "
+    "crosshead desplazamiento déplacement extension elongation extensometer",
     "angle": "angle winkel theta phi angulo rotation",
     "rate": "gyro omega",
     "force": "force load kraft fuerza loadcell weight",
@@ -151,7 +151,7 @@ def _channel_in(name: str, words: list[str]) -> tuple[str | None, str]:
     """Return the channel that the words of a name say, and the word."""
     if channel_of(name) is not None:
         return channel_of(name), name
-    matches = [(channel, word) for word in words if (channel := _channel_of_word(word.lower()))]
+    matches = [match for match in map(_channel_of_word, words) if match is not None]
     for first in _FIRST:
         for channel, word in matches:
             if channel == first:
@@ -164,11 +164,14 @@ def _channel_in(name: str, words: list[str]) -> tuple[str | None, str]:
     return None, ""
 
 
-def _channel_of_word(word: str) -> str | None:
-    if word in _CHANNEL_OF_WORD:
-        return _CHANNEL_OF_WORD[word]
-    longer = [w for w in _CHANNEL_OF_WORD if len(w) >= _LONG and (word.startswith(w) or word.endswith(w))]
-    return _CHANNEL_OF_WORD[max(longer, key=len)] if longer else None
+def _channel_of_word(word: str) -> tuple[str, str] | None:
+    """Return the channel that a word says, and the word or the part of it that says it."""
+    lower = word.lower()
+    if lower in _CHANNEL_OF_WORD:
+        return _CHANNEL_OF_WORD[lower], word
+    parts = [w for w in _CHANNEL_OF_WORD if len(w) >= _LONG and (lower.startswith(w) or lower.endswith(w))]
+    part = max(parts, key=len, default="")
+    return (_CHANNEL_OF_WORD[part], part) if part else None
 
 
 def is_own_header(header: str, channel: str, source: ChannelMap) -> bool:

@@ -205,7 +205,8 @@ def _bad_rows(
         if question is not None:
             place = f"sheet '{table.label}': " if table.label else ""
             questions.append(dataclasses.replace(question, text=place + question.text))
-    worst = [question for question in questions if question.choice == "drop"] or questions
+    # A clock that begins again in one sheet is worse than a repeated time in another.
+    worst = [question for question in questions if question.choice == "split"] or questions
     if len(questions) > 1:
         text = f"{len(questions)} of {len(tables)} sheets have bad rows, as in {worst[0].text}"
         return dataclasses.replace(worst[0], text=text)
