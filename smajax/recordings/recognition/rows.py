@@ -61,7 +61,10 @@ def find_rows(rows: Sequence[Sequence[str]], options: ReadOptions) -> RowRoles |
         return None
     width = usual_width(rows, counts)
     usual = max(c for c, cells in zip(counts, rows, strict=True) if len(cells) == width)
-    is_data = [len(cells) == width and count >= _DATA_SHARE * usual for cells, count in zip(rows, counts, strict=True)]
+    is_data = [
+        len(cells) == width and _is_data(cells, count, _DATA_SHARE * usual)
+        for cells, count in zip(rows, counts, strict=True)
+    ]
     data = is_data.index(True)
     header = next((k for k in range(data - 1, -1, -1) if _is_header(rows[k], width, counts[k])), None)
     units = None
@@ -89,6 +92,11 @@ def is_missing(cell: str) -> bool:
         cell: Text of the cell.
     """
     return cell.strip().lower() in _MISSING
+
+
+def _is_data(cells: Sequence[str], values: int, least: float) -> bool:
+    """Return whether a row has enough values; at the least number of them its other cells have to be blank."""
+    return values > least or (values == least and sum(not is_missing(cell) for cell in cells) <= values)
 
 
 def _is_header(cells: Sequence[str], width: int, values: int) -> bool:
