@@ -91,7 +91,7 @@ def time_scale(word: str, values: Floats) -> Scale:
     """
     named = unit_for(word, "time") if len(word) > 1 else None
     if named:
-        return Scale(named, f"'{word}' says {named}")
+        return Scale(named, f"its name counts {named}")
     for low, high, unit in _EPOCHS:
         if low <= values.min() and values.max() < high:
             return Scale(unit, f"{values[0]:.10g} is the number of {unit} since 1970")
