@@ -142,12 +142,12 @@ def _decide(
 ) -> tuple[Recognition, tuple[Question, ...]]:
     """Return what a file is taken for after all questions, and the questions that nobody has answered."""
     recognition = recognise(path, answers, changes)
-    asked: set[str] = set()
+    question_keys: set[str] = set()
     while ask is not None:
-        question = next((q for q in recognition.questions if q.key not in asked), None)
+        question = next((q for q in recognition.questions if q.key not in question_keys), None)
         if question is None:
             break
-        asked.add(question.key)
+        question_keys.add(question.key)
         answer = ask(question)
         if answer is None or answer == question.choice:
             continue
@@ -156,4 +156,4 @@ def _decide(
         else:
             changes[question.key] = answer
         recognition = recognise(path, answers, changes)
-    return recognition, tuple(q for q in recognition.questions if q.key not in asked)
+    return recognition, tuple(q for q in recognition.questions if q.key not in question_keys)

@@ -103,8 +103,8 @@ def _repeats(group: Sequence[ColumnChoice], values: Mapping[int, Floats]) -> dic
 def _without(
     group: Sequence[ColumnChoice], reasons: Mapping[int, str]
 ) -> tuple[list[ColumnChoice], list[ColumnChoice]]:
-    kept_choices = [c for c in group if c.index not in reasons]
-    return kept_choices, [_dropped(c, reasons[c.index]) for c in group if c.index in reasons]
+    rest = [c for c in group if c.index not in reasons]
+    return rest, [_dropped(c, reasons[c.index]) for c in group if c.index in reasons]
 
 
 def _dropped(choice: ColumnChoice, reason: str) -> ColumnChoice:

@@ -90,7 +90,7 @@ def recognise(path: Path, answers: Mapping[str, str], changes: Mapping[str, Any]
     choices = choose_channels(choices, values)
     findings, questions = list(layout.findings), []
     if not layout.named or not any(c.channel not in (None, "time") and not c.is_answer for c in choices):
-        choices = _asked(choices, values, layout.named)
+        choices = _with_questions(choices, values, layout.named)
     questions += [c.question for c in choices if c.question and c.header not in answers]
     if not any(c.channel == "time" for c in choices) and "sample_period" not in changes:
         question = period_question(choices, values)
@@ -178,7 +178,7 @@ def unrecognised(recognition: Recognition) -> InputError:
     return InputError(f"{recognition.path}: {problem}: {cure}")
 
 
-def _asked(choices: Sequence[ColumnChoice], values: Mapping[int, Floats], named: bool) -> list[ColumnChoice]:
+def _with_questions(choices: Sequence[ColumnChoice], values: Mapping[int, Floats], named: bool) -> list[ColumnChoice]:
     """Return the choices with a question for the first columns that have numbers and are not recognised."""
     result = list(choices)
     open_choices = [c for c in choices if c.channel is None and not c.question and not c.is_answer]
