@@ -127,6 +127,7 @@ def test_help_names_every_command_and_its_options():
         "properties",
         "demo",
         "init",
+        "import",
         "check",
         "report",
         "datasets",
