@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -122,18 +121,16 @@ def import_recording(
     Raises:
         InputError: If the file cannot be read, no column is recognised, or an answer or option is wrong.
     """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module="openpyxl")  # of styles and extensions of the sheet
-        recognition, questions = _decide(Path(path), dict(channels or {}), dict(reading), ask)
-        if not any(column.channel not in (None, "time") for column in recognition.columns):
-            raise unrecognised(recognition)
-        recordings = read_recordings(
-            recognition.path,
-            mapping=recognition.mapping(),
-            ignore=recognition.ignored(),
-            clock=recognition.has_clock,
-            options=recognition.options,
-        )
+    recognition, questions = _decide(Path(path), dict(channels or {}), dict(reading), ask)
+    if not any(column.channel not in (None, "time") for column in recognition.columns):
+        raise unrecognised(recognition)
+    recordings = read_recordings(
+        recognition.path,
+        mapping=recognition.mapping(),
+        ignore=recognition.ignored(),
+        clock=recognition.has_clock,
+        options=recognition.options,
+    )
     return RecordingImport(recognition, tuple(recordings), questions)
 
 

@@ -64,8 +64,8 @@ def first_rows(path: Path, count: int) -> dict[str, list[list[str]]]:
     """
     book = _open_book(path)
     rows = {}
-    for sheet in book.worksheets:
-        if _has_rows(sheet):
+    with warnings.catch_warnings(action="ignore"):
+        for sheet in filter(_has_rows, book.worksheets):
             cells = sheet.iter_rows(max_row=count, values_only=True)
             rows[sheet.title] = [["" if cell is None else str(cell).strip() for cell in row] for row in cells]
     return rows
@@ -89,7 +89,8 @@ class XlsxTable(Table):
         self._sheet = sheet
         self.label = sheet.title if several else ""
         number = options.skip_rows + 1
-        rows = [list(row) for row in self._rows(min_row=number, max_row=number + _ROWS_LOOKED_AT)]
+        with warnings.catch_warnings(action="ignore"):  # openpyxl warns about extensions of a sheet
+            rows = [list(row) for row in self._rows(min_row=number, max_row=number + _ROWS_LOOKED_AT)]
         texts = self._header_texts(rows, number, options)
         result = read_header_rows(self.path, number, texts, options)
         self.headers: tuple[str, ...] = result.headers
@@ -100,6 +101,10 @@ class XlsxTable(Table):
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
+        with warnings.catch_warnings(action="ignore"):
+            return self._load(indices, lenient)
+
+    def _load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         columns = [array("d") for _ in indices]
         rows = blank_rows = 0
         width = len(self.headers)

@@ -80,12 +80,14 @@ def _encoding_finding(path: Path, encoding: str | None) -> tuple[Finding, ...]:
     """Return a finding on an encoding that is not UTF-8."""
     if encoding is not None:
         return (Finding("encoding", encoding, "it was given"),)
-    head = path.read_bytes() if path.stat().st_size < _LONGEST_ROW else path.open("rb").read(_LONGEST_ROW)
+    with path.open("rb") as file:
+        head = file.read(_LONGEST_ROW)
+    head = head[: head.rfind(b"\n") + 1] if len(head) == _LONGEST_ROW else head
     wide = utf16_of(head)
     if wide:
         return (Finding("encoding", wide.upper(), "every other byte is zero, or the file begins with its mark"),)
     try:
-        head[: head.rfind(b"\n") + 1].decode("utf-8")
+        head.decode("utf-8")
     except UnicodeDecodeError as error:
         byte = f"the byte 0x{head[error.start]:02x} is not UTF-8"
         return (
