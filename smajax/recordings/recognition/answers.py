@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from smajax.channels import CHANNELS, channel_of, channel_suggestion, channel_unit
 from smajax.errors import InputError, suggestion
@@ -107,8 +108,8 @@ def check_headers(answers: Mapping[str, str], headers: Sequence[str], path: obje
             raise InputError(f"{path}: there is no column '{header}'{hint}: it has {', '.join(headers)}")
 
 
-def _scale(header: str, text: str) -> dict[str, float]:
-    scale = {}
+def _scale(header: str, text: str) -> dict[str, Any]:
+    scale: dict[str, Any] = {}
     for key, value in _SETTING.findall(text):
         if key not in _SCALE_KEYS:
             hint = suggestion(key, _SCALE_KEYS)
