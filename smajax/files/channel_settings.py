@@ -39,14 +39,14 @@ class ChannelSettings:
             columns[channel] = {
                 "column": source.column,
                 "unit": source.unit,
-                **{key: value for key, value in scale.items() if value != _SCALE[key]},
+                **{k: list(v) if k == "limits" else v for k, v in scale.items() if v != _SCALE[k]},
                 "any_scale": source.any_scale or None,
             }
         return {"ignore": list(self.ignore) or None, **columns}
 
 
 # Keys of a column that scale its numbers, with the values that leave them as they are.
-_SCALE = {"factor": 1.0, "offset": 0.0, "full_scale": 1.0}
+_SCALE = {"factor": 1.0, "offset": 0.0, "full_scale": 1.0, "limits": None}
 
 
 class _Column(BaseModel):
@@ -57,6 +57,7 @@ class _Column(BaseModel):
     factor: float = Field(1.0, allow_inf_nan=False, examples=["-0.0087"])
     offset: float = Field(0.0, allow_inf_nan=False, examples=["7.5"])
     full_scale: float = Field(1.0, gt=0, allow_inf_nan=False, examples=["255"])
+    limits: list[float] | None = Field(None, min_length=2, max_length=2, examples=["[0, 1]"])
 
 
 class _Layout(BaseModel):
@@ -76,7 +77,8 @@ def channel_settings(data: Any) -> ChannelSettings:
 
     The unit of a channel is given with its column (``displacement = {column = "Laser (um)", unit = "um"}``), under
     ``[channels.unit]``, or as ``unit`` alone if only one channel is mapped. ``factor``, ``offset`` and ``full_scale``
-    make values of raw numbers (``force = {column = "ADC", factor = -0.0087, offset = 7.5, unit = "N"}``).
+    make values of raw numbers (``force = {column = "ADC", factor = -0.0087, offset = 7.5, unit = "N"}``), and
+    ``limits`` bounds them.
 
     Args:
         data: Content of ``[channels]`` as parsed from the file.
@@ -101,6 +103,7 @@ def channel_settings(data: Any) -> ChannelSettings:
         if unit is not None:
             _check_unit(channel, unit)
         scale = {key: getattr(source, key) for key in _SCALE} if source else {}
+        scale["limits"] = tuple(source.limits) if source and source.limits else None
         column = (source and source.column) or channel
         try:
             sources[channel] = ChannelMap(column, unit, bool(source and source.any_scale), **scale)

@@ -32,6 +32,8 @@ class ChannelMap:
         factor: Factor of the numbers in the file; negative where they fall as the value rises.
         offset: Value where the number is 0, in ``unit``.
         full_scale: Number in the file that stands for 1 before the factor.
+        limits: Least and largest value in ``unit``; values beyond them count as the limit, as those of a register that
+            is full.
     """
 
     column: str
@@ -40,6 +42,7 @@ class ChannelMap:
     factor: float = 1.0
     offset: float = 0.0
     full_scale: float = 1.0
+    limits: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("factor", "full_scale"):
@@ -48,6 +51,9 @@ class ChannelMap:
                 raise InputError(f"{name} = {value} of column '{self.column}' is not possible: give another than 0")
         if not math.isfinite(self.offset):
             raise InputError(f"offset = {self.offset} of column '{self.column}' is not possible: give a number")
+        if self.limits is not None and not self.limits[0] < self.limits[1]:
+            problem = f"limits = {list(self.limits)} of column '{self.column}' are not possible"
+            raise InputError(f"{problem}: give the least and the largest value, as in [0, 1]")
 
     @property
     def is_scaled(self) -> bool:
@@ -60,6 +66,24 @@ class ChannelMap:
         Args:
             numbers: Numbers in the file, shape ``(rows,)``.
         """
+        values = self._unlimited(numbers)
+        return values if self.limits is None else np.clip(values, *self.limits)
+
+    def limits_note(self, channel: str, numbers: NDArray[np.float64]) -> str:
+        """Return a sentence on the values that count as a limit; empty if there are none.
+
+        Args:
+            channel: Name of the channel.
+            numbers: Numbers in the file, shape ``(rows,)``.
+        """
+        if self.limits is None:
+            return ""
+        values = self._unlimited(numbers)
+        count = np.count_nonzero((values < self.limits[0]) | (values > self.limits[1]))
+        span = f"{self.limits[0]:.12g} to {self.limits[1]:.12g}"
+        return f"{count} of {len(values)} values of {channel} were limited to {span}, as the rig says" if count else ""
+
+    def _unlimited(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         return numbers * (self.factor / self.full_scale) + self.offset if self.is_scaled else numbers
 
     def scale_text(self) -> str:
@@ -201,7 +225,7 @@ def _mapped_column(
     if source.is_scaled:
         shown = "" if mapped_unit == "1" else f" {mapped_unit}"
         note = f"{channel} was read as ({source.scale_text()}){shown} of column '{header}', as the rig says"
-    scale = source if source.is_scaled else None
+    scale = source if source.is_scaled or source.limits else None
     return FileColumn(index, header, channel, mapped_unit, source.any_scale, True, note, scale)
 
 

@@ -256,6 +256,8 @@ def _load(
         _refuse_other_than_row_numbers(origin, arrays.pop(0))
         notes = ("column 1, which has no header and counts the rows, was left out",)
     scaled = [c.source.scaled(a) if c.source else a for c, a in zip(columns, arrays, strict=True)]
+    limited = [c.source.limits_note(c.name, a) for c, a in zip(columns, arrays, strict=True) if c.source]
+    notes += tuple(filter(None, limited))
     values = dict(zip((column.name for column in columns), scaled, strict=True))
     return values, notes + (_blank_impossible(columns, values) if request.options.on_bad_rows != "refuse" else ())
 

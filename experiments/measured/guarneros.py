@@ -1,0 +1,331 @@
+"""A wire against a force sensor, recorded by a micro-controller: fit a log, select on half of another, hold out the rest.
+
+    python experiments/measured/guarneros.py [FIT SELECT_AND_HOLDOUT ...] [--quick] [--json FILE]
+
+FIT and SELECT_AND_HOLDOUT are raw logs: temperature of the wire and of the surroundings in degC, force in counts of a
+converter, and the register of a pulse-width modulation, one row each 19 ms. They are read by ``RIG``: a register above
+255 is one that is always on. These values come from corrupt packets, and they are real: the wire warms by 0.7 K within
+half a second of each packet with 1000, and by 0.25 K of each with 100. Rows are put together into blocks of about a
+second: means of the input, which keep the heat of such packets, and medians of the readings.
+
+The base model is fitted to FIT. Effects are added one by one, as long as one lowers the error on the first half of
+SELECT_AND_HOLDOUT by more than 5 %. The second half is forecast at several horizons, and as a whole from its start,
+with the recorded input. The model is corrected by its latest error; how much is chosen on FIT and the first half.
+Several logs may be named to be forecast; the first of them selects.
+
+These data determine neither the stress in the wire nor its size. Diameter, length, stiffness and preload are nominal,
+and every fit has a prior from data sheets (``PRIOR_DEVIATION``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: smajax, tests/reference, experiments
+
+from experiments.common.arm_effects import HeatSoak
+from experiments.common.base import DATA, Row, arguments, finish, refuse, say
+from experiments.common.blocks import block_rows
+from experiments.common.effect_fit import EffectFit, EffectFitter
+from experiments.common.forecasts import (
+    Correction,
+    choose_correction,
+    compare,
+    cycle_starts,
+    last_cycle,
+    naive_forecasts,
+    rms,
+)
+
+import numpy as np
+
+from smajax.errors import InputError
+from smajax.files.rig_file import parse_rig
+from smajax.plant.effects import catalogue
+from smajax.recordings.recording import Recording
+
+RIG = """
+schema = 1
+[rig]
+kind = "bias-spring"
+control = "duty"
+
+[recording]
+sample_period = "19 ms"                      # the file has no time
+[channels]
+ignore = ["Temperature derivative"]
+temperature = {column = "SMA temperature", unit = "degC"}
+ambient = {column = "Ambiente temperature", unit = "degC"}
+force = {column = "Force sensor", factor = -0.008694436, offset = 7.486899, unit = "N"}
+duty = {column = "Control input", full_scale = 255, limits = [0, 1]}
+
+[drive]
+supply = "1 V"                               # nominal; the fit has it
+[material]
+martensite_start = "52 degC"
+martensite_finish = "42 degC"
+austenite_start = "68 degC"
+austenite_finish = "78 degC"
+clausius_clapeyron_austenite = "7 MPa/K"
+clausius_clapeyron_martensite = "7 MPa/K"
+modulus_austenite = "40 GPa"
+modulus_martensite = "40 GPa"
+detwinning_start_stress = "0 MPa"
+detwinning_finish_stress = "1 MPa"
+max_transformation_strain = "4 %"
+[heat]
+h0 = "10 W/m^2/K"
+capacity = "3 MJ/m^3/K"
+[wire]
+diameter = "0.5 mm"
+length = "100 mm"
+[spring]
+preload = "0.56 N"
+stiffness = "0.17 N/mm"
+[fit]
+free = ["drive.supply", "heat.h0", "initial.temperature",
+        "material.austenite_shift", "material.austenite_finish", "material.martensite_shift",
+        "material.martensite_start", "material.max_transformation_strain",
+        "sensor.force_offset", "sensor.temperature_offset"]
+observe = ["temperature", "force"]
+noise = { temperature = "0.3 K", force = "0.01 N" }
+"""
+
+ROWS = 53  # of the log in a block: 1.007 s
+HORIZONS = (1, 5, 10, 30, 60)  # s
+CHANNELS = {"temperature": "K", "force": "N"}
+STEP = 2.0  # s; longer than a block, so that each block is one step
+# Standard deviations of the prior about the rig's values (SI, K).
+PRIOR_DEVIATION = {
+    "drive.supply": 3.0,
+    "heat.h0": 20.0,
+    "initial.temperature": 1.0,
+    "material.austenite_shift": 20.0,
+    "material.austenite_finish": 15.0,
+    "material.martensite_shift": 20.0,
+    "material.martensite_start": 15.0,
+    "material.max_transformation_strain": 0.02,
+    "sensor.force_offset": 0.05,
+    "sensor.temperature_offset": 2.0,
+}
+CANDIDATES = (
+    "infrared-spot",
+    "latent-heat",
+    "coating",
+    "end-conduction",
+    "heat-soak",
+    "convection-temperature",
+    "heat-capacity",
+    "gradual-transformation",
+    "temperature-distribution",
+    "minor-loop-shape",
+    "creep",
+    "thermocouple-lag",
+)
+# Start points of the base fit: the wire transforms at temperatures that its thermometer reads, or at its own.
+STARTS = (
+    {"material.austenite_shift": -30.0, "material.martensite_shift": -5.0},
+    {"material.austenite_shift": -15.0, "drive.supply": 1.5, "heat.h0": 15.0},
+)
+MIN_CUT = 0.05  # relative cut of the selection part's error that an effect must reach
+MOST_EFFECTS = 6
+STEPS = 60
+
+
+def read_log(path: Path) -> Recording:
+    """Read a raw log by the rig, and put its rows together into blocks."""
+    if not path.is_file():
+        refuse(f"{path} is not a file: name a log to fit, and one or more to be forecast")
+    try:
+        recording = parse_rig(RIG, "guarneros.toml").read(path)
+    except InputError as error:
+        refuse(str(error))
+    for note in recording.notes:
+        say(note)
+    blocks = block_rows(recording, ROWS, ("duty",))
+    if len(blocks) < 4 * HORIZONS[-1]:
+        refuse(f"{path}: {len(recording)} rows are too few: {4 * HORIZONS[-1] * ROWS} are needed")
+    return blocks
+
+
+def halves(log: Recording) -> tuple[slice, slice]:
+    """Return the rows of the first and of the second half of a log."""
+    middle = len(log) // 2
+    return slice(0, middle), slice(middle, len(log))
+
+
+def errors(fitter: EffectFitter, log: Recording, fitted: EffectFit, rows: slice) -> dict[str, float]:
+    """Return the RMSE of each channel of a simulation on some rows, with no reading used."""
+    modelled = fitter.predict(log, fitted)
+    return {c: rms((log.channels[c] - modelled[c])[rows]) for c in CHANNELS}
+
+
+def selection_error(fitter: EffectFitter, log: Recording, fitted: EffectFit) -> float:
+    """Return the error over the noise on the first half of a log, pooled over the channels."""
+    noise = fitter.rig.fit.noise
+    parts = [v / noise[c] for c, v in errors(fitter, log, fitted, halves(log)[0]).items()]
+    return float(np.sqrt(np.mean(np.square(parts))))
+
+
+def start_values(fitter: EffectFitter, key: str) -> list[dict[str, float]]:
+    """Return the start values of an effect's parameters: a third and all of its usual strength, at its shapes."""
+    kind = fitter.kinds[key]
+    shapes = [{f"effects.{key}.{name}": values[k] for name, values in kind.shapes} for k in (0, -1)]
+    strength = f"effects.{key}.strength"
+    return [{strength: 0.3 * kind.typical, **shapes[0]}, {strength: kind.typical, **shapes[1]}]
+
+
+def search(fitter: EffectFitter, fit_log: Recording, select_log: Recording, rounds: int) -> tuple[list[Row], EffectFit]:
+    """Add effects one by one, as long as one lowers the error on the selection part by more than ``MIN_CUT``.
+
+    Args:
+        fitter: The fits.
+        fit_log: The log that is fitted.
+        select_log: The log whose first half selects.
+        rounds: Largest number of effects.
+
+    Returns:
+        A row for each round, and the last fit.
+    """
+    best = fitter.fit(fit_log, (), STARTS, STEPS)[0]
+    score, rows = selection_error(fitter, select_log, best), []
+    for number in range(1, rounds + 1):
+        fits = {}
+        for key in fitter.kinds:
+            if key in best.effects:
+                continue
+            starts = [{**best.values, **start} for start in start_values(fitter, key)]
+            starts += [{**STARTS[1], **start_values(fitter, key)[1]}] if number == 1 else []
+            fits[key] = fitter.fit(fit_log, (*best.effects, key), starts, STEPS)[0]
+        scores = {key: selection_error(fitter, select_log, fitted) for key, fitted in fits.items()}
+        scores = dict(sorted(scores.items(), key=lambda item: item[1]))
+        key = next(iter(scores))
+        accepted = scores[key] < (1 - MIN_CUT) * score
+        verdict = f"{key} accepted" if accepted else "none accepted"
+        text = ", ".join(f"{k} {v:.3f}" for k, v in scores.items())
+        what = f"effect {number}: error over noise on the selection part"
+        rows.append(Row(what, "-", f"{score:.3f} before; {text}; {verdict}", None, scores))
+        say(f"{what}: {score:.3f} before; {text}; {verdict}")
+        if not accepted:
+            break
+        best, score = fits[key], scores[key]
+    return rows, best
+
+
+def choose_corrections(
+    fitter: EffectFitter, fitted: EffectFit, fit_log: Recording, select_log: Recording, period: float
+) -> dict[str, Correction]:
+    """Return how the latest error corrects the model, by channel, chosen on the fitted log and the selection part."""
+    corrections = {}
+    rows = [round(h / period) for h in HORIZONS]
+    for channel in CHANNELS:
+        parts = []
+        for log, part in ((fit_log, slice(None)), (select_log, halves(select_log)[0])):
+            parts.append((log.channels[channel][part], fitter.predict(log, fitted)[channel][part]))
+        corrections[channel] = choose_correction(parts, rows, period)
+    return corrections
+
+
+def forecast_rows(
+    fitter: EffectFitter,
+    fitted: EffectFit,
+    log: Recording,
+    fit_log: Recording,
+    corrections: dict[str, Correction],
+) -> list[Row]:
+    """Return the errors on the second half of a log at each horizon, and of its forecast from the start of the half."""
+    period = float(log.time[1] - log.time[0])
+    modelled, held = fitter.predict(log, fitted), halves(log)[1]
+    rows = []
+    for channel, unit in CHANNELS.items():
+        values, correction = log.channels[channel], corrections[channel]
+        repeated = last_cycle(
+            log.time, log.channels["duty"], values, (fit_log.time, fit_log.channels["duty"], fit_log.channels[channel])
+        )
+        for horizon in HORIZONS:
+            ahead = round(horizon / period)
+            naive = {n: s[held] for n, s in naive_forecasts(values, repeated, ahead).items()}
+            forecast = correction.forecast(values, modelled[channel], ahead, period)[held]
+            what = f"{log.name}, held out: {channel}, {horizon} s ahead"
+            rows.append(compare(what, values[held], forecast, naive, unit))
+        origin = held.start - 1
+        latest = correction.mean_errors((values - modelled[channel])[: held.start])[-1]
+        decay = np.exp(-(log.time[held] - log.time[origin]) / correction.memory)
+        naive = naive_forecasts(values, repeated, 1)
+        constants = {n: np.full(len(decay), naive[n][held.start]) for n in ("mean so far", "persistence")}
+        what = f"{log.name}, held out: {channel}, the whole half ({log.time[-1] - log.time[origin]:.0f} s) at once"
+        constants["last cycle"] = repeated[held]
+        rows.append(compare(what, values[held], modelled[channel][held] + decay * latest, constants, unit))
+    return rows
+
+
+def simulation_rows(
+    fitter: EffectFitter, base: EffectFit, final: EffectFit, fit_log: Recording, logs: Sequence[Recording]
+) -> list[Row]:
+    """Return the errors of plain simulations, which use no reading, before and after the effects were added."""
+    parts = [(f"{fit_log.name}, fitted", fit_log, slice(None))]
+    for i, log in enumerate(logs):
+        first, second = halves(log)
+        parts.append((f"{log.name}, first half ({'selects' if i == 0 else 'not used'})", log, first))
+        parts.append((f"{log.name}, held out", log, second))
+    rows = []
+    for what, log, part in parts:
+        before, after = (errors(fitter, log, fitted, part) for fitted in (base, final))
+        text = "; ".join(f"{c} {before[c]:.3g} before, {after[c]:.3g} {u} after" for c, u in CHANNELS.items())
+        met = all(after[c] < before[c] for c in CHANNELS)
+        rows.append(Row(f"{what}: simulation without readings", "lower after", text, met, {"before": before, **after}))
+    return rows
+
+
+def parameter_rows(fitter: EffectFitter, final: EffectFit) -> list[Row]:
+    """Return the values of the last fit."""
+    rows = []
+    for unknown in fitter.first.unknowns:
+        if not unknown.name.startswith("effects.") or unknown.name.split(".")[1] in final.effects:
+            rows.append(Row(unknown.name, "-", f"{final.values[unknown.name]:.4g} {unknown.unit}", None))
+    return rows
+
+
+def main() -> None:
+    """Print the table."""
+    folder = DATA / "guarneros-sma-force"
+    args = arguments(
+        __doc__,
+        quick="the base model and one effect only",
+        more={
+            "logs": {
+                "nargs": "*",
+                "type": Path,
+                "default": [folder / "AB0.csv", folder / "AB1.csv"],
+                "metavar": "LOG",
+                "help": "the log to fit, and those whose second half is forecast; the first of these selects",
+            }
+        },
+    )
+    if len(args.logs) < 2:
+        refuse("one log is named: name the one to fit and at least one to be forecast")
+    fit_log, *logs = [read_log(path) for path in args.logs]
+    kinds = {**catalogue(), HeatSoak.key: HeatSoak}
+    candidates = ("infrared-spot",) if args.quick else CANDIDATES
+    rig = parse_rig(RIG, "guarneros.toml")
+    fitter = EffectFitter(rig, {k: kinds[k] for k in candidates}, PRIOR_DEVIATION, [fit_log, *logs], STEP)
+    base = fitter.fit(fit_log, (), STARTS, STEPS)[0]
+    rounds, final = search(fitter, fit_log, logs[0], 1 if args.quick else MOST_EFFECTS)
+    period = float(fit_log.time[1] - fit_log.time[0])
+    corrections = choose_corrections(fitter, final, fit_log, logs[0], period)
+    rows = [*rounds, *simulation_rows(fitter, base, final, fit_log, logs)]
+    for channel, correction in corrections.items():
+        text = f"{correction.weight:g} of the latest error, decaying within {correction.memory:g} s"
+        rows.append(Row(f"correction of {channel}", "-", text, None, dataclasses.asdict(correction)))
+    for log in logs:
+        starts = ", ".join(f"{t:.0f}" for t in cycle_starts(log.time, log.channels["duty"]))
+        rows.append(Row(f"{log.name}: heating begins at", "-", f"{starts} s", None))
+        rows += forecast_rows(fitter, final, log, fit_log, corrections)
+    finish([*rows, *parameter_rows(fitter, final)], args)
+
+
+if __name__ == "__main__":
+    main()
