@@ -23,6 +23,9 @@ from smajax.recordings.recording import Recording
 GRID_MULTIPLE = 128  # rows up to a multiple of it share a compiled program
 STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
 SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value or of 0.3
+DRAWN_STRENGTHS = (0.3, 2.0)  # range of the drawn strengths, in typical strengths
+DRAWN_SHAPE = 0.3  # size of a drawn shape whose nominal value is 0
+DRAWN_MARGIN = 0.01  # distance of drawn values from their bounds, as a share of the range
 
 
 class PriorModel(Module):
@@ -150,6 +153,32 @@ class EffectFitter:
             elif unknown.name.startswith("effects.") and unknown.name.endswith(".strength"):
                 vector[i] = 0.0
         return vector
+
+    def draw_starts(self, effects: Collection[str], times: int, seed: int) -> list[dict[str, float]]:
+        """Draw start points: the rig's parameters from their prior, those of effects around their usual size.
+
+        Args:
+            effects: Keys of the effects.
+            times: Number of start points.
+            seed: Seed of the draws.
+        """
+        random, starts = np.random.default_rng(seed), []
+        for _ in range(times):
+            start = {}
+            for unknown in self.first.unknowns:
+                name, (lower, upper) = unknown.name, (unknown.lower, unknown.upper)
+                if not name.startswith("effects."):
+                    value = unknown.nominal + self.prior_deviation[name] * random.standard_normal()
+                elif name.split(".")[1] not in effects:
+                    continue
+                elif name.endswith(".strength"):
+                    value = self.kinds[name.split(".")[1]].typical * random.uniform(*DRAWN_STRENGTHS)
+                else:
+                    value = max(abs(unknown.nominal), DRAWN_SHAPE) * np.exp(random.standard_normal())
+                inside = DRAWN_MARGIN * (upper - lower) if np.isfinite(upper - lower) else 0.0
+                start[name] = float(np.clip(value, lower + inside, upper - inside))
+            starts.append(start)
+        return starts
 
     def fit(
         self, recording: Recording, effects: Collection[str], starts: Sequence[Mapping[str, float]], steps: int
