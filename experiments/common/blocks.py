@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 
 import numpy as np
@@ -32,7 +33,7 @@ def block_rows(recording: Recording, rows: int, inputs: Collection[str]) -> Reco
     channels = {}
     for name, values in recording.channels.items():
         combine = np.mean if name in inputs else np.median
-        combined = [combine(values[i:k]) if k > i else np.nan for i, k in zip(ends[:-1], ends[1:], strict=True)]
+        combined = [combine(values[i:k]) if k > i else np.nan for i, k in itertools.pairwise(ends)]
         if name in inputs:  # a block without rows keeps the input of the one before
             combined = [v if np.isfinite(v) else combined[max(j - 1, 0)] for j, v in enumerate(combined)]
             channels[name] = np.append(combined, combined[-1])

@@ -215,11 +215,13 @@ class EffectFitter:
             fitted: The fit.
 
         Returns:
-            The modelled channels, shape ``(rows,)``, by name.
+            The modelled channels, shape ``(rows,)``, by name; infinite if the simulation failed, so that no error is
+            hidden.
         """
         vector = [fitted.values[u.name] / u.scale for u in self.first.unknowns]
         modelled, status = _predict(self.problem(recording), jnp.asarray(vector))
         if int(status[0]):
             say(f"{recording.name}: the simulation ended with status {int(status[0])}")
         series = np.asarray(modelled)[0, :, : len(recording)]
+        series = np.full_like(series, np.inf) if int(status[0]) else series
         return dict(zip(self.first.channels, series, strict=True))

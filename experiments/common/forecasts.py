@@ -9,36 +9,45 @@ from collections.abc import Sequence
 from experiments.common.base import Row
 
 import numpy as np
+from scipy.signal import lfilter
 
-SMOOTHING = (1.0, 0.7, 0.5, 0.3, 0.15)  # weights of the latest error in the mean of the errors that corrects the model
-MEMORY = (3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 1000.0, np.inf)  # s in which a correction decays
-PULSE = 0.01  # smallest duty of a heating, as a mean of a block; single pulses of a corrupt packet are below it
+WEIGHTS = (1.0, 0.7, 0.5, 0.3, 0.15)  # weights of the latest error in the mean of the errors that corrects the model
+OFFSETS = (0.0, 30.0, 100.0, 300.0)  # s over which an offset is averaged; 0 for none
+MEMORIES = (3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 1000.0, np.inf)  # s in which a correction decays to the offset
+PULSE = 0.02  # smallest duty of a heating, as a mean over ``PULSE_SECONDS``; single corrupt packets are below it
+PULSE_SECONDS = 10.0
 PAUSE = 30.0  # s without heating that separate two cycles
 
 
 @dataclasses.dataclass(frozen=True)
 class Correction:
-    """How the latest errors of a model correct its forecasts: error e_k, mean s_k = s_(k-1) + weight (e_k - s_(k-1)).
+    """How the latest errors e of a model correct its forecast by a horizon h.
+
+    The forecast is that of the model, plus o + exp(-h / memory) (s - o), with the mean error s, in which the latest one
+    has the weight ``weight``, and an offset o, which is the mean over a longer time.
 
     Attributes:
-        weight: Weight of the latest error.
-        memory: Time constant with which the correction decays, s.
+        weight: Weight of the latest error in s.
+        offset: Time over which o is averaged, s; 0 for o = 0.
+        memory: Time constant with which the correction decays to o, s.
     """
 
     weight: float
+    offset: float
     memory: float
 
-    def mean_errors(self, errors: np.ndarray) -> np.ndarray:
-        """Return the means s_k of the errors up to each row.
+    def at(self, errors: np.ndarray, horizon: np.ndarray | float, period: float) -> np.ndarray:
+        """Return the correction after each row.
 
         Args:
             errors: Measured minus modelled values, shape ``(rows,)``.
+            horizon: Horizon, s.
+            period: Time between rows, s.
         """
-        means, mean = np.empty(len(errors)), float(errors[0])
-        for k, error in enumerate(errors):
-            mean += self.weight * (error - mean) if np.isfinite(error) else 0.0
-            means[k] = mean
-        return means
+        offset = np.zeros(len(errors))
+        if self.offset:
+            offset = running_mean(errors, 1.0 - np.exp(-period / self.offset))
+        return offset + np.exp(-horizon / self.memory) * (running_mean(errors, self.weight) - offset)
 
     def forecast(self, measured: np.ndarray, modelled: np.ndarray, rows: int, period: float) -> np.ndarray:
         """Return the forecast of each row from the readings up to some rows before; NaN where there are none.
@@ -50,30 +59,42 @@ class Correction:
             period: Time between rows, s.
         """
         result = np.full(len(measured), np.nan)
-        decay = np.exp(-rows * period / self.memory)
-        result[rows:] = modelled[rows:] + decay * self.mean_errors(measured - modelled)[: len(measured) - rows]
+        result[rows:] = modelled[rows:] + self.at(measured - modelled, rows * period, period)[:-rows]
         return result
 
+    def __str__(self) -> str:
+        offset = f"offset over {self.offset:g} s" if self.offset else "no offset"
+        return f"weight {self.weight:g}, {offset}, memory {self.memory:g} s"
 
-def choose_correction(
-    parts: Sequence[tuple[np.ndarray, np.ndarray]], horizons: Sequence[int], period: float
-) -> Correction:
-    """Return the correction with the lowest error over that of persistence, on average over parts and horizons.
+
+def running_mean(values: np.ndarray, weight: float) -> np.ndarray:
+    """Return the means m_k = m_(k-1) + weight (v_k - m_(k-1)), from the first value on.
 
     Args:
-        parts: Measured and modelled values of each part.
-        horizons: Horizons, in rows.
+        values: Values, shape ``(rows,)``.
+        weight: Weight of the latest value.
+    """
+    return lfilter([weight], [1.0, weight - 1.0], values, zi=[(1.0 - weight) * values[0]])[0]
+
+
+def choose_correction(parts: Sequence[tuple[np.ndarray, np.ndarray, slice]], rows: int, period: float) -> Correction:
+    """Return the correction with the lowest error at a horizon over that of persistence, on average over parts.
+
+    Args:
+        parts: Measured and modelled values, and the rows that count, of each part.
+        rows: Horizon, in rows.
         period: Time between rows, s.
     """
 
     def score(correction: Correction) -> float:
         ratios = []
-        for (measured, modelled), rows in itertools.product(parts, horizons):
-            error = rms(measured - correction.forecast(measured, modelled, rows, period))
-            ratios.append(error / rms(measured[rows:] - measured[:-rows]))
+        for measured, modelled, counted in parts:
+            persistence = np.append(np.full(rows, np.nan), measured[:-rows])
+            error = rms((measured - correction.forecast(measured, modelled, rows, period))[counted])
+            ratios.append(error / rms((measured - persistence)[counted]))
         return float(np.mean(ratios))
 
-    return min((Correction(w, m) for w, m in itertools.product(SMOOTHING, MEMORY)), key=score)
+    return min((Correction(*c) for c in itertools.product(WEIGHTS, OFFSETS, MEMORIES)), key=score)
 
 
 def rms(residual: np.ndarray) -> float:
@@ -88,7 +109,8 @@ def cycle_starts(time: np.ndarray, duty: np.ndarray) -> np.ndarray:
         time: Times, s.
         duty: Duty of the rows.
     """
-    on = time[duty > PULSE]
+    rows = max(round(PULSE_SECONDS / float(np.median(np.diff(time)))), 1)
+    on = time[np.convolve(duty, np.full(rows, 1.0 / rows), mode="same") > PULSE]
     return on[np.append(True, np.diff(on) > PAUSE)] if len(on) else on
 
 
@@ -132,7 +154,13 @@ def naive_forecasts(values: np.ndarray, repeated: np.ndarray, rows: int) -> dict
     }
 
 
-def compare(what: str, values: np.ndarray, forecast: np.ndarray, naive: dict[str, np.ndarray], unit: str) -> Row:
+def compare(
+    what: str,
+    values: np.ndarray,
+    forecast: np.ndarray,
+    naive: dict[str, np.ndarray],
+    unit: str,
+) -> Row:
     """Return a row with the errors of a forecast and of naive ones, and whether it is below all of them.
 
     The mean of the compared values themselves, which nobody knows beforehand, is one of the naive forecasts.
@@ -144,8 +172,12 @@ def compare(what: str, values: np.ndarray, forecast: np.ndarray, naive: dict[str
         naive: Naive forecasts by name.
         unit: Unit of the values.
     """
-    errors = {"mean of the held-out part": float(np.std(values))}
+    errors = {"the part's own mean": float(np.std(values))}
     errors |= {name: rms(values - series) for name, series in naive.items()}
     error = rms(values - forecast)
     text = f"{error:.3g} {unit}; " + ", ".join(f"{name} {value:.3g}" for name, value in errors.items())
-    return Row(what, "below all of these", text, error < min(errors.values()), {"model": error, **errors})
+    lowest = min(errors, key=lambda name: errors[name])
+    is_below = error < errors[lowest]
+    if not is_below:
+        text += f": {lowest} is as good or better"
+    return Row(what, "below all", text, is_below, {"model": error, **errors})

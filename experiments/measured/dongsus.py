@@ -1,6 +1,6 @@
 """A wire heated by a constant duty, its thermocouple read in steps of 0.25 K: fit the first half, predict the second.
 
-    python experiments/measured/dongsus.py [LOG] [--quick] [--json FILE]
+    python experiments/measured/dongsus.py [LOG] [--quick] [--json FILE] [--write-rig FILE]
 
 LOG is a raw log: time in s, of which one row in six repeats the stamp of the row before, temperature in degC in steps
 of 0.25 K, and duty in percent. It is read by ``RIG``; rows with a repeated stamp are left out and counted, and the
@@ -113,6 +113,8 @@ class Parts:
         train: Rest, and two of three blocks of the first half of the heating.
         select: The other blocks of that half.
         fitted: Both.
+        early: Rest, and the first two thirds of that half in time.
+        third: End of the first two thirds of that half, s.
         held: Rows of the second half.
         notes: Sentences on rows that were left out.
     """
@@ -121,6 +123,8 @@ class Parts:
     train: Recording
     select: Recording
     fitted: Recording
+    early: Recording
+    third: float
     held: np.ndarray
     notes: tuple[str, ...]
 
@@ -138,6 +142,7 @@ def read_parts(path: Path) -> Parts:
     if len(heated) < 5 * LINE / PERIOD / 2:
         refuse(f"{path}: it is heated for {len(heated) * PERIOD:.0f} s: {2.5 * LINE:.0f} s are needed")
     half = (heated[0] + heated[-1]) / 2
+    third = float(heated[0] + (half - heated[0]) * 2 / 3)
     selects = (whole.time >= heated[0]) & (np.floor((whole.time - heated[0]) / BLOCK) % 3 == 2)
 
     def with_rows(rows: np.ndarray) -> Recording:
@@ -150,6 +155,8 @@ def read_parts(path: Path) -> Parts:
         with_rows((time < half) & ~selects),
         with_rows((time < half) & selects),
         with_rows(time < half),
+        with_rows(time < third),
+        third,
         (time >= half) & (time <= heated[-1]),
         recording.notes,
     )
@@ -195,16 +202,23 @@ def search(fitter: EffectFitter, parts: Parts, rounds: int) -> tuple[list[Row], 
     return rows, base, best
 
 
-def forecast_rows(parts: Parts, modelled: np.ndarray) -> list[Row]:
-    """Return the errors on the second half at each horizon, and of the prediction without a reading of it."""
+def forecast_rows(parts: Parts, modelled: np.ndarray, early: np.ndarray) -> list[Row]:
+    """Return the errors on the second half at each horizon, and of the prediction without a reading of it.
+
+    Args:
+        parts: The parts of the log.
+        modelled: Temperature by the fit to the first half, degC.
+        early: Temperature by a fit to the first two thirds of that half; the last third chooses the correction.
+    """
     values, time, held = parts.whole.channels["temperature"], parts.whole.time, parts.held
-    fitted = np.isfinite(parts.fitted.channels["temperature"])
+    chosen = slice(int(np.sum(time < parts.third)), int(np.argmax(held)))
     ahead = [round(h / PERIOD) for h in HORIZONS]
-    correction = choose_correction([(values[fitted], modelled[fitted])], ahead, PERIOD)
     rows = []
     for horizon, steps in zip(HORIZONS, ahead, strict=True):
         naive = {n: s[held] for n, s in naive_forecasts(values, values, steps).items() if n != "last cycle"}
         naive["straight line"] = straight_lines(time, values, steps)[held]
+        correction = choose_correction([(values, early, chosen)], steps, PERIOD)
+        rows.append(Row(f"correction {horizon} s ahead", "-", str(correction), None, dataclasses.asdict(correction)))
         forecast = correction.forecast(values, modelled, steps, PERIOD)[held]
         rows.append(compare(f"held out: {horizon} s ahead", values[held], forecast, naive, "K"))
     first = int(np.argmax(held))
@@ -213,9 +227,7 @@ def forecast_rows(parts: Parts, modelled: np.ndarray) -> list[Row]:
     recent = (time < time[first]) & (time >= time[first] - LINE)
     naive["straight line"] = np.polyval(np.polyfit(time[recent], values[recent], 1), time[held])
     what = f"held out: the whole half ({time[held][-1] - time[first]:.0f} s), no reading used"
-    rows.append(compare(what, values[held], modelled[held], naive, "K"))
-    text = f"{correction.weight:g} of the latest error, decaying within {correction.memory:g} s"
-    return [Row("correction at a horizon", "-", text, None, dataclasses.asdict(correction)), *rows]
+    return [*rows, compare(what, values[held], modelled[held], naive, "K")]
 
 
 def straight_lines(time: np.ndarray, values: np.ndarray, steps: int) -> np.ndarray:
@@ -227,21 +239,63 @@ def straight_lines(time: np.ndarray, values: np.ndarray, steps: int) -> np.ndarr
     return result
 
 
+def report_rows(fitter: EffectFitter, parts: Parts, base: EffectFit, best: EffectFit) -> list[Row]:
+    """Return the errors of both halves before and after, the forecasts, and the values of the last fit.
+
+    Args:
+        fitter: The fits.
+        parts: The parts of the log.
+        base: The fit of the training part without effects.
+        best: That with effects.
+    """
+    before, after = (fitter.fit(parts.fitted, f.effects, [f.values], STEPS)[0] for f in (base, best))
+    readings = np.where(parts.held, parts.whole.channels["temperature"], np.nan)
+    held = dataclasses.replace(parts.whole, channels={**parts.whole.channels, "temperature": readings})
+    rows, effects = [], ", ".join(best.effects) or "no effect"
+    for what, part in (("fitted half", parts.fitted), ("held-out half", held)):
+        errors = {"before": error(fitter, part, before), "after": error(fitter, part, after)}
+        text = f"{errors['before']:.3f} K before, {errors['after']:.3f} K after ({effects})"
+        is_lower = errors["after"] < errors["before"]
+        rows.append(Row(f"{what}: simulation without readings", "lower after", text, is_lower, errors))
+    final, target = error(fitter, held, after), f"<= {FLOOR:.3f} K"
+    rows.append(Row("held-out half: steps of the sensor", target, f"{final:.3f} K", final <= FLOOR))
+    early = fitter.fit(parts.early, best.effects, [best.values], STEPS)[0]
+    modelled = [fitter.predict(parts.whole, fitted)["temperature"] for fitted in (after, early)]
+    rows += forecast_rows(parts, *modelled)
+    everything = fitter.fit(parts.whole, best.effects, [after.values, best.values], STEPS)[0]
+    values = [fitted.values["heat.h0"] for fitted in (after, everything)]
+    final = error(fitter, held, everything)
+    text = f"{final:.3f} K; heat.h0 {values[1]:.3g} instead of {values[0]:.3g} W/m^2/K"
+    rows.append(Row("second half, if the whole heating is fitted", target, text, final <= FLOOR, {"rmse_K": final}))
+    for unknown in fitter.first.unknowns:
+        if not unknown.name.startswith("effects.") or unknown.name.split(".")[1] in after.effects:
+            rows.append(Row(unknown.name, "-", f"{after.values[unknown.name]:.4g} {unknown.unit}", None))
+    return rows
+
+
 def main() -> None:
     """Print the table."""
     args = arguments(
         __doc__,
         quick="one effect only",
         more={
+            "--write-rig": {
+                "type": Path,
+                "metavar": "FILE",
+                "help": "write the rig file for smajax check and fit, and end",
+            },
             "log": {
                 "nargs": "?",
                 "type": Path,
                 "default": DATA / "dongsus-pwm-temperature" / "0331 test1.csv",
                 "metavar": "LOG",
                 "help": "the log",
-            }
+            },
         },
     )
+    if args.write_rig:
+        args.write_rig.write_text(RIG.lstrip(), encoding="utf-8")
+        return
     parts = read_parts(args.log)
     for note in parts.notes:
         say(note)
@@ -250,28 +304,8 @@ def main() -> None:
     rig = parse_rig(RIG, "dongsus.toml")
     fitter = EffectFitter(rig, {k: kinds[k] for k in candidates}, PRIOR_DEVIATION, [parts.fitted], STEP)
     rounds, base, best = search(fitter, parts, 1 if args.quick else MOST_EFFECTS)
-    before, after = (fitter.fit(parts.fitted, f.effects, [f.values], STEPS)[0] for f in (base, best))
-    held = dataclasses.replace(
-        parts.whole,
-        channels={
-            **parts.whole.channels,
-            "temperature": np.where(parts.held, parts.whole.channels["temperature"], np.nan),
-        },
-    )
-    rows = [Row("rows", "-", "; ".join(n for n in parts.notes if "dropped" in n) or "none left out", None), *rounds]
-    for what, part in (("fitted half", parts.fitted), ("held-out half", held)):
-        errors = {"before": error(fitter, part, before), "after": error(fitter, part, after)}
-        text = f"{errors['before']:.3f} K before, {errors['after']:.3f} K after ({', '.join(best.effects) or 'no effect'})"
-        rows.append(Row(f"{what}: simulation without readings", "lower after", text, errors["after"] < errors["before"], errors))
-    final = error(fitter, held, after)
-    rows.append(Row("held-out half against the steps of the sensor", f"<= {FLOOR:.3f} K", f"{final:.3f} K", final <= FLOOR))
-    rows += forecast_rows(parts, fitter.predict(parts.whole, after)["temperature"])
-    everything = fitter.fit(parts.whole, best.effects, [after.values, best.values], STEPS)[0]
-    text = f"{error(fitter, held, everything):.3f} K; heat.h0 {everything.values['heat.h0']:.3g} W/m^2/K"
-    rows.append(Row("second half, if the whole heating is fitted", "-", text, None))
-    for unknown in fitter.first.unknowns:
-        if not unknown.name.startswith("effects.") or unknown.name.split(".")[1] in after.effects:
-            rows.append(Row(unknown.name, "-", f"{after.values[unknown.name]:.4g} {unknown.unit}", None))
+    dropped = "; ".join(n for n in parts.notes if "dropped" in n) or "none left out"
+    rows = [Row("rows", "-", dropped, None), *rounds, *report_rows(fitter, parts, base, best)]
     finish(rows, args)
 
 

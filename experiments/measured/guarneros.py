@@ -1,17 +1,18 @@
-"""A wire against a force sensor, recorded by a micro-controller: fit a log, select on half of another, hold out the rest.
+"""A wire against a force sensor, logged by a micro-controller: fit one log, forecast the second half of others.
 
-    python experiments/measured/guarneros.py [FIT SELECT_AND_HOLDOUT ...] [--quick] [--json FILE]
+    python experiments/measured/guarneros.py [FIT SELECT_AND_HOLDOUT ...] [--quick] [--json FILE] [--write-rig FILE]
 
 FIT and SELECT_AND_HOLDOUT are raw logs: temperature of the wire and of the surroundings in degC, force in counts of a
 converter, and the register of a pulse-width modulation, one row each 19 ms. They are read by ``RIG``: a register above
-255 is one that is always on. These values come from corrupt packets, and they are real: the wire warms by 0.7 K within
-half a second of each packet with 1000, and by 0.25 K of each with 100. Rows are put together into blocks of about a
-second: means of the input, which keep the heat of such packets, and medians of the readings.
+255 is one that is always on. Such values come from corrupt packets, but the wire is heated by them, as the rows "single
+rows of a full register" show. Rows are put together into blocks of about a second: means of the input, which keep that
+heat, and medians of the readings.
 
-The base model is fitted to FIT. Effects are added one by one, as long as one lowers the error on the first half of
-SELECT_AND_HOLDOUT by more than 5 %. The second half is forecast at several horizons, and as a whole from its start,
-with the recorded input. The model is corrected by its latest error; how much is chosen on FIT and the first half.
-Several logs may be named to be forecast; the first of them selects.
+The model is fitted to FIT, without effects and with one, two and all three of ``EFFECTS`` together; the set with the
+lowest error on the first half of SELECT_AND_HOLDOUT is taken, and further effects are added to it one by one, as long
+as one lowers that error by more than 5 %. The second half is forecast at several horizons, and as a whole from its
+start, with the recorded input. The latest errors of the model correct its forecasts; how, is chosen on the second half
+of FIT and the first half of SELECT_AND_HOLDOUT. Several logs may be named to be forecast; the first of them selects.
 
 These data determine neither the stress in the wire nor its size. Diameter, length, stiffness and preload are nominal,
 and every fit has a prior from data sheets (``PRIOR_DEVIATION``).
@@ -20,6 +21,7 @@ and every fit has a prior from data sheets (``PRIOR_DEVIATION``).
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +41,7 @@ from experiments.common.forecasts import (
     naive_forecasts,
     rms,
 )
+from experiments.common.packets import packet_rows
 
 import numpy as np
 
@@ -95,7 +98,8 @@ noise = { temperature = "1 K", force = "0.03 N" }
 """
 
 ROWS = 53  # of the log in a block: 1.007 s
-HORIZONS = (1, 5, 10, 30, 60)  # s
+HORIZONS = (1, 5, 10, 20)  # s
+LONG_HORIZONS = (30, 60)  # s, at which a mean that nobody knows beforehand is hard to beat
 CHANNELS = {"temperature": "K", "force": "N"}
 STEP = 2.0  # s; longer than a block, so that each block is one step
 # Standard deviations of the prior about the rig's values (SI, K).
@@ -134,12 +138,12 @@ STARTS = (
 )
 MIN_CUT = 0.05  # relative cut of the selection part's error that an effect must reach
 MOST_ADDED = 3  # effects that are added to ``EFFECTS``
-TIMES = 10  # start points that are drawn
+TIMES = 20  # start points that are drawn
 STEPS = 60
 
 
-def read_log(path: Path) -> Recording:
-    """Read a raw log by the rig, and put its rows together into blocks."""
+def read_log(path: Path) -> tuple[Recording, list[Row]]:
+    """Read a raw log by the rig, and put its rows together into blocks; return them, and rows on corrupt packets."""
     if not path.is_file():
         refuse(f"{path} is not a file: name a log to fit, and one or more to be forecast")
     try:
@@ -149,9 +153,9 @@ def read_log(path: Path) -> Recording:
     for note in recording.notes:
         say(note)
     blocks = block_rows(recording, ROWS, ("duty",))
-    if len(blocks) < 4 * HORIZONS[-1]:
-        refuse(f"{path}: {len(recording)} rows are too few: {4 * HORIZONS[-1] * ROWS} are needed")
-    return blocks
+    if len(blocks) < 4 * LONG_HORIZONS[-1]:
+        refuse(f"{path}: {len(recording)} rows are too few: {4 * LONG_HORIZONS[-1] * ROWS} are needed")
+    return blocks, packet_rows(recording, halves(recording)[1])
 
 
 def halves(log: Recording) -> tuple[slice, slice]:
@@ -181,7 +185,9 @@ def start_values(fitter: EffectFitter, key: str) -> list[dict[str, float]]:
     return [{strength: 0.3 * kind.typical, **shapes[0]}, {strength: kind.typical, **shapes[1]}]
 
 
-def search(fitter: EffectFitter, fit_log: Recording, select_log: Recording, first: EffectFit) -> tuple[list[Row], EffectFit]:
+def search(
+    fitter: EffectFitter, fit_log: Recording, select_log: Recording, first: EffectFit
+) -> tuple[list[Row], EffectFit]:
     """Add effects one by one, as long as one lowers the error on the selection part by more than ``MIN_CUT``.
 
     Args:
@@ -217,7 +223,9 @@ def search(fitter: EffectFitter, fit_log: Recording, select_log: Recording, firs
     return rows, best
 
 
-def fit_jointly(fitter: EffectFitter, fit_log: Recording, select_log: Recording, times: int) -> tuple[list[Row], EffectFit, EffectFit]:
+def fit_jointly(
+    fitter: EffectFitter, fit_log: Recording, select_log: Recording, times: int
+) -> tuple[list[Row], EffectFit, EffectFit]:
     """Fit without effects, and with more and more of ``EFFECTS`` together, each from several start points.
 
     Args:
@@ -236,23 +244,29 @@ def fit_jointly(fitter: EffectFitter, fit_log: Recording, select_log: Recording,
         fits[effects] = ends[0], selection_error(fitter, select_log, ends[0])
         close = sum(f.cost <= 1.05 * ends[0].cost for f in ends)
         text = f"{fits[effects][1]:.3f}; cost {ends[0].cost:.1f}, within 5 % of it {close} of {len(ends)} start points"
-        rows.append(Row(f"{' + '.join(effects) or 'no effect'}: error over noise on the selection part", "-", text, None))
+        rows.append(
+            Row(f"{' + '.join(effects) or 'no effect'}: error over noise on the selection part", "-", text, None)
+        )
         say(f"{rows[-1].what}: {text}")
     best = min(fits.values(), key=lambda entry: entry[1])[0]
     return rows, fits[()][0], best
 
 
 def choose_corrections(
-    fitter: EffectFitter, fitted: EffectFit, fit_log: Recording, select_log: Recording, period: float
-) -> dict[str, Correction]:
-    """Return how the latest error corrects the model, by channel, chosen on the fitted log and the selection part."""
+    fitter: EffectFitter, fitted: EffectFit, fit_log: Recording, select_log: Recording
+) -> dict[tuple[str, int], Correction]:
+    """Return how the latest errors correct the model, by channel and horizon.
+
+    They are chosen on the second half of the fitted log, the part of its cycle that is held out of the others, and on
+    the first half of the log that selects.
+    """
+    period = float(fit_log.time[1] - fit_log.time[0])
+    parts = [(fit_log, halves(fit_log)[1]), (select_log, halves(select_log)[0])]
+    modelled = [fitter.predict(log, fitted) for log, _ in parts]
     corrections = {}
-    rows = [round(h / period) for h in HORIZONS]
-    for channel in CHANNELS:
-        parts = []
-        for log, part in ((fit_log, slice(None)), (select_log, halves(select_log)[0])):
-            parts.append((log.channels[channel][part], fitter.predict(log, fitted)[channel][part]))
-        corrections[channel] = choose_correction(parts, rows, period)
+    for channel, horizon in itertools.product(CHANNELS, (*HORIZONS, *LONG_HORIZONS)):
+        series = [(log.channels[channel], m[channel], rows) for (log, rows), m in zip(parts, modelled, strict=True)]
+        corrections[channel, horizon] = choose_correction(series, round(horizon / period), period)
     return corrections
 
 
@@ -261,31 +275,31 @@ def forecast_rows(
     fitted: EffectFit,
     log: Recording,
     fit_log: Recording,
-    corrections: dict[str, Correction],
+    corrections: dict[tuple[str, int], Correction],
 ) -> list[Row]:
     """Return the errors on the second half of a log at each horizon, and of its forecast from the start of the half."""
     period = float(log.time[1] - log.time[0])
     modelled, held = fitter.predict(log, fitted), halves(log)[1]
     rows = []
     for channel, unit in CHANNELS.items():
-        values, correction = log.channels[channel], corrections[channel]
-        repeated = last_cycle(
-            log.time, log.channels["duty"], values, (fit_log.time, fit_log.channels["duty"], fit_log.channels[channel])
-        )
-        for horizon in HORIZONS:
+        values = log.channels[channel]
+        earlier = (fit_log.time, fit_log.channels["duty"], fit_log.channels[channel])
+        repeated = last_cycle(log.time, log.channels["duty"], values, earlier)
+        for horizon in (*HORIZONS, *LONG_HORIZONS):
             ahead = round(horizon / period)
             naive = {n: s[held] for n, s in naive_forecasts(values, repeated, ahead).items()}
-            forecast = correction.forecast(values, modelled[channel], ahead, period)[held]
+            forecast = corrections[channel, horizon].forecast(values, modelled[channel], ahead, period)[held]
             what = f"{log.name}, held out: {channel}, {horizon} s ahead"
             rows.append(compare(what, values[held], forecast, naive, unit))
         origin = held.start - 1
-        latest = correction.mean_errors((values - modelled[channel])[: held.start])[-1]
-        decay = np.exp(-(log.time[held] - log.time[origin]) / correction.memory)
-        naive = naive_forecasts(values, repeated, 1)
-        constants = {n: np.full(len(decay), naive[n][held.start]) for n in ("mean so far", "persistence")}
-        what = f"{log.name}, held out: {channel}, the whole half ({log.time[-1] - log.time[origin]:.0f} s) at once"
+        horizons = log.time[held] - log.time[origin]
+        errors_so_far = (values - modelled[channel])[: held.start]
+        correction = corrections[channel, LONG_HORIZONS[-1]]
+        latest = np.array([correction.at(errors_so_far, float(h), period)[-1] for h in horizons])
+        constants = {n: np.full(len(latest), s[held.start]) for n, s in naive_forecasts(values, repeated, 1).items()}
         constants["last cycle"] = repeated[held]
-        rows.append(compare(what, values[held], modelled[channel][held] + decay * latest, constants, unit))
+        what = f"{log.name}, held out: {channel}, all {horizons[-1]:.0f} s at once"
+        rows.append(compare(what, values[held], modelled[channel][held] + latest, constants, unit))
     return rows
 
 
@@ -323,18 +337,27 @@ def main() -> None:
         __doc__,
         quick="the base model and one effect only",
         more={
+            "--write-rig": {
+                "type": Path,
+                "metavar": "FILE",
+                "help": "write the rig file for smajax check and fit, and end",
+            },
             "logs": {
                 "nargs": "*",
                 "type": Path,
                 "default": [folder / "AB0.csv", folder / "AB1.csv"],
                 "metavar": "LOG",
                 "help": "the log to fit, and those whose second half is forecast; the first of these selects",
-            }
+            },
         },
     )
+    if args.write_rig:
+        args.write_rig.write_text(RIG.lstrip(), encoding="utf-8")
+        return
     if len(args.logs) < 2:
         refuse("one log is named: name the one to fit and at least one to be forecast")
-    fit_log, *logs = [read_log(path) for path in args.logs]
+    read = [read_log(path) for path in args.logs]
+    fit_log, *logs = [log for log, _ in read]
     kinds = {**catalogue(), HeatSoak.key: HeatSoak}
     candidates = EFFECTS if args.quick else CANDIDATES
     rig = parse_rig(RIG, "guarneros.toml")
@@ -342,12 +365,12 @@ def main() -> None:
     rounds, base, joint = fit_jointly(fitter, fit_log, logs[0], 1 if args.quick else TIMES)
     added, final = search(fitter, fit_log, logs[0], joint)
     rounds += added
-    period = float(fit_log.time[1] - fit_log.time[0])
-    corrections = choose_corrections(fitter, final, fit_log, logs[0], period)
-    rows = [*rounds, *simulation_rows(fitter, base, final, fit_log, logs)]
-    for channel, correction in corrections.items():
-        text = f"{correction.weight:g} of the latest error, decaying within {correction.memory:g} s"
-        rows.append(Row(f"correction of {channel}", "-", text, None, dataclasses.asdict(correction)))
+    corrections = choose_corrections(fitter, final, fit_log, logs[0])
+    rows = [row for _, packets in read for row in packets]
+    rows += [*rounds, *simulation_rows(fitter, base, final, fit_log, logs)]
+    for (channel, horizon), correction in corrections.items():
+        what = f"correction of {channel}, {horizon} s ahead"
+        rows.append(Row(what, "-", str(correction), None, dataclasses.asdict(correction)))
     for log in logs:
         starts = ", ".join(f"{t:.0f}" for t in cycle_starts(log.time, log.channels["duty"]))
         rows.append(Row(f"{log.name}: heating begins at", "-", f"{starts} s", None))

@@ -33,9 +33,11 @@ class InfraredSpot(SensorEffect):
         "guarneros-sma-force: the thermometer reads 57 degC at most on a wire that has transformed"
     )
     confused_with: ClassVar[tuple[str, ...]] = ("thermocouple-attachment", "thermocouple-embedding", "coating")
+    # A cold background is nearly a gain, as ``thermocouple-attachment``; the same share.
+    absorbed_from: ClassVar[float] = 0.99
     needs: ClassVar[tuple[str, ...]] = ("temperature observed",)
     channel = "temperature"
-    shapes: ClassVar[Shapes] = (("warming", (0.0, 0.3)), ("time_constant", (10.0, 100.0)))
+    shapes: ClassVar[Shapes] = (("warming", (0.0, 0.3)),)
 
     def reading(
         self, series: Float[Array, " rows"], channels: dict[str, jax.Array], time: Float[Array, " rows"]

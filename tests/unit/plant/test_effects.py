@@ -22,6 +22,7 @@ from smajax.parameters import declarations, parameter
 from smajax.plant.effects import catalogue
 from smajax.plant.effects.airflow_change import AirflowChange
 from smajax.plant.effects.base import AbstractEffect, DriveEffect
+from smajax.plant.effects.infrared_spot import InfraredSpot
 from smajax.plant.effects.memory import presliding_state
 from smajax.plant.effects.minor_loop_shape import MinorLoopShape
 from smajax.plant.effects.skip_at_zero import skip_at_zero
@@ -50,6 +51,7 @@ KEYS = [
     "thermocouple-embedding",
     "thermocouple-attachment",
     "thermocouple-pickup",
+    "infrared-spot",
     "time-skew",
     "sensor-lag",
     "encoder-gain",
@@ -303,6 +305,27 @@ def test_an_effect_on_two_wires_does_what_the_reference_does(hidden, effects):
     moved = recording.channels["angle"] - residual * made.noise["angle"]
     apart, effect = (np.sqrt(np.mean((other - truth[1]) ** 2)) for other in (moved, truth[0]))
     assert apart < 0.2 * made.noise["angle"] < 0.05 * effect
+
+
+def test_an_infrared_spot_adds_the_radiation_of_wire_and_background():
+    """Absent at 0; by hand for a cold and for a warmed background; the derivative is that of a small change."""
+    time, wire = jnp.linspace(0.0, 100.0, 201), 25.0 + jnp.concatenate([jnp.zeros(1), jnp.full(200, 55.0)])
+
+    def change(share, warming=0.0):
+        spot = InfraredSpot(strength=jnp.asarray(share), warming=jnp.asarray(warming), time_constant=jnp.asarray(5.0))
+        return spot.reading(wire, {}, time)
+
+    assert not np.any(change(0.0, 0.3))
+    cold = (0.4 * (80.0 + 273.15) ** 4 + 0.6 * (25.0 + 273.15) ** 4) ** 0.25 - 273.15
+    assert float(change(0.6)[-1]) == pytest.approx(cold - 80.0, abs=1e-9)
+    warm = (0.4 * (80.0 + 273.15) ** 4 + 0.6 * (25.0 + 0.3 * 55.0 + 273.15) ** 4) ** 0.25 - 273.15
+    assert float(change(0.6, 0.3)[-1]) == pytest.approx(warm - 80.0, abs=1e-6)
+    assert float(change(0.6, 1.0)[-1]) == pytest.approx(0.0, abs=1e-6)  # after 20 time constants
+    slope = jax.jacfwd(change, argnums=(0, 1))(0.3, 0.3)
+    for k, step in enumerate(((1e-6, 0.0), (0.0, 1e-6))):
+        finite = (change(0.3 + step[0], 0.3 + step[1]) - change(0.3 - step[0], 0.3 - step[1])) / 2e-6
+        np.testing.assert_allclose(slope[k], finite, rtol=1e-6, atol=1e-6)
+    assert np.all(np.asarray(jax.jacfwd(change)(0.0))[1:] < -10.0)
 
 
 def test_a_draught_blows_for_its_share_of_a_step():

@@ -130,6 +130,29 @@ def test_raw_numbers_are_scaled(read):
     assert "force was read as (-0.0087 * number + 7.5) N of column 'load cell', as the rig says" in recording.notes
 
 
+def test_values_beyond_the_limits_of_a_register_count_as_the_limit(read, tmp_path):
+    """A register of 8 bits that a corrupt packet sets to 1000 is always on; limits need no scale."""
+    mapping = {"duty": ChannelMap("pwm", full_scale=255, limits=(0.0, 1.0)), "ambient": ChannelMap("room", "degC")}
+    recording = read("pwm,room\n0,20\n51,21\n1000,22\n-3,23\n", mapping=mapping, sample_period="20 ms")
+    assert recording.channels["duty"].tolist() == [0.0, 0.2, 1.0, 0.0]
+    assert "2 of 4 values of duty were limited to 0 to 1, as the rig says" in recording.notes
+    unscaled = {"ambient": ChannelMap("room", "degC", limits=(21.0, 22.0))}
+    recording = read("room\n20\n21\n23\n", mapping=unscaled, sample_period="20 ms")
+    assert recording.channels["ambient"].tolist() == [21.0, 21.0, 22.0]
+    within = read("room\n21\n21.5\n", mapping=unscaled, sample_period="20 ms")
+    assert not any("limited" in note for note in within.notes)
+    with pytest.raises(InputError, match="limits = .* are not possible: give the least and the largest value"):
+        ChannelMap("pwm", limits=(1.0, 0.0))
+    text = RIG + SCALED.replace("full_scale = 255", "full_scale = 255, limits = [0, 1]")
+    (tmp_path / "log.csv").write_text(LOG.replace("2,700,255", "2,700,1025"))
+    rig = parse_rig(text + '[recording]\nsample_period = "20 ms"\n')
+    again = parse_rig(rig.to_toml())
+    assert again.channels == rig.channels and rig.channels.columns["duty"].limits == (0.0, 1.0)
+    assert again.read(tmp_path / "log.csv").channels["duty"].tolist() == [0.0, 1.0, 1.0]
+    with pytest.raises(InputError, match="channels.duty.limits"):
+        parse_rig(text.replace("limits = [0, 1]", "limits = [0]"))
+
+
 RIG = """
 schema = 1
 [rig]

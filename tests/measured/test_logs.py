@@ -1,0 +1,133 @@
+"""Experiments with raw logs of micro-controllers: blocks of rows, forecasts at horizons, and quick runs where ../shared is."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from smajax.recordings.recording import Recording
+from tests.conftest import ROOT
+from tests.measured.test_measured import run_alone
+
+
+@pytest.fixture(autouse=True)
+def _experiments(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
+def test_a_block_has_the_readings_before_it_and_the_heat_after_it():
+    from experiments.common.blocks import block_rows
+
+    duty = np.zeros(12)
+    duty[5] = 1.0  # a pulse of one row
+    temperature = np.arange(12.0)
+    recording = Recording.from_arrays("log", 0.1 * np.arange(12), {"duty": duty, "temperature": temperature})
+    blocks = block_rows(recording, 3, ("duty",))
+    np.testing.assert_allclose(blocks.time, [0.0, 0.3, 0.6, 0.9, 1.2])
+    np.testing.assert_allclose(blocks.channels["duty"], [0.0, 1.0 / 3.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(blocks.channels["temperature"], [0.0, 1.0, 4.0, 7.0, 10.0])
+    rest = block_rows(recording.slice(0.0, 1.05), 3, ("duty",))  # 11 rows: the last two fill no block
+    np.testing.assert_allclose(rest.time, [0.0, 0.3, 0.6, 0.9])
+
+
+def test_a_block_without_rows_keeps_the_input_and_has_no_reading():
+    from experiments.common.blocks import block_rows
+
+    kept = np.array([0, 1, 2, 6, 7, 8])
+    channels = {"duty": np.full(6, 0.5), "temperature": np.arange(6.0)}
+    blocks = block_rows(Recording.from_arrays("log", 0.1 * kept, channels), 3, ("duty",))
+    np.testing.assert_allclose(blocks.channels["duty"], 0.5)
+    np.testing.assert_allclose(blocks.channels["temperature"], [0.0, 1.0, np.nan, 4.0])
+
+
+def test_a_correction_uses_no_reading_after_its_origin():
+    from experiments.common.forecasts import Correction
+
+    measured, modelled = np.array([1.0, 2.0, 4.0, 4.0, 9.0]), np.zeros(5)
+    latest = Correction(1.0, 0.0, np.inf).forecast(measured, modelled, 2, 1.0)
+    np.testing.assert_allclose(latest, [np.nan, np.nan, 1.0, 2.0, 4.0])  # persistence, for a model of zero
+    decaying = Correction(1.0, 0.0, 2.0).forecast(measured, modelled, 2, 1.0)
+    np.testing.assert_allclose(decaying[2:], np.exp(-1.0) * measured[:3])
+    offset = Correction(1.0, 1e9, 1e-3).forecast(measured, modelled, 1, 1.0)
+    np.testing.assert_allclose(offset[1:], 1.0, rtol=1e-6)  # the mean that has not yet moved
+
+
+def test_the_best_correction_is_chosen():
+    from experiments.common.forecasts import choose_correction
+
+    random = np.random.default_rng(0)
+    modelled = np.sin(np.arange(2000) / 50.0)
+    offset = modelled + 3.0 + 0.1 * random.standard_normal(2000)  # a constant error under white noise
+    correction = choose_correction([(offset, modelled, slice(200, None))], 5, 1.0)
+    assert correction.weight == 0.15 or correction.offset > 0
+    assert correction.memory == np.inf or correction.offset > 0
+    white = modelled + 0.1 * random.standard_normal(2000)
+    chosen = choose_correction([(white, modelled, slice(None))], 20, 1.0)
+    assert chosen.memory == 3.0 and chosen.offset == 0.0
+
+
+def test_the_last_cycle_is_repeated_from_its_heating_on():
+    from experiments.common.forecasts import cycle_starts, last_cycle
+
+    time = np.arange(0.0, 200.0)
+
+    def cycles(*begins):
+        duty = np.zeros(200)
+        for begin in begins:
+            duty[begin : begin + 20] = 0.1
+        return duty
+
+    assert cycle_starts(time, np.where(time == 90.0, 0.019, 0.0)).size == 0  # a single corrupt packet
+    earlier, later = cycles(30), cycles(50, 120)
+    first, second = cycle_starts(time, later)
+    assert 45.0 <= first <= 55.0 and 115.0 <= second <= 125.0 and second - first == 70.0
+    values = np.arange(200.0) ** 2
+    repeated = last_cycle(time, later, values, (time, earlier, 1000.0 + time))
+    np.testing.assert_allclose(repeated[60], 1000.0 + 40.0)  # 20 s earlier in the earlier recording
+    np.testing.assert_allclose(repeated[130], 60.0**2)  # 70 s earlier in the same one
+
+
+def test_a_forecast_is_compared_with_the_mean_that_nobody_knows():
+    from experiments.common.forecasts import compare, naive_forecasts
+
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    naive = naive_forecasts(values, values[::-1], 1)
+    np.testing.assert_allclose(naive["mean so far"], [np.nan, 1.0, 1.5, 2.0])
+    np.testing.assert_allclose(naive["persistence"], [np.nan, 1.0, 2.0, 3.0])
+    row = compare("a channel", values, values + 0.1, naive, "K")
+    assert row.met and row.numbers["the part's own mean"] == pytest.approx(np.std(values))
+    row = compare("a channel", values, values + 2.0, naive, "K")
+    assert row.met is False and "is as good or better" in row.measured
+
+
+@pytest.mark.parametrize("name", ["measured/guarneros", "measured/dongsus"])
+def test_a_missing_log_is_refused(name, tmp_path):
+    words = [str(tmp_path / "nowhere.csv")] * (2 if name.endswith("guarneros") else 1)
+    result = run_alone(name, *words)
+    assert result.returncode == 2 and "nowhere.csv is not a file" in result.stderr
+
+
+def rows_of(name: str, tmp_path: Path, *words: str) -> dict[str, dict]:
+    """Return the rows of a quick run by name."""
+    target = tmp_path / "rows.json"
+    result = run_alone(name, *words, "--quick", "--json", str(target))
+    assert result.returncode == 0, result.stderr
+    return {row["what"]: row for row in json.loads(target.read_text("utf-8"))["rows"]}
+
+
+def test_a_raw_log_of_a_force_sensor_is_fitted_and_another_is_forecast(shared, tmp_path):
+    folder = shared / "data" / "guarneros-sma-force"
+    rows = rows_of("measured/guarneros", tmp_path, str(folder / "AB0.csv"), str(folder / "AB1.csv"))
+    for channel in ("temperature", "force"):
+        assert rows[f"AB1.csv, held out: {channel}, 5 s ahead"]["met"], channel
+    simulated = rows["AB1.csv, held out: simulation without readings"]["numbers"]
+    assert simulated["temperature"] < simulated["before"]["temperature"]
+
+
+def test_a_raw_log_with_repeated_stamps_is_fitted(shared, tmp_path):
+    rows = rows_of("measured/dongsus", tmp_path, str(shared / "data" / "dongsus-pwm-temperature" / "0331 test1.csv"))
+    assert "983 of 5491 rows in which time does not increase dropped" in rows["rows"]["measured"]
+    assert rows["fitted half: simulation without readings"]["numbers"]["after"] < 0.5 * 0.246
+    errors = rows["held out: 10 s ahead"]["numbers"]
+    assert errors["model"] < min(errors["persistence"], errors["mean so far"])
