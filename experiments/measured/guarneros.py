@@ -232,13 +232,13 @@ def fit_jointly(
         fitter: The fits.
         fit_log: The log that is fitted.
         select_log: The log whose first half selects.
-        times: Number of start points.
+        times: Number of start points that are drawn; with a single one only no effect and all are tried.
 
     Returns:
         A row for each set of effects, the base fit, and the fit with the lowest error on the selection part.
     """
     rows, fits = [], {}
-    for effects in (EFFECTS[:k] for k in range(len(EFFECTS) + 1)):
+    for effects in (EFFECTS[:k] for k in (range(len(EFFECTS) + 1) if times > 1 else (0, len(EFFECTS)))):
         starts = [*STARTS, *fitter.draw_starts(effects, times, seed=0)]
         ends = fitter.fit(fit_log, effects, starts, STEPS)
         fits[effects] = ends[0], selection_error(fitter, select_log, ends[0])
@@ -335,7 +335,7 @@ def main() -> None:
     folder = DATA / "guarneros-sma-force"
     args = arguments(
         __doc__,
-        quick="the base model and one effect only",
+        quick="few start points, and no further effects",
         more={
             "--write-rig": {
                 "type": Path,
