@@ -77,13 +77,16 @@ def running_mean(values: np.ndarray, weight: float) -> np.ndarray:
     return lfilter([weight], [1.0, weight - 1.0], values, zi=[(1.0 - weight) * values[0]])[0]
 
 
-def choose_correction(parts: Sequence[tuple[np.ndarray, np.ndarray, slice]], rows: int, period: float) -> Correction:
+def choose_correction(
+    parts: Sequence[tuple[np.ndarray, np.ndarray, slice]], rows: int, period: float, keeps: bool = False
+) -> Correction:
     """Return the correction with the lowest error at a horizon over that of persistence, on average over parts.
 
     Args:
         parts: Measured and modelled values, and the rows that count, of each part.
         rows: Horizon, in rows.
         period: Time between rows, s.
+        keeps: Whether a correction does not decay, as for a sensor whose zero differs from log to log.
     """
 
     def score(correction: Correction) -> float:
@@ -94,7 +97,8 @@ def choose_correction(parts: Sequence[tuple[np.ndarray, np.ndarray, slice]], row
             ratios.append(error / rms((measured - persistence)[counted]))
         return float(np.mean(ratios))
 
-    return min((Correction(*c) for c in itertools.product(WEIGHTS, OFFSETS, MEMORIES)), key=score)
+    shapes = itertools.product(WEIGHTS, (0.0,), (np.inf,)) if keeps else itertools.product(WEIGHTS, OFFSETS, MEMORIES)
+    return min((Correction(*shape) for shape in shapes), key=score)
 
 
 def rms(residual: np.ndarray) -> float:

@@ -65,6 +65,8 @@ def test_the_best_correction_is_chosen():
     white = modelled + 0.1 * random.standard_normal(2000)
     chosen = choose_correction([(white, modelled, slice(None))], 20, 1.0)
     assert chosen.memory == 3.0 and chosen.offset == 0.0
+    keeping = choose_correction([(white, modelled, slice(None))], 20, 1.0, keeps=True)
+    assert keeping.memory == np.inf and keeping.offset == 0.0 and keeping.weight == 0.15
 
 
 def test_the_last_cycle_is_repeated_from_its_heating_on():
