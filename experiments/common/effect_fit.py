@@ -23,6 +23,7 @@ from smajax.recordings.recording import Recording
 GRID_MULTIPLE = 128  # rows up to a multiple of it share a compiled program
 STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
 SHAPE_DEVIATION = 1.0  # prior of an effect's shape about its nominal value, in units of that value or of 0.3
+REFINED = (1, 8)  # numbers by which the time step of a simulation is divided in turn, until all steps are solved
 DRAWN_STRENGTHS = (0.3, 2.0)  # range of the drawn strengths, in typical strengths
 DRAWN_SHAPE = 0.3  # size of a drawn shape whose nominal value is 0
 DRAWN_MARGIN = 0.01  # distance of drawn values from their bounds, as a share of the range
@@ -108,8 +109,9 @@ class EffectFitter:
         self.first = self._scaled(self._build(recordings[0]))
         self.names = [unknown.name for unknown in self.first.unknowns]
 
-    def _build(self, recording: Recording) -> Problem:
-        return build_problem(self.plant, [recording], self.settings, step=self.step, multiple=GRID_MULTIPLE)
+    def _build(self, recording: Recording, refined: int = 1) -> Problem:
+        step = self.step / refined
+        return build_problem(self.plant, [recording], self.settings, step=step, multiple=GRID_MULTIPLE)
 
     def _scaled(self, problem: Problem) -> Problem:
         """Return the problem with an effect's typical strength as the scale of its strength."""
@@ -120,9 +122,14 @@ class EffectFitter:
         unknowns = tuple(dataclasses.replace(u, scale=s) for u, s in zip(problem.unknowns, scales, strict=True))
         return dataclasses.replace(problem, unknowns=unknowns, scales=jnp.asarray(scales))
 
-    def problem(self, recording: Recording) -> Problem:
-        """Return the problem of a recording, with the unknowns and scales of the first one."""
-        return dataclasses.replace(self.first, data=self._build(recording).data)
+    def problem(self, recording: Recording, refined: int = 1) -> Problem:
+        """Return the problem of a recording, with the unknowns and scales of the first one.
+
+        Args:
+            recording: The recording.
+            refined: Number by which the longest time step is divided.
+        """
+        return dataclasses.replace(self.first, data=self._build(recording, refined).data)
 
     def model(self, recording: Recording, effects: Collection[str]) -> PriorModel:
         """Build the model in which the rig's parameters and those of some effects are free.
@@ -208,7 +215,7 @@ class EffectFitter:
         return sorted(fits, key=lambda f: f.cost if np.isfinite(f.cost) else np.inf)
 
     def predict(self, recording: Recording, fitted: EffectFit) -> dict[str, np.ndarray]:
-        """Simulate a recording with the values of a fit.
+        """Simulate a recording with the values of a fit; with shorter steps if one cannot be solved.
 
         Args:
             recording: The recording.
@@ -218,10 +225,12 @@ class EffectFitter:
             The modelled channels, shape ``(rows,)``, by name; infinite if the simulation failed, so that no error is
             hidden.
         """
-        vector = [fitted.values[u.name] / u.scale for u in self.first.unknowns]
-        modelled, status = _predict(self.problem(recording), jnp.asarray(vector))
-        if int(status[0]):
-            say(f"{recording.name}: the simulation ended with status {int(status[0])}")
-        series = np.asarray(modelled)[0, :, : len(recording)]
-        series = np.full_like(series, np.inf) if int(status[0]) else series
+        vector = jnp.asarray([fitted.values[u.name] / u.scale for u in self.first.unknowns])
+        for refined in REFINED:
+            modelled, status = _predict(self.problem(recording, refined), vector)
+            series = np.asarray(modelled)[0, :, : len(recording)]
+            if not int(status[0]):
+                break
+            say(f"{recording.name}: a step of {self.step / refined:g} s could not be solved")
+            series = np.full_like(series, np.inf)
         return dict(zip(self.first.channels, series, strict=True))
