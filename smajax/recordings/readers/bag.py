@@ -1,7 +1,7 @@
 """Messages of ROS bags: .bag of ROS 1, and .db3 of ROS 2; needs rosbags, the extra ``ros``."""
 
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, final
@@ -49,7 +49,7 @@ class BagFile(MessageFile):
                     except Exception:  # a type that the bag does not define raises one of several
                         self.undecoded[connection.topic] = f"{connection.msgtype}, which the bag does not define"
                 topics[connection.topic] = None
-        self.topics = tuple(topic for topic in topics if topic not in self.undecoded)
+        self.topics: Sequence[str] = tuple(topic for topic in topics if topic not in self.undecoded)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Yield topic, time in ns and content of each message."""

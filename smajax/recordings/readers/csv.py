@@ -8,9 +8,9 @@ cell.
 import csv
 import hashlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from smajax.recordings.readers.base import (
 )
 from smajax.recordings.readers.encoding import decode_row, open_as_utf8
 from smajax.recordings.readers.header_rows import has_header, is_value, read_header_rows
-from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, find_stamps
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
 
 # Bytes that are read at a time: no effect on the numbers; large enough that the overhead of a block is negligible.
 BLOCK = 4 * 2**20
@@ -51,7 +51,7 @@ class CsvTable(Table):
     def __init__(self, path: Path, options: ReadOptions):
         self.path: Path = path
         self.delimiter: str = options.delimiter
-        self.decimal = options.decimal
+        self.decimal: str = options.decimal
         self._encoding = options.encoding
         check_delimiter(options, path)
         self._digest = ""
@@ -80,11 +80,11 @@ class CsvTable(Table):
             self._refuse_title(first, cells)
         result = read_header_rows(str(self.path), self._header_row, cells, options)
         self.headers: tuple[str, ...] = result.headers
-        self.notes = result.notes
+        self.notes: tuple[str, ...] = result.notes
         self.first_row: int = self._header_row + result.rows
         self._data_start += sum(len(line) for line in lines[: result.rows])
-        self.first_cells = cells[result.rows : result.rows + ROWS_WITH_STAMPS]
-        self.stamps = find_stamps(self.first_cells, options.time_format)
+        self.first_cells: Sequence[Sequence[Any]] = cells[result.rows : result.rows + ROWS_WITH_STAMPS]
+        self.stamps: Mapping[int, StampColumn] = find_stamps(self.first_cells, options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers, which are read block by block."""

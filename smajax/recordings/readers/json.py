@@ -67,7 +67,9 @@ class JsonTable(Table):
             error = self._bad_row[1] if self._bad_row else InputError(f"{path}: there are no rows: record at least two")
             raise error
         self.headers: tuple[str, ...] = tuple(self._columns)
-        self.stamps = {k: self._first_stamps[h][0] for k, h in enumerate(self.headers) if h in self._first_stamps}
+        self.stamps: Mapping[int, StampColumn] = {
+            k: self._first_stamps[h][0] for k, h in enumerate(self.headers) if h in self._first_stamps
+        }
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""

@@ -147,7 +147,10 @@ class MatTable(Table):
         self._matrix, self._shape = name, shape
         self._by_rows = shape[1] != count
         if self._by_rows:
-            self.notes += (f"the rows of variable '{name}' were read as columns, since it has {shape[0]} of them",)
+            self.notes: tuple[str, ...] = (
+                *self.notes,
+                f"the rows of variable '{name}' were read as columns, since it has {shape[0]} of them",
+            )
         self.headers = options.columns
 
     def _load_matrix(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:

@@ -1,7 +1,7 @@
 """Messages of MCAP files in JSON, ROS 1 or ROS 2; needs mcap, and for ROS rosbags: the extra ``ros``."""
 
 import json
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -40,7 +40,7 @@ class McapFile(MessageFile):
             else:
                 self._decoders[channel.id] = decoder
                 topics[channel.topic] = None
-        self.topics = tuple(topic for topic in topics if topic not in self.undecoded)
+        self.topics: Sequence[str] = tuple(topic for topic in topics if topic not in self.undecoded)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Yield topic, time in ns and content of each message."""

@@ -43,7 +43,9 @@ class MemoryTable(Table):
         self.headers: tuple[str, ...] = tuple(str(header).strip() for header, _ in columns)
         self._values = [values for _, values in columns]
         self._digest = ""
-        self.stamps = {k: stamp for k, values in enumerate(self._values) if (stamp := _stamps(values, time_format))}
+        self.stamps: Mapping[int, StampColumn] = {
+            k: stamp for k, values in enumerate(self._values) if (stamp := _stamps(values, time_format))
+        }
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return copies of the columns, so that later changes of the object do not change the recording."""

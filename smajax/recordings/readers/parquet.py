@@ -2,7 +2,7 @@
 
 import datetime
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -56,10 +56,10 @@ class ParquetTable(Table):
                 f"{path}: the file is not readable as Parquet ({first_line(error)}): write it again, or use CSV"
             ) from None
         self.headers: tuple[str, ...] = tuple(str(name).strip() for name in self._file.schema_arrow.names)
-        self.stamps = self._find_stamps(options)
+        self.stamps: Mapping[int, StampColumn] = self._find_stamps(options)
         index = [k for k in self.stamps if _INDEX.fullmatch(self.headers[k])]
         if index:
-            self.implied_time = index[0]
+            self.implied_time: int | None = index[0]
             self.headers = tuple("time" if k == index[0] else header for k, header in enumerate(self.headers))
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:

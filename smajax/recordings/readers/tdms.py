@@ -5,7 +5,7 @@ no channel is the time, it is that of the waveform properties: ``wf_start_offset
 """
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -62,15 +62,17 @@ class TdmsTable(Table):
     label_kind = "group"
 
     def __init__(self, path: Path, group: str, channels: Sequence[Any], notes: tuple[str, ...], *, several: bool):
-        self.path = f"{path}: group '{group}'" if several else str(path)
+        self.path: str = f"{path}: group '{group}'" if several else str(path)
         self._file, self._group = path, group
-        self.label = group if several else ""
+        self.label: str = group if several else ""
         self.notes = notes
         self._channels = list(channels)
         self.headers: tuple[str, ...] = tuple(_header(channel) for channel in channels)
-        self.stamps = {k: StampColumn(None, datetime.date.min) for k, c in enumerate(channels) if c.dtype.kind in "mM"}
+        self.stamps: Mapping[int, StampColumn] = {
+            k: StampColumn(None, datetime.date.min) for k, c in enumerate(channels) if c.dtype.kind in "mM"
+        }
         if any(_clock(channel) for channel in channels):
-            self.implied_time = len(self.headers)
+            self.implied_time: int | None = len(self.headers)
             self.headers += (_TIME_HEADER,)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
@@ -112,7 +114,10 @@ class TdmsTable(Table):
                 raise InputError(f"{self.path}: {problem}: {cure}")
         increment, offset, start = clock
         begins = f", from wf_start_time {start}" if start else ""
-        self.notes += (f"time is every {increment:g} s, as the waveform properties say{begins}",)
+        self.notes: tuple[str, ...] = (
+            *self.notes,
+            f"time is every {increment:g} s, as the waveform properties say{begins}",
+        )
         return offset + increment * np.arange(rows)
 
     def _column(self, index: int, lenient: bool) -> np.ndarray:

@@ -69,7 +69,7 @@ class TopicTable(Table):
             for _, _, message in itertools.islice(self._file.messages([topic]), 1):
                 places |= {f"{topic}.{name}": (topic, place) for name, place in numeric_fields(message)}
         self._places = list(places.values())
-        self.implied_time = len(self._places)
+        self.implied_time: int | None = len(self._places)
         self.headers: tuple[str, ...] = (*places, _TIME_HEADER)
         reasons = [f"topic {topic} was left out: its messages are in {r}" for topic, r in self._file.undecoded.items()]
         self.notes = tuple(reasons)
@@ -160,8 +160,8 @@ class TopicTable(Table):
             if end <= first:
                 raise InputError(f"{self.path}: no message of {clock} is between those of the other topics: map others")
             problem = f"{len(time) - (end - first)} of {len(time)} messages of {clock} were left out"
-            self.notes += (f"{problem}, since another topic has none before or after them",)
-            self.first_row = 1 + int(first)
+            self.notes: tuple[str, ...] = (*self.notes, f"{problem}, since another topic has none before or after them")
+            self.first_row: int = 1 + int(first)
         return slice(int(first), end)
 
     def _interpolated(self, values: np.ndarray, stamps: Stamps, time: Stamps) -> np.ndarray:

@@ -7,7 +7,7 @@ import io
 import warnings
 import zipfile
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
 
@@ -25,7 +25,7 @@ from smajax.recordings.readers.base import (
 )
 from smajax.recordings.readers.header_rows import read_header_rows
 from smajax.recordings.readers.sheets import choose_sheets
-from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, find_stamps
+from smajax.recordings.readers.time_stamps import ROWS_WITH_STAMPS, StampColumn, find_stamps
 
 # Rows that are looked at for headers, units and time stamps, and for whether a sheet is blank.
 _ROWS_LOOKED_AT = 30
@@ -87,17 +87,17 @@ class XlsxTable(Table):
         self._file = path
         self._decimal = options.decimal
         self._sheet = sheet
-        self.label = sheet.title if several else ""
+        self.label: str = sheet.title if several else ""
         number = options.skip_rows + 1
         with warnings.catch_warnings(action="ignore"):  # openpyxl warns about extensions of a sheet
             rows = [list(row) for row in self._rows(min_row=number, max_row=number + _ROWS_LOOKED_AT)]
         texts = self._header_texts(rows, number, options)
         result = read_header_rows(self.path, number, texts, options)
         self.headers: tuple[str, ...] = result.headers
-        self.notes = result.notes
+        self.notes: tuple[str, ...] = result.notes
         self.first_row: int = number + result.rows
-        self.first_cells = rows[result.rows : result.rows + ROWS_WITH_STAMPS]
-        self.stamps = find_stamps(self.first_cells, options.time_format)
+        self.first_cells: Sequence[Sequence[Any]] = rows[result.rows : result.rows + ROWS_WITH_STAMPS]
+        self.stamps: Mapping[int, StampColumn] = find_stamps(self.first_cells, options.time_format)
 
     def load(self, indices: Sequence[int], lenient: bool) -> list[np.ndarray]:
         """Return columns of numbers."""
