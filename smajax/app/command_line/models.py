@@ -136,7 +136,7 @@ def diagnose(
 
         study = diagnose_into(
             out,
-            rig_with_reading(rig, reading),
+            rig_with_reading(rig, reading, drop_misplaced=True),
             train,
             select=select,
             holdout=holdout,

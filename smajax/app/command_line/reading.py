@@ -135,18 +135,19 @@ def with_reading(command: Command) -> Command:
     return wrapper
 
 
-def rig_with_reading(rig: Path, reading: Reading) -> "Path | Rig":
+def rig_with_reading(rig: Path, reading: Reading, drop_misplaced: bool = False) -> "Path | Rig":
     """Return a rig with options of reading in place of its own; the path where none were given.
 
     Args:
         rig: The rig file.
         reading: Options by attribute of ``ReadOptions``.
+        drop_misplaced: Whether effects that do not apply to the rig are left out, as ``diagnose`` does.
     """
     if not reading:
         return rig
     from smajax.files.rig_file import read_rig
 
-    return read_rig(rig).with_read_options(**reading)
+    return read_rig(rig, drop_misplaced=drop_misplaced).with_read_options(**reading)
 
 
 def _changes(values: dict[str, Any]) -> dict[str, Any]:
