@@ -83,3 +83,17 @@ def test_the_python_code_of_the_page_on_python_runs(bench):
     code = blocks("python", PYTHON_PAGE)
     result = run([sys.executable, "-c", "\n".join(code)], bench)
     assert len(code) > 4 and result.returncode == 0, result.stderr
+
+
+# Pages with Python, without those that have a test of their own.
+PAGES = [
+    page
+    for page in sorted((ROOT / "docs").glob("*/*.md"))
+    if page.stem not in ("use-python", "import-a-file") and blocks("python", page.read_text("utf-8"))
+]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_python_code_of_other_pages_runs(bench, page):
+    result = run([sys.executable, "-c", "\n".join(blocks("python", page.read_text("utf-8")))], bench)
+    assert result.returncode == 0, result.stderr
