@@ -78,7 +78,7 @@ def test_times_of_a_path_may_repeat_and_are_counted(policy, tmp_path):
     options = {"required": ("temperature", "stress"), "on_bad_rows": policy}
     recording = read_recording(tmp_path / "path.csv", clock=False, **options)
     assert recording.time.tolist() == times and recording.has_clock
-    assert recording.notes == ("3 rows have the time of the row before: a path is led in the order of its rows",)
+    assert recording.notes == ("3 rows have the time of the row before, which is allowed here",)
     assert len(read_recording(recording, clock=False, **options)) == len(times)
     (tmp_path / "still.csv").write_text("\n".join([lines[0], "7,20,100", "7,21,101"]))
     still = read_recording(tmp_path / "still.csv", clock=False, **options)
