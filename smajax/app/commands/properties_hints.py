@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from smajax.errors import InputError
+from smajax.recordings.readers import TEXT_SUFFIXES
 
-_TEXT_ENDINGS = (".csv", ".txt", ".xlsx")
+_TEXT_ENDINGS = (*TEXT_SUFFIXES, ".xlsx")
 _COLUMNS_HINT = "--columns, as in --columns 'temperature [degC],strain [%]'"
 
 Fields = Mapping[str, Any]

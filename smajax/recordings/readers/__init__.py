@@ -12,10 +12,19 @@ from smajax.recordings.paths import similar_name, unreadable
 from smajax.recordings.read_options import ReadOptions
 from smajax.recordings.readers.base import Table
 
-TEXT_SUFFIXES = (".csv", ".txt")
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".log")
 JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
 TOPIC_SUFFIXES = (".mcap", ".bag", ".db3")
-SUFFIXES = (*TEXT_SUFFIXES, ".mat", ".parquet", ".xlsx", *JSON_SUFFIXES, ".tdms", *TOPIC_SUFFIXES)
+SUFFIXES = (
+    *TEXT_SUFFIXES[:2],
+    ".mat",
+    ".parquet",
+    ".xlsx",
+    *JSON_SUFFIXES,
+    ".tdms",
+    *TOPIC_SUFFIXES,
+    *TEXT_SUFFIXES[2:],
+)
 
 
 def open_tables(path: Path, options: ReadOptions) -> list[Table]:

@@ -12,7 +12,7 @@ from smajax.channels import channel_of
 from smajax.errors import InputError
 from smajax.recordings.column_mapping import ROW_NUMBER_HEADERS, ChannelMap
 from smajax.recordings.read_options import ReadOptions
-from smajax.recordings.readers import Table, open_tables
+from smajax.recordings.readers import TEXT_SUFFIXES, Table, open_tables
 from smajax.recordings.recognition.answers import LEFT_OUT, check_headers
 from smajax.recordings.recognition.bad_row_question import bad_row_question
 from smajax.recordings.recognition.channel_choice import DRIVING, choose_channels
@@ -23,7 +23,6 @@ from smajax.recordings.recognition.header_words import is_own_header
 from smajax.recordings.recognition.text_layout import Layout
 from smajax.recordings.recognition.value_ranges import Floats, likely_channels, range_text
 
-_TEXT_ENDINGS = (".csv", ".txt")
 # Columns that are asked about where no channel is recognised.
 _MAX_ASKED = 8
 
@@ -149,7 +148,7 @@ def recognise_layout(path: Path, changes: Mapping[str, Any]) -> Layout:
     options = ReadOptions().replace(**changes)
     fixed = [name for name, value in changes.items() if value is not None]
     ending = path.suffix.lower()
-    if path.is_file() and path.stat().st_size and ending in _TEXT_ENDINGS:
+    if path.is_file() and path.stat().st_size and ending in TEXT_SUFFIXES:
         from smajax.recordings.recognition.text_layout import recognise_text
 
         return recognise_text(path, options, fixed)

@@ -375,3 +375,12 @@ def test_bad_files_are_refused_before_jax_is_loaded(tmp_path, name):
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
     sentence, loaded = done.stdout.splitlines()
     assert loaded == "False" and sentence.startswith(str(tmp_path / name))
+
+
+@pytest.mark.parametrize("ending", [".tsv", ".dat", ".log", ".LOG"])
+def test_text_of_other_endings_is_read(tmp_path, ending):
+    (tmp_path / f"a{ending}").write_text("time [s]\tcurrent [A]\n0\t1\n1\t2\n")
+    recording = read_recording(tmp_path / f"a{ending}", delimiter="\t")
+    assert recording.time.tolist() == [0.0, 1.0] and recording.channels["current"].tolist() == [1.0, 2.0]
+    with pytest.raises(InputError, match=r"give --delimiter|delimiter = "):
+        read_recording(tmp_path / f"a{ending}")
