@@ -8,11 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 from experiments.common.arm_effects import ARM_EFFECTS
 from experiments.common.arm_log import Log, reading_shift
+from experiments.common.effect_fit import predict, residual_of
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import Module, field, filter_jit
+from equinox import Module, field
 
 from smajax import parameters
 from smajax.files.rig_file import parse_rig
@@ -103,8 +104,8 @@ BLOCK_SECONDS = 2.0  # s; every third block is the selection part
 def split_log(log: Log) -> dict[str, Recording]:
     """Split a log into recordings.
 
-    Each covers the whole log; its channels are NaN outside the rows of its role, and a temperature has a row of its own
-    at the time when it was taken. Before the scored part, the slow tail of a pulse is thinned.
+    Each covers the whole log; its channels are NaN outside the rows of its role, and a temperature stands in a
+    separate row, at the time when it was taken. Before the scored part, the slow tail of a pulse is thinned.
 
     Returns:
         Recordings by role: ``train`` and ``select`` together make ``fitted``, ``held`` is scored; ``whole`` has all.
@@ -172,15 +173,6 @@ class Model(Module):
         values = self.fixed_values + self.slot_matrix @ vector[len(self.problem.unknowns) :]
         plant = parameters.replace(self.problem.plant, {n: values[i] for i, n in enumerate(self.names)})
         return dataclasses.replace(self.problem, plant=plant)
-
-
-def _residual(vector: jax.Array, model: Model) -> jax.Array:
-    return model.residual(vector)
-
-
-@filter_jit
-def _predict(model: Model, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return model.predict(vector)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,7 +284,7 @@ class LogFitter:
         start = np.concatenate([base, slots])[None]
         lower = np.concatenate([lower, slot_bounds[0]])
         upper = np.concatenate([upper, slot_bounds[1]])
-        search = MultiStartSolver(_residual, model, start, lower, upper, size=model.size, rtol=1e-5)
+        search = MultiStartSolver(residual_of, model, start, lower, upper, size=model.size, rtol=1e-5)
         result = search.advance(steps).result()
         point = result.points[0]
         values = {n: float(point[len(base) + j] * self.scale(n)) for j, n in enumerate(effects)}
@@ -346,7 +338,7 @@ class LogFitter:
             fitted: The fit of the log.
         """
         model, slots = self.model(log, role, fitted.effects)
-        predicted, _ = _predict(model, jnp.asarray(np.concatenate([fitted.base, slots])))
+        predicted, _ = predict(model, jnp.asarray(np.concatenate([fitted.base, slots])))
         data, count = self.problems[log][role].data, len(self.parts[log][role])
         residual = np.where(np.asarray(data.weight[0]) > 0, np.asarray(data.measured[0] - predicted[0]), np.nan)[
             :, :count
@@ -376,7 +368,7 @@ class LogFitter:
         if not np.any(recording.channels["duty"]):  # the fitted ambient is that after a pulse, which warms the body
             base[ambient] = min(base[ambient], base[start] * scales[start] / scales[ambient])
         model = dataclasses.replace(model, problem=problem)
-        predicted, _ = _predict(model, jnp.asarray(np.concatenate([base, slots])))
+        predicted, _ = predict(model, jnp.asarray(np.concatenate([base, slots])))
         temperature, displacement = np.asarray(predicted[0])[:, : len(recording)]
         return temperature, displacement
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from experiments.common.base import say
 
@@ -19,6 +20,20 @@ from smajax.fitting.multi_start import MultiStartSolver
 from smajax.fitting.problem import Problem, build_problem
 from smajax.plant.effects.base import AbstractEffect
 from smajax.recordings.recording import Recording
+
+# Section of a rig file: usual values of an actuator wire, where a log states none; fits start there.
+NOMINAL_ALLOY = """[material]
+martensite_start = "52 degC"
+martensite_finish = "42 degC"
+austenite_start = "68 degC"
+austenite_finish = "78 degC"
+clausius_clapeyron_austenite = "7 MPa/K"
+clausius_clapeyron_martensite = "7 MPa/K"
+modulus_austenite = "40 GPa"
+modulus_martensite = "40 GPa"
+detwinning_start_stress = "0 MPa"
+max_transformation_strain = "4 %"
+"""
 
 GRID_MULTIPLE = 128  # rows up to a multiple of it share a compiled program
 STRENGTH_DEVIATION = 1.5  # prior of an effect's strength about 0, in typical strengths
@@ -56,13 +71,15 @@ class PriorModel(Module):
         return jnp.concatenate([self.problem.residual(full), prior])
 
 
-def _residual(vector: jax.Array, model: PriorModel) -> jax.Array:
+def residual_of(vector: jax.Array, model: Any) -> jax.Array:
+    """Return ``model.residual(vector)``, with the signature that the solver needs."""
     return model.residual(vector)
 
 
 @filter_jit
-def _predict(problem: Problem, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return problem.predict(vector)
+def predict(model: Any, vector: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return ``model.predict(vector)``, compiled."""
+    return model.predict(vector)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,7 +224,7 @@ class EffectFitter:
         for start in starts:
             vector = np.where(model.is_free, self.start(start), model.prior_mean)
             vector = np.clip(vector, lower, upper)
-            search = MultiStartSolver(_residual, model, vector[None], lower, upper, size=model.size, rtol=1e-4)
+            search = MultiStartSolver(residual_of, model, vector[None], lower, upper, size=model.size, rtol=1e-4)
             result = search.advance(steps).result()
             full = np.where(model.is_free, result.points[0], model.prior_mean)
             values = {u.name: float(v * u.scale) for u, v in zip(self.first.unknowns, full, strict=True)}
@@ -227,7 +244,7 @@ class EffectFitter:
         """
         vector = jnp.asarray([fitted.values[u.name] / u.scale for u in self.first.unknowns])
         for refined in REFINED:
-            modelled, status = _predict(self.problem(recording, refined), vector)
+            modelled, status = predict(self.problem(recording, refined), vector)
             series = np.asarray(modelled)[0, :, : len(recording)]
             if not int(status[0]):
                 break

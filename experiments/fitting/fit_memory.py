@@ -2,7 +2,7 @@
 
     python experiments/fitting/fit_memory.py [--quick] [--json FILE] [--out DIR]
 
-Each fit is ``python -m smajax fit`` in a process of its own with an empty cache, so that the peak includes compiling.
+Each fit is ``python -m smajax fit`` in a separate process with an empty cache, so that the peak includes compiling.
 Recordings are simulated with other parameters than the start values, and have white noise:
 
 - 3,000 rows over ten minutes, and 200,000 rows at 50 Hz, of the shipped dead-weight rig, within 2 GiB.

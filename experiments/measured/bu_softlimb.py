@@ -22,8 +22,8 @@ together from several start points, since a search that adds one at a time stays
 that search. Most effects act in the first 40 s of the fitted pulse, so that the last third in time would be a selection
 part with a cold wire. Every third of the blocks of 2 s is the selection part instead. An effect is accepted if it
 lowers the error there, pooled over the logs and both channels, by more than 5 %. In the fitted part the slow tail is
-thinned to about a row a second; the scored part keeps all rows. A reading of the thermocouples has a row of its own at
-the time when it was taken (``arm_log.reading_shift``).
+thinned to about a row a second; the scored part keeps all rows. A reading of the thermocouples stands in a separate
+row, at the time when it was taken (``arm_log.reading_shift``).
 
 ``--predict`` fits every log of DIR, both pulses, and predicts LOG without a fit to it: any wires in any course.
 """

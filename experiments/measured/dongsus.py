@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 
 from experiments.common.arm_effects import HeatSoak
 from experiments.common.base import DATA, Row, arguments, finish, refuse, say
-from experiments.common.effect_fit import EffectFit, EffectFitter
+from experiments.common.effect_fit import NOMINAL_ALLOY, EffectFit, EffectFitter
 from experiments.common.forecasts import choose_correction, compare, naive_forecasts, rms
 
 import numpy as np
@@ -38,7 +38,7 @@ from smajax.files.rig_file import parse_rig
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording
 
-RIG = """
+RIG = f"""
 schema = 1
 [rig]
 kind = "dead-weight"
@@ -47,24 +47,13 @@ control = "duty"
 [recording]
 on_bad_rows = "drop"                         # rows that repeat a time stamp
 [channels]
-time = {column = "Time(sec)", unit = "s"}
-temperature = {column = "Temperature(C)", unit = "degC"}
-duty = {column = "PWM(%)", unit = "%"}
+time = {{column = "Time(sec)", unit = "s"}}
+temperature = {{column = "Temperature(C)", unit = "degC"}}
+duty = {{column = "PWM(%)", unit = "%"}}
 
 [drive]
 supply = "1 V"                               # nominal; the fit has it
-[material]
-martensite_start = "52 degC"
-martensite_finish = "42 degC"
-austenite_start = "68 degC"
-austenite_finish = "78 degC"
-clausius_clapeyron_austenite = "7 MPa/K"
-clausius_clapeyron_martensite = "7 MPa/K"
-modulus_austenite = "40 GPa"
-modulus_martensite = "40 GPa"
-detwinning_start_stress = "0 MPa"
-detwinning_finish_stress = "100 MPa"
-max_transformation_strain = "4 %"
+{NOMINAL_ALLOY}detwinning_finish_stress = "100 MPa"
 [heat]
 h0 = "30 W/m^2/K"
 capacity = "3 MJ/m^3/K"
@@ -78,7 +67,7 @@ ambient = "28.75 degC"
 [fit]
 free = ["drive.supply", "heat.h0", "environment.ambient"]
 observe = ["temperature"]
-noise = { temperature = "0.25 K" }
+noise = {{ temperature = "0.25 K" }}
 """
 
 PERIOD = 0.2  # s between rows that are fitted

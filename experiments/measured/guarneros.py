@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the checkout: sm
 from experiments.common.arm_effects import HeatSoak
 from experiments.common.base import DATA, Row, arguments, finish, refuse, say
 from experiments.common.blocks import block_rows
-from experiments.common.effect_fit import EffectFit, EffectFitter
+from experiments.common.effect_fit import NOMINAL_ALLOY, EffectFit, EffectFitter
 from experiments.common.forecasts import (
     Correction,
     choose_correction,
@@ -50,7 +50,7 @@ from smajax.files.rig_file import parse_rig
 from smajax.plant.effects import catalogue
 from smajax.recordings.recording import Recording
 
-RIG = """
+RIG = f"""
 schema = 1
 [rig]
 kind = "bias-spring"
@@ -60,25 +60,14 @@ control = "duty"
 sample_period = "19 ms"                      # the file has no time
 [channels]
 ignore = ["Temperature derivative"]
-temperature = {column = "SMA temperature", unit = "degC"}
-ambient = {column = "Ambiente temperature", unit = "degC"}
-force = {column = "Force sensor", factor = -0.008694436, offset = 7.486899, unit = "N"}
-duty = {column = "Control input", full_scale = 255, limits = [0, 1]}
+temperature = {{column = "SMA temperature", unit = "degC"}}
+ambient = {{column = "Ambiente temperature", unit = "degC"}}
+force = {{column = "Force sensor", factor = -0.008694436, offset = 7.486899, unit = "N"}}
+duty = {{column = "Control input", full_scale = 255, limits = [0, 1]}}
 
 [drive]
 supply = "1 V"                               # nominal; the fit has it
-[material]
-martensite_start = "52 degC"
-martensite_finish = "42 degC"
-austenite_start = "68 degC"
-austenite_finish = "78 degC"
-clausius_clapeyron_austenite = "7 MPa/K"
-clausius_clapeyron_martensite = "7 MPa/K"
-modulus_austenite = "40 GPa"
-modulus_martensite = "40 GPa"
-detwinning_start_stress = "0 MPa"
-detwinning_finish_stress = "1 MPa"
-max_transformation_strain = "4 %"
+{NOMINAL_ALLOY}detwinning_finish_stress = "1 MPa"
 [heat]
 h0 = "10 W/m^2/K"
 capacity = "3 MJ/m^3/K"
@@ -94,7 +83,7 @@ free = ["drive.supply", "heat.h0", "initial.temperature",
         "material.martensite_start", "material.max_transformation_strain",
         "sensor.force_offset", "sensor.temperature_offset"]
 observe = ["temperature", "force"]
-noise = { temperature = "1 K", force = "0.03 N" }
+noise = {{ temperature = "1 K", force = "0.03 N" }}
 """
 
 ROWS = 53  # of the log in a block: 1.007 s

@@ -7,11 +7,12 @@ from smajax.plant.plant import Plant
 from smajax.recordings.recording import Recording
 from smajax.simulation.inputs import count_steps
 
-# Bytes of Python, JAX, and compiling the two programs of one wire with all effects: 1.25 GB with 2,000 rows, measured
-# by experiments/fitting/fit_memory.py as the peak of ``smajax diagnose`` in its own process, with an empty cache.
+# Bytes of Python, JAX, and compiling the two programs of one wire with all effects: the peak with 2,000
+# rows of ``smajax diagnose`` in its own process, with an empty cache (experiments/fitting/fit_memory.py).
 _PROGRAMS = 1_250_000_000
 # Bytes for each step of the longest recording and wire: trajectories with the states of all effects, their tangents,
-# two searches at a time, and the Jacobians of all candidates. 1.47 GB with 20,000 rows of one step each.
+# two searches at a time, and the Jacobians of all candidates. Above the
+# peak with 20,000 rows of one step each.
 _PER_STEP = 16_000
 _REMEDY = "cut the recordings into parts, or sample them more coarsely"
 

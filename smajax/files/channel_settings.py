@@ -113,7 +113,7 @@ def channel_settings(data: Any) -> ChannelSettings:
 
 
 def _check_unit(channel: str, unit: str) -> None:
-    """Refuse a unit that is not one of the channel; raw numbers need a scale in its place."""
+    """Refuse a unit that does not convert to that of the channel; raw numbers need a scale."""
     try:
         conversion(unit, channel_unit(channel))
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Estimates that a bound holds, by the slope of the cost and the parameter's own scale, whatever the other bound is."""
+"""Parameters that a bound holds, judged by the gradient of the cost and by the scale of the parameter."""
 
 import numpy as np
 

@@ -14,23 +14,24 @@ from smajax.simulation.inputs import count_steps
 # Bytes of a number of double precision.
 _NUMBER = 8
 # The following were measured by experiments/fitting/fit_memory.py as peaks of ``smajax fit`` in its own process, with
-# an empty cache of compiled programs, from 100 to 200,000 rows, with 1 to 4 starts and 2 to 6 free parameters.
-# Bytes of Python, JAX, and compiling the programs of one wire: 590 MB with 100 rows.
+# an empty cache of compiled programs, from 100 to 200,000 rows, with 1 to 4 starts and 2 to 6 free parameters. It
+# prints them next to the estimates.
+# Bytes of Python, JAX, and compiling the programs of one wire: the peak with 100 rows.
 _PROGRAMS = 590_000_000
-# Bytes by which a further wire makes that larger: 731 MB for a rotary rig with two wires and 100 rows.
+# Bytes by which a further wire makes that larger: from a rotary rig with two wires and 100 rows.
 _PROGRAMS_PER_WIRE = 140_000_000
-# Numbers for each recorded value and each value of the model in a row: reading, responses and report. 1056 MB with
-# 100,000 rows of a rotary rig, which have 3 recorded channels and 18 of the model; 816 MB with 200,000 rows of a
-# dead-weight rig, which have 2 and 9, and 4 starts.
+# Numbers for each recorded value and each value of the model in a row: reading, responses and report. From
+# 100,000 rows of a rotary rig, which have 3 recorded channels and 18 of the model, and 200,000 rows of a dead-weight
+# rig, which have 2 and 9.
 _PER_VALUE = 8
-# Numbers for each step and wire, whatever the number of starts: inputs, and the states of the responses at the end.
-# 640 MB with 20,000 rows of 9 steps each.
+# Numbers for each step and wire, once for all starts: inputs, and the states of the responses at the end.
+# From 20,000 rows of 9 steps each.
 _PER_STEP = 21
 # Numbers for each step and wire of each start: the trajectory; there are as many again as free parameters, for the
-# tangents. 698 MB with the same rows and 4 starts.
+# tangents. From the same rows with 4 starts.
 _PER_SEARCHED_STEP = 8
-# Residuals and Jacobians of each start: before and after a step, at the trial, and while they are copied. 665 MB with
-# 50,000 rows and 4 starts, 598 MB with 1.
+# Residuals and Jacobians of each start: before and after a step, at the trial, and while they are copied. From
+# 50,000 rows with 4 starts and with 1.
 _COPIES = 5
 # Numbers for each step of a simulation that chooses starts: 2 by XLA's memory analysis of that program.
 _PER_SCREENED_STEP = 2

@@ -121,7 +121,7 @@ def time_slips(time: NDArray[np.float64], may_repeat: bool) -> NDArray[np.bool_]
 
 
 def impossible_values(channel: str, values: NDArray[np.float64], unit: str | None) -> NDArray[np.bool_]:
-    """Return which values cannot be, whatever the rig: a duty or a fan outside 0 to 1, as in a corrupt packet.
+    """Return which values are impossible in every rig: a duty or a fan outside 0 to 1, as in a corrupt packet.
 
     Args:
         channel: The channel.

@@ -136,7 +136,7 @@ def with_reading(command: Command) -> Command:
 
 
 def rig_with_reading(rig: Path, reading: Reading, drop_misplaced: bool = False) -> "Path | Rig":
-    """Return a rig with options of reading in place of its own; the path where none were given.
+    """Return a rig with its options of reading replaced by those that were given; the path if there are none.
 
     Args:
         rig: The rig file.

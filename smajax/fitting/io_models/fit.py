@@ -289,7 +289,7 @@ def _fit_at(
 def _held_parameters(problem: IOModelProblem, end: _SearchEnd) -> np.ndarray:
     """Mask (p,) of the free parameters that a bound holds.
 
-    The scale of a parameter is its value, or its first guess if that is larger, whatever the distance of the bounds.
+    The scale of a parameter is its value, or its first guess if that is larger.
     """
     vector: Any = end.vector
     (low, high), width, bottom = problem.bounds, np.asarray(problem.width), np.asarray(problem.lower)

@@ -46,7 +46,7 @@ class MatTable(Table):
             return
         if options.columns is not None:
             cure = 'leave columns out, or name a matrix, as in variable = "data"'
-            message = f"{path}: columns are those of a matrix, and there is none of its own: {cure}"
+            message = f"{path}: columns name those of a matrix, and the file has no single matrix: {cure}"
             raise InputError(message, code="columns-named", cure=cure)
         if name:
             variables = self._without_units(self._file.children(name))

@@ -1,4 +1,4 @@
-"""Variables of a MATLAB file, whatever its version: what each one is, and its values."""
+"""Variables of a MATLAB file of any version: the kind and the values of each one."""
 
 import abc
 from dataclasses import dataclass

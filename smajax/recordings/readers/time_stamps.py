@@ -150,7 +150,7 @@ def seconds_of_times(times: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def is_like_stamp(text: str) -> bool:
-    """Return whether a text is probably a time stamp, in whatever format.
+    """Return whether a text is probably a time stamp, in any format.
 
     Args:
         text: Text of a cell.

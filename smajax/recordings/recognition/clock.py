@@ -49,7 +49,7 @@ def choose_clock(
             result[k] = ColumnChoice(k, result[k].header, "time", source, "its cells are time stamps")
     candidates = [choice for choice in result.values() if choice.channel == "time"]
     if has_period:
-        reason = "a sample period was given in its place"
+        reason = "a sample period was given instead"
         return list((result | {c.index: _dropped(c, reason) for c in candidates}).values())
     for choice in [c for c in candidates if not c.is_answer and not _rises(values[c.index])]:
         result[choice.index] = _dropped(choice, "it does not rise from row to row as time does")

@@ -98,7 +98,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "two structs": ({"run1": VECTORS, "run2": VECTORS}, {}, "there is no vector, and the structs are run1, run2: name one of them, as in variable = \"run1\""),
     "misspelt variable": ({"data": MATRIX, "k": 1.0}, {"columns": COLUMNS, "variable": "date"}, "there is no variable 'date' (did you mean 'data'?): it has data, k, so correct variable"),
     "misspelt field": ({"run": {"data": MATRIX}}, {"columns": COLUMNS, "variable": "run.date"}, "variable 'run' has no field 'date' (did you mean 'data'?)"),
-    "names of vectors": ({**VECTORS, "units": UNITS}, {"columns": COLUMNS}, "columns are those of a matrix, and there is none of its own: leave columns out"),
+    "names of vectors": ({**VECTORS, "units": UNITS}, {"columns": COLUMNS}, "columns name those of a matrix, and the file has no single matrix: leave columns out"),
     "bad cell of a matrix": ({"data": np.where(MATRIX == 1.5, np.nan, MATRIX)}, {"columns": COLUMNS}, "wire.mat: row 4, column 'current [A]': the value is not finite: correct it, or leave such rows out"),
     "text": ({"note": "a b", **VECTORS}, {"variable": "note"}, "variable 'note': its values are not real numbers (type "),
     "struct as a channel": ({**VECTORS, "force": {"x": TIME}, "units": {**UNITS, "force": "N"}}, {}, "variable 'force': this is a struct and not a vector: name it by variable = \"force\""),
